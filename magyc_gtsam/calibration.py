@@ -1,0 +1,183 @@
+"""`Calibration`: the result of every method; immutable, applied to data, saved and loaded without loss."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, cast
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.export import export
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.observability import Observability
+from magyc_gtsam.recording import Array
+
+_FORMAT = "magyc-gtsam calibration 1"
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Soft iron, hard iron and gyroscope bias: m = soft_iron · u + hard_iron, w = ω + gyro_bias.
+
+    Attributes:
+        soft_iron: (3, 3), det 1 unless a field strength was given.
+        hard_iron: (3,) T.
+        gyro_bias: (3,) rad/s, None where the method does not estimate it.
+        covariance: (12, 12) of vech(soft_iron) row by row, hard_iron, gyro_bias; None where the
+            method has none. Rank 11 where the scale was fixed by det soft_iron = 1.
+        delay: s by which the magnetometer lags the gyroscope; 0 if fixed or not estimated.
+        delay_sigma: s, standard deviation of `delay`; None if fixed or not estimated.
+        terms: extra effects beyond the twelve parameters; empty for the base model.
+        converged: whether the method's own stopping rule was met and the result is observable.
+        message: why the method stopped, or why the result must not be trusted.
+        method: its name in `magyc_gtsam.methods()`.
+        noise: standard deviation per sample: {"magnetic_field": T, "angular_rate": rad/s}.
+        field_strength: T, strength of the calibrated field; measured unless it was given.
+        observability: what the motion determined well and what not; None where unknown.
+        diagnostics: the method's own numbers (cost, iterations, weights, …), JSON types only.
+        configuration: the options the method ran with, enough to run it again.
+    """
+
+    soft_iron: Array
+    hard_iron: Array
+    gyro_bias: Array | None = None
+    covariance: Array | None = None
+    delay: float = 0.0
+    delay_sigma: float | None = None
+    terms: tuple[Any, ...] = ()
+    converged: bool = True
+    message: str = ""
+    method: str = ""
+    noise: Mapping[str, float] = field(default_factory=dict)
+    field_strength: float | None = None
+    observability: Observability | None = None
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+    configuration: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        shapes = {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,), "covariance": (12, 12)}
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is None and name in ("gyro_bias", "covariance"):
+                continue
+            array = np.array(value, dtype=np.float64)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise MagycError(f"calibration: {name} must be {shape} finite numbers, got {array.tolist()}")
+            array.flags.writeable = False
+            put(self, name, array)
+        if abs(np.linalg.det(self.soft_iron)) < 1e-12:
+            raise MagycError("calibration: soft_iron is singular, so it cannot be applied")
+        for name in ("noise", "diagnostics", "configuration"):
+            put(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def apply(self, magnetic_field: ArrayLike) -> Array:
+        """Calibrated field soft_iron⁻¹ (m − hard_iron): (N, 3) or (3,) T in, the same shape out."""
+        m = _vectors("magnetic_field", magnetic_field)
+        inverse = np.linalg.inv(self.soft_iron)
+        return cast(Array, (m - self.hard_iron) @ inverse.T)
+
+    def apply_gyroscope(self, angular_rate: ArrayLike) -> Array:
+        """Calibrated angular rate w − gyro_bias: (N, 3) or (3,) rad/s in, the same shape out."""
+        if self.gyro_bias is None:
+            raise MagycError(f"method {self.method!r} estimates no gyroscope bias, so there is none to apply")
+        return _vectors("angular_rate", angular_rate) - self.gyro_bias
+
+    @property
+    def sigma(self) -> Mapping[str, Array]:
+        """Standard deviations {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,)}; empty without covariance."""
+        if self.covariance is None:
+            return {}
+        deviation = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+        soft_iron = np.empty((3, 3))
+        upper = np.triu_indices(3)
+        soft_iron[upper] = deviation[:6]
+        soft_iron.T[upper] = deviation[:6]
+        return {"soft_iron": soft_iron, "hard_iron": deviation[6:9], "gyro_bias": deviation[9:]}
+
+    def export(self, target: str) -> str:
+        """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`."""
+        return export(target, self.soft_iron, self.hard_iron, self.gyro_bias)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All fields as JSON types."""
+        result: dict[str, Any] = {"format": _FORMAT}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if isinstance(value, np.ndarray):
+                value = value.tolist()
+            elif isinstance(value, MappingProxyType):
+                value = dict(value)
+            elif isinstance(value, Observability):
+                value = value.to_dict()
+            elif f.name == "terms":
+                value = list(value)
+            result[f.name] = value
+        return result
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Calibration:
+        """The inverse of `to_dict`."""
+        if data.get("format") != _FORMAT:
+            raise MagycError(f"not a calibration: format is {data.get('format')!r}, expected {_FORMAT!r}")
+        known = {f.name for f in fields(cls)}
+        missing = {"soft_iron", "hard_iron"} - data.keys()
+        if missing:
+            raise MagycError(f"calibration without {' and '.join(sorted(missing))}")
+        values = {k: v for k, v in data.items() if k in known}
+        if values.get("observability") is not None:
+            values["observability"] = Observability.from_dict(values["observability"])
+        values["terms"] = tuple(values.get("terms") or ())
+        return cls(**values)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write YAML (.yaml, .yml) or JSON (.json), bit for bit, replacing the file in one step."""
+        path = Path(path)
+        text = _dump(path.suffix, self.to_dict())
+        part = path.with_name(path.name + ".part")
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Calibration:
+        """Read what `save` wrote.
+
+        Raises:
+            MagycError: no such file, or not a calibration.
+        """
+        path = Path(path)
+        try:
+            text = path.read_text(encoding="utf-8")
+            data = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
+        except FileNotFoundError:
+            raise MagycError(f"{path}: no such file") from None
+        except (json.JSONDecodeError, yaml.YAMLError, UnicodeDecodeError) as error:
+            raise MagycError(f"{path}: not readable as {path.suffix or 'YAML'} ({error})") from None
+        if not isinstance(data, dict):
+            raise MagycError(f"{path}: not a calibration")
+        try:
+            return cls.from_dict(data)
+        except (MagycError, TypeError) as error:
+            raise MagycError(f"{path}: {error}") from None
+
+
+def _dump(suffix: str, data: dict[str, Any]) -> str:
+    if suffix == ".json":
+        return json.dumps(data, indent=2) + "\n"
+    if suffix in (".yaml", ".yml"):
+        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+    raise MagycError(f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}")
+
+
+def _vectors(name: str, value: ArrayLike) -> Array:
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim not in (1, 2) or array.shape[-1] != 3:
+        raise MagycError(f"{name}: shape {array.shape}, expected (N, 3) or (3,)")
+    return array
