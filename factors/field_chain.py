@@ -1,0 +1,330 @@
+"""The field chain: every window's field direction eliminated, leaving a cost on (B, h, b, τ) alone.
+
+MATH.md section 4 in the integrated world frame of `preintegration`. Parameters θ (13):
+
+    vech(B) 6 T (soft iron times field strength), h 3 T, b 3 rad/s, τ 1 s (delay),
+
+states g_n ∈ S² (the field direction of window n), residuals
+
+    r_n = B M_n(τ) g_n + h − mean(m)_n,                     covariance σ_m²/W_n I,
+    e_n = g_{n+1} − Exp(−ΔK_n (b − b₀)) g_n  (chordal),     variance σ_g² Σdt² in the tangent plane.
+
+One Gauss–Newton step eliminates the directions by a banded Cholesky factorisation (2×2 blocks, three
+sub-diagonals) and is linear in the number of windows. All arrays keep the windows along their last,
+contiguous axis. `scipy.linalg.lapack` does the elimination: a
+numpy-only cyclic reduction was several times slower.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.preintegration import FieldWindows
+from magyc_gtsam.factors.rotations import Array
+
+PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
+UPPER = np.triu_indices(3)
+DELAY = 12
+
+
+class Noise(NamedTuple):
+    """Standard deviations per sample and axis: magnetometer T, gyroscope rad/s."""
+
+    magnetometer: float
+    gyroscope: float
+
+
+class State(NamedTuple):
+    """θ (13,) and the directions g (3, n)."""
+
+    parameters: Array
+    direction: Array
+
+
+class Weights(NamedTuple):
+    """Robust weights in [0, 1] of the windows (n,) and of the links (n − 1,)."""
+
+    window: Array
+    link: Array
+
+
+class Residuals(NamedTuple):
+    """Unwhitened residuals: windows (3, n) T, links (3, n − 1) chordal."""
+
+    window: Array
+    link: Array
+
+
+class Reduced(NamedTuple):
+    """The normal equations after elimination, and what a step and the diagnostics need.
+
+    cost: half the weighted sum of squares at the state; information (13, 13): Schur complement on θ;
+    gradient (13,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
+    on_parameters (13, 3, n): whitened window Jacobians; band and factor (4, 2n): the directions' matrix and
+    its Cholesky factor; right (14, 2n): its border with θ, and the directions' gradient.
+    """
+
+    cost: float
+    information: Array
+    gradient: Array
+    basis: Array
+    on_direction: Array
+    on_parameters: Array
+    band: Array
+    factor: Array
+    right: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FieldChain:
+    """Cost, elimination and diagnostics of one chain of windows.
+
+    Args:
+        windows: integrated windows; `windows.bias` and `.delay` are the points of linearisation.
+        noise: standard deviations per sample.
+
+    Raises:
+        MagycError: fewer than 3 windows.
+    """
+
+    windows: FieldWindows
+    noise: Noise
+
+    def __post_init__(self) -> None:
+        if len(self.windows) < 3:
+            raise MagycError(
+                f"{len(self.windows)} windows, at least 3 are needed: the recording is too short or hardly moves"
+            )
+        w = self.windows
+        object.__setattr__(self, "_window_scale", np.sqrt(w.count) / self.noise.magnetometer)
+        # A floor of a hundredth of the magnetometer's own angle keeps a perfect gyroscope solvable.
+        spread = float(np.linalg.norm(w.field - w.field.mean(axis=1)[:, None], axis=0).mean()) + 1e-9
+        floor = (0.01 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
+        variance = self.noise.gyroscope**2 * w.link_time + floor
+        object.__setattr__(self, "_link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
+
+    @property
+    def window_sigma(self) -> Array:
+        """(n,) T, standard deviation of a window's mean."""
+        return 1 / self._window_scale  # type: ignore[attr-defined,no-any-return]
+
+    @property
+    def link_sigma(self) -> Array:
+        """(n − 1,) rad, standard deviation of a link; infinite across a hole."""
+        with np.errstate(divide="ignore"):
+            return 1 / self._link_scale  # type: ignore[attr-defined,no-any-return]
+
+    def unweighted(self) -> Weights:
+        """All weights one."""
+        return Weights(np.ones(len(self.windows)), np.ones(len(self.windows) - 1))
+
+    def start(self, parameters: Array) -> State:
+        """A state at θ: each direction read off its own window's field."""
+        body = np.linalg.solve(symmetric(parameters[:6]), self.windows.field - parameters[6:9, None])
+        g = np.einsum("ijn,in->jn", self._rotation(parameters), body)
+        return State(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
+
+    def residuals(self, state: State) -> Residuals:
+        """Unwhitened residuals of both groups."""
+        parameters, g = state
+        body = np.einsum("ijn,jn->in", self._rotation(parameters), g)
+        window = symmetric(parameters[:6]) @ body + parameters[6:9, None] - self.windows.field
+        turn = self._turn(parameters)
+        return Residuals(window, g[:, 1:] - np.einsum("ijn,jn->in", turn, g[:, :-1]))
+
+    def squares(self, residuals: Residuals) -> tuple[Array, Array]:
+        """Squared whitened residuals of windows (n,) and links (n − 1,)."""
+        return (
+            np.einsum("in,in->n", residuals.window, residuals.window) * self._window_scale**2,  # type: ignore[attr-defined]
+            np.einsum("in,in->n", residuals.link, residuals.link) * self._link_scale**2,  # type: ignore[attr-defined]
+        )
+
+    def eliminate(self, state: State, weights: Weights) -> Reduced:
+        """Linearise at `state` and eliminate the directions.
+
+        Raises:
+            MagycError: a window's direction has no finite curvature.
+        """
+        parameters, g = state
+        n = g.shape[1]
+        soft = symmetric(parameters[:6])
+        scale = self._window_scale * np.sqrt(weights.window)  # type: ignore[attr-defined]
+        link_scale = self._link_scale * np.sqrt(weights.link)  # type: ignore[attr-defined]
+        basis = tangent_basis(g)
+
+        # Windows: r = B M g + h − m, Jacobians on the direction (3, 2, n) and on θ (13, 3, n).
+        rotation = self._rotation(parameters)
+        body = np.einsum("ijn,jn->in", rotation, g)
+        residual = (soft @ body + (parameters[6:9, None] - self.windows.field)) * scale
+        seen = np.einsum("ijn,jan->ian", rotation, basis) * scale
+        on_direction = (soft @ seen.reshape(3, -1)).reshape(3, 2, n)
+        x, y, z = body * scale
+        on_parameters = np.zeros((PARAMETERS, 3, n))
+        on_parameters[0, 0] = on_parameters[1, 1] = on_parameters[2, 2] = x
+        on_parameters[1, 0] = on_parameters[3, 1] = on_parameters[4, 2] = y
+        on_parameters[2, 0] = on_parameters[4, 1] = on_parameters[5, 2] = z
+        on_parameters[6, 0] = on_parameters[7, 1] = on_parameters[8, 2] = scale
+        on_parameters[DELAY] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_rate, g) * scale
+
+        # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
+        turn = self._turn(parameters)
+        ahead = np.einsum("ijn,jn->in", turn, g[:, :-1])
+        link = (g[:, 1:] - ahead) * link_scale
+        before = -np.einsum("ijn,jan->ian", turn, basis[:, :, :-1]) * link_scale
+        after = basis[:, :, 1:] * link_scale
+        on_bias = -cross(ahead[:, None] * link_scale, self.windows.lever)
+
+        # The directions' matrix H in 2×2 blocks, and its border [C, gradient].
+        band = np.zeros((2 * n, 4))
+        square = link_scale**2  # the tangent bases are orthonormal
+        d0, d1 = band[::2, 0], band[1::2, 0]
+        d0[:] = np.einsum("in,in->n", on_direction[:, 0], on_direction[:, 0])
+        d1[:] = np.einsum("in,in->n", on_direction[:, 1], on_direction[:, 1])
+        for diagonal in (d0, d1):
+            diagonal[1:] += square
+            diagonal[:-1] += square
+        band[::2, 1] = np.einsum("in,in->n", on_direction[:, 0], on_direction[:, 1])
+        coupling = np.einsum("ian,ibn->abn", before, after)
+        band[:-2:2, 2], band[1:-2:2, 2] = coupling[0, 0], coupling[1, 1]
+        band[:-2:2, 3], band[1:-2:2, 1] = coupling[0, 1], coupling[1, 0]
+
+        right = np.empty((PARAMETERS + 1, n, 2))
+        for a in (0, 1):
+            np.einsum("in,pin->pn", on_direction[:, a], on_parameters, out=right[:PARAMETERS, :, a])
+            right[PARAMETERS, :, a] = np.einsum("in,in->n", on_direction[:, a], residual)
+            right[9:12, 1:, a] += np.einsum("in,ikn->kn", after[:, a], on_bias)
+            right[9:12, :-1, a] += np.einsum("in,ikn->kn", before[:, a], on_bias)
+            right[PARAMETERS, 1:, a] += np.einsum("in,in->n", after[:, a], link)
+            right[PARAMETERS, :-1, a] += np.einsum("in,in->n", before[:, a], link)
+        right = right.reshape(PARAMETERS + 1, 2 * n)
+
+        factor, failed = dpbtrf(band.T, lower=1)
+        if failed:
+            window = (failed - 1) // 2
+            raise MagycError(
+                f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
+                "its weight or its noise is out of range"
+            )
+        half, _ = dtbtrs(factor, right.T, uplo="L")  # L⁻¹ [C, gradient]
+        reduction = half.T @ half
+        flat = on_parameters.reshape(PARAMETERS, -1)
+        information = flat @ flat.T - reduction[:PARAMETERS, :PARAMETERS]
+        gradient = flat @ residual.ravel() - reduction[:PARAMETERS, PARAMETERS]
+        information[9:12, 9:12] += np.einsum("ikn,iln->kl", on_bias, on_bias)
+        gradient[9:12] += np.einsum("ikn,in->k", on_bias, link)
+        cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
+        return Reduced(
+            cost, information, gradient, basis, on_direction, on_parameters, band.T, factor, right
+        )
+
+    def move(self, state: State, reduced: Reduced, step: Array) -> State:
+        """The state after a step on θ; the directions follow by back-substitution."""
+        pull = reduced.right[PARAMETERS] + step @ reduced.right[:PARAMETERS]
+        tangent, _ = dpbtrs(reduced.factor, pull, lower=1)
+        g = state.direction - reduced.basis[:, 0] * tangent[::2] - reduced.basis[:, 1] * tangent[1::2]
+        return State(state.parameters + step, g / np.sqrt(np.einsum("in,in->n", g, g)))
+
+    def leverage(self, reduced: Reduced, covariance: Array) -> Array:
+        """(n,) how much of each window's 3 squared residuals the fit absorbs, in expectation.
+
+        The trace of the window's block of the hat matrix; `covariance` (13, 13) is the inverse of the
+        information (zeros for fixed parameters). The diagonal blocks of H⁻¹ come from the forward and the
+        backward Schur complements, (D_f + D_b − D)⁻¹, each read off one banded factorisation.
+        """
+        band, n = reduced.band, reduced.on_direction.shape[2]
+        solve, _ = dpbtrs(reduced.factor, reduced.right[:PARAMETERS].T, lower=1)
+        forward = _schur_blocks(reduced.factor)
+        backward = _schur_blocks(dpbtrf(_reversed_band(band), lower=1)[0])
+        s00 = forward[0] + backward[2][::-1] - band[0, ::2]
+        s01 = forward[1] + backward[1][::-1] - band[1, ::2]
+        s11 = forward[2] + backward[0][::-1] - band[0, 1::2]
+        j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
+        inner = (
+            np.einsum("in,in->n", j0, j0) * s11
+            - 2 * np.einsum("in,in->n", j0, j1) * s01
+            + np.einsum("in,in->n", j1, j1) * s00
+        ) / (s00 * s11 - s01 * s01)
+        across = reduced.on_parameters - np.einsum(
+            "ian,pna->pin", reduced.on_direction, solve.T.reshape(PARAMETERS, n, 2)
+        )
+        spread = (covariance @ across.reshape(PARAMETERS, -1)).reshape(across.shape)
+        return inner + np.einsum("pin,pin->n", across, spread)
+
+    def _rotation(self, parameters: Array) -> Array:
+        late = parameters[DELAY] - self.windows.delay
+        return self.windows.rotation + late * self.windows.rotation_rate if late else self.windows.rotation
+
+    def _turn(self, parameters: Array) -> Array:
+        """E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
+        moved = self.windows.bias - parameters[9:12]
+        return exponential_matrices(np.einsum("ijn,j->in", self.windows.lever, moved))
+
+
+def symmetric(vech: Array) -> Array:
+    """(3, 3) symmetric matrix from its upper triangle row by row."""
+    matrix = np.empty((3, 3))
+    matrix[UPPER] = vech
+    matrix.T[UPPER] = vech
+    return matrix
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Cross product along the first axis."""
+    return np.stack(
+        [
+            first[1] * second[2] - first[2] * second[1],
+            first[2] * second[0] - first[0] * second[2],
+            first[0] * second[1] - first[1] * second[0],
+        ]
+    )
+
+
+def exponential_matrices(rotation_vector: Array) -> Array:
+    """Rotation matrices (3, 3, n) of rotation vectors (3, n)."""
+    x, y, z = rotation_vector
+    xx, yy, zz = x * x, y * y, z * z
+    square = xx + yy + zz
+    angle = np.sqrt(square)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    a = np.where(small, 1 - square / 6, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - square / 24, (1 - np.cos(safe)) / (safe * safe))
+    bxy, bxz, byz = b * x * y, b * x * z, b * y * z
+    ax, ay, az = a * x, a * y, a * z
+    result = np.empty((3, 3, len(x)))
+    result[0, 0], result[0, 1], result[0, 2] = 1 - b * (yy + zz), bxy - az, bxz + ay
+    result[1, 0], result[1, 1], result[1, 2] = bxy + az, 1 - b * (xx + zz), byz - ax
+    result[2, 0], result[2, 1], result[2, 2] = bxz - ay, byz + ax, 1 - b * (xx + yy)
+    return result
+
+
+def tangent_basis(direction: Array) -> Array:
+    """Orthonormal tangent bases (3, 2, n) of unit vectors (3, n) (Duff et al. 2017, without branches)."""
+    x, y, z = direction
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    basis = np.empty((3, 2, len(x)))
+    basis[0, 0], basis[1, 0], basis[2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
+    basis[0, 1], basis[1, 1], basis[2, 1] = b, sign + y * y * a, -y
+    return basis
+
+
+def _schur_blocks(factor: Array) -> tuple[Array, Array, Array]:
+    """The 2×2 blocks L_nn L_nnᵀ of a banded Cholesky factor: their entries 00, 01, 11, (n,) each."""
+    a, b, c = factor[0, ::2], factor[1, ::2], factor[0, 1::2]
+    return a * a, a * b, b * b + c * c
+
+
+def _reversed_band(band: Array) -> Array:
+    """The band of the matrix with rows and columns in reverse order."""
+    result = np.zeros(band.shape, order="F")
+    size = band.shape[1]
+    for below in range(4):
+        result[below, : size - below] = band[below, : size - below][::-1]
+    return result

@@ -1,0 +1,194 @@
+"""From the samples of each sensor, stamped in integer nanoseconds as the log holds them, to a `Recording`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.request import SENSORS, Request
+from magyc_gtsam.recording import Recording
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_SECOND = 1_000_000_000  # ns
+_YEAR_2000 = 946_684_800 * _SECOND  # stamps before it count from a boot, not from 1970
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Samples of one sensor in the order of the file.
+
+    Args:
+        name: what the log calls it (topic, columns, message).
+        stamp: (n,) int64, ns.
+        value: (n,) or (n, k), SI units.
+    """
+
+    name: str
+    stamp: Stamps
+    value: Array
+
+    def rows(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Stream:
+        """The stream with only the given rows."""
+        return replace(self, stamp=self.stamp[rows], value=self.value[rows])
+
+
+def assemble(
+    sensors: Mapping[str, Stream],
+    channels: Mapping[str, Stream],
+    request: Request,
+    *,
+    name: str,
+    notes: tuple[str, ...] = (),
+    angular_rate_is: Literal["instant", "interval-mean"] = "instant",
+) -> Recording:
+    """One `Recording` of all streams; time 0 is the first row of the log.
+
+    Args:
+        sensors: "magnetic_field" and, where there are any, "angular_rate", "acceleration", "attitude"
+            (x, y, z, w).
+        channels: what else is wanted, by name; one that cannot be used is left out with a note.
+
+    Raises:
+        MagycError: an axis is absent, a clock goes back, one stamp has two values, or the streams make no
+            recording (see `Recording`).
+    """
+    said = list(notes)
+    main = [sensors[k].stamp[0] for k in ("magnetic_field", "angular_rate") if k in sensors and len(sensors[k].stamp)]
+    start, end = request.start, request.end
+    jumped = any(len(_restarts(s.stamp)) > 0 for s in sensors.values())
+    if jumped and (start is not None or end is not None):
+        # Stamps that occur twice cannot say which side is meant; the time elapsed along the file can.
+        sensors = {k: _part(s, max(main), start, end) for k, s in sensors.items()}
+        channels = {k: _part(s, max(main), start, end) for k, s in channels.items()}
+        start = end = None
+    clean = {k: _clean(s, k, said) for k, s in sensors.items()}
+    usable = {}
+    for channel, stream in channels.items():
+        try:
+            usable[channel] = _clean(stream, channel, said)
+        except MagycError as error:
+            said.append(f"channel left out: {error}")
+    zero = max(int(clean[k].stamp[0]) for k in ("magnetic_field", "angular_rate") if k in clean)
+    said.append(_epoch_note(zero))
+
+    def relative(stream: Stream) -> tuple[Array, Array]:
+        return (stream.stamp - zero) / 1e9, stream.value
+
+    last = min(int(clean[k].stamp[-1]) for k in ("magnetic_field", "angular_rate") if k in clean)
+    for channel in [k for k, s in usable.items() if s.stamp[-1] < zero or s.stamp[0] > last]:
+        said.append(f"channel left out: {channel} has no sample while the magnetometer was recorded")
+        del usable[channel]
+    recording = Recording.from_streams(
+        relative(clean["magnetic_field"]),
+        relative(clean["angular_rate"]) if "angular_rate" in clean else None,
+        acceleration=relative(clean["acceleration"]) if "acceleration" in clean else None,
+        attitude=relative(clean["attitude"]) if "attitude" in clean else None,
+        channels={k: relative(s) for k, s in usable.items()},
+        name=name,
+        notes=tuple(said),
+        angular_rate_is=angular_rate_is,
+    )
+    return recording if start is None and end is None else recording.between(start, end)
+
+
+def _clean(stream: Stream, role: str, notes: list[str]) -> Stream:
+    """Finite, ascending and without repeats; what had to be done for that goes to `notes`."""
+    stream = _finite(stream, role, notes)
+    if len(stream.stamp) < 2:
+        raise MagycError(f"{stream.name}: {len(stream.stamp)} samples, at least 2 are needed")
+    restarts = _restarts(stream.stamp)
+    if len(restarts):
+        row = int(restarts[0])
+        elapsed = float(_elapsed(stream.stamp)[row]) / 1e9
+        raise MagycError(
+            f"{stream.name}: its clock goes back by {(stream.stamp[row] - stream.stamp[row + 1]) / 1e9:.3f} s after "
+            f"sample {row + 1}, {elapsed:.3f} s into the log; read one side of it (end={elapsed:.3f} or "
+            f"start={elapsed:.3f}), or use the times of recording where the format has them (stamps='log')"
+        )
+    late = int((np.diff(stream.stamp) < 0).sum())
+    if late:
+        stream = stream.rows(np.argsort(stream.stamp, kind="stable"))
+        notes.append(f"{stream.name}: {late} samples stood out of order and were sorted by their stamps")
+    return _without_repeats(stream, notes)
+
+
+def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
+    finite = np.isfinite(stream.value).reshape(len(stream.stamp), -1)
+    if finite.all():
+        return stream
+    if role in SENSORS:
+        for axis, share in zip("xyz", finite.mean(axis=0), strict=True):
+            if share < 0.5:
+                raise MagycError(
+                    f"{stream.name}: axis {axis} is absent (not a number in {1 - share:.0%} of {len(finite)} samples); "
+                    "three axes are needed: name another source, or have the driver publish this one"
+                )
+    keep = finite.all(axis=1)
+    notes.append(f"{stream.name}: {(~keep).sum()} of {len(keep)} samples are not finite and were left out")
+    return stream.rows(keep)
+
+
+def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
+    repeated = np.flatnonzero(np.diff(stream.stamp) == 0)
+    if not len(repeated):
+        return stream
+    value = stream.value.reshape(len(stream.stamp), -1)
+    different = repeated[(value[repeated] != value[repeated + 1]).any(axis=1)]
+    if len(different):
+        row = int(different[0])
+        constant = " (all stamps are the same: was the header never filled in?)" if np.ptp(stream.stamp) == 0 else ""
+        raise MagycError(
+            f"{stream.name}: {len(different)} stamps come twice with different values{constant}, the first at "
+            f"{stream.stamp[row] / 1e9:.9f} s; use the times of recording where the format has them (stamps='log'), "
+            "or name one source where two publish on one topic"
+        )
+    keep = np.ones(len(stream.stamp), dtype=bool)
+    keep[repeated + 1] = False
+    notes.append(f"{stream.name}: {len(repeated)} samples were recorded twice and were dropped")
+    return stream.rows(keep)
+
+
+def _restarts(stamp: Stamps) -> NDArray[np.intp]:
+    """Rows after which the clock goes back by more than a second; less is messages overtaking each other."""
+    return np.flatnonzero(np.diff(stamp) < -_SECOND)
+
+
+def _elapsed(stamp: Stamps) -> Stamps:
+    """ns since the first sample along the file, with the steps back left out."""
+    step = np.diff(stamp)
+    step[step < -_SECOND] = 0
+    return np.concatenate([[0], np.cumsum(step)]).astype(np.int64)
+
+
+def _part(stream: Stream, origin: int, start: float | None, end: float | None) -> Stream:
+    if not len(stream.stamp):
+        return stream
+    # A stream that starts on another clock than the main one has no offset to it that means anything.
+    offset = int(stream.stamp[0]) - origin
+    elapsed = (_elapsed(stream.stamp) + (offset if abs(offset) < 10 * _SECOND else 0)) / 1e9
+    keep = np.ones(len(elapsed), dtype=bool)
+    if start is not None:
+        keep &= elapsed > start
+        # The first sample after a step back has the elapsed time of the last one before it.
+        keep[1:] |= (elapsed[1:] >= start) & (np.diff(stream.stamp) < -_SECOND)
+    if end is not None:
+        keep &= elapsed <= end
+        restarts = _restarts(stream.stamp) + 1
+        keep[restarts[elapsed[restarts] == end]] = False
+    return stream.rows(keep)
+
+
+def _epoch_note(zero: int) -> str:
+    seconds = f"{zero // _SECOND}.{zero % _SECOND:09d} s"
+    if zero < _YEAR_2000:
+        return f"time 0 is {seconds} on the log's own clock"
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=zero // _SECOND)
+    return f"time 0 is {moment:%Y-%m-%dT%H:%M:%S}.{zero % _SECOND:09d}Z ({seconds})"

@@ -1,0 +1,67 @@
+"""Units that instruments and drivers publish, and what one of each is in SI. Nothing is converted unasked."""
+
+from __future__ import annotations
+
+import math
+
+from magyc_gtsam.factors.errors import MagycError
+
+_STANDARD_GRAVITY = 9.80665  # m/s², what "1 g" means on a data sheet
+
+# The spellings that are looked up are in lower case, except where the case decides (nothing does so far).
+_UNITS: dict[str, dict[str, float]] = {
+    "magnetic_field": {
+        **dict.fromkeys(("t", "tesla"), 1.0),
+        **dict.fromkeys(("mt", "millitesla"), 1e-3),
+        **dict.fromkeys(("ut", "µt", "μt", "microtesla"), 1e-6),
+        **dict.fromkeys(("nt", "nanotesla"), 1e-9),
+        **dict.fromkeys(("g", "ga", "gs", "gauss"), 1e-4),
+        **dict.fromkeys(("mg", "mga", "mgs", "mgauss", "milligauss"), 1e-7),
+    },
+    "angular_rate": {
+        **dict.fromkeys(("rad/s", "rad_s", "rads", "rps", "radps", "rad_per_s", "rad/sec"), 1.0),
+        **dict.fromkeys(("mrad/s", "mrad_s", "mradps"), 1e-3),
+        **dict.fromkeys(("deg/s", "deg_s", "dps", "°/s", "degps", "deg_per_s", "deg/sec"), math.pi / 180),
+        **dict.fromkeys(("mdps", "mdeg/s", "mdeg_s"), math.pi / 180_000),
+    },
+    "acceleration": {
+        **dict.fromkeys(("m/s^2", "m/s²", "m/s2", "m_s2", "mps2", "m/s/s", "m_s_2"), 1.0),
+        **dict.fromkeys(("g", "g0"), _STANDARD_GRAVITY),
+        **dict.fromkeys(("mg", "milli-g"), _STANDARD_GRAVITY * 1e-3),
+    },
+    "time": {
+        **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1e9),
+        **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e6),
+        **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e3),
+        **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1.0),
+    },
+}
+_SHOWN = {
+    "magnetic_field": "T, mT, uT, nT, gauss, mgauss",
+    "angular_rate": "rad/s, deg/s, mrad/s",
+    "acceleration": "m/s^2, g, mg",
+    "time": "s, ms, us, ns",
+}
+
+
+def factor(quantity: str, unit: str | float | None) -> float:
+    """SI units per `unit` (nanoseconds for "time"); None is SI already, a number is a factor of its own.
+
+    Raises:
+        MagycError: the unit is not known.
+    """
+    if unit is None:
+        return 1.0
+    if not isinstance(unit, str):
+        if not (math.isfinite(unit) and unit > 0):
+            raise MagycError(f"unit of {quantity}: {unit!r} is not a positive factor to SI units")
+        return float(unit)
+    found = lookup(quantity, unit)
+    if found is None:
+        raise MagycError(f"unit of {quantity}: {unit!r} is not known; known are {_SHOWN[quantity]}")
+    return found
+
+
+def lookup(quantity: str, unit: str) -> float | None:
+    """As `factor`, but None where the unit is not known."""
+    return _UNITS[quantity].get(unit.strip().lower())

@@ -1,0 +1,221 @@
+"""The report's figures: each function draws one into a figure of its own and returns it as SVG text."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable
+from functools import wraps
+from typing import Concatenate, ParamSpec
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.report.analysis import (
+    Coverage,
+    FieldHistory,
+    LevelTurn,
+    ellipsoid_outline,
+    envelope,
+    inclination,
+)
+
+RAW = "#d9730d"  # orange and blue keep apart for colour-blind eyes and on light and dark ground
+CALIBRATED = "#2b8cdb"
+DISTURBED = "#b04a9b"
+_INK = "#010203"  # stands for the page's own text colour
+_MICRO = 1e6
+_POINTS = 2500  # per scatter
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.size": 10,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.15,
+    "grid.linewidth": 0.8,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "lines.linewidth": 1.2,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "magyc-gtsam",
+} | dict.fromkeys(
+    ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "grid.color"), _INK
+)
+
+Parameters = ParamSpec("Parameters")
+Stretches = list[tuple[float, float]]
+
+
+def drawn(
+    width: float, height: float
+) -> Callable[[Callable[Concatenate[Figure, Parameters], None]], Callable[Parameters, str]]:
+    """Turn a function that draws into a figure into one that returns SVG, `width` × `height` inches."""
+
+    def decorate(draw: Callable[Concatenate[Figure, Parameters], None]) -> Callable[Parameters, str]:
+        @wraps(draw)
+        def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> str:
+            with matplotlib.rc_context(_STYLE):
+                figure = Figure(figsize=(width, height), layout="constrained")
+                draw(figure, *args, **kwargs)
+                return _svg(figure)
+
+        return run
+
+    return decorate
+
+
+def _svg(figure: Figure) -> str:
+    """SVG to stand inside a page: no prolog, no size, no ids or styles of its own, the page's text colour."""
+    text = io.StringIO()
+    no_metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(text, format="svg", dpi=150, transparent=True, metadata=no_metadata)
+    svg = text.getvalue()
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"<style.*?</style>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
+    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
+    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
+    return svg.replace(_INK, "currentColor")
+
+
+@drawn(3.6, 3.7)
+def field_projection(
+    figure: Figure, history: FieldHistory, soft_iron: Array, hard_iron: Array, plane: tuple[int, int]
+) -> None:
+    """Raw and calibrated field, with the fitted ellipsoid and the sphere, seen along one sensor axis."""
+    axes = figure.add_subplot()
+    step = -(-len(history.raw) // _POINTS)
+    for field, colour in ((history.raw, RAW), (history.calibrated, CALIBRATED)):
+        x, y = field[::step, plane[0]] * _MICRO, field[::step, plane[1]] * _MICRO
+        axes.plot(x, y, ".", color=colour, markersize=2.5, alpha=0.5, rasterized=True, markeredgewidth=0)
+    fitted = ellipsoid_outline(soft_iron * history.strength, hard_iron, plane) * _MICRO
+    sphere = ellipsoid_outline(np.eye(3) * history.strength, np.zeros(3), plane) * _MICRO
+    axes.plot(*fitted.T, color=RAW)
+    axes.plot(*sphere.T, color=CALIBRATED)
+    axes.plot(*(hard_iron[list(plane)] * _MICRO), "+", color=RAW, markersize=9)
+    axes.plot(0, 0, "+", color=CALIBRATED, markersize=9)
+    axes.set(
+        aspect="equal",
+        adjustable="datalim",
+        xlabel=f"{'xyz'[plane[0]]} (µT)",
+        ylabel=f"{'xyz'[plane[1]]} (µT)",
+    )
+
+
+@drawn(5.2, 3.2)
+def coverage_map(figure: Figure, coverage: Coverage) -> None:
+    """Directions of the calibrated field in sensor axes, equal-area, shaded by the time spent there."""
+    axes = figure.add_subplot(projection="mollweide")
+    seconds = np.ma.masked_equal(coverage.seconds, 0)
+    low, high = float(seconds.min()), float(seconds.max())
+    mesh = axes.pcolormesh(
+        coverage.longitude,
+        coverage.latitude,
+        seconds,
+        cmap="viridis_r",
+        norm=LogNorm(low, max(high, 1.01 * low)),
+    )
+    axes.set(xticks=np.radians([-90, 0, 90]), yticks=np.radians([-60, -30, 0, 30, 60]))
+    axes.set(xticklabels=[], yticklabels=[])
+    for longitude, name in ((-180, "−x"), (-90, "−y"), (0, "+x"), (90, "+y")):
+        axes.text(np.radians(longitude), 0, name, ha="center", va="center", fontsize=9, bbox=_LABEL)
+    for latitude, name in ((90, "+z"), (-90, "−z")):
+        axes.text(0, np.radians(latitude), name, ha="center", va="center", fontsize=9, bbox=_LABEL)
+    figure.colorbar(mesh, ax=axes, label="Time spent (s)", shrink=0.8, format="%g")
+
+
+_LABEL = {"boxstyle": "round,pad=0.2", "facecolor": "white", "alpha": 0.8, "edgecolor": "none"}
+
+
+@drawn(5.2, 3.0)
+def field_strength(figure: Figure, history: FieldHistory) -> None:
+    """Strength of the field over time, raw and calibrated."""
+    axes = _before_after(
+        figure,
+        history.time,
+        np.linalg.norm(history.raw, axis=1) * _MICRO,
+        np.linalg.norm(history.calibrated, axis=1) * _MICRO,
+        "Field strength (µT)",
+    )
+    axes.axhline(history.strength * _MICRO, color=_INK, linewidth=1, linestyle="--")
+
+
+@drawn(5.2, 3.0)
+def field_inclination(figure: Figure, history: FieldHistory, up: Array) -> None:
+    """Angle of the field below the horizontal over time, raw and calibrated."""
+    raw, calibrated = inclination(history.raw, up), inclination(history.calibrated, up)
+    _before_after(figure, history.time, raw, calibrated, "Dip of the field (°)")
+
+
+@drawn(5.2, 3.0)
+def heading_error(figure: Figure, time: Array, error: Array) -> None:
+    """Error of the magnetic heading against the reference over time, raw and calibrated."""
+    axes = _before_after(figure, time, error[:, 0], error[:, 1], "Heading error (°)")
+    axes.axhline(0, color=_INK, linewidth=1, linestyle="--")
+
+
+@drawn(5.2, 3.6)
+def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
+    """Heading error over a level turn: of the raw field, and the calibration's own uncertainty."""
+    rows = 1 if turn.sigma is None else 2
+    grid = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[3, 2][:rows])[:, 0]
+    grid[0].plot(turn.heading, turn.error, color=RAW)
+    grid[0].set_ylabel("Raw (°)")
+    if turn.sigma is not None:
+        grid[1].fill_between(turn.heading, -turn.sigma, turn.sigma, color=CALIBRATED, alpha=0.4, linewidth=0)
+        grid[1].set_ylabel("Calibrated\n±1σ (°)")
+    for axes in grid:
+        axes.axhline(0, color=_INK, linewidth=1, linestyle="--")
+    figure.align_ylabels()
+    grid[-1].set(xlabel="Heading (°)", xticks=range(0, 361, 60), xlim=(0, 360))
+
+
+@drawn(5.2, 3.6)
+def residuals(figure: Figure, time: Array, whitened: Array, names: str, disturbed: Stretches) -> None:
+    """Whitened residuals (n, k) over time, one row per column, disturbed stretches shaded."""
+    unit, label = _clock(time)
+    limit = float(np.clip(np.abs(whitened).max(), 4, 10))
+    grid = figure.subplots(whitened.shape[1], 1, sharex=True, squeeze=False)[:, 0]
+    for axes, column, name in zip(grid, whitened.T, names, strict=True):
+        for start, end in disturbed:
+            axes.axvspan(start / unit, end / unit, color=DISTURBED, alpha=0.25, linewidth=0)
+        clipped = np.clip(column, -limit, limit)
+        axes.plot(time / unit, clipped, ".", color=CALIBRATED, markersize=3, alpha=0.6, rasterized=True)
+        for level in (-3, 3):
+            axes.axhline(level, color=_INK, linewidth=0.8, linestyle=":")
+        axes.set(ylabel=f"{name} (σ)", ylim=(-1.05 * limit, 1.05 * limit))
+    grid[-1].set_xlabel(label)
+
+
+@drawn(5.2, 3.6)
+def residual_histogram(figure: Figure, whitened: Array) -> None:
+    """Histogram of the whitened residuals against the unit normal they should follow."""
+    axes = figure.add_subplot()
+    axes.hist(np.clip(whitened.ravel(), -5, 5), bins=np.linspace(-5, 5, 51), density=True, color=CALIBRATED)
+    x = np.linspace(-5, 5, 201)
+    axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=_INK)
+    axes.set(xlabel="Residual (σ)", ylabel="Density", xlim=(-5.1, 5.1))
+
+
+def _before_after(figure: Figure, time: Array, raw: Array, calibrated: Array, label: str) -> Axes:
+    axes = figure.add_subplot()
+    unit, clock = _clock(time)
+    for value, colour in ((raw, RAW), (calibrated, CALIBRATED)):
+        thin_time, thin = envelope(time, value)
+        axes.plot(thin_time / unit, thin, color=colour, linewidth=1)
+    axes.set(xlabel=clock, ylabel=label, xlim=(time[0] / unit, time[-1] / unit))
+    return axes
+
+
+def _clock(time: Array) -> tuple[float, str]:
+    """Seconds per unit of a time axis, and its label."""
+    span = float(time[-1] - time[0])
+    if span <= 1200:
+        return 1.0, "Time (s)"
+    return (60.0, "Time (min)") if span <= 3 * 3600 else (3600.0, "Time (h)")

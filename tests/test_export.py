@@ -1,0 +1,192 @@
+"""Exports: each text is parsed as its target parses it, and corrected with the target's own formula."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.export import TARGETS, export
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Array
+
+PRECISION = 1e-8  # printed decimals, in gauss for a field of one gauss
+
+
+def parameters(text: str, separator: str, name: int, value: int) -> dict[str, float]:
+    """Name → value of a parameter file whose comments begin with #."""
+    rows = [line.split(separator) for line in text.splitlines() if line and not line.startswith("#")]
+    return {row[name]: float(row[value]) for row in rows}
+
+
+def symmetric(diagonal: list[float], off_diagonal: list[float]) -> Array:
+    (xx, yy, zz), (xy, xz, yz) = diagonal, off_diagonal
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def px4(text: str, m: Array, w: Array) -> tuple[Array, Array]:
+    """Magnetometer::Correct and Gyroscope::Correct without rotation; gauss, rad/s."""
+    rows = parameters(text, "\t", 2, 3)
+    offset = np.array([rows[f"CAL_MAG0_{axis}OFF"] for axis in "XYZ"])
+    scale = symmetric(
+        [rows[f"CAL_MAG0_{axis}SCALE"] for axis in "XYZ"], [rows[f"CAL_MAG0_{axis}ODIAG"] for axis in "XYZ"]
+    )
+    bias = np.array([rows.get(f"CAL_GYRO0_{axis}OFF", np.nan) for axis in "XYZ"])
+    return (m * 1e4 - offset) @ scale.T * 1e-4, w - bias
+
+
+def ardupilot(text: str, m: Array, w: Array) -> tuple[Array, Array]:
+    """AP_Compass_Backend::correct_field; milligauss, rad/s."""
+    rows = parameters(text, ",", 0, 1)
+    field = m * 1e7 + np.array([rows[f"COMPASS_OFS_{axis}"] for axis in "XYZ"])
+    field = field * rows["COMPASS_SCALE"]
+    scale = symmetric(
+        [rows[f"COMPASS_DIA_{axis}"] for axis in "XYZ"], [rows[f"COMPASS_ODI_{axis}"] for axis in "XYZ"]
+    )
+    bias = np.array([rows.get(f"INS_GYROFFS_{axis}", np.nan) for axis in "XYZ"])
+    return field @ scale.T * 1e-7, w - bias
+
+
+def registers(text: str) -> dict[int, tuple[Array, Array]]:
+    """Register number → (C, B) of every command whose checksum is right."""
+    result = {}
+    for line in text.splitlines():
+        if not line.startswith("$"):
+            continue
+        body, checksum = line[1:].split("*")
+        assert int(checksum, 16) == np.bitwise_xor.reduce(np.frombuffer(body.encode(), dtype=np.uint8))
+        command, number, *values = body.split(",")
+        assert command == "VNWRG"
+        assert len(values) == 12
+        numbers = np.array([float(value) for value in values])
+        result[int(number)] = numbers[:9].reshape(3, 3), numbers[9:]
+    return result
+
+
+def vectornav(text: str, m: Array, w: Array) -> tuple[Array, Array]:
+    """C (M − B) of registers 23 and 84; gauss, rad/s."""
+    held = registers(text)
+    matrix, offset = held[23]
+    gyro_matrix, bias = held.get(84, (np.full((3, 3), np.nan), np.zeros(3)))
+    return (m * 1e4 - offset) @ matrix.T * 1e-4, (w - bias) @ gyro_matrix.T
+
+
+def ros(text: str, m: Array, w: Array) -> tuple[Array, Array]:
+    """The bias remover of magnetometer_pipeline; tesla, rad/s."""
+    rows = yaml.safe_load(text)["/**"]["ros__parameters"]
+    offset = np.array([rows[f"initial_mag_bias_{axis}"] for axis in "xyz"])
+    matrix = np.array(rows["initial_mag_scaling_matrix"]).reshape(3, 3)
+    return (m - offset) @ matrix.T, w - np.array(rows.get("gyroscope_bias", [np.nan] * 3))
+
+
+CORRECTED_BY = {"px4": px4, "ardupilot": ardupilot, "vectornav": vectornav, "ros": ros}
+
+SOFT_IRON = np.array([[1.10, 0.10, 0.04], [0.10, 0.88, 0.02], [0.04, 0.02, 1.22]])
+HARD_IRON = np.array([2e-6, 12e-6, 9e-6])
+GYRO_BIAS = np.array([4e-3, -5e-3, 2e-3])
+FIELD = np.random.default_rng(0).normal(0, 50e-6, (40, 3))
+RATE = np.random.default_rng(1).normal(0, 0.5, (40, 3))
+
+
+@st.composite
+def soft_irons(draw: st.DrawFn) -> Array:
+    """Positive definite, eigenvalues 0.3 to 3, in any direction."""
+    square = draw(arrays(np.float64, (3, 3), elements=st.floats(-1, 1, width=32)))
+    rotation, _ = np.linalg.qr(square)
+    eigenvalues = draw(arrays(np.float64, 3, elements=st.floats(0.3, 3)))
+    result: Array = rotation @ np.diag(eigenvalues) @ rotation.T
+    return (result + result.T) / 2
+
+
+def test_every_target_has_a_check() -> None:
+    assert set(CORRECTED_BY) == set(TARGETS)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+@settings(max_examples=50, deadline=None)
+@given(
+    soft_iron=soft_irons(),
+    hard_iron=arrays(np.float64, 3, elements=st.floats(-100e-6, 100e-6)),
+    gyro_bias=arrays(np.float64, 3, elements=st.floats(-0.2, 0.2)),
+)
+def test_target_formula_gives_the_calibration(
+    target: str, soft_iron: Array, hard_iron: Array, gyro_bias: Array
+) -> None:
+    calibration = Calibration(soft_iron, hard_iron, gyro_bias)
+    field, rate = CORRECTED_BY[target](calibration.export(target), FIELD, RATE)
+    # The offset is printed to 1e-8 gauss and then multiplied by the inverse, of norm below 3.4.
+    np.testing.assert_allclose(field, calibration.apply(FIELD), rtol=0, atol=20 * PRECISION * 1e-4)
+    np.testing.assert_allclose(rate, calibration.apply_gyroscope(RATE), rtol=0, atol=PRECISION)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_without_gyroscope_bias_nothing_is_said_about_it(target: str) -> None:
+    text = export(target, SOFT_IRON, HARD_IRON)
+    field, rate = CORRECTED_BY[target](text, FIELD, RATE)
+    np.testing.assert_allclose(field, Calibration(SOFT_IRON, HARD_IRON).apply(FIELD), atol=1e-11)
+    assert np.isnan(rate).all()
+    assert "GYRO" not in text.replace("GYRO0.", "")
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_begins_with_comments_that_say_the_units(target: str) -> None:
+    lines = export(target, SOFT_IRON, HARD_IRON, GYRO_BIAS).splitlines()
+    comments = [line for line in lines if line.startswith("#")]
+    assert lines[0] in comments
+    assert any("tesla" in line or "gauss" in line for line in comments)
+    assert any("rad/s" in line for line in comments)
+    assert not any("$" in line for line in comments)
+
+
+def test_vectornav_checksum_is_the_manual_s() -> None:
+    # The manual's default values of register 23, as a read: $VNRRG,23,1,0,0,0,1,0,0,0,1,0,0,0*73
+    from magyc_gtsam.export import _checksum
+
+    assert _checksum("VNRRG,23,1,0,0,0,1,0,0,0,1,0,0,0") == 0x73
+
+
+def test_unknown_target_lists_the_targets() -> None:
+    with pytest.raises(MagycError, match="'betaflight'; there are px4, ardupilot, vectornav, ros"):
+        export("betaflight", SOFT_IRON, HARD_IRON)
+
+
+@pytest.mark.parametrize("target", ["px4", "ardupilot"])
+def test_symmetric_targets_keep_the_field_strength_of_a_triangular_soft_iron(target: str) -> None:
+    triangular = np.triu(SOFT_IRON)
+    text = export(target, triangular, HARD_IRON)
+    field, _ = CORRECTED_BY[target](text, FIELD, RATE)
+    expected = Calibration(triangular, HARD_IRON).apply(FIELD)
+    np.testing.assert_allclose(np.linalg.norm(field, axis=1), np.linalg.norm(expected, axis=1), atol=1e-11)
+    rotation = np.linalg.lstsq(field, expected, rcond=None)[0].T
+    angle = np.degrees(np.arccos((np.trace(rotation) - 1) / 2))
+    assert f"rotation of {angle:.2f} deg" in text
+
+
+@pytest.mark.parametrize("target", ["px4", "ardupilot"])
+def test_symmetric_targets_refuse_a_mirrored_axis(target: str) -> None:
+    with pytest.raises(MagycError, match="mirrors an axis"):
+        export(target, np.diag([1.0, 1.0, -1.0]) @ SOFT_IRON, HARD_IRON)
+
+
+@pytest.mark.parametrize(
+    ("target", "soft_iron", "hard_iron", "limit"),
+    [
+        ("ardupilot", SOFT_IRON, [0.0, 0.0, 181e-6], "offset of 1810 milligauss, beyond 1800"),
+        ("ardupilot", np.diag([0.15, 1, 1]), HARD_IRON, "COMPASS_DIA is outside 0.2 to 5"),
+        (
+            "ardupilot",
+            np.array([[1, -0.8, 0], [-0.8, 1, 0], [0, 0, 1]]),
+            HARD_IRON,
+            "COMPASS_ODI is beyond 1",
+        ),
+        ("px4", np.diag([0.3, 1, 1]), HARD_IRON, "SCALE is outside 0.1 to 3"),
+    ],
+)
+def test_limits_of_the_target_are_said(target: str, soft_iron: Array, hard_iron: Array, limit: str) -> None:
+    text = export(target, soft_iron, hard_iron)
+    assert any(line.startswith("# LIMIT") and limit in line for line in text.splitlines())
+    assert "LIMIT" not in export(target, SOFT_IRON, HARD_IRON)
