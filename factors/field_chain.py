@@ -102,9 +102,9 @@ class FieldChain:
             )
         w = self.windows
         object.__setattr__(self, "_window_scale", np.sqrt(w.count) / self.noise.magnetometer)
-        # A floor of a hundredth of the magnetometer's own angle keeps a perfect gyroscope solvable.
+        # A floor of a thousandth of the magnetometer's own angle keeps a perfect gyroscope solvable.
         spread = float(np.linalg.norm(w.field - w.field.mean(axis=1)[:, None], axis=0).mean()) + 1e-9
-        floor = (0.01 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
+        floor = (0.001 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
         variance = self.noise.gyroscope**2 * w.link_time + floor
         object.__setattr__(self, "_link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
 

@@ -2,24 +2,40 @@
 
     r_i = [w_i − b]× (C m_i − d) + C ṁ_i,    C = unvech(l)
 
+It is linear in the 30 numbers z = (l, d, b ⊗ l, b × d), r_i = Φ_i z. With the triangular factor T of a QR
+decomposition of all Φ_i stacked, Σ‖r_i‖² = ‖T z‖² exactly, however many samples there were.
+
 Field and derivative may be in any unit (sigma is then in that unit per second), d in the field's unit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, gyro_bias, measured, vector
+from magyc_gtsam.factors.guard import (
+    Array,
+    Noise,
+    Residual,
+    custom_factor,
+    gyro_bias,
+    measured,
+    noise_model,
+    vector,
+)
 from magyc_gtsam.factors.robust import robustify, tuning_constant
 from magyc_gtsam.factors.rotations import skew
 from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS, unvech
 
 Samples = tuple[Array, Array, Array]
+
+MONOMIALS = 30
+_BLOCK = 4096  # samples decomposed at a time, so that memory stays flat
 
 
 def derivative_samples(magnetic_field: ArrayLike, derivative: ArrayLike, angular_rate: ArrayLike) -> Samples:
@@ -96,7 +112,8 @@ def gyro_derivative_factor(
 
     if isinstance(noise, gtsam.noiseModel.Base):
         raise MagycError("gyro derivative: with a robust kernel `noise` must be one standard deviation")
-    k, sigma = tuning_constant(robust, 3, tuning), float(noise)
+    sigma = float(noise_model(noise, rows).sigma())
+    k = tuning_constant(robust, 3, tuning)
 
     def robust_error(l: Array, d: Array, b: Array, want_jacobians: bool) -> Residual:  # noqa: E741
         residual, jacobians = gyro_derivative_error(samples, l, d, b, want_jacobians)
@@ -104,3 +121,108 @@ def gyro_derivative_factor(
         return residual.reshape(rows), [j.reshape(rows, -1) for j in jacobians]
 
     return custom_factor("robust gyro derivative", 1.0, keys, keys_read, rows, robust_error)
+
+
+@dataclass(frozen=True, eq=False)
+class CompressedGyroDerivative:
+    """The sum of ‖r_i‖² over any number of equally weighted samples, exactly, in 30 × 30 numbers.
+
+    Attributes:
+        triangular: (30, 30) upper triangular T, diagonal ≥ 0; with `samples` it is the whole state.
+        samples: how many samples it stands for.
+
+    Raises:
+        MagycError: `triangular` is not 30 × 30 finite numbers.
+    """
+
+    triangular: Array
+    samples: int
+
+    def __post_init__(self) -> None:
+        triangular = measured("triangular", self.triangular, (MONOMIALS, MONOMIALS))
+        if np.tril(triangular, -1).any():
+            raise MagycError("triangular: entries below the diagonal")
+        object.__setattr__(self, "triangular", triangular)
+
+    @classmethod
+    def empty(cls) -> CompressedGyroDerivative:
+        """No samples."""
+        return cls(np.zeros((MONOMIALS, MONOMIALS)), 0)
+
+    @classmethod
+    def from_samples(
+        cls, magnetic_field: ArrayLike, derivative: ArrayLike, angular_rate: ArrayLike
+    ) -> CompressedGyroDerivative:
+        """Compress samples (n, 3) each."""
+        return cls.empty().update(magnetic_field, derivative, angular_rate)
+
+    def update(
+        self, magnetic_field: ArrayLike, derivative: ArrayLike, angular_rate: ArrayLike
+    ) -> CompressedGyroDerivative:
+        """With more samples, (n, 3) each or (3,) for one."""
+        m, rate, w = derivative_samples(magnetic_field, derivative, angular_rate)
+        triangular = self.triangular
+        for first in range(0, len(m), _BLOCK):
+            rows = slice(first, first + _BLOCK)
+            triangular = _triangular(triangular, _monomial_design(m[rows], rate[rows], w[rows]))
+        return CompressedGyroDerivative(triangular, self.samples + len(m))
+
+    def merge(self, other: CompressedGyroDerivative) -> CompressedGyroDerivative:
+        """With the samples of another."""
+        return CompressedGyroDerivative(
+            _triangular(self.triangular, other.triangular), self.samples + other.samples
+        )
+
+    def error(self, l: Array, d: Array, b: Array, want_jacobians: bool = False) -> Residual:  # noqa: E741
+        """T z (30,), and its Jacobians on l, d, b: (30, 6), (30, 3), (30, 3)."""
+        z, jacobians = _monomials(l, d, b, want_jacobians)
+        return self.triangular @ z, [self.triangular @ jacobian for jacobian in jacobians]
+
+    def cost(self, l: Array, d: Array, b: Array) -> float:  # noqa: E741
+        """Σ‖r_i‖² over all samples."""
+        residual, _ = self.error(l, d, b)
+        return float(residual @ residual)
+
+    def factor(self, keys: Sequence[int], noise: Noise) -> gtsam.CustomFactor:
+        """One factor on (l, d, b) of 30 rows, equal to one residual (7) per sample.
+
+        Args:
+            keys, noise: as for `gyro_derivative_factor`; `noise` is that of every sample's rows.
+        """
+        variables = [vector(6), vector(3), gyro_bias]
+        return custom_factor("compressed gyro derivative", noise, keys, variables, MONOMIALS, self.error)
+
+
+def _monomials(l: Array, d: Array, b: Array, want_jacobians: bool) -> Residual:  # noqa: E741
+    """z = (l, d, b₁ l, b₂ l, b₃ l, b × d) and ∂z/∂l, ∂z/∂d, ∂z/∂b."""
+    z = np.concatenate([l, d, np.outer(b, l).ravel(), skew(b) @ d])
+    if not want_jacobians:
+        return z, []
+    on_soft_iron = np.zeros((MONOMIALS, 6))
+    on_soft_iron[:6] = np.eye(6)
+    on_soft_iron[9:27] = np.kron(b[:, None], np.eye(6))
+    on_offset = np.zeros((MONOMIALS, 3))
+    on_offset[6:9] = np.eye(3)
+    on_offset[27:] = skew(b)
+    on_bias = np.zeros((MONOMIALS, 3))
+    on_bias[9:27] = np.kron(np.eye(3), l[:, None])
+    on_bias[27:] = -skew(d)
+    return z, [on_soft_iron, on_offset, on_bias]
+
+
+def _monomial_design(m: Array, derivative: Array, w: Array) -> Array:
+    """Φ with r = Φ z: [w]× C m + C ṁ | −[w]× d | −[b]× C m | b × d, rows (3n, 30)."""
+    rotation, design = skew(w), soft_iron_design(m)
+    result = np.empty((len(m), 3, MONOMIALS))
+    result[:, :, :6] = rotation @ design + soft_iron_design(derivative)
+    result[:, :, 6:9] = -rotation
+    for i, unit in enumerate(np.eye(3)):
+        result[:, :, 9 + 6 * i : 15 + 6 * i] = -skew(unit) @ design
+    result[:, :, 27:] = np.eye(3)
+    return result.reshape(-1, MONOMIALS)
+
+
+def _triangular(first: Array, second: Array) -> Array:
+    """The triangular factor of both stacked, with a diagonal ≥ 0."""
+    triangular = np.linalg.qr(np.vstack([first, second]), mode="r")
+    return np.triu(np.where(np.diag(triangular) < 0, -1.0, 1.0)[:, None] * triangular)

@@ -51,7 +51,7 @@ def _huber_weight(e: Array, k: float) -> Array:
 
 KERNELS: Mapping[str, Kernel] = MappingProxyType(
     {
-        # (9): ρ = e above k, e²/2k + k/2 − k/2 below, so that the weight stays finite at e = 0.
+        # (9) but for a constant k/2, and e²/2k below k, so that the weight stays finite at e = 0.
         "l1": Kernel(
             lambda e, k: _huber_loss(e, k) / k,
             lambda e, k: _huber_weight(e, k) / k,

@@ -6,6 +6,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
+from magyc_gtsam.recording import Array, Recording
+
+HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading in a mid-latitude field
+SOFT_IRON_LIMIT = 0.05
+GYRO_BIAS_LIMIT = 5e-3  # rad/s
 
 @dataclass(frozen=True)
 class Weakness:
@@ -54,3 +61,118 @@ class Observability:
     def from_dict(cls, data: Mapping[str, Any]) -> Observability:
         """The inverse of `to_dict`."""
         return cls(**{**data, "weak": tuple(Weakness(**w) for w in data["weak"])})
+
+
+def assess(covariance: Array, soft_iron: Array, field_strength: float, recording: Recording) -> Observability:
+    """Name the weak directions of a calibration and the motion that would fix them.
+
+    Args:
+        covariance: (12, 12) of vech(soft_iron), hard_iron T, gyro_bias rad/s.
+        soft_iron: (3, 3).
+        field_strength: T.
+        recording: the data it came from; says which way is up and about which axes it turned.
+
+    Returns:
+        All directions whose standard deviation passes half its limit, worst first; not observable where
+        one passes the limit.
+    """
+    up = _vertical(recording)
+    found = []
+    for variance, axis in _principal(covariance[6:9, 6:9]):
+        sigma = float(np.sqrt(variance)) * 1e6
+        found.append(
+            Weakness(
+                f"hard iron along {_axis_name(axis)}",
+                sigma,
+                HARD_IRON_LIMIT * field_strength * 1e6,
+                "µT",
+                _remedy(axis, up),
+            )
+        )
+    for variance, vech in _principal(covariance[:6, :6]):
+        shape = np.zeros((3, 3))
+        shape[np.triu_indices(3)] = vech
+        value, vector = np.linalg.eigh(shape + shape.T)
+        axis = vector[:, np.argmax(np.abs(value))]
+        sigma = float(np.sqrt(variance)) * 100
+        found.append(
+            Weakness(f"soft iron along {_axis_name(axis)}", sigma, SOFT_IRON_LIMIT * 100, "%", _remedy(axis, up))
+        )
+    for variance, axis in _principal(covariance[9:12, 9:12]):
+        sigma = float(np.sqrt(variance)) * 1e3
+        remedy = "record longer, and rest for some seconds" if sigma < 1e3 else "move: nothing turned"
+        found.append(
+            Weakness(f"gyroscope bias about {_axis_name(axis)}", sigma, GYRO_BIAS_LIMIT * 1e3, "mrad/s", remedy)
+        )
+    weak = sorted((w for w in found if w.sigma > 0.5 * w.limit), key=lambda w: -w.sigma / w.limit)
+    return Observability(
+        observable=all(w.sigma <= w.limit for w in weak),
+        weak=tuple(weak),
+        heading_sigma=_heading_sigma(covariance, soft_iron, field_strength, recording, up),
+    )
+
+
+def _principal(covariance: Array) -> list[tuple[float, Array]]:
+    value, vector = np.linalg.eigh(covariance)
+    return [(max(float(v), 0.0), vector[:, i]) for i, v in enumerate(value)][::-1]
+
+
+def _axis_name(axis: Array) -> str:
+    """ "z" where an axis is clear, else its components: "0.7 x + 0.7 y"."""
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    if np.abs(axis).max() > 0.95:
+        return "xyz"[int(np.argmax(np.abs(axis)))]
+    parts = [f"{a:+.1f} {n}" for a, n in zip(axis, "xyz", strict=True) if abs(a) > 0.15]
+    return " ".join(parts).removeprefix("+").replace(" +", " + ").replace(" -", " − ")
+
+
+def _vertical(recording: Recording) -> Array | None:
+    """(3,) mean direction of the specific force in the sensor frame; None without an accelerometer."""
+    if recording.acceleration is None:
+        return None
+    mean = recording.acceleration.mean(axis=0)
+    norm = float(np.linalg.norm(mean))
+    return mean / norm if norm > 5.0 else None  # an instrument turned all over has no vertical axis
+
+
+def _remedy(axis: Array, up: Array | None) -> str:
+    if up is None:
+        across = [n for a, n in zip(axis, "xyz", strict=True) if abs(a) < 0.6] or ["all axes"]
+        return f"turn about {' and '.join(across)}, by 30° or more"
+    along = abs(float(axis @ up))
+    if along > 0.8:
+        return "pitch or roll by 20° or more while turning"
+    if along < 0.4:
+        return "turn through all headings"
+    return "turn through all headings, and pitch or roll by 20° or more"
+
+
+def _heading_sigma(
+    covariance: Array, soft_iron: Array, field_strength: float, recording: Recording, up: Array | None
+) -> float | None:
+    """Largest standard deviation, in degrees, of the heading over a level turn, due to the calibration.
+
+    The level turn takes the field's mean dip in the recording; None without an accelerometer.
+    """
+    if up is None or recording.acceleration is None:
+        return None
+    field = (recording.magnetic_field - recording.magnetic_field.mean(axis=0)) @ np.linalg.inv(soft_iron).T
+    horizontal = float(np.sqrt(2 * np.mean((field - np.outer(field @ up, up)) ** 2) * 3 / 2))
+    horizontal = min(max(horizontal, 0.1 * field_strength), field_strength)
+    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    first /= np.linalg.norm(first)
+    second = np.cross(up, first)
+    vertical = -np.sqrt(field_strength**2 - horizontal**2)
+    inverse = np.linalg.inv(soft_iron)
+    rows, columns = np.triu_indices(3)
+    largest = 0.0
+    for angle in np.linspace(0, 2 * np.pi, 36, endpoint=False):
+        toward = np.cos(angle) * first + np.sin(angle) * second
+        across = np.cross(up, toward)
+        u = horizontal * toward + vertical * up
+        # Error of the calibrated field: −A⁻¹ (dA u + dh); its part across the horizontal field turns heading.
+        gain = -(across @ inverse) / horizontal
+        on_soft_iron = gain[rows] * u[columns] + np.where(rows == columns, 0.0, gain[columns] * u[rows])
+        jacobian = np.concatenate([on_soft_iron, gain])
+        largest = max(largest, float(jacobian @ covariance[:9, :9] @ jacobian))
+    return float(np.rad2deg(np.sqrt(max(largest, 0.0))))

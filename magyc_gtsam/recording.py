@@ -209,8 +209,8 @@ class Recording:
         """Bring sensors with clocks or rates of their own, each (time, values), to one table.
 
         The rows are the union of the magnetometer's and the gyroscope's stamps where the two overlap.
-        Magnetometer rows between samples hold the last sample and gyroscope rows are interpolated;
-        neither counts as information (`*_fresh`). Acceleration and channels are interpolated,
+        Magnetometer rows between samples hold the last sample, gyroscope rows are interpolated (interval
+        means hold back to the sample before); neither counts as information (`*_fresh`). Acceleration and channels are interpolated,
         attitude by slerp; attitude and channels are NaN outside their own time span.
 
         Raises:
@@ -237,8 +237,12 @@ class Recording:
         mag_fresh[np.flatnonzero(mag_fresh)[1:]] &= (np.diff(mag[held[mag_fresh]], axis=0) != 0).any(axis=1)
         rate, rate_fresh = None, np.ones(len(time), dtype=bool)
         if "angular_rate" in clean:
-            rate = _interpolate(time, *clean["angular_rate"])
-            rate_fresh = np.isin(time, clean["angular_rate"][0])
+            gyro_time, gyro = clean["angular_rate"]
+            if angular_rate_is == "interval-mean":
+                rate = gyro[np.searchsorted(gyro_time, time)]  # the mean holds all the way up to its stamp
+            else:
+                rate = _interpolate(time, gyro_time, gyro)
+            rate_fresh = np.isin(time, gyro_time)
         return cls(
             time,
             mag[held],

@@ -1,1 +1,127 @@
-"""."""
+"""Logs in: one `read` for ROS 2 and ROS 1 messages in MCAP, text tables, PX4 and ArduPilot logs."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from os import PathLike
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.log_info import LogInfo, Source
+from magyc_gtsam.io.mcap_writer import write_mcap
+from magyc_gtsam.io.request import Request, Selection
+from magyc_gtsam.recording import Recording
+
+__all__ = ["LogInfo", "Source", "info", "read", "write_mcap"]
+
+# What a file begins with says more than its name; the name decides where the beginning says nothing.
+_MAGIC = {b"\x89MCAP0\r\n": "mcap_log", b"ULog\x01\x12\x35": "ulog", b"\xa3\x95": "ardupilot"}
+_SUFFIXES = {
+    **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log"), "csv_log"),
+    ".mcap": "mcap_log",
+    ".ulg": "ulog",
+    ".bin": "ardupilot",
+}
+
+
+def read(
+    path: str | PathLike[str],
+    *,
+    magnetic_field: Selection = None,
+    angular_rate: Selection = None,
+    acceleration: Selection = None,
+    attitude: Selection = None,
+    magnetic_unit: str | float | None = None,
+    angular_unit: str | float | None = None,
+    acceleration_unit: str | float | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    stamps: Literal["header", "log"] = "header",
+    channels: Sequence[str] | None = None,
+    progress: Callable[[float], None] | None = None,
+    **options: Any,
+) -> Recording:
+    """A `Recording` from a log. Time 0 is the log's first row; the notes say what had to be done.
+
+    Args:
+        path: MCAP, text table, PX4 .ulg or ArduPilot .BIN.
+        magnetic_field, angular_rate, acceleration, attitude: the topic (MCAP), the columns or the beginning
+            they share (text), or the message (PX4, ArduPilot) of each sensor; not needed where one only
+            could be meant.
+        magnetic_unit: what the log's magnetometer is in, where that is not tesla or the header does not say:
+            "T", "mT", "uT", "nT", "gauss", "mgauss", or tesla per count.
+        angular_unit: likewise, "rad/s", "deg/s", "mrad/s".
+        acceleration_unit: likewise, "m/s^2", "g".
+        start, end: s since the first row.
+        stamps: "header" (of the sensor) or "log" (of the recorder; MCAP only).
+        channels: which of the other numbers in the log to read; None for all (MCAP, text) or the usual ones.
+        progress: called with the fraction done, 0 to 1.
+        options: of one format only: `time`, `time_unit`, `rate`, `columns` of text tables.
+
+    Raises:
+        MagycError: no such file, not a log, or nothing that makes a recording; the message says what to do.
+    """
+    request = Request(
+        sensors={
+            "magnetic_field": magnetic_field,
+            "angular_rate": angular_rate,
+            "acceleration": acceleration,
+            "attitude": attitude,
+        },
+        units={
+            "magnetic_field": magnetic_unit,
+            "angular_rate": angular_unit,
+            "acceleration": acceleration_unit,
+        },
+        start=start,
+        end=end,
+        stamps=stamps,
+        channels=channels,
+        progress=progress,
+        options=options,
+    )
+    recording: Recording = _reader(Path(path)).read(Path(path), request)
+    return recording
+
+
+def info(path: str | PathLike[str]) -> LogInfo:
+    """What a log holds, and whether `read` makes a recording of it as it is.
+
+    Raises:
+        MagycError: no such file, or not a log.
+    """
+    described: LogInfo = _reader(Path(path)).info(Path(path))
+    try:
+        recording = read(path)
+    except MagycError as error:
+        return replace(described, problem=str(error))
+    notes = tuple(n for n in recording.notes if n not in described.warnings)
+    return replace(described, warnings=(*described.warnings, *notes))
+
+
+def _reader(path: Path) -> ModuleType:
+    """The module that reads this file."""
+    if path.is_dir():
+        inside = sorted(path.glob("*.mcap"))
+        hint = f"; read its {inside[0].name}" if inside else ""
+        raise MagycError(f"{path}: is a directory, a file is expected{hint}")
+    try:
+        with open(path, "rb") as file:
+            head = file.read(512)
+    except OSError as error:
+        raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
+    if not head:
+        raise MagycError(f"{path}: is empty")
+    by_content = next((name for magic, name in _MAGIC.items() if head.startswith(magic)), None)
+    name = by_content or _SUFFIXES.get(path.suffix.lower()) or ("csv_log" if b"\0" not in head else None)
+    if name is None or (by_content is None and name == "csv_log" and b"\0" in head):
+        raise MagycError(
+            f"{path}: not a format that can be read (MCAP, text table, PX4 .ulg, ArduPilot .BIN)"
+        )
+    if by_content is None and name != "csv_log":
+        raise MagycError(f"{path}: is called {path.suffix} but does not begin like one; is the file damaged?")
+    return importlib.import_module(f"magyc_gtsam.io.{name}")

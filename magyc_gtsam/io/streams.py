@@ -61,7 +61,11 @@ def assemble(
             recording (see `Recording`).
     """
     said = list(notes)
-    main = [sensors[k].stamp[0] for k in ("magnetic_field", "angular_rate") if k in sensors and len(sensors[k].stamp)]
+    main = [
+        sensors[k].stamp[0]
+        for k in ("magnetic_field", "angular_rate")
+        if k in sensors and len(sensors[k].stamp)
+    ]
     start, end = request.start, request.end
     jumped = any(len(_restarts(s.stamp)) > 0 for s in sensors.values())
     if jumped and (start is not None or end is not None):
@@ -107,11 +111,12 @@ def _clean(stream: Stream, role: str, notes: list[str]) -> Stream:
     restarts = _restarts(stream.stamp)
     if len(restarts):
         row = int(restarts[0])
-        elapsed = float(_elapsed(stream.stamp)[row]) / 1e9
+        elapsed = float(_elapsed(stream.stamp)[row])
+        cut = f"{elapsed + 0.5:.1f}"  # in the middle of the second that `_elapsed` puts there
         raise MagycError(
             f"{stream.name}: its clock goes back by {(stream.stamp[row] - stream.stamp[row + 1]) / 1e9:.3f} s after "
-            f"sample {row + 1}, {elapsed:.3f} s into the log; read one side of it (end={elapsed:.3f} or "
-            f"start={elapsed:.3f}), or use the times of recording where the format has them (stamps='log')"
+            f"sample {row + 1}, {elapsed:.3f} s into the log; read one side of it (end={cut} or start={cut}), or "
+            " use the times of recording where the format has them (stamps='log')"
         )
     late = int((np.diff(stream.stamp) < 0).sum())
     if late:
@@ -144,7 +149,9 @@ def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
     different = repeated[(value[repeated] != value[repeated + 1]).any(axis=1)]
     if len(different):
         row = int(different[0])
-        constant = " (all stamps are the same: was the header never filled in?)" if np.ptp(stream.stamp) == 0 else ""
+        constant = (
+            " (all stamps are the same: was the header never filled in?)" if np.ptp(stream.stamp) == 0 else ""
+        )
         raise MagycError(
             f"{stream.name}: {len(different)} stamps come twice with different values{constant}, the first at "
             f"{stream.stamp[row] / 1e9:.9f} s; use the times of recording where the format has them (stamps='log'), "
@@ -161,29 +168,23 @@ def _restarts(stamp: Stamps) -> NDArray[np.intp]:
     return np.flatnonzero(np.diff(stamp) < -_SECOND)
 
 
-def _elapsed(stamp: Stamps) -> Stamps:
-    """ns since the first sample along the file, with the steps back left out."""
+def _elapsed(stamp: Stamps) -> Array:
+    """s since the first sample along the file, where a step back counts as a second forward."""
     step = np.diff(stamp)
-    step[step < -_SECOND] = 0
-    return np.concatenate([[0], np.cumsum(step)]).astype(np.int64)
+    step[step < -_SECOND] = _SECOND
+    return np.concatenate([[0.0], np.cumsum(step) / 1e9])
 
 
 def _part(stream: Stream, origin: int, start: float | None, end: float | None) -> Stream:
+    """The samples from `start` to `end`, in seconds elapsed along the file since `origin` (ns)."""
     if not len(stream.stamp):
         return stream
+    offset = (int(stream.stamp[0]) - origin) / 1e9
     # A stream that starts on another clock than the main one has no offset to it that means anything.
-    offset = int(stream.stamp[0]) - origin
-    elapsed = (_elapsed(stream.stamp) + (offset if abs(offset) < 10 * _SECOND else 0)) / 1e9
-    keep = np.ones(len(elapsed), dtype=bool)
-    if start is not None:
-        keep &= elapsed > start
-        # The first sample after a step back has the elapsed time of the last one before it.
-        keep[1:] |= (elapsed[1:] >= start) & (np.diff(stream.stamp) < -_SECOND)
-    if end is not None:
-        keep &= elapsed <= end
-        restarts = _restarts(stream.stamp) + 1
-        keep[restarts[elapsed[restarts] == end]] = False
-    return stream.rows(keep)
+    elapsed = _elapsed(stream.stamp) + (offset if abs(offset) < 10 else 0.0)
+    first = -np.inf if start is None else start
+    last = np.inf if end is None else end
+    return stream.rows((elapsed >= first) & (elapsed <= last))
 
 
 def _epoch_note(zero: int) -> str:

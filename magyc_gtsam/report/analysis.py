@@ -25,7 +25,7 @@ class FieldHistory:
         raw, calibrated: (n, 3) T, sensor axes.
         strength: T, of the calibrated field.
         up: (n, 3) unit vertical in sensor axes, rows of NaN where unknown; None without any reference.
-        up_from: "attitude" or "accelerometer"; "" without any reference.
+        up_from: where the vertical is from, in words; "" without any reference.
         heading_error: (n, 2) deg, magnetic heading minus reference heading, raw and calibrated, each
             about its own mean; None without a reference attitude.
     """
@@ -64,18 +64,23 @@ class Coverage:
 
     Attributes:
         longitude: (25,) rad, cell edges about the z axis, from x towards y.
-        latitude: (13,) rad, cell edges from −z to +z.
+        sine: (13,) sine of the latitude, cell edges from −z to +z.
         seconds: (12, 24) s per cell, all cells of the same area.
     """
 
     longitude: Array
-    latitude: Array
+    sine: Array
     seconds: Array
 
     @property
     def share(self) -> float:
         """Share of the directions that were visited."""
         return float((self.seconds > 0).mean())
+
+    @property
+    def middle(self) -> int:
+        """1 where the field pointed to the side of +z most of the time, else −1."""
+        return 1 if (self.sine[:-1] + self.sine[1:]) @ self.seconds.sum(axis=1) > 0 else -1
 
 
 def field_history(recording: Recording, calibration: Calibration) -> FieldHistory:
@@ -104,9 +109,10 @@ def _up(attitude: Array | None, acceleration: Array | None) -> tuple[Array | Non
         up = np.full((len(attitude), 3), np.nan)
         known = np.isfinite(attitude).all(axis=1)
         up[known] = Rotation.from_quat(attitude[known]).inv().apply([0.0, 0.0, 1.0])
-        if acceleration is not None and np.nanmedian((up * acceleration).sum(axis=1)) < 0:
-            up = -up  # the world's z axis points down
-        return up, "attitude"
+        if acceleration is None:
+            return up, "attitude, whose z axis is taken as up"
+        downwards = np.nanmedian((up * acceleration).sum(axis=1)) < 0
+        return (-up if downwards else up), "attitude"
     if acceleration is not None:
         norm = np.linalg.norm(acceleration, axis=1, keepdims=True)
         return acceleration / np.where(norm > 0, norm, np.nan), "accelerometer"
@@ -134,6 +140,9 @@ def level_turn(calibration: Calibration, history: FieldHistory) -> LevelTurn:
     """Heading error over a level turn: of the raw field, and what the covariance leaves."""
     axis, about = np.array([0.0, 0.0, 1.0]), "the sensor's z axis"
     if history.up is None:
+        axis = (
+            axis if np.median(history.calibrated[:, 2]) < 0 else -axis
+        )  # as on the northern half of the Earth
         up = np.broadcast_to(axis, history.raw.shape)
     else:
         up = history.up
@@ -177,7 +186,7 @@ def coverage(time: Array, field: Array) -> Coverage:
     longitude = np.linspace(-np.pi, np.pi, _CELLS[0] + 1)
     sine = np.linspace(-1, 1, _CELLS[1] + 1)
     visits, _, _ = np.histogram2d(unit[:, 2], np.arctan2(unit[:, 1], unit[:, 0]), bins=(sine, longitude))
-    return Coverage(longitude, np.arcsin(sine), visits * float(np.median(np.diff(time))))
+    return Coverage(longitude, sine, visits * float(np.median(np.diff(time))))
 
 
 def ellipsoid_outline(matrix: Array, centre: Array, plane: tuple[int, int]) -> Array:
@@ -199,14 +208,25 @@ def disturbed_stretches(time: Array, weight: Array) -> list[tuple[float, float]]
     return [(max(float(time[g[0]]) - half, 0.0), float(time[g[-1]]) + half) for g in groups]
 
 
-def envelope(time: Array, value: Array, most: int = 1200) -> tuple[Array, Array]:
-    """At most `most` points that draw as all points would: the smallest and largest value of each bin."""
-    if len(time) <= most:
-        return time, value
-    per_bin = -(-len(time) // (most // 2))
+def summary(time: Array, value: Array, most: int = 600) -> tuple[Array, Array, Array, Array]:
+    """(time, mean, lowest, highest) of at most `most` stretches of equally many samples, NaN left out."""
+    per_bin = -(-len(time) // most)
     bins = len(time) // per_bin
     blocks = value[: bins * per_bin].reshape(bins, per_bin)
-    filled = np.where(np.isfinite(blocks), blocks, blocks[:, :1])
-    pick = np.sort(np.stack([filled.argmin(axis=1), filled.argmax(axis=1)], axis=1), axis=1)
-    index = (pick + per_bin * np.arange(bins)[:, None]).ravel()
-    return time[index], value[index]
+    known = np.isfinite(blocks)
+    count = known.sum(axis=1)
+    mean = np.where(count > 0, np.where(known, blocks, 0).sum(axis=1) / np.maximum(count, 1), np.nan)
+    lowest = np.where(count > 0, np.where(known, blocks, np.inf).min(axis=1), np.nan)
+    highest = np.where(count > 0, np.where(known, blocks, -np.inf).max(axis=1), np.nan)
+    return time[: bins * per_bin].reshape(bins, per_bin).mean(axis=1), mean, lowest, highest
+
+
+def spread(field: Array, most: int = 3000) -> NDArray[np.int_]:
+    """Rows of `field` (n, 3) to draw: one per small cube, so that time at rest does not hide the motion."""
+    cube = float(np.median(np.linalg.norm(field, axis=1))) / 40
+    cells = np.floor(field / cube).astype(np.int64)
+    cells -= cells.min(axis=0)
+    _, first = np.unique(
+        np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_index=True
+    )
+    return first[:: -(-len(first) // most)]

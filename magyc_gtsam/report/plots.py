@@ -20,8 +20,9 @@ from magyc_gtsam.report.analysis import (
     FieldHistory,
     LevelTurn,
     ellipsoid_outline,
-    envelope,
     inclination,
+    spread,
+    summary,
 )
 
 RAW = "#d9730d"  # orange and blue keep apart for colour-blind eyes and on light and dark ground
@@ -29,18 +30,16 @@ CALIBRATED = "#2b8cdb"
 DISTURBED = "#b04a9b"
 _INK = "#010203"  # stands for the page's own text colour
 _MICRO = 1e6
-_POINTS = 2500  # per scatter
 _STYLE = {
     "font.family": "sans-serif",
-    "font.size": 10,
-    "axes.titlesize": 10,
+    "font.size": 10.5,
+    "axes.titlesize": 10.5,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
+    "axes.axisbelow": True,
     "grid.alpha": 0.15,
     "grid.linewidth": 0.8,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
     "lines.linewidth": 1.2,
     "svg.fonttype": "none",
     "svg.hashsalt": "magyc-gtsam",
@@ -49,7 +48,6 @@ _STYLE = {
 )
 
 Parameters = ParamSpec("Parameters")
-Stretches = list[tuple[float, float]]
 
 
 def drawn(
@@ -90,9 +88,9 @@ def field_projection(
 ) -> None:
     """Raw and calibrated field, with the fitted ellipsoid and the sphere, seen along one sensor axis."""
     axes = figure.add_subplot()
-    step = -(-len(history.raw) // _POINTS)
+    rows = spread(history.raw)
     for field, colour in ((history.raw, RAW), (history.calibrated, CALIBRATED)):
-        x, y = field[::step, plane[0]] * _MICRO, field[::step, plane[1]] * _MICRO
+        x, y = field[rows][:, plane].T * _MICRO
         axes.plot(x, y, ".", color=colour, markersize=2.5, alpha=0.5, rasterized=True, markeredgewidth=0)
     fitted = ellipsoid_outline(soft_iron * history.strength, hard_iron, plane) * _MICRO
     sphere = ellipsoid_outline(np.eye(3) * history.strength, np.zeros(3), plane) * _MICRO
@@ -108,29 +106,32 @@ def field_projection(
     )
 
 
-@drawn(5.2, 3.2)
+@drawn(3.6, 3.7)
 def coverage_map(figure: Figure, coverage: Coverage) -> None:
-    """Directions of the calibrated field in sensor axes, equal-area, shaded by the time spent there."""
-    axes = figure.add_subplot(projection="mollweide")
+    """Directions of the calibrated field in sensor axes, the whole sphere equal-area, shaded by time."""
+    axes = figure.add_subplot(projection="polar")
     seconds = np.ma.masked_equal(coverage.seconds, 0)
     low, high = float(seconds.min()), float(seconds.max())
     mesh = axes.pcolormesh(
         coverage.longitude,
-        coverage.latitude,
+        _lambert(coverage.middle * coverage.sine),
         seconds,
         cmap="viridis_r",
         norm=LogNorm(low, max(high, 1.01 * low)),
+        linewidth=0,
+        rasterized=True,
     )
-    axes.set(xticks=np.radians([-90, 0, 90]), yticks=np.radians([-60, -30, 0, 30, 60]))
-    axes.set(xticklabels=[], yticklabels=[])
-    for longitude, name in ((-180, "−x"), (-90, "−y"), (0, "+x"), (90, "+y")):
-        axes.text(np.radians(longitude), 0, name, ha="center", va="center", fontsize=9, bbox=_LABEL)
-    for latitude, name in ((90, "+z"), (-90, "−z")):
-        axes.text(0, np.radians(latitude), name, ha="center", va="center", fontsize=9, bbox=_LABEL)
-    figure.colorbar(mesh, ax=axes, label="Time spent (s)", shrink=0.8, format="%g")
+    axes.set(ylim=(0, 1), yticks=_lambert(np.array([0.0])), yticklabels=[])
+    axes.set_xticks(np.radians([0, 90, 180, 270]), ["+x", "+y", "−x", "−y"])
+    axes.tick_params(pad=0)
+    figure.colorbar(
+        mesh, ax=axes, label="Time spent (s)", location="bottom", shrink=0.8, aspect=30, format="%g"
+    )
 
 
-_LABEL = {"boxstyle": "round,pad=0.2", "facecolor": "white", "alpha": 0.8, "edgecolor": "none"}
+def _lambert(sine: Array) -> Array:
+    """Radius in Lambert's equal-area map, of unit radius, of a direction with that sine of latitude."""
+    return np.asarray(np.sqrt((1 - sine) / 2))
 
 
 @drawn(5.2, 3.0)
@@ -165,7 +166,8 @@ def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
     """Heading error over a level turn: of the raw field, and the calibration's own uncertainty."""
     rows = 1 if turn.sigma is None else 2
     grid = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[3, 2][:rows])[:, 0]
-    grid[0].plot(turn.heading, turn.error, color=RAW)
+    jumps = np.append(np.abs(np.diff(turn.error)) > 180, False)  # from −180° to 180°, not to be joined
+    grid[0].plot(turn.heading, np.where(jumps, np.nan, turn.error), color=RAW)
     grid[0].set_ylabel("Raw (°)")
     if turn.sigma is not None:
         grid[1].fill_between(turn.heading, -turn.sigma, turn.sigma, color=CALIBRATED, alpha=0.4, linewidth=0)
@@ -177,38 +179,43 @@ def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
 
 
 @drawn(5.2, 3.6)
-def residuals(figure: Figure, time: Array, whitened: Array, names: str, disturbed: Stretches) -> None:
+def residuals(figure: Figure, time: Array, whitened: Array, disturbed: list[tuple[float, float]]) -> None:
     """Whitened residuals (n, k) over time, one row per column, disturbed stretches shaded."""
     unit, label = _clock(time)
-    limit = float(np.clip(np.abs(whitened).max(), 4, 10))
-    grid = figure.subplots(whitened.shape[1], 1, sharex=True, squeeze=False)[:, 0]
-    for axes, column, name in zip(grid, whitened.T, names, strict=True):
+    largest = np.abs(whitened).max()
+    limit, step = (4, 3) if largest < 4 else (10, 5)
+    rows = figure.subplots(whitened.shape[1], 1, sharex=True, squeeze=False)[:, 0]
+    for axes, column, name in zip(rows, whitened.T, "xyz", strict=False):
         for start, end in disturbed:
             axes.axvspan(start / unit, end / unit, color=DISTURBED, alpha=0.25, linewidth=0)
         clipped = np.clip(column, -limit, limit)
         axes.plot(time / unit, clipped, ".", color=CALIBRATED, markersize=3, alpha=0.6, rasterized=True)
         for level in (-3, 3):
             axes.axhline(level, color=_INK, linewidth=0.8, linestyle=":")
-        axes.set(ylabel=f"{name} (σ)", ylim=(-1.05 * limit, 1.05 * limit))
-    grid[-1].set_xlabel(label)
+        axes.set(ylabel=f"{name} (σ)", ylim=(-1.08 * limit, 1.08 * limit), yticks=(-step, 0, step))
+    figure.align_ylabels()
+    rows[-1].set_xlabel(label)
 
 
 @drawn(5.2, 3.6)
 def residual_histogram(figure: Figure, whitened: Array) -> None:
-    """Histogram of the whitened residuals against the unit normal they should follow."""
+    """Histogram of the whitened residuals, beyond ±5 in the last bars, against the unit normal."""
     axes = figure.add_subplot()
-    axes.hist(np.clip(whitened.ravel(), -5, 5), bins=np.linspace(-5, 5, 51), density=True, color=CALIBRATED)
+    bins = np.linspace(-5, 5, 51).tolist()
+    axes.hist(np.clip(whitened.ravel(), -5, 5), bins=bins, density=True, color=CALIBRATED)
     x = np.linspace(-5, 5, 201)
     axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=_INK)
     axes.set(xlabel="Residual (σ)", ylabel="Density", xlim=(-5.1, 5.1))
 
 
 def _before_after(figure: Figure, time: Array, raw: Array, calibrated: Array, label: str) -> Axes:
+    """Means as lines, the range of the samples as bands."""
     axes = figure.add_subplot()
     unit, clock = _clock(time)
     for value, colour in ((raw, RAW), (calibrated, CALIBRATED)):
-        thin_time, thin = envelope(time, value)
-        axes.plot(thin_time / unit, thin, color=colour, linewidth=1)
+        middle, mean, lowest, highest = summary(time, value)
+        axes.fill_between(middle / unit, lowest, highest, color=colour, alpha=0.25, linewidth=0)
+        axes.plot(middle / unit, mean, color=colour)
     axes.set(xlabel=clock, ylabel=label, xlim=(time[0] / unit, time[-1] / unit))
     return axes
 

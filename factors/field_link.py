@@ -1,0 +1,124 @@
+"""Link between two field directions: a field fixed in the world turns in the sensor as the gyroscope says.
+
+    x̂₂ = ΔR(b)ᵀ x̂₁,    ΔR(b) = Π Exp((w_j − b) dt_j) = Exp(K (b − b₀)) ΔR(b₀)
+
+ΔR is preintegrated at b₀ and corrected to first order when the bias moves, as `PreintegratedRotation`
+does. The residual is the chord x̂₂ − ΔRᵀ x̂₁ (3 rows) rather than the angle in the tangent plane (2 rows):
+both have the same cost to second order, and the chord's Jacobians need no derivative of a tangent basis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, direction, gyro_bias, measured
+from magyc_gtsam.factors.rotations import chain, exponential, matrices, skew
+
+
+@dataclass(frozen=True, eq=False)
+class FieldLink:
+    """The gyroscope preintegrated between two times.
+
+    Attributes:
+        rotation: (3, 3) ΔR at `bias`, sensor frame at the end → at the start.
+        lever: (3, 3) s, K = −∫ R dt: a bias moved by δ turns ΔR into Exp(K δ) ΔR.
+        bias: (3,) rad/s, b₀.
+        squared_time: s², Σ dt²; the angle's variance is σ_g² times it.
+    """
+
+    rotation: Array
+    lever: Array
+    bias: Array
+    squared_time: float
+
+    def __post_init__(self) -> None:
+        for name, shape in {"rotation": (3, 3), "lever": (3, 3), "bias": (3,)}.items():
+            object.__setattr__(self, name, measured(f"field link's {name}", getattr(self, name), shape))
+
+    def error(self, x1: Array, x2: Array, b: Array, want_jacobians: bool = False) -> Residual:
+        """x̂₂ − ΔR(b)ᵀ x̂₁ (3,), and its Jacobians on x̂₁, x̂₂ and b, (3, 3) each."""
+        correction = -self.lever @ (b - self.bias)
+        p, q = exponential(correction[None])
+        turned = matrices((p, q)).reshape(3, 3) @ x1  # Exp(−K δ) x̂₁
+        residual = x2 - self.rotation.T @ turned
+        if not want_jacobians:
+            return residual, []
+        on_first = -self.rotation.T @ matrices((p, q)).reshape(3, 3)
+        # d Exp(φ) x = −[Exp(φ) x]× J(φ) dφ, J the left Jacobian of SO(3), and dφ = −K db.
+        on_bias = -self.rotation.T @ skew(turned) @ left_jacobian(correction[None])[0] @ self.lever
+        return residual, [on_first, np.eye(3), on_bias]
+
+
+def preintegrate(
+    time: ArrayLike,
+    angular_rate: ArrayLike,
+    start: float,
+    end: float,
+    bias: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    interval_mean: bool = False,
+) -> FieldLink:
+    """Integrate a gyroscope from `start` to `end` by the trapezoid rule.
+
+    Args:
+        time: (n,) s, strictly ascending, covering start to end.
+        angular_rate: (n, 3) rad/s, values AT `time`; interpolated linearly at start and end.
+        start, end: s, start < end.
+        bias: (3,) rad/s, where to linearise.
+        interval_mean: the rates are means since the previous stamp instead.
+
+    Raises:
+        MagycError: wrong shapes, values that are not finite, or samples that do not cover the interval.
+    """
+    t = measured("time", time, (None,))
+    w = measured("angular_rate", angular_rate, (len(t), 3))
+    b = measured("bias", bias, (3,))
+    if len(t) < 2 or (np.diff(t) <= 0).any() or not t[0] <= start < end <= t[-1]:
+        covered = f"{t[0]:g} to {t[-1]:g} s" if len(t) else "none"
+        raise MagycError(f"field link from {start:g} to {end:g} s needs ascending samples across it, got {covered}")
+    inside = (t > start) & (t < end)
+    stamps = np.concatenate([[start], t[inside], [end]])
+    step = np.diff(stamps)
+    if interval_mean:
+        mean = w[np.searchsorted(t, stamps[1:])]
+    else:
+        at = np.stack([np.interp(stamps, t, axis) for axis in w.T], axis=1)
+        mean = 0.5 * (at[1:] + at[:-1])
+    turn = (mean - b) * step[:, None]
+    rotations = matrices(chain(exponential(turn))).T.reshape(-1, 3, 3)
+    lever = -np.einsum("nij,njk,n->ik", rotations[:-1], left_jacobian(turn), step)
+    return FieldLink(rotations[-1], lever, b, float(step @ step))
+
+
+def left_jacobian(rotation_vector: Array) -> Array:
+    """J with Exp(φ + dφ) = Exp(J dφ) Exp(φ) to first order, for φ (n, 3) rad: (n, 3, 3)."""
+    angle = np.linalg.norm(rotation_vector, axis=1)
+    small = angle < 1e-4
+    a = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5 - angle**2 / 24, 2.0 * np.sin(0.5 * a) ** 2 / a**2)
+    second = np.where(small, 1 / 6 - angle**2 / 120, (a - np.sin(a)) / a**3)
+    cross = skew(rotation_vector)
+    return np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
+
+
+def field_link_factor(
+    keys: Sequence[int], link: FieldLink, gyroscope_noise: Noise
+) -> gtsam.CustomFactor:
+    """The link as a factor on (x̂₁, x̂₂, b).
+
+    Args:
+        keys: of x̂₁ and x̂₂ (`Unit3`) and b (3-vector, `Point3` or `ConstantBias`).
+        link: of `preintegrate`.
+        gyroscope_noise: σ_g rad/s per sample and axis, or a noise model of the 3 rows in rad.
+    """
+    if isinstance(gyroscope_noise, gtsam.noiseModel.Base):
+        noise = gyroscope_noise
+    else:
+        noise = gyroscope_noise * np.sqrt(link.squared_time)
+    return custom_factor("field link", noise, keys, [direction, direction, gyro_bias], 3, link.error)

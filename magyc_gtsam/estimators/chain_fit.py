@@ -1,0 +1,166 @@
+"""Fitting a field chain: damped Gauss–Newton on θ, robust weights, noise levels by variance components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg.lapack import dpbtrs
+
+from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise, Reduced, State, Weights
+from magyc_gtsam.factors.rotations import Array
+
+MAX_ITERATIONS = 60
+_SETTLED = 1e-4  # squared length of the last step in sigmas; convergence is quadratic, so less is left
+_NEAR = 1.0  # the same between rounds of noise and weights
+_WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
+_LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
+_NOISE_STABLE = 0.2  # squared length of a step of the noise levels in their own sigmas
+_WEIGHTS_STABLE = 1e-3  # mean change of a robust weight
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A chain at its minimum.
+
+    Attributes:
+        chain, state, weights, reduced: the minimum and its linearisation.
+        free: (13,) bool, parameters that were estimated.
+        iterations: eliminations spent.
+        converged: the last step was below a thousandth of a sigma and the noise levels stood still.
+    """
+
+    chain: FieldChain
+    state: State
+    weights: Weights
+    reduced: Reduced
+    free: np.ndarray
+    iterations: int = 0
+    converged: bool = False
+
+    @property
+    def covariance(self) -> Array:
+        """(13, 13) inverse information; zeros for fixed parameters, infinite where it is singular."""
+        result = np.zeros((PARAMETERS, PARAMETERS))
+        kept = np.ix_(self.free, self.free)
+        information = self.reduced.information[kept]
+        scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        value, vector = np.linalg.eigh(information * scale * scale[:, None])
+        value = np.maximum(value, 1e-15)
+        result[kept] = (vector / value) @ vector.T * scale * scale[:, None]
+        return result
+
+
+def begin(chain: FieldChain, parameters: Array, free: np.ndarray) -> Fit:
+    """The chain linearised at a start."""
+    state, weights = chain.start(parameters), chain.unweighted()
+    return Fit(chain, state, weights, chain.eliminate(state, weights), free)
+
+
+def descend(fit: Fit, iterations: int = MAX_ITERATIONS, settled: float = _SETTLED) -> Fit:
+    """Levenberg–Marquardt on θ (the directions follow exactly) until a step is below `settled`."""
+    damping, free = 0.0, fit.free
+    state, reduced = fit.state, fit.reduced
+    for spent in range(1, iterations + 1):
+        information = reduced.information[np.ix_(free, free)]
+        diagonal = np.maximum(np.diag(information), 1e-300)
+        scale = 1 / np.sqrt(diagonal)
+        scaled = information * scale * scale[:, None]
+        scaled[np.diag_indices_from(scaled)] += damping + 1e-14
+        step = np.zeros(PARAMETERS)
+        step[free] = -scale * np.linalg.solve(scaled, scale * reduced.gradient[free])
+        trial = fit.chain.move(state, reduced, step)
+        ahead = fit.chain.eliminate(trial, fit.weights)
+        length = float(step[free] @ information @ step[free])
+        if ahead.cost <= reduced.cost * (1 + 1e-10) and np.isfinite(ahead.cost):
+            state, reduced = trial, ahead
+            damping = damping / 10 if damping > 1e-6 else 0.0
+            if length < settled and damping == 0.0:
+                return replace(
+                    fit, state=state, reduced=reduced, iterations=fit.iterations + spent, converged=True
+                )
+        else:
+            damping = max(10 * damping, 1e-3)
+            if damping > 1e8:
+                break
+    return replace(fit, state=state, reduced=reduced, iterations=fit.iterations + spent, converged=False)
+
+
+def adapt(fit: Fit, reject: bool, estimate: tuple[bool, bool], rounds: int = 30) -> Fit:
+    """Alternate robust weights, noise levels and descent until all three stand still.
+
+    Args:
+        fit: near the minimum.
+        reject: weigh down windows and links beyond the 99.9 % point of their χ².
+        estimate: whether the magnetometer's and the gyroscope's noise are estimated.
+    """
+    for _ in range(rounds):
+        weights = _reweigh(fit) if reject else fit.weights
+        moved = float(np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum())
+        fit = replace(fit, weights=weights)
+        noise, gain = improved_noise(fit, estimate)
+        chain = FieldChain(fit.chain.windows, noise)
+        fit = replace(fit, chain=chain, reduced=chain.eliminate(fit.state, fit.weights), iterations=fit.iterations + 1)
+        stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
+        fit = descend(fit, settled=_SETTLED if stable else _NEAR)
+        if fit.converged and stable:
+            return fit
+    return replace(fit, converged=False)
+
+
+def _reweigh(fit: Fit) -> Weights:
+    """Weights min(1, (c²/χ²)²): one for all that the noise explains, then redescending."""
+    window, link = fit.chain.squares(fit.chain.residuals(fit.state))
+    return Weights(
+        np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-300)) ** 2),
+        np.minimum(1.0, (_LINK_OUTLIER / np.maximum(link, 1e-300)) ** 2),
+    )
+
+
+def improved_noise(fit: Fit, estimate: tuple[bool, bool]) -> tuple[Noise, float]:
+    """One average-information step on the restricted likelihood of the two noise levels.
+
+    Gilmour, Thompson and Cullis (1995). With Q the weighted squares of a group and D its redundancy
+    (residuals less the trace of its block of the hat matrix; the two traces add up to the number of
+    unknowns, so that only the windows' is computed), the gradient in log σ² is Q − D, and the average
+    information [[Q₁ − c, c], [c, Q₂ − c]] needs one more solve: c = gᵀ K⁻¹ g, g being the gradient of one
+    group (at the minimum the other's is −g) and K the full normal matrix.
+
+    Returns:
+        The noise, and the step's squared length in its own sigmas.
+    """
+    chain, weights, reduced = fit.chain, fit.weights, fit.reduced
+    if not any(estimate):
+        return chain.noise, 0.0
+    residuals = chain.residuals(fit.state)
+    window, link = chain.squares(residuals)
+    covariance = fit.covariance
+    absorbed = float(chain.leverage(reduced, covariance).sum())
+    unknowns = 2 * len(chain.windows) + int(fit.free.sum())
+    squares = np.array([weights.window @ window, weights.link @ link])
+    redundancy = np.array([
+        3 * weights.window.sum() - absorbed,
+        2 * weights.link[chain.windows.linked].sum() - (unknowns - absorbed),
+    ])
+    shared = _shared(fit, residuals.window / chain.window_sigma * np.sqrt(weights.window), covariance)
+    information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
+    # A group with less than one degree of freedom of information keeps the noise it has.
+    kept = np.array(estimate) & (np.diag(information) > 1.0)
+    if not kept.any():
+        return chain.noise, 0.0
+    gradient = (squares - redundancy)[kept]
+    step = np.zeros(2)
+    step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient)
+    gain = float(abs(step[kept] @ gradient))
+    step = np.clip(step, -2.0, 2.0)
+    return Noise(*(np.array(chain.noise) * np.exp(0.5 * step)).tolist()), gain
+
+
+def _shared(fit: Fit, whitened: Array, covariance: Array) -> float:
+    """gᵀ K⁻¹ g for the gradient g of the windows' squares, by the elimination at hand."""
+    reduced = fit.reduced
+    on_direction = np.einsum("ian,in->na", reduced.on_direction, whitened).ravel()
+    on_parameters = reduced.on_parameters.reshape(PARAMETERS, -1) @ whitened.ravel()
+    solved, _ = dpbtrs(reduced.factor, on_direction, lower=1)
+    left = on_parameters - reduced.right[:PARAMETERS] @ solved
+    return float(on_direction @ solved + left @ covariance @ left)

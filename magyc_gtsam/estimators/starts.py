@@ -1,0 +1,72 @@
+"""Where the smoother starts: no start is asked of the user, and h = 0 can be a false minimum."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.field_chain import PARAMETERS, UPPER, cross
+from magyc_gtsam.factors.preintegration import FieldWindows
+from magyc_gtsam.factors.rotations import Array, skew
+
+_LAG = 3.0  # s between the windows that the linear start compares
+_PASSES = 4
+
+
+def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) -> Array:
+    """θ (13,) from soft iron times field strength (3, 3) T, hard iron T, bias rad/s and delay s."""
+    result = np.empty(PARAMETERS)
+    result[:6], result[6:9], result[9:12], result[12] = soft_iron[UPPER], hard_iron, bias, delay
+    return result
+
+
+def spherical(windows: FieldWindows, hard_iron: Array, bias: Array) -> Array:
+    """θ with a spherical field around `hard_iron`, of the median radius."""
+    radius = float(np.median(np.linalg.norm(windows.field - hard_iron[:, None], axis=0)))
+    return parameters(np.eye(3) * radius, hard_iron, bias, windows.delay)
+
+
+def from_gyroscope(windows: FieldWindows) -> Array:
+    """Hard iron and gyroscope bias by robust linear least squares, soft iron spherical.
+
+    With A = I the field turned back by the gyroscope, y = Mᵀ(m − h), stands still but for the bias:
+    y' − y = [y]× ΔK b. Noise is additive here, so a large hard iron or noisy data do not bias it, and
+    it needs no tilt: it is right where an ellipsoid fit sees only an arc.
+    """
+    spacing = max(float(np.median(np.diff(windows.time))), 1e-9)
+    lag = int(np.clip(round(_LAG / spacing), 1, (len(windows) - 1) // 2))
+    turned_back = np.einsum("ijn,in->jn", windows.rotation, windows.field)
+    total = np.zeros((3, 3, len(windows)))
+    np.cumsum(windows.lever, axis=2, out=total[:, :, 1:])
+    lever = total[:, :, lag:] - total[:, :, :-lag]
+    holes = np.concatenate([[0], np.cumsum(~windows.linked)])
+    weight = (holes[lag:] == holes[:-lag]).astype(float)
+    if not weight.any():
+        weight[:] = 1.0
+
+    constant = turned_back[:, lag:] - turned_back[:, :-lag]
+    on_hard_iron = np.swapaxes(windows.rotation[:, :, lag:] - windows.rotation[:, :, :-lag], 0, 1)
+    hard_iron, bias = windows.field.mean(axis=1), np.zeros(3)
+    for _ in range(_PASSES):
+        still = turned_back[:, :-lag] - np.einsum("ijn,i->jn", windows.rotation[:, :, :-lag], hard_iron)
+        design = np.concatenate([on_hard_iron, cross(still[:, None], lever)], axis=1)  # (3, 6, n)
+        weighted = design * weight
+        normal = np.einsum("ian,ibn->ab", weighted, design)
+        normal += np.diag(np.diag(normal)) * 1e-9
+        solution = np.linalg.lstsq(normal, np.einsum("ian,in->a", weighted, constant), rcond=None)[0]
+        hard_iron, bias = solution[:3], solution[3:]
+        misfit = constant - np.einsum("ian,a->in", design, solution)
+        square = np.einsum("in,in->n", misfit, misfit)
+        scale = float(np.median(square[weight > 0])) or 1.0
+        weight = (weight > 0) / (1 + square / (2 * scale))  # Cauchy
+    return spherical(windows, hard_iron, bias)
+
+
+def others(windows: FieldWindows, bias: Array) -> list[Array]:
+    """The starts that need no gyroscope: no hard iron, the middle of the samples' box, the sphere fit."""
+    field = windows.field
+    box = 0.5 * (field.max(axis=1) + field.min(axis=1))
+    ones = np.ones((1, field.shape[1]))
+    design = np.concatenate([2 * (field - box[:, None]), ones * np.ptp(field)])
+    square = np.einsum("in,in->n", field - box[:, None], field - box[:, None])
+    sphere = np.linalg.lstsq(design.T, square, rcond=None)[0][:3] + box
+    return [spherical(windows, hard_iron, bias) for hard_iron in (np.zeros(3), box, sphere)]

@@ -1,0 +1,113 @@
+"""What ArduPilot had applied to a compass when it logged it, and how to undo it.
+
+ArduPilot logs M · scale · (raw + offset) + motor, milligauss in the vehicle's frame: M from COMPASS_DIA and
+COMPASS_ODI, the scale from COMPASS_SCALE, motor from the current or throttle. Before per-motor compensation
+(2018) it was M · (raw + offset + motor). Offset and motor are logged with every sample, cut to integers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+
+Array = NDArray[np.float64]
+
+_SCALES = (1 / 1.5, 1.5)  # ArduPilot ignores a scale outside
+
+
+def undo(
+    logged: Array,
+    offset: Array,
+    motor: Array,
+    which: NDArray[np.int64],
+    parameters: Sequence[dict[str, float]],
+    instance: int,
+) -> tuple[Array, tuple[str, ...]]:
+    """Raw field (n, 3) in milligauss, and notes on what was undone.
+
+    Args:
+        logged: (n, 3) milligauss, corrected.
+        offset: (n, 3) milligauss, as logged with each sample.
+        motor: (n, 3) milligauss, likewise.
+        which: (n,) index of the set of parameters that was in force.
+        parameters: the sets.
+        instance: of the compass in the log.
+
+    Raises:
+        MagycError: the log has no compass parameters, or a correction in an order that cannot be known.
+    """
+    if not any(name.startswith("COMPASS_") for name in parameters[-1]):
+        raise MagycError(
+            "the log holds no COMPASS_* parameters, so the correction in its MAG messages cannot be undone; "
+            "use a log that begins with its parameters"
+        )
+    raw = np.empty_like(logged)
+    coarse = 0
+    notes: list[str] = []
+    for index in np.unique(which):
+        rows = which == index
+        current = parameters[index]
+        suffix = _suffix(current, instance)
+        matrix, scale = _matrix(current, suffix), _scale(current, suffix)
+        exact = np.array([current.get(f"COMPASS_OFS{suffix}_{axis}", np.nan) for axis in "XYZ"])
+        # The parameter has the digits that the sample lost, unless the offset was being learned in flight.
+        fits = (np.abs(exact - offset[rows]) < 1).all(axis=1)
+        coarse += int((~fits).sum())
+        added = np.where(fits[:, None], exact, offset[rows])
+        if "COMPASS_PMOT_EN" in current or f"COMPASS_SCALE{suffix}" in current:
+            field = np.linalg.solve(matrix, (logged[rows] - motor[rows]).T).T / scale
+        elif motor[rows].any() and not np.array_equal(matrix, np.eye(3)):
+            raise MagycError(
+                f"COMPASS_DIA{suffix}, COMPASS_ODI{suffix} and a motor correction were applied in an order that "
+                "depends on the firmware's version, so they cannot be undone; use a log without motor correction"
+            )
+        else:
+            field = np.linalg.solve(matrix, logged[rows].T).T - motor[rows]
+        raw[rows] = field - added
+        parts = [f"offset ({', '.join(f'{x:.1f}' for x in added[0])}) milligauss"]
+        if not np.array_equal(matrix, np.eye(3)):
+            parts.append(
+                f"COMPASS_DIA{suffix} and COMPASS_ODI{suffix} {np.array2string(matrix, precision=4)}"
+            )
+        if scale != 1.0:
+            parts.append(f"COMPASS_SCALE{suffix} {scale:.4f}")
+        if motor[rows].any():
+            parts.append(f"motor correction of up to {np.abs(motor[rows]).max():.0f} milligauss")
+        notes.append(f"applied in flight and undone: {', '.join(parts)}")
+    if coarse:
+        notes.append(
+            f"{coarse} offsets differ from the parameters (learned in flight) and are known to 1 milligauss"
+        )
+    notes.append("ArduPilot logs the field in steps of 1 milligauss (0.1 µT)")
+    return raw, tuple(notes)
+
+
+def _suffix(parameters: dict[str, float], instance: int) -> str:
+    """What the names of the compass's parameters end in: the log counts by priority, the parameters by driver."""
+    device = parameters.get(f"COMPASS_PRIO{instance + 1}_ID", 0)
+    drivers = [i for i in range(3) if device and parameters.get(f"COMPASS_DEV_ID{_number(i)}") == device]
+    return _number(drivers[0] if drivers else instance)
+
+
+def _number(index: int) -> str:
+    return str(index + 1) if index else ""
+
+
+def _matrix(parameters: dict[str, float], suffix: str) -> Array:
+    dx, dy, dz = (parameters.get(f"COMPASS_DIA{suffix}_{axis}", 0.0) for axis in "XYZ")
+    ox, oy, oz = (parameters.get(f"COMPASS_ODI{suffix}_{axis}", 0.0) for axis in "XYZ")
+    if dx == dy == dz == 0:
+        return np.eye(3)  # ArduPilot takes it for "never calibrated"
+    matrix = np.array([[dx, ox, oy], [ox, dy, oz], [oy, oz, dz]])
+    if abs(np.linalg.det(matrix)) < 1e-6:
+        raise MagycError(f"COMPASS_DIA{suffix}, COMPASS_ODI{suffix}: not invertible, so it cannot be undone")
+    return matrix
+
+
+def _scale(parameters: dict[str, float], suffix: str) -> float:
+    scale = parameters.get(f"COMPASS_SCALE{suffix}", 0.0)
+    return scale if _SCALES[0] <= scale <= _SCALES[1] else 1.0

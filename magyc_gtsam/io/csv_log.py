@@ -1,0 +1,306 @@
+"""Read text tables: commas, semicolons, tabs or blanks, with names and units in the header."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.csv_columns import Column, Columns, find_sensor, find_time, parse_header
+from magyc_gtsam.io.log_info import LogInfo, Source
+from magyc_gtsam.io.request import Request
+from magyc_gtsam.io.streams import Stream, assemble
+from magyc_gtsam.io.units import factor
+from magyc_gtsam.recording import Recording
+
+Array = NDArray[np.float64]
+
+_SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", None: "blanks"}
+_LONGEST_STEP = 2.0  # s; a table of larger steps counts in another unit, unless its header says seconds
+OPTIONS = ("time", "time_unit", "rate", "columns")
+
+
+@dataclass(frozen=True)
+class _Table:
+    """The lines that hold data, the columns, and what was left out.
+
+    Args:
+        numbers: line number in the file of each line, from 1.
+        lines: of data.
+        separator: None for blanks.
+        columns: empty where the file has no header.
+    """
+
+    path: Path
+    numbers: list[int]
+    lines: list[str]
+    separator: str | None
+    columns: tuple[Column, ...]
+    notes: tuple[str, ...]
+
+    def cells(self, line: str) -> list[str]:
+        return _split(line, self.separator)
+
+
+def read(path: Path, request: Request) -> Recording:
+    """As `magyc_gtsam.io.read`, of a text table.
+
+    Options: `time` (column of the stamps), `time_unit` ("s", "ms", "us", "ns"), `rate` (Hz, where there is no
+    such column) and `columns` (names, where there is no header).
+
+    Raises:
+        MagycError: columns that are missing or ambiguous, units that are not known, and lines that are no
+            numbers, with their number in the file.
+    """
+    request.only("text", *OPTIONS)
+    table = _load(path, request.options.get("columns"))
+    found = {s: find_sensor(table.columns, s, request.sensors.get(s)) for s in (*_TARGETS, "attitude")}
+    time = find_time(table.columns, request.options.get("time"))
+    _require(table, found["magnetic_field"], time, request)
+    notes = list(table.notes)
+    stamp = _stamps(table, time, request)
+    request.report(0.3)
+    used = {c.index for g in found.values() if g for c in g.columns} | ({time.index} if time else set())
+    extra = _channel_columns(table, used, request, notes)
+    wanted = sorted({c.index for g in found.values() if g for c in g.columns} | {c.index for c in extra})
+    values = dict(zip(wanted, _numbers(table, wanted).T, strict=True))
+    request.report(0.9)
+    sensors = {}
+    for sensor, group in found.items():
+        if group is None:
+            continue
+        value = np.column_stack([values[c.index] for c in group.columns])
+        if sensor != "attitude":
+            scale, said = _scale(sensor, group, request)
+            value = value * scale
+            notes.extend(said)
+        sensors[sensor] = _present(Stream(group.label, stamp, value))
+    channels = {c.written: _present(Stream(c.written, stamp, values[c.index])) for c in extra}
+    if "angular_rate" not in sensors:
+        notes.append("no gyroscope: no columns are named like one")
+    recording = assemble(
+        sensors,
+        {k: s for k, s in channels.items() if len(s.stamp)},
+        request,
+        name=path.stem,
+        notes=tuple(notes),
+    )
+    request.report(1.0)
+    return recording
+
+
+_TARGETS = ("magnetic_field", "angular_rate", "acceleration")
+
+
+def info(path: Path) -> LogInfo:
+    """As `magyc_gtsam.io.info`, of a text table; `problem` is left to the caller."""
+    table = _load(path, None)
+    serves = {}
+    for sensor in (*_TARGETS, "attitude"):
+        try:
+            group = find_sensor(table.columns, sensor, None)
+        except MagycError:
+            continue  # `problem` says it: which columns are meant is for the caller of `read` to say
+        serves |= {c.index: sensor for c in group.columns} if group else {}
+    time = find_time(table.columns, None)
+    span = None
+    if time is not None and (time.unit or len(table.lines) > 2):
+        stamp = _stamps(table, time, Request())
+        span = (0.0, float(stamp[-1] - stamp[0]) / 1e9)
+    columns = table.columns or parse_header(
+        [f"column {i + 1}" for i in range(len(table.cells(table.lines[0])))]
+    )
+    sources = tuple(
+        Source(c.written, c.unit or "", len(table.lines), span, (serves.get(c.index, "channel"),))
+        for c in columns
+        if time is None or c.index != time.index
+    )
+    return LogInfo(
+        str(path), f"CSV ({_SEPARATORS[table.separator]})", span[1] if span else 0.0, sources, table.notes
+    )
+
+
+def _load(path: Path, names: str | Sequence[str] | None) -> _Table:
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    numbers, lines, comment = [], [], ""
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.lstrip().startswith("#"):
+            comment = line.lstrip().lstrip("#").strip() if not lines else comment
+        elif line.strip():
+            numbers.append(number)
+            lines.append(line)
+    if not lines:
+        raise MagycError(f"{path}: holds no data, only {len(text.splitlines())} empty or comment lines")
+    separator = _separator(lines)
+    header = _split(lines[0], separator)
+    columns: tuple[Column, ...] = ()
+    if names is not None:
+        columns = parse_header(names.replace(",", " ").split() if isinstance(names, str) else names)
+    if not _is_row(header):
+        columns = columns or parse_header(header)
+        numbers, lines = numbers[1:], lines[1:]
+    elif not columns and len(_split(comment, separator)) == len(header):
+        columns = parse_header(_split(comment, separator))
+    if not lines:
+        raise MagycError(f"{path}: holds a header but no data")
+    notes: tuple[str, ...] = ()
+    width = len(columns) or len(_split(lines[0], separator))
+    if len(lines) > 1 and len(_split(lines[-1], separator)) < width:
+        notes = (f"line {numbers[-1]}, the last, is cut off and was left out",)
+        numbers, lines = numbers[:-1], lines[:-1]
+    if separator == ";" and any("," in line for line in lines):
+        lines = [line.replace(",", ".") for line in lines]
+        notes = (*notes, "commas in the numbers were read as decimal points")
+    for number, line in zip(numbers, lines, strict=True):
+        count = len(_split(line, separator))
+        if count != width:
+            raise MagycError(
+                f"{path}, line {number}: {count} values, expected {width}; repair or remove the line"
+            )
+    return _Table(path, numbers, lines, separator, columns, notes)
+
+
+def _separator(lines: Sequence[str]) -> str | None:
+    return next((s for s in ("\t", ";", ",") if all(s in line for line in lines[:2])), None)
+
+
+def _split(line: str, separator: str | None) -> list[str]:
+    if separator is None:
+        return line.split()
+    return next(csv.reader([line], delimiter=separator)) if '"' in line else line.split(separator)
+
+
+def _is_row(cells: Sequence[str]) -> bool:
+    """Whether a line is data rather than names: at least one cell is a number."""
+    return any(_is_number(c) for c in cells)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _require(table: _Table, magnetometer: Columns | None, time: Column | None, request: Request) -> None:
+    missing, remedies = [], []
+    if not table.columns:
+        width = len(table.cells(table.lines[0]))
+        missing.append("a header with column names")
+        remedies.append(f"name its {width} columns (columns='time,mx,my,mz,gx,gy,gz' or alike)")
+    elif magnetometer is None:
+        missing.append(f"magnetometer columns among {', '.join(c.written for c in table.columns)}")
+        remedies.append("name them (magnetic_field='x,y,z')")
+    if time is None and request.options.get("rate") is None:
+        missing.append("a column of time stamps")
+        remedies.append("name it (time=), or give the rate in Hz (rate=)")
+    if missing:
+        verb = "are" if len(missing) > 1 else "is"
+        raise MagycError(f"{table.path}: {' and '.join(missing)} {verb} missing; {', and '.join(remedies)}")
+
+
+def _stamps(table: _Table, time: Column | None, request: Request) -> NDArray[np.int64]:
+    """ns of every line, exactly: a float64 of seconds since 1970 is good for a quarter of a microsecond only."""
+    if time is None:
+        rate = float(request.options["rate"])
+        if not 0 < rate < 1e6:
+            raise MagycError(f"rate: {rate:g} Hz is not between 0 and 1 MHz")
+        return np.round(np.arange(len(table.lines)) * (1e9 / rate)).astype(np.int64)
+    unit = request.options.get("time_unit") or time.unit or {"timeus": "us", "timems": "ms"}.get(time.name)
+    scale = Decimal(int(factor("time", unit or "s")))
+    stamp = np.empty(len(table.lines), dtype=np.int64)
+    for row, line in enumerate(table.lines):
+        cell = table.cells(line)[time.index].strip()
+        try:
+            stamp[row] = int((Decimal(cell) * scale).to_integral_value())
+        except (InvalidOperation, ValueError, OverflowError):
+            stamp[row] = _calendar(cell, table, row)
+            unit = unit or "ISO 8601"
+    step = float(np.median(np.abs(np.diff(stamp)))) / 1e9 if len(stamp) > 1 else 0.0
+    if unit is None and step > _LONGEST_STEP:
+        likely = next(
+            (u for u, s in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if step / s <= _LONGEST_STEP), "ns"
+        )
+        raise MagycError(
+            f"{table.path}: column {time.written} names no unit and steps by {step:g}; "
+            f"likely unit: {likely}; say it (time_unit='{likely}')"
+        )
+    return stamp
+
+
+def _calendar(cell: str, table: _Table, row: int) -> int:
+    try:
+        moment = np.datetime64(datetime.fromisoformat(cell).replace(tzinfo=None), "s")
+        # datetime reads the calendar and the zone, but only microseconds; the digits behind the point are exact.
+        zone = datetime.fromisoformat(cell).utcoffset()
+        digits = cell.split(".")[1] if "." in cell else ""
+        fraction = "".join(c for c in digits.split("+")[0].split("-")[0] if c.isdigit())[:9].ljust(9, "0")
+    except ValueError:
+        raise MagycError(f"{table.path}, line {table.numbers[row]}: {cell!r} is no time stamp") from None
+    seconds = int(moment.astype(np.int64)) - (int(zone.total_seconds()) if zone else 0)
+    return seconds * 1_000_000_000 + int(fraction)
+
+
+def _numbers(table: _Table, columns: Sequence[int]) -> Array:
+    """The cells of the columns, (n, len(columns)); empty cells are NaN."""
+    try:
+        return np.loadtxt(
+            table.lines, delimiter=table.separator, usecols=columns, comments=None, ndmin=2, quotechar='"'
+        )
+    except ValueError:
+        pass  # an empty cell, or no number: looked at one by one, to say where
+    result = np.empty((len(table.lines), len(columns)))
+    for row, line in enumerate(table.lines):
+        cells = table.cells(line)
+        for k, column in enumerate(columns):
+            cell = cells[column].strip()
+            try:
+                result[row, k] = float(cell) if cell else np.nan
+            except ValueError:
+                raise MagycError(
+                    f"{table.path}, line {table.numbers[row]}: {cell!r} in column {column + 1} is not a number; "
+                    "repair or remove the line"
+                ) from None
+    return result
+
+
+def _channel_columns(table: _Table, used: set[int], request: Request, notes: list[str]) -> list[Column]:
+    free = [c for c in table.columns if c.index not in used]
+    if request.channels is not None:
+        missing = [w for w in request.channels if w not in {c.written for c in free}]
+        if missing:
+            raise MagycError(
+                f"channels: no column {missing[0]!r}; free are {', '.join(c.written for c in free)}"
+            )
+        return [c for c in free if c.written in request.channels]
+    first = table.cells(table.lines[0])
+    text = [c for c in free if first[c.index].strip() and not _is_number(first[c.index])]
+    if text:
+        notes.append(f"columns left out, which hold text: {', '.join(c.written for c in text)}")
+    return [c for c in free if c not in text]
+
+
+def _scale(sensor: str, group: Columns, request: Request) -> tuple[float, tuple[str, ...]]:
+    unit, asked = group.unit, request.units.get(sensor)
+    if asked is not None:
+        scale, said = request.scale(sensor)
+        differs = unit is not None and (
+            not isinstance(asked, str) or factor(sensor, unit) != factor(sensor, asked)
+        )
+        return scale, (f"{said[0]}, though the header says {unit}",) if differs else said
+    return factor(sensor, unit), ()
+
+
+def _present(stream: Stream) -> Stream:
+    """Without the lines that leave all cells of the sensor empty: sensors of other rates share the table."""
+    empty = np.isnan(stream.value).reshape(len(stream.stamp), -1).all(axis=1)
+    # A sensor that is absent throughout is for the checks behind to refuse.
+    return stream.rows(~empty) if empty.any() and not empty.all() else stream

@@ -1,0 +1,58 @@
+"""What a log holds, before anything is calibrated with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Source:
+    """One topic, message or group of columns of a log.
+
+    Args:
+        name: as `read` takes it.
+        type: message type, or the unit of columns.
+        count: samples.
+        span: first and last stamp, s since the log's first stamp; None where the log does not say.
+        serves_as: what `read` could use it for ("magnetic_field", "angular_rate", "acceleration",
+            "attitude", "channel").
+    """
+
+    name: str
+    type: str
+    count: int
+    span: tuple[float, float] | None
+    serves_as: tuple[str, ...] = ()
+
+    @property
+    def rate(self) -> float | None:
+        """Mean samples per second; None where it cannot be told."""
+        if self.span is None or self.count < 2 or self.span[1] <= self.span[0]:
+            return None
+        return (self.count - 1) / (self.span[1] - self.span[0])
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """Description of a log.
+
+    Args:
+        path: the file.
+        format: "MCAP (ROS 2)", "CSV", "PX4 ULog" or "ArduPilot dataflash".
+        duration: s.
+        sources: all topics, messages or columns.
+        warnings: what had to be done to read it, and what is wrong with it.
+        problem: why it cannot be calibrated as it is, None where it can.
+    """
+
+    path: str
+    format: str
+    duration: float
+    sources: tuple[Source, ...]
+    warnings: tuple[str, ...] = ()
+    problem: str | None = None
+
+    @property
+    def readable(self) -> bool:
+        """Whether `read` makes a recording of it without further arguments."""
+        return self.problem is None

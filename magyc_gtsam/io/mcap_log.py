@@ -1,0 +1,294 @@
+"""Read ROS messages from MCAP: whole, unindexed, or cut off in the middle of a chunk."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import zstandard
+from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.log_info import LogInfo, Source
+from magyc_gtsam.io.mcap_channels import LARGEST, channels_of
+from magyc_gtsam.io.mcap_writer import METADATA
+from magyc_gtsam.io.request import Request
+from magyc_gtsam.io.ros2 import LAYOUTS, decode, short_type
+from magyc_gtsam.io.streams import Stream, assemble
+from magyc_gtsam.recording import Recording
+
+# What a chunk that was damaged on disk raises: checksum, zstd, lz4 (a bare RuntimeError), records cut short.
+_DAMAGE = (CRCValidationError, zstandard.ZstdError, RuntimeError, EndOfFile, struct.error)
+# The type that each sensor is published as; other types of LAYOUTS are used when the caller names their topic.
+_FOUND_BY_TYPE = {
+    "magnetic_field": "sensor_msgs/MagneticField",
+    "angular_rate": "sensor_msgs/Imu",
+    "attitude": "geometry_msgs/QuaternionStamped",
+}
+_WHAT = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope", "attitude": "attitude"}
+
+
+@dataclass
+class _Topic:
+    """The messages of one topic, in the order of the file."""
+
+    name: str
+    encoding: str
+    schema: Schema
+    log_time: list[int] = field(default_factory=list)
+    data: list[bytes] = field(default_factory=list)
+
+    @property
+    def type(self) -> str:
+        return short_type(self.schema.name)
+
+
+@dataclass(frozen=True)
+class _Log:
+    topics: dict[str, _Topic]
+    metadata: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def read(path: Path, request: Request) -> Recording:
+    """As `magyc_gtsam.io.read`, of an MCAP file."""
+    request.only("MCAP")
+    log = _load(path, request.report)
+    notes = list(log.notes)
+    sensors, used = _sensors(log.topics, request, notes)
+    channels = _channels(log.topics, used, request, notes)
+    is_mean: Literal["instant", "interval-mean"] = (
+        "interval-mean" if log.metadata.get("angular_rate_is") == "interval-mean" else "instant"
+    )
+    return assemble(
+        sensors,
+        channels,
+        request,
+        name=log.metadata.get("name") or path.stem,
+        notes=tuple(notes),
+        angular_rate_is=is_mean,
+    )
+
+
+def info(path: Path) -> LogInfo:
+    """As `magyc_gtsam.io.info`, of an MCAP file; `problem` is left to the caller."""
+    log = _load(path, lambda _: None)
+    times = [t for topic in log.topics.values() for t in (min(topic.log_time), max(topic.log_time))]
+    zero, last = min(times, default=0), max(times, default=0)
+    sources = []
+    for topic in log.topics.values():
+        layout = LAYOUTS.get(topic.type)
+        sources.append(
+            Source(
+                topic.name,
+                topic.schema.name,
+                len(topic.data),
+                ((min(topic.log_time) - zero) / 1e9, (max(topic.log_time) - zero) / 1e9),
+                tuple(layout.parts) if layout else ("channel",) if len(topic.data[0]) <= LARGEST else (),
+            )
+        )
+    ros = "ROS 1" if any(t.encoding == "ros1" for t in log.topics.values()) else "ROS 2"
+    return LogInfo(str(path), f"MCAP ({ros})", (last - zero) / 1e9, tuple(sources), log.notes)
+
+
+def _load(path: Path, report: Callable[[float], None]) -> _Log:
+    topics: dict[int, _Topic] = {}
+    schemas: dict[int, Schema] = {}
+    metadata: dict[str, str] = {}
+    notes: list[str] = []
+    too_large: set[int] = set()
+    for record in _records(path, notes, report):
+        if isinstance(record, Message):
+            topic = topics.get(record.channel_id)
+            if topic is None:
+                raise MagycError(
+                    f"{path}: a message of channel {record.channel_id} stands before the channel's record"
+                )
+            if record.channel_id in too_large:
+                continue
+            topic.log_time.append(record.log_time)
+            topic.data.append(record.data)
+            if len(record.data) > LARGEST and topic.type not in LAYOUTS:
+                too_large.add(
+                    record.channel_id
+                )  # its first message says what it is; the rest need not be kept
+        elif isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel) and record.id not in topics:
+            schema = schemas.get(record.schema_id) or Schema(
+                id=record.schema_id, data=b"", encoding="", name=""
+            )
+            topics[record.id] = _Topic(record.topic, record.message_encoding, schema)
+        elif isinstance(record, Metadata) and record.name == METADATA:
+            metadata.update(record.metadata)
+    merged: dict[str, _Topic] = {}
+    for topic in topics.values():
+        if not topic.data:
+            continue
+        # Two publishers of one topic are two channels in the file, but one topic to everyone else.
+        if (first := merged.setdefault(topic.name, topic)) is not topic and first.type == topic.type:
+            first.data += topic.data
+            first.log_time += topic.log_time
+    count = sum(len(t.data) for t in merged.values())
+    if not count:
+        raise MagycError(
+            f"{path}: holds no message that can be read{': ' if notes else ''}{'; '.join(notes)}"
+        )
+    return _Log(merged, metadata, tuple(f"{n}; {count} messages could be read" for n in notes))
+
+
+def _records(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[McapRecord]:
+    """All records in order; where the file is damaged, those before and behind, and a note."""
+    size = max(os.path.getsize(path), 1)
+    whole = False
+    with open(path, "rb") as file:
+        records = StreamReader(file, emit_chunks=True).records
+        try:
+            for record in records:
+                if isinstance(record, Chunk):
+                    report(file.tell() / size)
+                    try:
+                        yield from breakup_chunk(record, validate_crc=True)
+                    except _DAMAGE as error:
+                        notes.append(f"a chunk is damaged and was left out ({error or type(error).__name__})")
+                else:
+                    whole |= isinstance(record, Footer)
+                    yield record
+        except RecordLengthLimitExceeded as error:
+            notes.append(f"the file is damaged at byte {file.tell()} ({error})")
+        except (EndOfFile, InvalidMagic, struct.error) as error:
+            if file.tell() <= 8:
+                raise MagycError(f"{path}: not an MCAP file ({error})") from None
+            if not whole:
+                notes.append(f"the file is cut off after {size} bytes (no footer)")
+    report(1.0)
+
+
+def _sensors(
+    topics: dict[str, _Topic], request: Request, notes: list[str]
+) -> tuple[dict[str, Stream], set[str]]:
+    """The streams of the sensors, and the topics they are from."""
+    chosen = {sensor: _choose(topics, sensor, request, notes) for sensor in _FOUND_BY_TYPE}
+    acceleration = request.named("acceleration")
+    chosen["acceleration"] = (
+        _checked(topics, "acceleration", acceleration) if acceleration else chosen["angular_rate"]
+    )
+    result, used = {}, set()
+    decoded = {}
+    for sensor, topic in chosen.items():
+        if topic is None:
+            continue
+        if topic.name not in decoded:
+            decoded[topic.name] = decode(topic.name, topic.data, LAYOUTS[topic.type], topic.encoding)
+        stamp, numbers = decoded[topic.name]
+        layout = LAYOUTS[topic.type]
+        if sensor not in layout.parts:
+            continue  # the gyroscope's topic need not have an accelerometer
+        if layout.unknown and (numbers[:, layout.unknown[sensor]] == -1).all():
+            if request.sensors.get(sensor):
+                raise MagycError(f"{topic.name}: says that it has no {sensor} (covariance[0] is -1)")
+            notes.append(f"{topic.name}: says that it has no {sensor} (covariance[0] is -1)")
+            continue
+        if request.stamps == "log":
+            stamp = np.array(topic.log_time, dtype=np.int64)
+        value = numbers[:, layout.parts[sensor]]
+        if sensor == "attitude":
+            keep = np.abs(np.linalg.norm(value, axis=1) - 1) < 0.01
+            if not keep.all():
+                notes.append(
+                    f"{topic.name}: {(~keep).sum()} of {len(keep)} quaternions are not of norm 1, left out"
+                )
+            stamp, value = stamp[keep], value[keep]
+        else:
+            scale, said = request.scale(sensor)
+            notes.extend(said)
+            value = value * scale if said else value
+        result[sensor] = Stream(topic.name, stamp, value)
+        used.add(topic.name)
+    return result, used
+
+
+def _choose(topics: dict[str, _Topic], sensor: str, request: Request, notes: list[str]) -> _Topic | None:
+    name = request.named(sensor)
+    if name is not None:
+        return _checked(topics, sensor, name)
+    found = [t for t in topics.values() if t.type == _FOUND_BY_TYPE[sensor]]
+    listed = ", ".join(f"{t.name} ({len(t.data)} messages)" for t in found)
+    if len(found) == 1:
+        return _checked(topics, sensor, found[0].name)
+    if len(found) > 1 and sensor == "attitude":
+        notes.append(f"attitude left out: {listed} could be meant; name one (attitude=)")
+    elif len(found) > 1:
+        raise MagycError(f"{sensor}: {len(found)} topics could be meant: {listed}; name one ({sensor}=)")
+    elif sensor == "magnetic_field":
+        others = ", ".join(f"{t.name} ({t.schema.name})" for t in topics.values())
+        raise MagycError(
+            f"no topic of type {_FOUND_BY_TYPE[sensor]}; the file has {others}; "
+            "record the magnetometer too, or name its topic (magnetic_field=) where it has another type"
+        )
+    elif sensor == "angular_rate":
+        notes.append(f"no {_WHAT[sensor]}: the file has no topic of type {_FOUND_BY_TYPE[sensor]}")
+    return None
+
+
+def _checked(topics: dict[str, _Topic], sensor: str, name: str) -> _Topic:
+    topic = topics.get(name) or topics.get(f"/{name}")
+    if topic is None:
+        listed = ", ".join(f"{t.name} ({t.schema.name})" for t in topics.values())
+        raise MagycError(f"{sensor}: no topic {name!r}; the file has {listed}")
+    fitting = [k for k, v in LAYOUTS.items() if sensor in v.parts]
+    if topic.type not in fitting:
+        raise MagycError(
+            f"{sensor}: {name} is of type {topic.schema.name}; one of {', '.join(fitting)} is needed"
+        )
+    if topic.encoding not in ("cdr", "ros1"):
+        raise MagycError(f"{sensor}: {name} is encoded as {topic.encoding}; cdr (ROS 2) and ros1 can be read")
+    return topic
+
+
+def _channels(
+    topics: dict[str, _Topic], used: set[str], request: Request, notes: list[str]
+) -> dict[str, Stream]:
+    result: dict[str, Stream] = {}
+    wanted = request.channels
+    for topic in topics.values():
+        base = topic.name.lstrip("/")
+        named = wanted is not None and any(w.lstrip("/").split(".")[0] == base for w in wanted)
+        if (
+            topic.name in used
+            or (wanted is not None and not named)
+            or (wanted is None and topic.type in LAYOUTS)
+        ):
+            continue
+        try:
+            if len(topic.data[0]) > LARGEST:
+                raise MagycError(
+                    f"{topic.name} ({topic.schema.name}): {len(topic.data[0])} bytes, too large for numbers"
+                )
+            found = channels_of(
+                topic.name, topic.schema, topic.encoding, topic.data, topic.log_time, request.stamps == "log"
+            )
+        except MagycError as error:
+            if named:
+                raise
+            notes.append(f"channel left out: {error}")
+            continue
+        result |= {
+            k: v for k, v in found.items() if wanted is None or {k, base} & {w.lstrip("/") for w in wanted}
+        }
+    if wanted is not None:
+        missing = [
+            w
+            for w in wanted
+            if not any(k == w.lstrip("/") or k.startswith(f"{w.lstrip('/')}.") for k in result)
+        ]
+        if missing:
+            raise MagycError(f"channels: the file has no {', '.join(missing)}")
+    return result

@@ -1,0 +1,116 @@
+"""A `Recording` as a ROS 2 log: its fresh samples, each at its own stamp."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os import PathLike
+from typing import Literal
+
+import numpy as np
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.ros2 import LAYOUTS, NANOSECONDS, definition, encode, encode_numbers
+from magyc_gtsam.recording import Recording
+
+METADATA = "magyc-gtsam"  # holds what ROS messages have no field for
+_COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, None: CompressionType.NONE}
+_LATEST = 2**31 * NANOSECONDS  # a stamp's seconds are an int32
+
+
+@dataclass(frozen=True, eq=False)
+class _Topic:
+    name: str
+    schema: str
+    stamp: NDArray[np.int64]
+    messages: list[bytes]
+
+
+def write_mcap(
+    path: str | PathLike[str],
+    recording: Recording,
+    *,
+    epoch: int = 0,
+    compression: Literal["zstd", "lz4"] | None = "zstd",
+) -> None:
+    """Write `recording` so that `read` gives back its samples bit by bit and its stamps to the nanosecond.
+
+    `/imu/mag` (sensor_msgs/msg/MagneticField), `/imu/data_raw` (sensor_msgs/msg/Imu), `/reference/attitude`
+    (geometry_msgs/msg/QuaternionStamped), and each channel as `/<name>` (std_msgs/msg/Float64 or
+    Float64MultiArray). Held and filled rows are not written: reading the log makes them again.
+
+    Args:
+        path: the file, which is replaced where it exists.
+        recording: what to write.
+        epoch: ns since 1970 (or any other origin) at the recording's time 0.
+        compression: of the file's chunks; None for none.
+
+    Raises:
+        MagycError: the stamps do not fit a ROS header, or the compression is not known.
+    """
+    if compression not in _COMPRESSION:
+        raise MagycError(f"compression: {compression!r} is not known; known are 'zstd', 'lz4' and None")
+    stamp = np.round(recording.time * 1e9).astype(np.int64) + int(epoch)
+    if stamp[0] < 0 or stamp[-1] >= _LATEST:
+        raise MagycError(
+            f"stamps from {stamp[0] / 1e9:.3f} to {stamp[-1] / 1e9:.3f} s do not fit a ROS header (0 to 2^31 s); "
+            "choose another epoch (ns at the recording's time 0)"
+        )
+    topics = list(_topics(recording, stamp))
+    which = np.concatenate([np.full(len(t.stamp), i) for i, t in enumerate(topics)])
+    row = np.concatenate([np.arange(len(t.stamp)) for t in topics])
+    order = np.argsort(np.concatenate([t.stamp for t in topics]), kind="stable")
+    with open(path, "wb") as file:
+        writer = Writer(file, compression=_COMPRESSION[compression])
+        writer.start(profile=Profile.ROS2, library="magyc-gtsam")
+        channels = []
+        schemas: dict[str, int] = {}
+        for topic in topics:
+            if topic.schema not in schemas:
+                text = definition(topic.schema).encode()
+                name = topic.schema.replace("/", "/msg/")
+                schemas[topic.schema] = writer.register_schema(name, SchemaEncoding.ROS2, text)
+            channels.append(writer.register_channel(topic.name, MessageEncoding.CDR, schemas[topic.schema]))
+        for i, k in zip(which[order].tolist(), row[order].tolist(), strict=True):
+            at = int(topics[i].stamp[k])
+            writer.add_message(channels[i], at, topics[i].messages[k], at, k)
+        writer.add_metadata(METADATA, {"name": recording.name, "angular_rate_is": recording.angular_rate_is})
+        writer.finish()
+
+
+def _topics(recording: Recording, stamp: NDArray[np.int64]) -> Iterator[_Topic]:
+    fresh = recording.magnetic_field_fresh
+    yield _topic(
+        "/imu/mag", "sensor_msgs/MagneticField", stamp[fresh], magnetic_field=recording.magnetic_field[fresh]
+    )
+    imu = {"angular_rate": recording.angular_rate, "acceleration": recording.acceleration}
+    known = {k: v[recording.angular_rate_fresh] for k, v in imu.items() if v is not None}
+    if known:
+        yield _topic("/imu/data_raw", "sensor_msgs/Imu", stamp[recording.angular_rate_fresh], **known)
+    if recording.attitude is not None:
+        known_rows = np.isfinite(recording.attitude).all(axis=1)
+        yield _topic(
+            "/reference/attitude",
+            "geometry_msgs/QuaternionStamped",
+            stamp[known_rows],
+            attitude=recording.attitude[known_rows],
+        )
+    for name, value in recording.channels.items():
+        rows = np.isfinite(value).reshape(len(value), -1).all(axis=1)
+        schema = "std_msgs/Float64" if value.ndim == 1 else "std_msgs/Float64MultiArray"
+        yield _Topic("/" + name.lstrip("/"), schema, stamp[rows], encode_numbers(value[rows]))
+
+
+def _topic(name: str, schema: str, stamp: NDArray[np.int64], **parts: NDArray[np.float64]) -> _Topic:
+    layout = LAYOUTS[schema]
+    value = np.zeros((len(stamp), layout.width))
+    for index in (layout.unknown or {}).values():
+        value[:, index] = -1.0
+    for part, columns in parts.items():
+        value[:, layout.parts[part]] = columns
+        if layout.unknown:
+            value[:, layout.unknown[part]] = 0.0
+    return _Topic(name, schema, stamp, encode(stamp, value))

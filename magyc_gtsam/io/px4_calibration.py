@@ -1,0 +1,170 @@
+"""What PX4 had applied to its sensors when it logged them, from the parameters in the log, and how to undo it.
+
+PX4 logs R (S (raw − offset)): S from CAL_MAGn_{X,Y,Z}SCALE and, since 1.11, {X,Y,Z}ODIAG, the offset from
+CAL_MAGn_{X,Y,Z}OFF, R from CAL_MAGn_ROT (an external sensor) or SENS_BOARD_ROT and SENS_BOARD_{X,Y,Z}_OFF.
+Gyroscopes likewise. Undone means R raw: the raw values in the frame that all sensors share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.mounting import euler, mounting
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_INSTANCES = range(4)
+_CUSTOM_ROTATION = 100
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters at the start of the log, and their changes in it.
+
+    Args:
+        initial: {name: value}.
+        changes: (stamp in µs, name, value), ascending.
+    """
+
+    initial: Mapping[str, float]
+    changes: tuple[tuple[int, str, float], ...] = ()
+
+    def at(self, name: str, stamp: Stamps, default: float) -> Array:
+        """(n,) values in force at the stamps (n,) in µs."""
+        value = np.full(len(stamp), float(self.initial.get(name, default)))
+        for when, changed, new in self.changes:
+            if changed == name:
+                value[stamp >= when] = new
+        return value
+
+    def vector(self, pattern: str, stamp: Stamps, default: float) -> Array:
+        """(n, 3) values of three parameters, `pattern` with X, Y, Z in the place of {}."""
+        return np.column_stack([self.at(pattern.format(axis), stamp, default) for axis in "XYZ"])
+
+
+@dataclass(frozen=True)
+class Undone:
+    """Values (n, 3) with the calibration undone, and what was undone."""
+
+    value: Array
+    notes: tuple[str, ...]
+
+
+def undo(
+    kind: Literal["MAG", "GYRO"],
+    logged: Array,
+    stamp: Stamps,
+    parameters: Parameters,
+    device: int | None,
+    *,
+    corrected: bool,
+    rotated: bool,
+) -> Undone:
+    """Raw values in the frame of the vehicle.
+
+    Args:
+        kind: of sensor.
+        logged: (n, 3) in PX4's units (gauss, rad/s).
+        stamp: (n,) µs.
+        parameters: of the log.
+        device: identifier of the sensor, None where the log does not name it.
+        corrected: whether offset and scale were applied before logging.
+        rotated: whether the rotation was.
+
+    Raises:
+        MagycError: what was applied cannot be known.
+    """
+    index, notes = _index(kind, parameters, device, corrected)
+    prefix = f"CAL_{kind}{index}_"
+    rotation = _rotation(prefix, parameters)
+    value = logged @ rotation if rotated else logged  # rows: x @ R is Rᵀx
+    if corrected and index is not None:
+        compensation = parameters.vector(f"{prefix}{{}}COMP", stamp, 0.0)
+        if kind == "MAG" and parameters.initial.get("CAL_MAG_COMP_TYP", 0) and compensation.any():
+            raise MagycError(
+                f"{prefix}XCOMP.. corrected the magnetometer by the motors' power, which cannot be undone; "
+                "read the uncorrected message where the log has it (magnetic_field='sensor_mag')"
+            )
+        offset = parameters.vector(f"{prefix}{{}}OFF", stamp, 0.0)
+        scale = _scale(prefix, parameters, stamp)
+        value = np.linalg.solve(scale, value[:, :, None])[:, :, 0] + offset
+        unit = "gauss" if kind == "MAG" else "rad/s"
+        text = ", ".join(f"{x:.5g}" for x in offset[0])
+        extra = (
+            "" if np.allclose(scale, np.eye(3)) else f" and scale {np.array2string(scale[0], precision=4)}"
+        )
+        notes.append(f"{prefix}* was applied in flight and is undone: offset ({text}) {unit}{extra}")
+        if (offset != offset[0]).any() or (scale != scale[0]).any():
+            notes.append(
+                f"{prefix}* changed within the log; each sample was treated by the values of its time"
+            )
+    if not np.allclose(rotation, np.eye(3)):
+        angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+        notes.append(f"{kind}: values are in the vehicle's frame, {angle:.2f}° from the sensor's")
+    return Undone(value @ rotation.T, tuple(notes))
+
+
+def _index(
+    kind: str, parameters: Parameters, device: int | None, corrected: bool
+) -> tuple[int | None, list[str]]:
+    """Which CAL_MAGn / CAL_GYROn belongs to the sensor."""
+    identifiers = {n: int(parameters.initial.get(f"CAL_{kind}{n}_ID", 0)) for n in _INSTANCES}
+    known = [n for n, identifier in identifiers.items() if identifier != 0]
+    if device is not None:
+        matching = [n for n in known if identifiers[n] == device]
+        if not matching and corrected:
+            return None, [f"no CAL_{kind}n_ID is the sensor's ({device}): no calibration had been applied"]
+        return (matching[0] if matching else None), []
+    if len(known) == 1:
+        return known[0], []
+    prime = int(parameters.initial.get(f"CAL_{kind}_PRIME", 0))
+    matching = [n for n in known if identifiers[n] == prime]
+    if matching:
+        return matching[0], [
+            f"the log does not say which sensor it was; taken for CAL_{kind}_PRIME ({prime})"
+        ]
+    if not corrected:
+        return None, []
+    if not known:
+        raise MagycError(
+            f"the log's parameters do not say which CAL_{kind}n_* calibration was applied (no CAL_{kind}n_ID is set), "
+            "so it cannot be undone; use a log with its parameters, or one that holds the uncorrected message"
+        )
+    raise MagycError(
+        f"the log does not say which of CAL_{kind}n_* (n = {', '.join(map(str, known))}) was applied, so it cannot be "
+        f"undone; name a message that says (magnetic_field='vehicle_magnetometer' or 'sensor_mag')"
+    )
+
+
+def _scale(prefix: str, parameters: Parameters, stamp: Stamps) -> Array:
+    diagonal = parameters.vector(f"{prefix}{{}}SCALE", stamp, 1.0)
+    off = parameters.vector(f"{prefix}{{}}ODIAG", stamp, 0.0)
+    scale = np.empty((len(stamp), 3, 3))
+    for k in range(3):
+        scale[:, k, k] = diagonal[:, k]
+    for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
+        scale[:, i, j] = scale[:, j, i] = off[:, k]
+    if (np.abs(np.linalg.det(scale)) < 1e-6).any():
+        raise MagycError(
+            f"{prefix}*SCALE, {prefix}*ODIAG: not invertible, so what was logged cannot be undone"
+        )
+    return scale
+
+
+def _rotation(prefix: str, parameters: Parameters) -> Array:
+    """Sensor→vehicle."""
+    get = parameters.initial.get
+    number = int(get(f"{prefix}ROT", -1))
+    if number == _CUSTOM_ROTATION:
+        return euler(*(get(f"{prefix}{angle}", 0.0) for angle in ("ROLL", "PITCH", "YAW")))
+    if number >= 0:
+        return mounting(number)
+    fine = euler(*(get(f"SENS_BOARD_{axis}_OFF", 0.0) for axis in "XYZ"))
+    return fine @ mounting(int(get("SENS_BOARD_ROT", 0)))

@@ -1,0 +1,314 @@
+"""Read PX4 logs (.ulg), with the calibration undone that PX4 had applied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.log_info import LogInfo, Source
+from magyc_gtsam.io.px4_calibration import Parameters, undo
+from magyc_gtsam.io.request import Request
+from magyc_gtsam.io.streams import Stream, assemble
+from magyc_gtsam.recording import Recording
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+_GAUSS = 1e-4  # T
+_NO_SAMPLE = 0x7FFFFFFF  # relative stamp of a sensor that sensor_combined had nothing new of
+# Messages of each sensor and their fields; the first of them that a log has is taken, see `_choose`.
+_MESSAGES = {
+    "magnetic_field": {
+        "sensor_combined": "magnetometer_ga[{}]",
+        "vehicle_magnetometer": "magnetometer_ga[{}]",
+        "sensor_mag": "xyz",
+    },
+    "angular_rate": {"sensor_combined": "gyro_rad[{}]", "sensor_gyro": "xyz"},
+    "acceleration": {"sensor_combined": "accelerometer_m_s2[{}]"},
+}
+_CHANNELS = (
+    "battery_status.current_a",
+    "battery_status.voltage_v",
+    "actuator_controls_0.control[3]",
+    "sensor_mag.temperature",
+    "sensor_combined.baro_temp_celcius",
+    "vehicle_air_data.baro_temp_celcius",
+)
+_AUXILIARY = ("sensor_selection", "magnetometer_bias_estimate")
+
+
+@dataclass(frozen=True, eq=False)
+class _Message:
+    """One instance of a message: its name, its fields as arrays, and whether there are more instances."""
+
+    name: str
+    instance: int
+    data: Mapping[str, NDArray[Any]]
+
+    @property
+    def label(self) -> str:
+        return f"{self.name}[{self.instance}]" if self.instance else self.name
+
+    @property
+    def count(self) -> int:
+        return len(self.data["timestamp"])
+
+    @property
+    def stamp(self) -> Stamps:
+        """µs since boot, of the sample itself where the message says so."""
+        at = self.data.get("timestamp_sample")
+        known = at is not None and bool(np.all(at > 0))
+        return np.asarray(at if known else self.data["timestamp"]).astype(np.int64)
+
+    def vector(self, fields: str) -> Array | None:
+        names = list(fields) if "{}" not in fields else [fields.format(k) for k in range(3)]
+        if any(n not in self.data for n in names):
+            return None
+        return np.column_stack([self.data[n] for n in names]).astype(np.float64)
+
+
+def read(path: Path, request: Request) -> Recording:
+    """As `magyc_gtsam.io.read`, of a PX4 log.
+
+    Raises:
+        MagycError: pyulog is not installed, a message is missing, or what was applied cannot be undone.
+    """
+    request.only("PX4")
+    if request.stamps == "log":
+        raise MagycError("stamps='log': a PX4 log has no times of recording, only the sensors' own")
+    asked = request.channels if request.channels is not None else _CHANNELS
+    names = {m for fields in _MESSAGES.values() for m in fields} | {"vehicle_attitude", *_AUXILIARY}
+    names |= {c.split(".")[0].split("[")[0] for c in asked}
+    names |= {n.split("[")[0] for s in request.sensors if (n := request.named(s))}
+    messages, parameters, damage = _load(path, sorted(names))
+    request.report(0.7)
+    notes = list(damage)
+    sensors = {"magnetic_field": _magnetometer(messages, parameters, request, notes)}
+    gyroscope, mean = _gyroscope(messages, parameters, request, notes)
+    if gyroscope is not None:
+        sensors["angular_rate"] = gyroscope
+    acceleration = _find(messages, "acceleration", request.named("acceleration"))
+    if acceleration is not None:
+        value = acceleration.vector(_MESSAGES["acceleration"][acceleration.name])
+        if value is None:
+            raise MagycError(f"acceleration: {acceleration.label} has none")
+        scale, said = request.scale("acceleration")
+        notes.extend(said)
+        sensors["acceleration"] = Stream(acceleration.label, acceleration.stamp * 1000, value * scale)
+    attitude = _attitude(messages, request, notes)
+    if attitude is not None:
+        sensors["attitude"] = attitude
+    channels = _channels(messages, request)
+    recording = assemble(sensors, channels, request, name=path.stem, notes=tuple(notes), angular_rate_is=mean)
+    request.report(1.0)
+    return recording
+
+
+def info(path: Path) -> LogInfo:
+    """As `magyc_gtsam.io.info`, of a PX4 log; `problem` is left to the caller."""
+    messages, _, damage = _load(path, None)
+    first = min((int(m.data["timestamp"][0]) for m in messages if m.count), default=0)
+    last = max((int(m.data["timestamp"][-1]) for m in messages if m.count), default=0)
+    sources = []
+    for m in messages:
+        serves = [
+            s for s, fields in _MESSAGES.items() if m.name in fields and m.vector(fields[m.name]) is not None
+        ]
+        serves += ["attitude"] if "q[0]" in m.data and m.name.startswith("vehicle_attitude") else []
+        serves += (
+            ["channel"]
+            if any(c.split(".")[0] == m.name and c.split(".", 1)[1] in m.data for c in _CHANNELS)
+            else []
+        )
+        times = m.data["timestamp"]
+        span = ((int(times[0]) - first) / 1e6, (int(times[-1]) - first) / 1e6) if m.count else None
+        sources.append(Source(m.label, m.name, m.count, span, tuple(serves)))
+    return LogInfo(str(path), "PX4 ULog", (last - first) / 1e6, tuple(sources), damage)
+
+
+def _load(path: Path, names: list[str] | None) -> tuple[list[_Message], Parameters, tuple[str, ...]]:
+    try:
+        from pyulog import ULog
+        from pyulog.exceptions import ULogException
+    except ImportError:
+        raise MagycError(
+            f"{path}: PX4 logs need pyulog; install it with: pip install 'magyc-gtsam[px4]'"
+        ) from None
+    try:
+        log = ULog(str(path), names)
+    except ULogException as error:
+        raise MagycError(f"{path}: not a PX4 log that can be read ({error})") from None
+    messages = [_Message(d.name, int(d.multi_id), d.data) for d in log.data_list]
+    changes = tuple((int(when), name, float(value)) for when, name, value in log.changed_parameters)
+    notes = []
+    if log.file_corruption:
+        notes.append("the log is damaged or cut off; what could be read of it was")
+    if log.dropouts:
+        lost = sum(d.duration for d in log.dropouts) / 1e3
+        notes.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in all")
+    return messages, Parameters(dict(log.initial_parameters), changes), tuple(notes)
+
+
+def _find(
+    messages: list[_Message], sensor: str, named: str | None, notes: list[str] | None = None
+) -> _Message | None:
+    """The message of a sensor: the one that was named, or else the first kind there is, instance 0."""
+    candidates = [
+        m for m in messages if m.name in (k := _MESSAGES[sensor]) and m.vector(k[m.name]) is not None
+    ]
+    if named is not None:
+        wanted = [m for m in candidates if named in (m.label, f"{m.name}[{m.instance}]")]
+        if not wanted:
+            listed = ", ".join(f"{m.label} ({m.count} samples)" for m in candidates) or "none"
+            raise MagycError(f"{sensor}: no message {named!r}; the log has {listed}")
+        return wanted[0]
+    if not candidates:
+        return None
+    order = list(_MESSAGES[sensor])
+    # sensor_combined has every sample; of the others, loggers thin out now the one and now the other.
+    best = min(candidates, key=lambda m: (m.name != order[0], -m.count, order.index(m.name), m.instance))
+    others = [m for m in candidates if m is not best and m.name != "sensor_combined"]
+    if others and notes is not None:
+        listed = ", ".join(f"{m.label} ({m.count} samples)" for m in others)
+        notes.append(f"{sensor} is from {best.label} ({best.count} samples); {listed} could be named instead")
+    return best
+
+
+def _magnetometer(
+    messages: list[_Message], parameters: Parameters, request: Request, notes: list[str]
+) -> Stream:
+    message = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
+    if message is None:
+        raise MagycError(
+            f"no magnetometer in the log (none of {', '.join(_MESSAGES['magnetic_field'])}); "
+            "have the logger record sensor_mag (SDLOG_PROFILE)"
+        )
+    logged = message.vector(_MESSAGES["magnetic_field"][message.name])
+    assert logged is not None  # _find looked
+    stamp = message.stamp
+    if message.name == "sensor_combined":
+        relative = np.asarray(message.data["magnetometer_timestamp_relative"]).astype(np.int64)
+        stamp = np.asarray(message.data["timestamp"]).astype(np.int64) + relative
+        new = relative != _NO_SAMPLE
+        new[1:] &= (np.diff(stamp) != 0) | (np.diff(logged, axis=0) != 0).any(axis=1)
+        logged, stamp = logged[new], stamp[new]
+    if message.name == "vehicle_magnetometer":
+        _refuse_estimated_bias(messages)
+    in_driver = "x_raw" in message.data  # before 1.11 the driver corrected and sensors.cpp rotated
+    raw = message.name == "sensor_mag" and not in_driver
+    undone = undo(
+        "MAG",
+        logged,
+        stamp,
+        parameters,
+        _device(message, messages, "mag"),
+        corrected=not raw,
+        rotated=message.name != "sensor_mag",
+    )
+    notes.extend(undone.notes)
+    scale, said = request.scale("magnetic_field", _GAUSS)
+    notes.extend(said)
+    return Stream(message.label, stamp * 1000, undone.value * scale)
+
+
+def _refuse_estimated_bias(messages: list[_Message]) -> None:
+    for m in messages:
+        if m.name == "magnetometer_bias_estimate" and any(
+            np.any(v != 0) for k, v in m.data.items() if k.startswith(("bias_x", "bias_y", "bias_z"))
+        ):
+            raise MagycError(
+                "vehicle_magnetometer had a bias subtracted that PX4 estimated as it went, which cannot be undone "
+                "exactly; read the uncorrected message where the log has it (magnetic_field='sensor_mag')"
+            )
+
+
+def _gyroscope(
+    messages: list[_Message], parameters: Parameters, request: Request, notes: list[str]
+) -> tuple[Stream | None, Literal["instant", "interval-mean"]]:
+    message = _find(messages, "angular_rate", request.named("angular_rate"), notes)
+    if message is None:
+        notes.append("no gyroscope: the log has neither sensor_combined nor sensor_gyro")
+        return None, "instant"
+    logged = message.vector(_MESSAGES["angular_rate"][message.name])
+    assert logged is not None  # _find looked
+    combined = message.name == "sensor_combined"
+    undone = undo(
+        "GYRO",
+        logged,
+        message.stamp,
+        parameters,
+        _device(message, messages, "gyro"),
+        corrected=combined or "x_raw" in message.data,
+        rotated=combined,
+    )
+    notes.extend(undone.notes)
+    if parameters.initial.get("TC_G_ENABLE", 0):
+        notes.append("the gyroscope's thermal correction (TC_G_*) was applied in flight and is kept")
+    scale, said = request.scale("angular_rate")
+    notes.extend(said)
+    stream = Stream(message.label, message.stamp * 1000, undone.value * scale)
+    if combined and ("gyro_integral_dt" in message.data):
+        notes.append(
+            "sensor_combined holds delta angles over gyro_integral_dt: the angular rate is an interval mean"
+        )
+        return stream, "interval-mean"
+    return stream, "instant"
+
+
+def _device(message: _Message, messages: list[_Message], kind: str) -> int | None:
+    """Identifier of the sensor behind a message; None where the log does not say.
+
+    Raises:
+        MagycError: the log changes from one sensor to another.
+    """
+    if "device_id" in message.data:
+        identifiers = np.unique(message.data["device_id"])
+    else:
+        selected = [m for m in messages if m.name == "sensor_selection" and f"{kind}_device_id" in m.data]
+        if not selected:
+            return None
+        identifiers = np.unique(selected[0].data[f"{kind}_device_id"])
+    identifiers = identifiers[identifiers != 0]
+    if len(identifiers) > 1:
+        raise MagycError(
+            f"{message.label}: PX4 changed from one sensor to another within the log (devices "
+            f"{', '.join(map(str, identifiers))}), which one calibration does not fit; "
+            f"name the message of one sensor (sensor_{kind}[0])"
+        )
+    return int(identifiers[0]) if len(identifiers) else None
+
+
+def _attitude(messages: list[_Message], request: Request, notes: list[str]) -> Stream | None:
+    named = request.named("attitude")
+    fitting = [m for m in messages if all(f"q[{k}]" in m.data for k in range(4))]
+    found = [m for m in fitting if (named or "vehicle_attitude") in (m.name, m.label)]
+    if not found:
+        if named:
+            raise MagycError(f"attitude: no message {named!r} with a quaternion in the log")
+        return None
+    message = found[0]
+    quaternion = np.column_stack([message.data[f"q[{k}]"] for k in (1, 2, 3, 0)]).astype(np.float64)
+    notes.append(
+        f"attitude is {message.label}, vehicle (forward, right, down) to north, east, down; PX4's own estimate, "
+        "which the magnetometer took part in"
+    )
+    return Stream(message.label, message.stamp * 1000, quaternion)
+
+
+def _channels(messages: list[_Message], request: Request) -> dict[str, Stream]:
+    result = {}
+    for name in request.channels if request.channels is not None else _CHANNELS:
+        label, _, member = name.partition(".")
+        found = [m for m in messages if label in (m.name, m.label) and member in m.data and m.count > 1]
+        if found:
+            value = np.asarray(found[0].data[member], dtype=np.float64)
+            result[name] = Stream(name, np.asarray(found[0].data["timestamp"]).astype(np.int64) * 1000, value)
+        elif request.channels is not None:
+            raise MagycError(f"channels: the log has no {name!r}; write them as message.field")
+    return result

@@ -1,0 +1,198 @@
+"""The report's words and numbers: verdict, parameters with their uncertainty, advice, exports."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.export import TARGETS
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.report.analysis import Coverage, FieldHistory, LevelTurn
+
+_MICRO = 1e6
+_TARGET_NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "vectornav": "VectorNav", "ros": "ROS 2"}
+_LONG = 12  # longer lists are not written out among the options
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number to see first: what it is, its value as text, and what it means."""
+
+    what: str
+    value: str
+    meaning: str
+
+
+def trusted(calibration: Calibration) -> bool:
+    """Whether the method and the motion both say that the result can be used."""
+    observability = calibration.observability
+    return calibration.converged and (observability is None or observability.observable)
+
+
+def reasons(calibration: Calibration) -> list[str]:
+    """Why to trust the result or not, one short sentence each."""
+    stopped = "The method converged." if calibration.converged else "The method did not converge."
+    sentences = [calibration.message or stopped]
+    observability = calibration.observability
+    if observability is not None and observability.observable:
+        sentences.append("The motion was sufficient.")
+    elif observability is not None:
+        sentences += [weakness.sentence for weakness in observability.weak[:1]]
+    return sentences
+
+
+def cautions(calibration: Calibration, history: FieldHistory) -> list[str]:
+    """What to look at closely although the verdict may be good."""
+    sentences = []
+    if calibration.observability is None:
+        sentences.append("This method does not say whether the motion was sufficient: judge by the figures.")
+    if _spread(history.calibrated) > _spread(history.raw):
+        sentences.append("The strength of the calibrated field varies more than that of the raw field.")
+    if history.heading_error is not None:
+        raw, calibrated = np.nanstd(history.heading_error, axis=0)
+        if calibrated > raw:
+            sentences.append("The heading agrees less with the reference after calibration than before.")
+    return sentences
+
+
+def _spread(field: Array) -> float:
+    return float(np.linalg.norm(field, axis=1).std())
+
+
+def key_numbers(
+    calibration: Calibration, history: FieldHistory, turn: LevelTurn, visited: Coverage
+) -> list[Number]:
+    """The numbers to see first."""
+    before, after = (f"{_spread(field) * _MICRO:.2f}" for field in (history.raw, history.calibrated))
+    numbers = [Number("Field strength varies by", f"{before} → {after} µT", "1σ, raw → calibrated")]
+    if history.heading_error is not None:
+        raw, calibrated = np.nanstd(history.heading_error, axis=0)
+        numbers.append(
+            Number(
+                "Heading error",
+                f"{raw:.1f} → {calibrated:.1f}°",
+                "1σ, raw → calibrated",
+            )
+        )
+    else:
+        largest = float(np.abs(turn.error).max())
+        numbers.append(Number("Heading corrected by up to", f"{largest:.1f}°", "in a level turn"))
+    if turn.sigma is not None:
+        numbers.append(
+            Number("Heading uncertain by", f"{turn.sigma.max():.2g}°", "1σ at worst in a level turn")
+        )
+    numbers += [
+        Number("Field strength", f"{history.strength * _MICRO:.2f} µT", "of the calibrated field"),
+        Number("Hard iron", f"{np.linalg.norm(calibration.hard_iron) * _MICRO:.1f} µT", "its length"),
+        Number("Directions visited", f"{visited.share:.0%}", "of the sphere around the sensor"),
+    ]
+    return numbers
+
+
+def uncertain(value: float, sigma: float) -> str:
+    """`value ± sigma`, both to two digits of sigma; without ± where sigma is 0 or NaN."""
+    if not sigma > 0:
+        return f"{value:.4f}"
+    decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 7))
+    return f"{value:.{decimals}f} ±\N{NO-BREAK SPACE}{sigma:.{decimals}f}"
+
+
+def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
+    """(name with its unit, one text per axis or one in all)."""
+    sigma = calibration.sigma
+    unknown = np.full(3, np.nan)
+
+    def row(name: str, value: Array, deviation: Array, scale: float = 1.0) -> tuple[str, list[str]]:
+        return name, [uncertain(v * scale, s * scale) for v, s in zip(value, deviation, strict=True)]
+
+    soft_iron_sigma = sigma.get("soft_iron", np.full((3, 3), np.nan))
+    names = ("Soft iron", "", "")
+    rows = [row(*each) for each in zip(names, calibration.soft_iron, soft_iron_sigma, strict=True)]
+    rows.append(row("Hard iron (µT)", calibration.hard_iron, sigma.get("hard_iron", unknown), _MICRO))
+    if calibration.gyro_bias is not None:
+        bias, bias_sigma = calibration.gyro_bias, sigma.get("gyro_bias", unknown)
+        rows.append(row("Gyroscope bias (mrad/s)", bias, bias_sigma, 1e3))
+        rows.append(row("Gyroscope bias (°/s)", bias, bias_sigma, float(np.degrees(1))))
+    if calibration.delay or calibration.delay_sigma is not None:
+        delay_sigma = np.nan if calibration.delay_sigma is None else calibration.delay_sigma
+        rows.append(("Magnetometer lags by (ms)", [uncertain(calibration.delay * 1e3, delay_sigma * 1e3)]))
+    if calibration.field_strength is not None:
+        rows.append(("Field strength (µT)", [f"{calibration.field_strength * _MICRO:.3f}"]))
+    for key, name, scale in (
+        ("magnetic_field", "Magnetometer noise, 1σ per sample (µT)", _MICRO),
+        ("angular_rate", "Gyroscope noise, 1σ per sample (mrad/s)", 1e3),
+    ):
+        if key in calibration.noise:
+            rows.append((name, [f"{calibration.noise[key] * scale:.3g}"]))
+    return rows
+
+
+def stretch(seconds: tuple[float, float]) -> str:
+    """A stretch of time in words: "120–150 s (2:00–2:30)"."""
+    start, end = seconds
+    minutes = "–".join(f"{int(t) // 60}:{int(t) % 60:02d}" for t in seconds)
+    return f"{start:.0f}–{end:.0f} s ({minutes})"
+
+
+def advice(
+    recording: Recording, calibration: Calibration, disturbed: Sequence[tuple[float, float]]
+) -> list[str]:
+    """What to do next, most urgent first."""
+    lines = []
+    if not trusted(calibration):
+        lines.append("Do not paste the parameters below into the vehicle yet.")
+    if calibration.observability is not None:
+        lines += [f"{weakness.what}: {weakness.remedy}" for weakness in calibration.observability.weak]
+    if disturbed:
+        listed = ", ".join(stretch(seconds) for seconds in disturbed[:5])
+        more = f" and {len(disturbed) - 5} more" if len(disturbed) > 5 else ""
+        lines.append(
+            f"Look at what was near the sensor or switched on at {listed}{more}: "
+            "these windows do not fit and counted for less."
+        )
+    gaps = recording.gaps
+    if gaps:
+        longest = max(gaps, key=lambda gap: gap.duration)
+        lines.append(
+            f"Check the logger: the data have {len(gaps)} gap{'s' if len(gaps) > 1 else ''}, the longest of "
+            f"{longest.duration:.1f} s after {longest.start - recording.time[0]:.0f} s."
+        )
+    if trusted(calibration):
+        lines.append("Paste the parameters, then record again: the raw field strength should now stay flat.")
+    return lines
+
+
+def exports(calibration: Calibration) -> list[tuple[str, str, bool]]:
+    """(target, text to paste or why there is none, whether it can be pasted)."""
+    result = []
+    for target in TARGETS:
+        try:
+            result.append((_TARGET_NAMES[target], calibration.export(target), True))
+        except MagycError as error:
+            result.append((_TARGET_NAMES[target], str(error), False))
+    return result
+
+
+def configuration(calibration: Calibration) -> str:
+    """The method's options and its own numbers, as readable text."""
+    values = {
+        "method": calibration.method,
+        "configuration": dict(calibration.configuration),
+        "noise": dict(calibration.noise),
+        "diagnostics": dict(calibration.diagnostics),
+    }
+    return json.dumps(_short(values), indent=2, ensure_ascii=False, default=str)
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _short(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return f"{len(value)} values" if len(value) > _LONG else [_short(item) for item in value]
+    return value

@@ -1,0 +1,182 @@
+"""Batch optimisation of any GTSAM graph, with a result that says why it stopped and whether to trust it.
+
+GTSAM's own `optimize()` holds the interpreter for its whole run, returns the initial values when a
+residual is NaN, counts a step that could not be made as convergence, and with Levenberg–Marquardt does
+not notice a variable that nothing determines. Here the iterations are driven one by one and the end is
+checked.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Literal
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import NonFiniteError
+
+Method = Literal["lm", "dogleg", "gauss-newton"]
+Progress = Callable[[int, float], None]
+
+_OPTIMIZERS = {
+    "lm": (gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams),
+    "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
+    "gauss-newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
+}
+
+
+class Status(StrEnum):
+    """Why an optimisation ended."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "max-iterations"
+    STALLED = "stalled"  # no step lowers the error, yet it is no minimum
+    INDETERMINATE = "indeterminate"  # a variable is not determined by the data
+    FAILED = "failed"  # error, residual or Jacobian not finite
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """What `optimize` returns.
+
+    Attributes:
+        values: those of the lowest error seen; the initial ones where there was none.
+        status: why it ended.
+        message: the same in words, with the numbers behind it and a remedy.
+        iterations: how many were made.
+        errors: GTSAM's error, half the sum of squared whitened residuals, at the start and after each
+            iteration.
+    """
+
+    values: gtsam.Values
+    status: Status
+    message: str
+    iterations: int
+    errors: tuple[float, ...]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the stopping rule was met at a minimum that the data determine."""
+        return self.status is Status.CONVERGED
+
+
+def optimize(
+    graph: gtsam.NonlinearFactorGraph,
+    initial: gtsam.Values,
+    method: Method = "lm",
+    *,
+    relative_tolerance: float = 1e-7,
+    absolute_tolerance: float = 1e-7,
+    max_iterations: int = 100,
+    progress: Progress | None = None,
+    names: Mapping[int, str] | None = None,
+) -> BatchResult:
+    """Minimise a graph's error.
+
+    Args:
+        graph, initial: the problem; `initial` holds every key of the graph and is not changed.
+        method: "lm" (Levenberg–Marquardt), "dogleg" (Powell's, the trust region of RISE) or
+            "gauss-newton". Dogleg gives up at a step of 1e-5: bring variables to a scale near 1.
+        relative_tolerance, absolute_tolerance: it ends when an iteration lowers the error by less than
+            either, as a share of the error or as such.
+        max_iterations: limit.
+        progress: called with (iteration, error) after each iteration; raising KeyboardInterrupt in it, as
+            Ctrl-C does, ends the run with the best values.
+        names: what to call keys in messages.
+
+    Raises:
+        MagycError: unknown method, keys without initial values, or a factor whose error function has
+            a wrong shape. Numerical trouble is no exception but a status.
+    """
+    if method not in _OPTIMIZERS:
+        raise MagycError(f"optimizer {method!r} unknown; there are {', '.join(_OPTIMIZERS)}")
+    keys = graph.keyVector()
+    missing = [key for key in keys if not initial.exists(key)]
+    if missing:
+        raise MagycError(f"no initial value for {', '.join(_called(key, names) for key in missing)}")
+
+    best, errors = initial, []
+
+    def result(status: Status, message: str) -> BatchResult:
+        return BatchResult(best, status, message, max(len(errors) - 1, 0), tuple(errors))
+
+    def tolerance() -> float:
+        return max(absolute_tolerance, relative_tolerance * min(errors))
+
+    try:
+        errors.append(graph.error(initial))
+        if not np.isfinite(errors[0]):
+            return result(Status.FAILED, f"the error is {errors[0]} at the initial values")
+        optimizer = _optimizer(graph, initial, method)
+        while True:
+            if len(errors) > max_iterations:
+                return result(Status.MAX_ITERATIONS, _not_yet(errors))
+            optimizer.iterate()
+            errors.append(optimizer.error())
+            if not np.isfinite(errors[-1]):
+                return result(Status.FAILED, f"the error became {errors[-1]} in iteration {len(errors) - 1}")
+            decrease = min(errors[:-1]) - errors[-1]
+            if decrease > 0:
+                best = gtsam.Values(optimizer.values())  # a copy: the next iteration frees the original
+            if progress is not None:
+                progress(len(errors) - 1, errors[-1])
+            if decrease <= tolerance():
+                break
+        # No further decrease: a minimum, or merely no step? The full Gauss–Newton step knows; solving for
+        # it also finds variables that damping had hidden.
+        promised = _predicted_decrease(graph, best)
+        if decrease <= 0 and promised > tolerance():
+            return result(Status.STALLED, f"{_obstacle(optimizer)}, though {promised:.2g} of {min(errors):.3g} remained to be won")
+        return result(
+            Status.CONVERGED,
+            f"converged in {len(errors) - 1} iterations: the last lowered the error by {max(decrease, 0.0):.1g} of {min(errors):.3g}",
+        )
+    except KeyboardInterrupt:
+        return result(Status.INTERRUPTED, f"interrupted in iteration {len(errors)}; the best values so far are returned")
+    except NonFiniteError as problem:
+        return result(Status.FAILED, str(problem))
+    except RuntimeError as problem:
+        key = re.search(r"Indeterminate linear system.*?(\d+)", str(problem), re.DOTALL)
+        if key is None:
+            raise
+        return result(
+            Status.INDETERMINATE,
+            f"{_called(int(key[1]), names)} is not determined by the data; move more, or add a prior",
+        )
+
+
+def _optimizer(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, method: Method) -> Any:
+    optimizer, parameters = _OPTIMIZERS[method]
+    return optimizer(graph, initial, parameters())
+
+
+def _predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
+    """By how much the full Gauss–Newton step would lower the error if the graph were linear."""
+    linear = graph.linearize(values)
+    step = linear.optimize()
+    return float(linear.error(values.zeroVectors()) - linear.error(step))
+
+
+def _obstacle(optimizer: Any) -> str:
+    if isinstance(optimizer, gtsam.LevenbergMarquardtOptimizer):
+        return f"no step lowers the error, with damping up to {optimizer.lambda_():.0e}"
+    if isinstance(optimizer, gtsam.DoglegOptimizer):
+        return f"no step lowers the error, with a trust region down to {optimizer.getDelta():.0e}"
+    return "the undamped step raises the error (use 'lm' or 'dogleg')"
+
+
+def _not_yet(errors: list[float]) -> str:
+    text = f"not converged after {len(errors) - 1} iterations"
+    if len(errors) > 1:
+        text += f": the last lowered the error by {errors[-2] - errors[-1]:.1g} of {errors[-1]:.3g}"
+    return f"{text}; allow more iterations"
+
+
+def _called(key: int, names: Mapping[int, str] | None) -> str:
+    return (names or {}).get(key) or str(gtsam.DefaultKeyFormatter(key))

@@ -1,0 +1,158 @@
+"""What would crash or mislead GTSAM is an exception, also from inside its optimisers."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from magyc_gtsam.factors import (
+    CompressedGyroDerivative,
+    MagycError,
+    NonFiniteError,
+    custom_factor,
+    gyro_derivative_factor,
+    norm_prior,
+    preintegrate,
+    robust_noise,
+    sphere_factor,
+)
+from magyc_gtsam.factors.guard import direction, gyro_bias, vector
+from magyc_gtsam.factors.robust import kernel
+from magyc_gtsam.factors.soft_iron import unvech, vech
+
+X, Y = gtsam.symbol("x", 0), gtsam.symbol("y", 0)
+OPTIMIZERS = [gtsam.LevenbergMarquardtOptimizer, gtsam.DoglegOptimizer, gtsam.GaussNewtonOptimizer]
+
+
+def graph_of(error, variable=None):
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(custom_factor("test", 1.0, [X], [variable or vector(3)], 3, error))
+    values = gtsam.Values()
+    values.insert(X, np.ones(3))
+    return graph, values
+
+
+WRONG = {
+    "too few rows": (lambda x, want: (x, [np.eye(3)[:2]]), MagycError, r"\(2, 3\), expected float64 \(3, 3\)"),
+    "too many columns": (lambda x, want: (x, [np.ones((3, 4))]), MagycError, r"\(3, 4\)"),
+    "one dimension": (lambda x, want: (x, [np.ones(3)]), MagycError, "Jacobian on x0"),
+    "missing Jacobian": (lambda x, want: (x, []), MagycError, "0 Jacobians for 1 keys"),
+    "integers": (lambda x, want: (x, [np.eye(3, dtype=int)]), MagycError, "int64"),
+    "a list": (lambda x, want: ([1.0, 2.0, 3.0], [np.eye(3)]), MagycError, "residual is list"),
+    "residual of a matrix": (lambda x, want: (x[:, None], [np.eye(3)]), MagycError, r"\(3, 1\)"),
+    "NaN residual": (lambda x, want: (x * np.nan, [np.eye(3)]), NonFiniteError, "residual is nan"),
+    "infinite Jacobian": (lambda x, want: (x, [np.full((3, 3), np.inf)]), NonFiniteError, "Jacobian on x0 is inf"),
+}
+
+
+@pytest.mark.parametrize("optimizer", OPTIMIZERS)
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_error_functions_raise_through_the_optimizer(name, optimizer):
+    error, kind, message = WRONG[name]
+    graph, values = graph_of(error)
+    with pytest.raises(kind, match=message):
+        optimizer(graph, values).optimize()
+
+
+def test_wrong_error_function_raises_through_isam2():
+    graph, values = graph_of(WRONG["too few rows"][0])
+    with pytest.raises(MagycError, match="test: Jacobian on x0"):
+        gtsam.ISAM2().update(graph, values)
+
+
+def test_exceptions_of_the_error_function_keep_their_type_and_text():
+    def error(x, want_jacobians):
+        raise ZeroDivisionError("as it was")
+
+    graph, values = graph_of(error)
+    with pytest.raises(ZeroDivisionError, match="as it was"):
+        gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+
+
+def test_variables_that_do_not_fit():
+    graph, _ = graph_of(lambda x, want: (x, [np.eye(3)]))
+    empty = gtsam.Values()
+    with pytest.raises(MagycError, match="test: .*x0"):
+        graph.error(empty)
+    other = gtsam.Values()
+    other.insert(X, gtsam.Rot3())
+    with pytest.raises(MagycError, match="Rot3"):
+        graph.error(other)
+    nan = gtsam.Values()
+    nan.insert(X, np.array([1.0, np.nan, 0.0]))
+    with pytest.raises(NonFiniteError, match="variable x0 is nan"):
+        graph.error(nan)
+    graph, values = graph_of(lambda x, want: (x[:3], [np.eye(3, 6)]), vector(6))
+    with pytest.raises(MagycError, match="x0 holds 3 numbers, 6 are expected"):
+        graph.error(values)
+
+
+def test_construction_checks():
+    def error(x, want_jacobians):
+        return x, [np.eye(3)]
+
+    with pytest.raises(MagycError, match="2 different keys"):
+        custom_factor("test", 1.0, [X], [vector(3), vector(3)], 3, error)
+    with pytest.raises(MagycError, match="2 different keys"):
+        custom_factor("test", 1.0, [X, X], [vector(3), vector(3)], 3, error)
+    with pytest.raises(MagycError, match="dimension 2 for a residual of 3"):
+        custom_factor("test", gtsam.noiseModel.Unit.Create(2), [X], [vector(3)], 3, error)
+    for sigma in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(MagycError, match="standard deviation"):
+            custom_factor("test", sigma, [X], [vector(3)], 3, error)
+
+
+def test_readers():
+    values = gtsam.Values()
+    values.insert(X, gtsam.Unit3(np.array([1.0, 2.0, 2.0])))
+    values.insert(Y, gtsam.imuBias.ConstantBias(np.ones(3), np.array([4.0, 5.0, 6.0])))
+    x, basis = direction(values, X)
+    np.testing.assert_allclose(x, [1 / 3, 2 / 3, 2 / 3])
+    np.testing.assert_allclose(basis.T @ x, 0, atol=1e-15)
+    b, part = gyro_bias(values, Y)
+    np.testing.assert_allclose(b, [4, 5, 6])
+    np.testing.assert_allclose(part @ np.arange(6.0), [3, 4, 5])
+
+
+GOOD = np.ones((4, 3))
+KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD[:3], GOOD, 1.0), "derivative: shape"),
+        (lambda: gyro_derivative_factor(KEYS, GOOD.T, GOOD, GOOD, 1.0), "magnetic_field: shape"),
+        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD * np.nan, 1.0), "angular_rate: not finite in row 0"),
+        (lambda: gyro_derivative_factor(KEYS[:2], GOOD, GOOD, GOOD, 1.0), "3 different keys"),
+        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="median"), "'median' unknown"),
+        (
+            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, robust_noise("huber", 1, 12, 2), robust="l1"),
+            "one standard deviation",
+        ),
+        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, -1.0, robust="l1"), "standard deviation"),
+        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="l1", tuning=0), "tuning constant 0"),
+        (lambda: CompressedGyroDerivative(np.ones((30, 30)), 1), "below the diagonal"),
+        (lambda: CompressedGyroDerivative(np.ones((3, 30)), 1), r"shape \(3, 30\)"),
+        (lambda: sphere_factor(KEYS, np.ones(2), 1.0), "measurement: shape"),
+        (lambda: sphere_factor(KEYS, [0, 0, np.inf], 1.0), "measurement: not finite"),
+        (lambda: sphere_factor(KEYS, np.ones(3), 1.0, shape="round"), "'round' unknown"),
+        (lambda: preintegrate([0, 1], GOOD[:2], 0, 2), "from 0 to 2 s"),
+        (lambda: preintegrate([0, 0, 1], GOOD[:3], 0, 1), "ascending"),
+        (lambda: preintegrate([0, 1], GOOD[:2], 1, 1), "from 1 to 1 s"),
+        (lambda: preintegrate([], np.empty((0, 3)), 0, 1), "got none"),
+        (lambda: kernel("tukey"), "l1, huber, cauchy, geman-mcclure"),
+        (lambda: robust_noise("cauchy", 1.0, 6), "give `tuning`"),
+        (lambda: vech(np.ones((2, 2))), "vech: shape"),
+        (lambda: unvech(np.ones(5)), "unvech: shape"),
+    ],
+)
+def test_wrong_measurements_raise_at_construction(build, message):
+    with pytest.raises(MagycError, match=message):
+        build()
+
+
+def test_norm_prior_has_no_derivative_at_zero():
+    values = gtsam.Values()
+    values.insert(KEYS[0], np.zeros(6))
+    with pytest.raises(MagycError, match="no derivative at l = 0"):
+        norm_prior(KEYS[0], 1.0).error(values)
