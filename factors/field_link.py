@@ -43,16 +43,14 @@ class FieldLink:
 
     def error(self, x1: Array, x2: Array, b: Array, want_jacobians: bool = False) -> Residual:
         """x̂₂ − ΔR(b)ᵀ x̂₁ (3,), and its Jacobians on x̂₁, x̂₂ and b, (3, 3) each."""
-        correction = -self.lever @ (b - self.bias)
-        p, q = exponential(correction[None])
-        turned = matrices((p, q)).reshape(3, 3) @ x1  # Exp(−K δ) x̂₁
-        residual = x2 - self.rotation.T @ turned
+        correction = self.lever @ (self.bias - b)
+        turn = self.rotation.T @ gtsam.Rot3.Expmap(correction).matrix()  # ΔR(b)ᵀ
+        residual = x2 - turn @ x1
         if not want_jacobians:
             return residual, []
-        on_first = -self.rotation.T @ matrices((p, q)).reshape(3, 3)
-        # d Exp(φ) x = −[Exp(φ) x]× J(φ) dφ, J the left Jacobian of SO(3), and dφ = −K db.
-        on_bias = -self.rotation.T @ skew(turned) @ left_jacobian(correction[None])[0] @ self.lever
-        return residual, [on_first, np.eye(3), on_bias]
+        # Exp(φ + dφ) x = Exp(φ) (x − [x]× J dφ), J the right Jacobian of SO(3), and dφ = −K db.
+        right_jacobian = gtsam.Rot3.ExpmapDerivative(correction)
+        return residual, [-turn, np.eye(3), -turn @ skew(x1) @ right_jacobian @ self.lever]
 
 
 def preintegrate(
@@ -81,7 +79,9 @@ def preintegrate(
     b = measured("bias", bias, (3,))
     if len(t) < 2 or (np.diff(t) <= 0).any() or not t[0] <= start < end <= t[-1]:
         covered = f"{t[0]:g} to {t[-1]:g} s" if len(t) else "none"
-        raise MagycError(f"field link from {start:g} to {end:g} s needs ascending samples across it, got {covered}")
+        raise MagycError(
+            f"field link from {start:g} to {end:g} s needs ascending samples across it, got {covered}"
+        )
     inside = (t > start) & (t < end)
     stamps = np.concatenate([[start], t[inside], [end]])
     step = np.diff(stamps)
@@ -107,9 +107,7 @@ def left_jacobian(rotation_vector: Array) -> Array:
     return np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
 
 
-def field_link_factor(
-    keys: Sequence[int], link: FieldLink, gyroscope_noise: Noise
-) -> gtsam.CustomFactor:
+def field_link_factor(keys: Sequence[int], link: FieldLink, gyroscope_noise: Noise) -> gtsam.CustomFactor:
     """The link as a factor on (x̂₁, x̂₂, b).
 
     Args:

@@ -120,9 +120,14 @@ def noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
         if noise.dim() != rows:
             raise MagycError(f"noise model of dimension {noise.dim()} for a residual of {rows} rows")
         return noise
-    if not (np.isfinite(noise) and noise > 0):
-        raise MagycError(f"standard deviation {noise} of a residual; it must be finite and above 0")
-    return gtsam.noiseModel.Isotropic.Sigma(rows, float(noise))
+    return gtsam.noiseModel.Isotropic.Sigma(rows, standard_deviation(noise))
+
+
+def standard_deviation(sigma: float) -> float:
+    """`sigma`, checked to be finite and above 0."""
+    if not (np.isfinite(sigma) and sigma > 0):
+        raise MagycError(f"standard deviation {sigma} of a residual; it must be finite and above 0")
+    return float(sigma)
 
 
 def measured(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:

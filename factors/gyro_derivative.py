@@ -2,7 +2,7 @@
 
     r_i = [w_i − b]× (C m_i − d) + C ṁ_i,    C = unvech(l)
 
-It is linear in the 30 numbers z = (l, d, b ⊗ l, b × d), r_i = Φ_i z. With the triangular factor T of a QR
+It is linear in the 21 numbers z = (l, d, [b]×C, b × d), r_i = Φ_i z. With the triangular factor T of a QR
 decomposition of all Φ_i stacked, Σ‖r_i‖² = ‖T z‖² exactly, however many samples there were.
 
 Field and derivative may be in any unit (sigma is then in that unit per second), d in the field's unit.
@@ -25,7 +25,7 @@ from magyc_gtsam.factors.guard import (
     custom_factor,
     gyro_bias,
     measured,
-    noise_model,
+    standard_deviation,
     vector,
 )
 from magyc_gtsam.factors.robust import robustify, tuning_constant
@@ -34,7 +34,8 @@ from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS, unvech
 
 Samples = tuple[Array, Array, Array]
 
-MONOMIALS = 30
+MONOMIALS = 21
+_CROSS_UNITS = skew(np.eye(3))
 _BLOCK = 4096  # samples decomposed at a time, so that memory stays flat
 
 
@@ -112,7 +113,7 @@ def gyro_derivative_factor(
 
     if isinstance(noise, gtsam.noiseModel.Base):
         raise MagycError("gyro derivative: with a robust kernel `noise` must be one standard deviation")
-    sigma = float(noise_model(noise, rows).sigma())
+    sigma = standard_deviation(noise)
     k = tuning_constant(robust, 3, tuning)
 
     def robust_error(l: Array, d: Array, b: Array, want_jacobians: bool) -> Residual:  # noqa: E741
@@ -125,14 +126,14 @@ def gyro_derivative_factor(
 
 @dataclass(frozen=True, eq=False)
 class CompressedGyroDerivative:
-    """The sum of ‖r_i‖² over any number of equally weighted samples, exactly, in 30 × 30 numbers.
+    """The sum of ‖r_i‖² over any number of equally weighted samples, exactly, in 21 × 21 numbers.
 
     Attributes:
-        triangular: (30, 30) upper triangular T, diagonal ≥ 0; with `samples` it is the whole state.
+        triangular: (21, 21) upper triangular T, diagonal ≥ 0; with `samples` it is the whole state.
         samples: how many samples it stands for.
 
     Raises:
-        MagycError: `triangular` is not 30 × 30 finite numbers.
+        MagycError: `triangular` is not 21 × 21 finite numbers.
     """
 
     triangular: Array
@@ -174,7 +175,7 @@ class CompressedGyroDerivative:
         )
 
     def error(self, l: Array, d: Array, b: Array, want_jacobians: bool = False) -> Residual:  # noqa: E741
-        """T z (30,), and its Jacobians on l, d, b: (30, 6), (30, 3), (30, 3)."""
+        """T z (21,), and its Jacobians on l, d, b: (21, 6), (21, 3), (21, 3)."""
         z, jacobians = _monomials(l, d, b, want_jacobians)
         return self.triangular @ z, [self.triangular @ jacobian for jacobian in jacobians]
 
@@ -184,7 +185,7 @@ class CompressedGyroDerivative:
         return float(residual @ residual)
 
     def factor(self, keys: Sequence[int], noise: Noise) -> gtsam.CustomFactor:
-        """One factor on (l, d, b) of 30 rows, equal to one residual (7) per sample.
+        """One factor on (l, d, b) of 21 rows, equal to one residual (7) per sample.
 
         Args:
             keys, noise: as for `gyro_derivative_factor`; `noise` is that of every sample's rows.
@@ -194,31 +195,32 @@ class CompressedGyroDerivative:
 
 
 def _monomials(l: Array, d: Array, b: Array, want_jacobians: bool) -> Residual:  # noqa: E741
-    """z = (l, d, b₁ l, b₂ l, b₃ l, b × d) and ∂z/∂l, ∂z/∂d, ∂z/∂b."""
-    z = np.concatenate([l, d, np.outer(b, l).ravel(), skew(b) @ d])
+    """z = (l, d, [b]× C row by row, b × d) and ∂z/∂l, ∂z/∂d, ∂z/∂b."""
+    c, cross = unvech(l), skew(b)
+    z = np.concatenate([l, d, (cross @ c).ravel(), cross @ d])
     if not want_jacobians:
         return z, []
     on_soft_iron = np.zeros((MONOMIALS, 6))
     on_soft_iron[:6] = np.eye(6)
-    on_soft_iron[9:27] = np.kron(b[:, None], np.eye(6))
+    on_soft_iron[9:18] = (cross @ SYMMETRIC_UNITS).reshape(6, 9).T
     on_offset = np.zeros((MONOMIALS, 3))
     on_offset[6:9] = np.eye(3)
-    on_offset[27:] = skew(b)
+    on_offset[18:] = cross
     on_bias = np.zeros((MONOMIALS, 3))
-    on_bias[9:27] = np.kron(np.eye(3), l[:, None])
-    on_bias[27:] = -skew(d)
+    on_bias[9:18] = (_CROSS_UNITS @ c).reshape(3, 9).T
+    on_bias[18:] = -skew(d)
     return z, [on_soft_iron, on_offset, on_bias]
 
 
 def _monomial_design(m: Array, derivative: Array, w: Array) -> Array:
-    """Φ with r = Φ z: [w]× C m + C ṁ | −[w]× d | −[b]× C m | b × d, rows (3n, 30)."""
-    rotation, design = skew(w), soft_iron_design(m)
-    result = np.empty((len(m), 3, MONOMIALS))
-    result[:, :, :6] = rotation @ design + soft_iron_design(derivative)
+    """Φ with r = Φ z: [w]× C m + C ṁ | −[w]× d | −([b]× C) m | b × d, rows (3n, 21)."""
+    rotation = skew(w)
+    result = np.zeros((len(m), 3, MONOMIALS))
+    result[:, :, :6] = rotation @ soft_iron_design(m) + soft_iron_design(derivative)
     result[:, :, 6:9] = -rotation
-    for i, unit in enumerate(np.eye(3)):
-        result[:, :, 9 + 6 * i : 15 + 6 * i] = -skew(unit) @ design
-    result[:, :, 27:] = np.eye(3)
+    for i in range(3):
+        result[:, i, 9 + 3 * i : 12 + 3 * i] = -m
+    result[:, :, 18:] = np.eye(3)
     return result.reshape(-1, MONOMIALS)
 
 

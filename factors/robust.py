@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -117,7 +118,7 @@ def robust_noise(
     if name == "l1":  # not wrapped; Huber(e/√k; √k) is the same function
         estimator, sigma = estimators.Huber.Create(np.sqrt(k)), sigma * np.sqrt(k)
     else:
-        family = {
+        family: dict[str, Any] = {
             "huber": estimators.Huber,
             "cauchy": estimators.Cauchy,
             "geman-mcclure": estimators.GemanMcClure,

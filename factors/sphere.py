@@ -30,7 +30,7 @@ def sphere_error(
     units: Array, measurement: Array, k: Array, h: Array, x: Array, want_jacobians: bool = False
 ) -> Residual:
     """Eq. (7) and its Jacobians (18) to (20) on k, h and x̂: (3,), and (3, len(k)), (3, 3), (3, 3)."""
-    matrix = np.tensordot(k, units, 1)
+    matrix = (k @ units.reshape(len(k), 9)).reshape(3, 3)
     residual = matrix @ x + h - measurement
     return residual, [(units @ x).T, np.eye(3), matrix] if want_jacobians else []
 

@@ -210,8 +210,8 @@ class Recording:
 
         The rows are the union of the magnetometer's and the gyroscope's stamps where the two overlap.
         Magnetometer rows between samples hold the last sample, gyroscope rows are interpolated (interval
-        means hold back to the sample before); neither counts as information (`*_fresh`). Acceleration and channels are interpolated,
-        attitude by slerp; attitude and channels are NaN outside their own time span.
+        means hold back to the sample before); neither counts as information (`*_fresh`). Acceleration and
+        channels are interpolated, attitude by slerp; attitude and channels are NaN outside their own time span.
 
         Raises:
             MagycError: as the constructor, and where the clocks do not overlap.

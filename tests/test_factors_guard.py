@@ -32,7 +32,11 @@ def graph_of(error, variable=None):
 
 
 WRONG = {
-    "too few rows": (lambda x, want: (x, [np.eye(3)[:2]]), MagycError, r"\(2, 3\), expected float64 \(3, 3\)"),
+    "too few rows": (
+        lambda x, want: (x, [np.eye(3)[:2]]),
+        MagycError,
+        r"\(2, 3\), expected float64 \(3, 3\)",
+    ),
     "too many columns": (lambda x, want: (x, [np.ones((3, 4))]), MagycError, r"\(3, 4\)"),
     "one dimension": (lambda x, want: (x, [np.ones(3)]), MagycError, "Jacobian on x0"),
     "missing Jacobian": (lambda x, want: (x, []), MagycError, "0 Jacobians for 1 keys"),
@@ -40,7 +44,11 @@ WRONG = {
     "a list": (lambda x, want: ([1.0, 2.0, 3.0], [np.eye(3)]), MagycError, "residual is list"),
     "residual of a matrix": (lambda x, want: (x[:, None], [np.eye(3)]), MagycError, r"\(3, 1\)"),
     "NaN residual": (lambda x, want: (x * np.nan, [np.eye(3)]), NonFiniteError, "residual is nan"),
-    "infinite Jacobian": (lambda x, want: (x, [np.full((3, 3), np.inf)]), NonFiniteError, "Jacobian on x0 is inf"),
+    "infinite Jacobian": (
+        lambda x, want: (x, [np.full((3, 3), np.inf)]),
+        NonFiniteError,
+        "Jacobian on x0 is inf",
+    ),
 }
 
 
@@ -71,7 +79,7 @@ def test_exceptions_of_the_error_function_keep_their_type_and_text():
 def test_variables_that_do_not_fit():
     graph, _ = graph_of(lambda x, want: (x, [np.eye(3)]))
     empty = gtsam.Values()
-    with pytest.raises(MagycError, match="test: .*x0"):
+    with pytest.raises(MagycError, match=r"test: .*x0"):
         graph.error(empty)
     other = gtsam.Values()
     other.insert(X, gtsam.Rot3())
@@ -122,17 +130,25 @@ KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
     [
         (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD[:3], GOOD, 1.0), "derivative: shape"),
         (lambda: gyro_derivative_factor(KEYS, GOOD.T, GOOD, GOOD, 1.0), "magnetic_field: shape"),
-        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD * np.nan, 1.0), "angular_rate: not finite in row 0"),
+        (
+            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD * np.nan, 1.0),
+            "angular_rate: not finite in row 0",
+        ),
         (lambda: gyro_derivative_factor(KEYS[:2], GOOD, GOOD, GOOD, 1.0), "3 different keys"),
         (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="median"), "'median' unknown"),
         (
-            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, robust_noise("huber", 1, 12, 2), robust="l1"),
+            lambda: gyro_derivative_factor(
+                KEYS, GOOD, GOOD, GOOD, robust_noise("huber", 1, 12, 2), robust="l1"
+            ),
             "one standard deviation",
         ),
         (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, -1.0, robust="l1"), "standard deviation"),
-        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="l1", tuning=0), "tuning constant 0"),
-        (lambda: CompressedGyroDerivative(np.ones((30, 30)), 1), "below the diagonal"),
-        (lambda: CompressedGyroDerivative(np.ones((3, 30)), 1), r"shape \(3, 30\)"),
+        (
+            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="l1", tuning=0),
+            "tuning constant 0",
+        ),
+        (lambda: CompressedGyroDerivative(np.ones((21, 21)), 1), "below the diagonal"),
+        (lambda: CompressedGyroDerivative(np.ones((3, 21)), 1), r"shape \(3, 21\)"),
         (lambda: sphere_factor(KEYS, np.ones(2), 1.0), "measurement: shape"),
         (lambda: sphere_factor(KEYS, [0, 0, np.inf], 1.0), "measurement: not finite"),
         (lambda: sphere_factor(KEYS, np.ones(3), 1.0, shape="round"), "'round' unknown"),

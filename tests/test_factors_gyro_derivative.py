@@ -81,7 +81,9 @@ def test_compressed_in_parts_in_any_order_and_merged():
     one_by_one = CompressedGyroDerivative.empty()
     for i in range(100):
         one_by_one = one_by_one.update(m[i], derivative[i], w[i])
-    parts = [CompressedGyroDerivative.from_samples(m[s], derivative[s], w[s]) for s in (slice(37), slice(37, None))]
+    parts = [
+        CompressedGyroDerivative.from_samples(m[s], derivative[s], w[s]) for s in (slice(37), slice(37, None))
+    ]
     for other in (shuffled, one_by_one, parts[0].merge(parts[1]), parts[1].merge(parts[0])):
         assert other.samples == 100
         assert other.cost(L, D, B) == pytest.approx(expected, rel=1e-12)

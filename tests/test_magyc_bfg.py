@@ -59,7 +59,8 @@ def test_every_optimizer_and_the_compressed_factor_find_the_same(wide):
         same(calibrate_magyc_bfg(wide.recording, tolerance=1e-12, **options), reference)
     determinant = calibrate_magyc_bfg(wide.recording, prior="determinant", tolerance=1e-12)
     same(
-        calibrate_magyc_bfg(wide.recording, prior="determinant", compressed=True, tolerance=1e-12), determinant
+        calibrate_magyc_bfg(wide.recording, prior="determinant", compressed=True, tolerance=1e-12),
+        determinant,
     )
     same(determinant, reference, 0.05)
 
@@ -67,7 +68,9 @@ def test_every_optimizer_and_the_compressed_factor_find_the_same(wide):
 def test_it_is_the_papers_graph_of_two_factors_per_window(wide):
     windows = derivative_windows(wide.recording)
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for m, derivative, w in zip(windows.magnetic_field, windows.derivative, windows.angular_rate, strict=True):
+    for m, derivative, w in zip(
+        windows.magnetic_field, windows.derivative, windows.angular_rate, strict=True
+    ):
         graph.add(gyro_derivative_factor(KEYS, m / GAUSS, derivative / GAUSS, w, 1e-3))
         graph.add(norm_prior(KEYS[0], 1e-2))
     for key, value in zip(KEYS, (vech(np.eye(3)), np.zeros(3), np.zeros(3)), strict=True):
@@ -83,7 +86,9 @@ def test_it_is_the_papers_graph_of_two_factors_per_window(wide):
 
 def test_field_strength_scales_the_calibrated_field(wide):
     given = calibrate_magyc_bfg(wide.recording, field_strength=30e-6)
-    assert np.linalg.norm(given.apply(wide.recording.magnetic_field), axis=1).mean() == pytest.approx(30e-6, rel=1e-3)
+    assert np.linalg.norm(given.apply(wide.recording.magnetic_field), axis=1).mean() == pytest.approx(
+        30e-6, rel=1e-3
+    )
     free = calibrate_magyc_bfg(wide.recording)
     np.testing.assert_allclose(given.hard_iron, free.hard_iron)
     assert given.field_strength == 30e-6
@@ -145,12 +150,14 @@ def test_what_it_cannot_do_is_said(wide):
 
 def test_progress_and_interrupt(wide):
     seen = []
-    calibrate_magyc_bfg(wide.recording, progress=lambda i, error: seen.append(error))
+    calibrate_magyc_bfg(wide.recording, progress=seen.append)
     assert len(seen) > 2
-    assert seen == sorted(seen, reverse=True)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
 
-    def stop(iteration, error):
-        raise KeyboardInterrupt
+    def stop(share):
+        if share < 1:
+            raise KeyboardInterrupt
 
     calibration = calibrate_magyc_bfg(wide.recording, progress=stop)
     assert not calibration.converged

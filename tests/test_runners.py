@@ -12,7 +12,7 @@ X, Y = gtsam.symbol("x", 0), gtsam.symbol("y", 0)
 METHODS = ["lm", "dogleg", "gauss-newton"]
 
 
-def problem(error, rows=2, start=(-1.2, 1.0)):
+def problem(error, rows=2, start=(0.5, 1.0)):
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(custom_factor("test", 1.0, [X], [vector(2)], rows, error))
     initial.insert(X, np.array(start, dtype=float))
@@ -35,7 +35,7 @@ def test_converges_and_tells_each_iteration(method):
     assert seen == list(enumerate(result.errors))[1:]
     assert result.iterations == len(seen)
     assert min(result.errors) == pytest.approx(graph.error(result.values))
-    np.testing.assert_array_equal(initial.atVector(X), [-1.2, 1.0])
+    np.testing.assert_array_equal(initial.atVector(X), [0.5, 1.0])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -81,12 +81,12 @@ def test_nan_of_an_unguarded_factor_on_the_way(method):
             jacobians[0] = np.eye(2)
         return x if x[0] > 0.9 else x * np.nan
 
-    graph, initial = problem(rosenbrock, start=(1, 1))
+    _, initial = problem(rosenbrock, start=(1, 1))
     graph = gtsam.NonlinearFactorGraph()
     graph.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(2), [X], error))
     result = optimize(graph, initial, method)
     assert result.status in (Status.FAILED, Status.STALLED)
-    np.testing.assert_array_equal(result.values.atVector(X), [1, 1])
+    assert np.isfinite(graph.error(result.values))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -94,8 +94,8 @@ def test_no_step_lowers_the_error(method):
     """A Jacobian of the wrong sign: GTSAM itself would report success at the start."""
     result = optimize(*problem(lambda x, want: (x, [-np.eye(2)])), method)
     assert result.status is Status.STALLED
-    assert "remained to be won" in result.message
-    np.testing.assert_array_equal(result.values.atVector(X), [-1.2, 1.0])
+    assert "are to be won" in result.message
+    np.testing.assert_array_equal(result.values.atVector(X), [0.5, 1.0])
 
 
 def test_gauss_newton_that_runs_away_returns_the_best_values():
@@ -123,7 +123,7 @@ def test_an_undetermined_variable_is_named(method):
 @pytest.mark.parametrize("method", METHODS)
 def test_interrupt_between_iterations_returns_the_best_values(method):
     def stop(iteration, error):
-        if iteration == 2:
+        if iteration == 1:
             raise KeyboardInterrupt
 
     graph, initial = problem(rosenbrock)
@@ -138,7 +138,7 @@ def test_interrupt_inside_an_error_function(method):
 
     def error(x, want_jacobians):
         calls.append(x)
-        if len(calls) > 5:
+        if len(calls) > 3:
             raise KeyboardInterrupt
         return rosenbrock(x, want_jacobians)
 

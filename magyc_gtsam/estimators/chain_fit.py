@@ -16,6 +16,8 @@ _NEAR = 1.0  # the same between rounds of noise and weights
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
 _NOISE_STABLE = 0.2  # squared length of a step of the noise levels in their own sigmas
+_GYROSCOPE_RANGE = 3.0
+_MAGNETOMETER_FLOOR = 3.0
 _WEIGHTS_STABLE = 1e-3  # mean change of a robust weight
 
 
@@ -86,19 +88,20 @@ def descend(fit: Fit, iterations: int = MAX_ITERATIONS, settled: float = _SETTLE
     return replace(fit, state=state, reduced=reduced, iterations=fit.iterations + spent, converged=False)
 
 
-def adapt(fit: Fit, reject: bool, estimate: tuple[bool, bool], rounds: int = 30) -> Fit:
+def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 30) -> Fit:
     """Alternate robust weights, noise levels and descent until all three stand still.
 
     Args:
         fit: near the minimum.
         reject: weigh down windows and links beyond the 99.9 % point of their χ².
-        estimate: whether the magnetometer's and the gyroscope's noise are estimated.
+        short_term: the sensors' short-term noise, about which the noise levels are estimated (see
+            `improved_noise`); None keeps the noise as it is.
     """
     for _ in range(rounds):
         weights = _reweigh(fit) if reject else fit.weights
         moved = float(np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum())
         fit = replace(fit, weights=weights)
-        noise, gain = improved_noise(fit, estimate)
+        noise, gain = (fit.chain.noise, 0.0) if short_term is None else improved_noise(fit, short_term)
         chain = FieldChain(fit.chain.windows, noise)
         fit = replace(fit, chain=chain, reduced=chain.eliminate(fit.state, fit.weights), iterations=fit.iterations + 1)
         stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
@@ -117,7 +120,7 @@ def _reweigh(fit: Fit) -> Weights:
     )
 
 
-def improved_noise(fit: Fit, estimate: tuple[bool, bool]) -> tuple[Noise, float]:
+def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float]:
     """One average-information step on the restricted likelihood of the two noise levels.
 
     Gilmour, Thompson and Cullis (1995). With Q the weighted squares of a group and D its redundancy
@@ -126,12 +129,14 @@ def improved_noise(fit: Fit, estimate: tuple[bool, bool]) -> tuple[Noise, float]
     information [[Q₁ − c, c], [c, Q₂ − c]] needs one more solve: c = gᵀ K⁻¹ g, g being the gradient of one
     group (at the minimum the other's is −g) and K the full normal matrix.
 
+    The gyroscope's noise stays within a factor `_GYROSCOPE_RANGE` of its short-term noise, the
+    magnetometer's above a third of its own: where the field itself varies (indoors, over a wreck), the
+    likelihood would else call the gyroscope bad and the magnetometer perfect, and the bias would wander.
+
     Returns:
         The noise, and the step's squared length in its own sigmas.
     """
     chain, weights, reduced = fit.chain, fit.weights, fit.reduced
-    if not any(estimate):
-        return chain.noise, 0.0
     residuals = chain.residuals(fit.state)
     window, link = chain.squares(residuals)
     covariance = fit.covariance
@@ -144,16 +149,19 @@ def improved_noise(fit: Fit, estimate: tuple[bool, bool]) -> tuple[Noise, float]
     ])
     shared = _shared(fit, residuals.window / chain.window_sigma * np.sqrt(weights.window), covariance)
     information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
-    # A group with less than one degree of freedom of information keeps the noise it has.
-    kept = np.array(estimate) & (np.diag(information) > 1.0)
+    gradient = squares - redundancy
+    level = np.array(chain.noise)
+    low = np.array(short_term) / np.array([_MAGNETOMETER_FLOOR, _GYROSCOPE_RANGE])
+    high = np.array([np.inf, short_term.gyroscope * _GYROSCOPE_RANGE])
+    # A group with less than one degree of freedom of information, or at its bound, keeps the noise it has.
+    kept = (np.diag(information) > 1.0) & ~((level <= low) & (gradient < 0)) & ~((level >= high) & (gradient > 0))
     if not kept.any():
         return chain.noise, 0.0
-    gradient = (squares - redundancy)[kept]
     step = np.zeros(2)
-    step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient)
-    gain = float(abs(step[kept] @ gradient))
-    step = np.clip(step, -2.0, 2.0)
-    return Noise(*(np.array(chain.noise) * np.exp(0.5 * step)).tolist()), gain
+    step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient[kept])
+    better = np.clip(level * np.exp(0.5 * np.clip(step, -2.0, 2.0)), low, high)
+    gain = float(np.abs(2 * np.log(better / level) * gradient)[kept].sum())
+    return Noise(*better.tolist()), gain
 
 
 def _shared(fit: Fit, whitened: Array, covariance: Array) -> float:

@@ -6,6 +6,7 @@ field is in gauss, so that the paper's sigmas and tolerances mean what they mean
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import gtsam
@@ -22,7 +23,7 @@ from magyc_gtsam.factors import (
     vech,
 )
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.runners.batch import BatchResult, Method, Progress, optimize
+from magyc_gtsam.runners.batch import BatchResult, Method, optimize
 
 GAUSS = 1e-4  # T
 INVERSE_SOFT_IRON, PSEUDO_HARD_IRON, GYRO_BIAS = KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
@@ -41,7 +42,7 @@ class DerivativeWindows(NamedTuple):
 def calibrate_magyc_bfg(
     recording: Recording,
     *,
-    progress: Progress | None = None,
+    progress: Callable[[float], None] | None = None,
     field_strength: float | None = None,
     optimizer: Method = "dogleg",
     prior: Literal["norm", "determinant"] = "norm",
@@ -59,12 +60,12 @@ def calibrate_magyc_bfg(
 
     Args:
         recording: with a gyroscope.
-        progress: called with (iteration, error).
+        progress: called with the share done, 0 to 1, after each iteration; how many it takes is a guess.
         field_strength: T, scales the soft iron; default det 1.
         optimizer: "dogleg" (the trust region of RISE, as in the paper), "lm" or "gauss-newton".
         prior: "norm" as in (9), or "determinant" as the authors' later package fixes it.
         window: s, over which samples are averaged.
-        compressed: fold all windows into one factor of 30 rows first; the same estimate, sooner.
+        compressed: fold all windows into one factor of 21 rows first; the same estimate, sooner.
         residual_sigma: of (7), gauss/s.
         prior_sigma: of (9), per window.
         tolerance: relative and absolute, on the graph's error.
@@ -76,6 +77,7 @@ def calibrate_magyc_bfg(
     priors = {"norm": norm_prior, "determinant": determinant_prior}
     if prior not in priors:
         raise MagycError(f"prior {prior!r} unknown; there are {', '.join(priors)}")
+    report = progress or (lambda share: None)
     windows = derivative_windows(recording, window)
     samples = windows.magnetic_field / GAUSS, windows.derivative / GAUSS, windows.angular_rate
 
@@ -98,12 +100,13 @@ def calibrate_magyc_bfg(
         relative_tolerance=tolerance,
         absolute_tolerance=tolerance,
         max_iterations=max_iterations,
-        progress=progress,
+        progress=lambda iteration, error: report(iteration / (iteration + 2)),
         names=NAMES,
     )
-    return _calibration(
+    calibration = _calibration(
         result,
-        windows,
+        recording,
+        len(windows.time),
         field_strength,
         {
             "optimizer": optimizer,
@@ -117,6 +120,8 @@ def calibrate_magyc_bfg(
             "field_strength": field_strength,
         },
     )
+    report(1.0)
+    return calibration
 
 
 def derivative_windows(recording: Recording, length: float = 1.0) -> DerivativeWindows:
@@ -147,8 +152,8 @@ def derivative_windows(recording: Recording, length: float = 1.0) -> DerivativeW
     first, stop, gyro_first, gyro_stop, span = (x[long] for x in (first, stop, gyro_first, gyro_stop, span))
     if len(first) < 4:
         raise MagycError(
-            f"{len(first)} windows of {length:g} s hold samples of both sensors over half their length, at least 4 "
-            "are needed; record for longer, or choose a window of several samples"
+            f"{len(first)} windows of {length:g} s hold samples of both sensors over half their length, "
+            "at least 4 are needed; record for longer, or choose a window of several samples"
         )
     return DerivativeWindows(
         _means(mag.time[:, None], first, stop)[:, 0],
@@ -165,7 +170,8 @@ def _means(values: Array, first: np.ndarray, stop: np.ndarray) -> Array:
 
 def _calibration(
     result: BatchResult,
-    windows: DerivativeWindows,
+    recording: Recording,
+    windows: int,
     field_strength: float | None,
     configuration: dict[str, object],
 ) -> Calibration:
@@ -175,11 +181,13 @@ def _calibration(
     determinant = float(np.linalg.det(c))
     if abs(determinant) < 1e-12 * np.linalg.norm(c) ** 3:
         raise MagycError(
-            f"magyc-bfg: the inverse soft iron became singular ({result.message}); the motion does not determine it"
+            f"magyc-bfg: the inverse soft iron became singular ({result.message}); "
+            "the motion does not determine it"
         )
-    hard_iron = np.linalg.solve(c, d) * GAUSS
+    hard_iron: Array = GAUSS * np.linalg.solve(c, d)
     soft_iron = np.linalg.inv(c) * np.cbrt(determinant)  # det 1; (−C, −d) solves (7) as well
-    strength = float(np.linalg.norm(np.linalg.solve(soft_iron, (windows.magnetic_field - hard_iron).T), axis=0).mean())
+    field = np.linalg.solve(soft_iron, (recording.magnetometer.value - hard_iron).T)
+    strength = float(np.linalg.norm(field, axis=0).mean())
     if field_strength is not None:
         soft_iron *= strength / field_strength
     positive = bool((np.linalg.eigvalsh(soft_iron) > 0).all())
@@ -196,7 +204,7 @@ def _calibration(
             "status": str(result.status),
             "iterations": result.iterations,
             "error": min(result.errors),
-            "windows": len(windows.time),
+            "windows": windows,
         },
         configuration=configuration,
     )

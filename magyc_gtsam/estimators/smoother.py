@@ -87,7 +87,8 @@ def fit_field_chain(
         raise MagycError(
             f"{len(windows)} windows of {window:g} s, at least 8 are needed: record longer (a minute or more), or move"
         )
-    level = short_term_noise(recording) if noise is None else Noise(*noise)
+    short_term = short_term_noise(recording) if noise is None else None
+    level = short_term or Noise(*noise)  # type: ignore[misc]
     chain = FieldChain(windows, level)
     progress(0.2)
     fits = [_descended(samples, begin(chain, starts.from_gyroscope(windows), free))]
@@ -105,9 +106,8 @@ def fit_field_chain(
     if rival is not None and rival.reduced.cost > _CLOSE * best.reduced.cost:
         rival = None
     progress(0.8)
-    estimate = noise is None
     for _ in range(4):
-        best = adapt(best, robust is not False, (estimate, estimate))
+        best = adapt(best, robust is not False, short_term)
         if not _moved(best):
             break
         best = _descended(samples, best)
@@ -138,7 +138,8 @@ def short_term_noise(recording: Recording) -> Noise:
     def level(samples: Samples, least: float) -> float:
         second = np.diff(samples.value[:50_000], n=2, axis=0)
         deviation = np.sqrt(np.mean(second**2, axis=1) / 6)
-        return max(float(np.median(deviation)) / 0.888, least)  # median of sqrt(χ²₃/3)
+        # Upper quartile of sqrt(χ²₃/3): drivers that interpolate leave half of the differences at zero.
+        return max(float(np.percentile(deviation, 75)) / 1.170, least)
 
     return Noise(level(recording.magnetometer, 1e-10), level(recording.gyroscope, 1e-6))
 
@@ -293,7 +294,7 @@ def window_residuals(recording: Recording, calibration: Calibration) -> WindowRe
     parameters = starts.parameters(
         calibration.soft_iron * strength, calibration.hard_iron, calibration.gyro_bias, calibration.delay
     )
-    fit = adapt(begin(chain, parameters, np.zeros(PARAMETERS, dtype=bool)), True, (False, False))
+    fit = adapt(begin(chain, parameters, np.zeros(PARAMETERS, dtype=bool)), True, None)
     residuals = chain.residuals(fit.state)
     return WindowResiduals(
         windows.time,

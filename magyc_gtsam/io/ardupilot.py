@@ -114,10 +114,13 @@ def info(path: Path) -> LogInfo:
         for number, name in reader.id_to_name.items()
         if reader.counts[number]
     }
-    timed = {k: () for k in kinds if "TimeUS" in reader.formats[reader.name_to_id[k]].columns}
+    timed: dict[str, tuple[str, ...]] = {
+        k: () for k in kinds if "TimeUS" in reader.formats[reader.name_to_id[k]].columns
+    }
     reader.close()
     log = _load(path, dict(timed), Request())
-    times = [t for s in log.samples.values() for t in (s.time[0], s.time[-1])]
+    sensors = [s for k, s in log.samples.items() if k[0] in ("MAG", "IMU")]
+    times = [t for s in sensors for t in (s.time[0], s.time[-1])]
     first, last = min(times, default=0), max(times, default=0)
     serves: dict[str, tuple[str, ...]] = {"ATT": ("attitude",)}
     for sensor, (kind, _) in _AXES.items():
@@ -156,7 +159,7 @@ def _load(path: Path, fields: dict[str, tuple[str, ...]], request: Request) -> _
     for kind, members in present.items():
         known = reader.formats[reader.name_to_id[kind]].columns
         present[kind] = tuple(m for m in members if m in known)
-    instances = {}
+    instances: dict[str, str] = {}
     for kind in present:
         form = reader.formats[reader.name_to_id[kind]]
         # Logs without units do not mark the field; in other messages than these "I" is an integral.
@@ -176,7 +179,7 @@ def _load(path: Path, fields: dict[str, tuple[str, ...]], request: Request) -> _
         if kind == "PARM":
             name, value = message.Name, float(message.Value)
             if name not in parameters[-1]:
-                # The parameters are written while the sensors already are: the first value held from the start.
+                # Parameters are written while sensors already are: the first value held from the start.
                 for known_set in parameters:
                     known_set[name] = value
             elif parameters[-1][name] != value:
@@ -184,9 +187,9 @@ def _load(path: Path, fields: dict[str, tuple[str, ...]], request: Request) -> _
                     parameters.append(dict(parameters[-1]))
                     in_use = False
                 parameters[-1][name] = value
-        members = present.get(kind)
-        if members is None:
+        if kind not in present:
             continue
+        members = present[kind]
         in_use |= kind.startswith("MAG")
         instance = int(getattr(message, instances[kind])) if kind in instances else 0
         if kind[-1:] in ("2", "3") and kind[:-1] in ("MAG", "IMU"):
@@ -275,11 +278,11 @@ def _attitude(log: _Log, request: Request, notes: list[str]) -> Stream | None:
     quaternion = Rotation.from_euler("ZYX", stream.value[:, ::-1], degrees=True).as_quat()
     trim = [log.parameters[-1].get(f"AHRS_TRIM_{axis}", 0.0) for axis in "XY"]
     turned = (
-        f", turned by AHRS_TRIM ({np.degrees(trim[0]):.1f}°, {np.degrees(trim[1]):.1f}°)" if any(trim) else ""
+        f", turned by AHRS_TRIM ({', '.join(f'{np.degrees(t):.1f}°' for t in trim)})" if any(trim) else ""
     )
     notes.append(
-        f"attitude is ATT, vehicle (forward, right, down) to north, east, down{turned}; ArduPilot's own estimate, "
-        "which the compass took part in"
+        f"attitude is ATT, vehicle (forward, right, down) to north, east, down{turned}; ArduPilot's own "
+        "estimate, which the compass took part in"
     )
     return Stream("ATT", stream.stamp, quaternion)
 

@@ -62,8 +62,8 @@ def undo(
             field = np.linalg.solve(matrix, (logged[rows] - motor[rows]).T).T / scale
         elif motor[rows].any() and not np.array_equal(matrix, np.eye(3)):
             raise MagycError(
-                f"COMPASS_DIA{suffix}, COMPASS_ODI{suffix} and a motor correction were applied in an order that "
-                "depends on the firmware's version, so they cannot be undone; use a log without motor correction"
+                f"COMPASS_DIA{suffix}, COMPASS_ODI{suffix} and a motor correction were applied in an order "
+                "that depends on the firmware's version, and cannot be undone; use a log without the latter"
             )
         else:
             field = np.linalg.solve(matrix, logged[rows].T).T - motor[rows]
@@ -87,7 +87,7 @@ def undo(
 
 
 def _suffix(parameters: dict[str, float], instance: int) -> str:
-    """What the names of the compass's parameters end in: the log counts by priority, the parameters by driver."""
+    """What the names of the parameters end in: the log counts by priority, the parameters by driver."""
     device = parameters.get(f"COMPASS_PRIO{instance + 1}_ID", 0)
     drivers = [i for i in range(3) if device and parameters.get(f"COMPASS_DEV_ID{_number(i)}") == device]
     return _number(drivers[0] if drivers else instance)

@@ -55,7 +55,7 @@ class Columns:
 
 
 def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:
-    """Names and units, from "Gyroscope X (deg/s)", "mag_x [uT]", "magnetic_field_x_T", "timestamp_ns" and alike."""
+    """Names and units, from "Gyroscope X (deg/s)", "mag_x [uT]", "magnetic_field_x_T", "timestamp_ns", ..."""
     columns = []
     for index, raw in enumerate(fields):
         written = raw.strip().strip('"').strip()

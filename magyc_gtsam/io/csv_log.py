@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -14,6 +11,7 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.csv_columns import Column, Columns, find_sensor, find_time, parse_header
+from magyc_gtsam.io.csv_table import Table, is_number, load
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
@@ -22,31 +20,8 @@ from magyc_gtsam.recording import Recording
 
 Array = NDArray[np.float64]
 
-_SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", None: "blanks"}
 _LONGEST_STEP = 2.0  # s; a table of larger steps counts in another unit, unless its header says seconds
 OPTIONS = ("time", "time_unit", "rate", "columns")
-
-
-@dataclass(frozen=True)
-class _Table:
-    """The lines that hold data, the columns, and what was left out.
-
-    Args:
-        numbers: line number in the file of each line, from 1.
-        lines: of data.
-        separator: None for blanks.
-        columns: empty where the file has no header.
-    """
-
-    path: Path
-    numbers: list[int]
-    lines: list[str]
-    separator: str | None
-    columns: tuple[Column, ...]
-    notes: tuple[str, ...]
-
-    def cells(self, line: str) -> list[str]:
-        return _split(line, self.separator)
 
 
 def read(path: Path, request: Request) -> Recording:
@@ -60,7 +35,7 @@ def read(path: Path, request: Request) -> Recording:
             numbers, with their number in the file.
     """
     request.only("text", *OPTIONS)
-    table = _load(path, request.options.get("columns"))
+    table = load(path, request.options.get("columns"))
     found = {s: find_sensor(table.columns, s, request.sensors.get(s)) for s in (*_TARGETS, "attitude")}
     time = find_time(table.columns, request.options.get("time"))
     _require(table, found["magnetic_field"], time, request)
@@ -70,7 +45,7 @@ def read(path: Path, request: Request) -> Recording:
     used = {c.index for g in found.values() if g for c in g.columns} | ({time.index} if time else set())
     extra = _channel_columns(table, used, request, notes)
     wanted = sorted({c.index for g in found.values() if g for c in g.columns} | {c.index for c in extra})
-    values = dict(zip(wanted, _numbers(table, wanted).T, strict=True))
+    values = dict(zip(wanted, table.array(wanted).T, strict=True))
     request.report(0.9)
     sensors = {}
     for sensor, group in found.items():
@@ -101,8 +76,8 @@ _TARGETS = ("magnetic_field", "angular_rate", "acceleration")
 
 def info(path: Path) -> LogInfo:
     """As `magyc_gtsam.io.info`, of a text table; `problem` is left to the caller."""
-    table = _load(path, None)
-    serves = {}
+    table = load(path, None)
+    serves: dict[int, str] = {}
     for sensor in (*_TARGETS, "attitude"):
         try:
             group = find_sensor(table.columns, sensor, None)
@@ -122,75 +97,10 @@ def info(path: Path) -> LogInfo:
         for c in columns
         if time is None or c.index != time.index
     )
-    return LogInfo(
-        str(path), f"CSV ({_SEPARATORS[table.separator]})", span[1] if span else 0.0, sources, table.notes
-    )
+    return LogInfo(str(path), f"CSV ({table.separator_name})", span[1] if span else 0.0, sources, table.notes)
 
 
-def _load(path: Path, names: str | Sequence[str] | None) -> _Table:
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    numbers, lines, comment = [], [], ""
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.lstrip().startswith("#"):
-            comment = line.lstrip().lstrip("#").strip() if not lines else comment
-        elif line.strip():
-            numbers.append(number)
-            lines.append(line)
-    if not lines:
-        raise MagycError(f"{path}: holds no data, only {len(text.splitlines())} empty or comment lines")
-    separator = _separator(lines)
-    header = _split(lines[0], separator)
-    columns: tuple[Column, ...] = ()
-    if names is not None:
-        columns = parse_header(names.replace(",", " ").split() if isinstance(names, str) else names)
-    if not _is_row(header):
-        columns = columns or parse_header(header)
-        numbers, lines = numbers[1:], lines[1:]
-    elif not columns and len(_split(comment, separator)) == len(header):
-        columns = parse_header(_split(comment, separator))
-    if not lines:
-        raise MagycError(f"{path}: holds a header but no data")
-    notes: tuple[str, ...] = ()
-    width = len(columns) or len(_split(lines[0], separator))
-    if len(lines) > 1 and len(_split(lines[-1], separator)) < width:
-        notes = (f"line {numbers[-1]}, the last, is cut off and was left out",)
-        numbers, lines = numbers[:-1], lines[:-1]
-    if separator == ";" and any("," in line for line in lines):
-        lines = [line.replace(",", ".") for line in lines]
-        notes = (*notes, "commas in the numbers were read as decimal points")
-    for number, line in zip(numbers, lines, strict=True):
-        count = len(_split(line, separator))
-        if count != width:
-            raise MagycError(
-                f"{path}, line {number}: {count} values, expected {width}; repair or remove the line"
-            )
-    return _Table(path, numbers, lines, separator, columns, notes)
-
-
-def _separator(lines: Sequence[str]) -> str | None:
-    return next((s for s in ("\t", ";", ",") if all(s in line for line in lines[:2])), None)
-
-
-def _split(line: str, separator: str | None) -> list[str]:
-    if separator is None:
-        return line.split()
-    return next(csv.reader([line], delimiter=separator)) if '"' in line else line.split(separator)
-
-
-def _is_row(cells: Sequence[str]) -> bool:
-    """Whether a line is data rather than names: at least one cell is a number."""
-    return any(_is_number(c) for c in cells)
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
-        return False
-    return True
-
-
-def _require(table: _Table, magnetometer: Columns | None, time: Column | None, request: Request) -> None:
+def _require(table: Table, magnetometer: Columns | None, time: Column | None, request: Request) -> None:
     missing, remedies = [], []
     if not table.columns:
         width = len(table.cells(table.lines[0]))
@@ -207,8 +117,8 @@ def _require(table: _Table, magnetometer: Columns | None, time: Column | None, r
         raise MagycError(f"{table.path}: {' and '.join(missing)} {verb} missing; {', and '.join(remedies)}")
 
 
-def _stamps(table: _Table, time: Column | None, request: Request) -> NDArray[np.int64]:
-    """ns of every line, exactly: a float64 of seconds since 1970 is good for a quarter of a microsecond only."""
+def _stamps(table: Table, time: Column | None, request: Request) -> NDArray[np.int64]:
+    """ns of every line, exactly: a float64 of seconds since 1970 is good for 0.2 µs only."""
     if time is None:
         rate = float(request.options["rate"])
         if not 0 < rate < 1e6:
@@ -236,10 +146,10 @@ def _stamps(table: _Table, time: Column | None, request: Request) -> NDArray[np.
     return stamp
 
 
-def _calendar(cell: str, table: _Table, row: int) -> int:
+def _calendar(cell: str, table: Table, row: int) -> int:
     try:
         moment = np.datetime64(datetime.fromisoformat(cell).replace(tzinfo=None), "s")
-        # datetime reads the calendar and the zone, but only microseconds; the digits behind the point are exact.
+        # datetime reads the calendar and the zone, but no digits below the microsecond.
         zone = datetime.fromisoformat(cell).utcoffset()
         digits = cell.split(".")[1] if "." in cell else ""
         fraction = "".join(c for c in digits.split("+")[0].split("-")[0] if c.isdigit())[:9].ljust(9, "0")
@@ -249,30 +159,7 @@ def _calendar(cell: str, table: _Table, row: int) -> int:
     return seconds * 1_000_000_000 + int(fraction)
 
 
-def _numbers(table: _Table, columns: Sequence[int]) -> Array:
-    """The cells of the columns, (n, len(columns)); empty cells are NaN."""
-    try:
-        return np.loadtxt(
-            table.lines, delimiter=table.separator, usecols=columns, comments=None, ndmin=2, quotechar='"'
-        )
-    except ValueError:
-        pass  # an empty cell, or no number: looked at one by one, to say where
-    result = np.empty((len(table.lines), len(columns)))
-    for row, line in enumerate(table.lines):
-        cells = table.cells(line)
-        for k, column in enumerate(columns):
-            cell = cells[column].strip()
-            try:
-                result[row, k] = float(cell) if cell else np.nan
-            except ValueError:
-                raise MagycError(
-                    f"{table.path}, line {table.numbers[row]}: {cell!r} in column {column + 1} is not a number; "
-                    "repair or remove the line"
-                ) from None
-    return result
-
-
-def _channel_columns(table: _Table, used: set[int], request: Request, notes: list[str]) -> list[Column]:
+def _channel_columns(table: Table, used: set[int], request: Request, notes: list[str]) -> list[Column]:
     free = [c for c in table.columns if c.index not in used]
     if request.channels is not None:
         missing = [w for w in request.channels if w not in {c.written for c in free}]
@@ -282,7 +169,7 @@ def _channel_columns(table: _Table, used: set[int], request: Request, notes: lis
             )
         return [c for c in free if c.written in request.channels]
     first = table.cells(table.lines[0])
-    text = [c for c in free if first[c.index].strip() and not _is_number(first[c.index])]
+    text = [c for c in free if first[c.index].strip() and not is_number(first[c.index])]
     if text:
         notes.append(f"columns left out, which hold text: {', '.join(c.written for c in text)}")
     return [c for c in free if c not in text]
@@ -301,6 +188,6 @@ def _scale(sensor: str, group: Columns, request: Request) -> tuple[float, tuple[
 
 def _present(stream: Stream) -> Stream:
     """Without the lines that leave all cells of the sensor empty: sensors of other rates share the table."""
-    empty = np.isnan(stream.value).reshape(len(stream.stamp), -1).all(axis=1)
+    empty = np.asarray(np.isnan(stream.value).reshape(len(stream.stamp), -1).all(axis=1))
     # A sensor that is absent throughout is for the checks behind to refuse.
     return stream.rows(~empty) if empty.any() and not empty.all() else stream

@@ -25,7 +25,7 @@ def channels_of(
     log_time: Sequence[int],
     by_log_time: bool,
 ) -> dict[str, Stream]:
-    """The numbers in the messages of one topic: {topic without slash, and field where there are several: Stream}.
+    """The numbers in the messages of one topic, by topic without slash, and field where there are several.
 
     Messages with a header are stamped by it, others by the time of recording.
 
@@ -35,7 +35,7 @@ def channels_of(
     try:
         decoder: Callable[[bytes], Any] | None = DecoderFactory().decoder_for(encoding, schema)
         decoded = [decoder(data) for data in messages] if decoder else []
-    except Exception as error:  # noqa: BLE001  the library's schema parser raises direct children of Exception
+    except Exception as error:  # the library's schema parser raises direct children of Exception
         raise MagycError(f"{topic} ({schema.name}): {error}") from error
     if not decoded:
         raise MagycError(

@@ -26,7 +26,7 @@ from magyc_gtsam.recording import Recording
 
 # What a chunk that was damaged on disk raises: checksum, zstd, lz4 (a bare RuntimeError), records cut short.
 _DAMAGE = (CRCValidationError, zstandard.ZstdError, RuntimeError, EndOfFile, struct.error)
-# The type that each sensor is published as; other types of LAYOUTS are used when the caller names their topic.
+# The type that each sensor is published as; of other types in LAYOUTS the caller must name the topic.
 _FOUND_BY_TYPE = {
     "magnetic_field": "sensor_msgs/MagneticField",
     "angular_rate": "sensor_msgs/Imu",

@@ -1,4 +1,4 @@
-"""What PX4 had applied to its sensors when it logged them, from the parameters in the log, and how to undo it.
+"""What PX4 had applied to its sensors when it logged them, by the log's parameters, and how to undo it.
 
 PX4 logs R (S (raw − offset)): S from CAL_MAGn_{X,Y,Z}SCALE and, since 1.11, {X,Y,Z}ODIAG, the offset from
 CAL_MAGn_{X,Y,Z}OFF, R from CAL_MAGn_ROT (an external sensor) or SENS_BOARD_ROT and SENS_BOARD_{X,Y,Z}_OFF.
@@ -132,14 +132,16 @@ def _index(
         ]
     if not corrected:
         return None, []
+    if kind == "GYRO":  # an offset that stays in is only a smaller bias to find
+        return None, ["the log does not say which CAL_GYROn_* was subtracted in flight, so it is kept"]
     if not known:
         raise MagycError(
-            f"the log's parameters do not say which CAL_{kind}n_* calibration was applied (no CAL_{kind}n_ID is set), "
-            "so it cannot be undone; use a log with its parameters, or one that holds the uncorrected message"
+            f"the log's parameters do not say which CAL_{kind}n_* calibration was applied (no CAL_{kind}n_ID is "
+            "set), so it cannot be undone; use a log with its parameters, or with the uncorrected message"
         )
     raise MagycError(
-        f"the log does not say which of CAL_{kind}n_* (n = {', '.join(map(str, known))}) was applied, so it cannot be "
-        f"undone; name a message that says (magnetic_field='vehicle_magnetometer' or 'sensor_mag')"
+        f"the log does not say which of CAL_{kind}n_* (n = {', '.join(map(str, known))}) was applied, so it "
+        "cannot be undone; name a message that says (magnetic_field='vehicle_magnetometer' or 'sensor_mag')"
     )
 
 

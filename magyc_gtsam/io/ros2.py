@@ -100,7 +100,7 @@ def decode(topic: str, messages: Sequence[bytes], layout: Layout, encoding: str)
 
 
 def _place(data: bytes, layout: Layout, encoding: str) -> tuple[str, int]:
-    """Byte order, and where the numbers start. Bytes 4 to 16 are sec, nanosec and the frame's length in both."""
+    """Byte order, and where the numbers start. Bytes 4 to 16 are sec, nanosec and the frame's length."""
     if encoding == "ros1":
         order, align = "<", 1
     elif data[0] == 0 and data[1] in (0, 1):

@@ -112,11 +112,12 @@ def _clean(stream: Stream, role: str, notes: list[str]) -> Stream:
     if len(restarts):
         row = int(restarts[0])
         elapsed = float(_elapsed(stream.stamp)[row])
+        back = (stream.stamp[row] - stream.stamp[row + 1]) / 1e9
         cut = f"{elapsed + 0.5:.1f}"  # in the middle of the second that `_elapsed` puts there
         raise MagycError(
-            f"{stream.name}: its clock goes back by {(stream.stamp[row] - stream.stamp[row + 1]) / 1e9:.3f} s after "
-            f"sample {row + 1}, {elapsed:.3f} s into the log; read one side of it (end={cut} or start={cut}), or "
-            " use the times of recording where the format has them (stamps='log')"
+            f"{stream.name}: its clock goes back by {back:.3f} s after sample {row + 1}, {elapsed:.3f} s "
+            f"into the log; read one side of it (end={cut} or start={cut}), or "
+            "use the times of recording where the format has them (stamps='log')"
         )
     late = int((np.diff(stream.stamp) < 0).sum())
     if late:
@@ -126,17 +127,17 @@ def _clean(stream: Stream, role: str, notes: list[str]) -> Stream:
 
 
 def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
-    finite = np.isfinite(stream.value).reshape(len(stream.stamp), -1)
+    finite: NDArray[np.bool_] = np.isfinite(stream.value).reshape(len(stream.stamp), -1)
     if finite.all():
         return stream
     if role in SENSORS:
         for axis, share in zip("xyz", finite.mean(axis=0), strict=True):
             if share < 0.5:
                 raise MagycError(
-                    f"{stream.name}: axis {axis} is absent (not a number in {1 - share:.0%} of {len(finite)} samples); "
-                    "three axes are needed: name another source, or have the driver publish this one"
+                    f"{stream.name}: axis {axis} is absent (not a number in {1 - share:.0%} of {len(finite)} "
+                    "samples); three axes are needed: name another source, or have the driver publish it"
                 )
-    keep = finite.all(axis=1)
+    keep = np.asarray(finite.all(axis=1))
     notes.append(f"{stream.name}: {(~keep).sum()} of {len(keep)} samples are not finite and were left out")
     return stream.rows(keep)
 
@@ -153,9 +154,9 @@ def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
             " (all stamps are the same: was the header never filled in?)" if np.ptp(stream.stamp) == 0 else ""
         )
         raise MagycError(
-            f"{stream.name}: {len(different)} stamps come twice with different values{constant}, the first at "
-            f"{stream.stamp[row] / 1e9:.9f} s; use the times of recording where the format has them (stamps='log'), "
-            "or name one source where two publish on one topic"
+            f"{stream.name}: {len(different)} stamps come twice with different values{constant}, "
+            f"the first at {stream.stamp[row] / 1e9:.9f} s; use the times of recording where the format has "
+            "them (stamps='log'), or name one source where two publish on one topic"
         )
     keep = np.ones(len(stream.stamp), dtype=bool)
     keep[repeated + 1] = False

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.px4_calibration import Parameters, undo
+from magyc_gtsam.io.px4_messages import Message, device_of, load
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
-
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
 
 _GAUSS = 1e-4  # T
 _NO_SAMPLE = 0x7FFFFFFF  # relative stamp of a sensor that sensor_combined had nothing new of
@@ -43,36 +38,6 @@ _CHANNELS = (
 _AUXILIARY = ("sensor_selection", "magnetometer_bias_estimate")
 
 
-@dataclass(frozen=True, eq=False)
-class _Message:
-    """One instance of a message: its name, its fields as arrays, and whether there are more instances."""
-
-    name: str
-    instance: int
-    data: Mapping[str, NDArray[Any]]
-
-    @property
-    def label(self) -> str:
-        return f"{self.name}[{self.instance}]" if self.instance else self.name
-
-    @property
-    def count(self) -> int:
-        return len(self.data["timestamp"])
-
-    @property
-    def stamp(self) -> Stamps:
-        """µs since boot, of the sample itself where the message says so."""
-        at = self.data.get("timestamp_sample")
-        known = at is not None and bool(np.all(at > 0))
-        return np.asarray(at if known else self.data["timestamp"]).astype(np.int64)
-
-    def vector(self, fields: str) -> Array | None:
-        names = list(fields) if "{}" not in fields else [fields.format(k) for k in range(3)]
-        if any(n not in self.data for n in names):
-            return None
-        return np.column_stack([self.data[n] for n in names]).astype(np.float64)
-
-
 def read(path: Path, request: Request) -> Recording:
     """As `magyc_gtsam.io.read`, of a PX4 log.
 
@@ -86,7 +51,7 @@ def read(path: Path, request: Request) -> Recording:
     names = {m for fields in _MESSAGES.values() for m in fields} | {"vehicle_attitude", *_AUXILIARY}
     names |= {c.split(".")[0].split("[")[0] for c in asked}
     names |= {n.split("[")[0] for s in request.sensors if (n := request.named(s))}
-    messages, parameters, damage = _load(path, sorted(names))
+    messages, parameters, damage = load(path, sorted(names))
     request.report(0.7)
     notes = list(damage)
     sensors = {"magnetic_field": _magnetometer(messages, parameters, request, notes)}
@@ -112,9 +77,11 @@ def read(path: Path, request: Request) -> Recording:
 
 def info(path: Path) -> LogInfo:
     """As `magyc_gtsam.io.info`, of a PX4 log; `problem` is left to the caller."""
-    messages, _, damage = _load(path, None)
-    first = min((int(m.data["timestamp"][0]) for m in messages if m.count), default=0)
-    last = max((int(m.data["timestamp"][-1]) for m in messages if m.count), default=0)
+    messages, _, damage = load(path, None)
+    # Some messages carry stamps from long before the log.
+    sensors = [m for m in messages if m.count and any(m.name in fields for fields in _MESSAGES.values())]
+    first = min((int(m.data["timestamp"][0]) for m in sensors), default=0)
+    last = max((int(m.data["timestamp"][-1]) for m in sensors), default=0)
     sources = []
     for m in messages:
         serves = [
@@ -132,32 +99,9 @@ def info(path: Path) -> LogInfo:
     return LogInfo(str(path), "PX4 ULog", (last - first) / 1e6, tuple(sources), damage)
 
 
-def _load(path: Path, names: list[str] | None) -> tuple[list[_Message], Parameters, tuple[str, ...]]:
-    try:
-        from pyulog import ULog
-        from pyulog.exceptions import ULogException
-    except ImportError:
-        raise MagycError(
-            f"{path}: PX4 logs need pyulog; install it with: pip install 'magyc-gtsam[px4]'"
-        ) from None
-    try:
-        log = ULog(str(path), names)
-    except ULogException as error:
-        raise MagycError(f"{path}: not a PX4 log that can be read ({error})") from None
-    messages = [_Message(d.name, int(d.multi_id), d.data) for d in log.data_list]
-    changes = tuple((int(when), name, float(value)) for when, name, value in log.changed_parameters)
-    notes = []
-    if log.file_corruption:
-        notes.append("the log is damaged or cut off; what could be read of it was")
-    if log.dropouts:
-        lost = sum(d.duration for d in log.dropouts) / 1e3
-        notes.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in all")
-    return messages, Parameters(dict(log.initial_parameters), changes), tuple(notes)
-
-
 def _find(
-    messages: list[_Message], sensor: str, named: str | None, notes: list[str] | None = None
-) -> _Message | None:
+    messages: list[Message], sensor: str, named: str | None, notes: list[str] | None = None
+) -> Message | None:
     """The message of a sensor: the one that was named, or else the first kind there is, instance 0."""
     candidates = [
         m for m in messages if m.name in (k := _MESSAGES[sensor]) and m.vector(k[m.name]) is not None
@@ -181,7 +125,7 @@ def _find(
 
 
 def _magnetometer(
-    messages: list[_Message], parameters: Parameters, request: Request, notes: list[str]
+    messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
 ) -> Stream:
     message = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
     if message is None:
@@ -207,7 +151,7 @@ def _magnetometer(
         logged,
         stamp,
         parameters,
-        _device(message, messages, "mag"),
+        device_of(message, messages, "mag"),
         corrected=not raw,
         rotated=message.name != "sensor_mag",
     )
@@ -217,19 +161,19 @@ def _magnetometer(
     return Stream(message.label, stamp * 1000, undone.value * scale)
 
 
-def _refuse_estimated_bias(messages: list[_Message]) -> None:
+def _refuse_estimated_bias(messages: list[Message]) -> None:
     for m in messages:
         if m.name == "magnetometer_bias_estimate" and any(
             np.any(v != 0) for k, v in m.data.items() if k.startswith(("bias_x", "bias_y", "bias_z"))
         ):
             raise MagycError(
-                "vehicle_magnetometer had a bias subtracted that PX4 estimated as it went, which cannot be undone "
-                "exactly; read the uncorrected message where the log has it (magnetic_field='sensor_mag')"
+                "vehicle_magnetometer had a bias subtracted that PX4 estimated as it went, which cannot be "
+                "undone exactly; read the uncorrected message if the log has it (magnetic_field='sensor_mag')"
             )
 
 
 def _gyroscope(
-    messages: list[_Message], parameters: Parameters, request: Request, notes: list[str]
+    messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
 ) -> tuple[Stream | None, Literal["instant", "interval-mean"]]:
     message = _find(messages, "angular_rate", request.named("angular_rate"), notes)
     if message is None:
@@ -238,12 +182,17 @@ def _gyroscope(
     logged = message.vector(_MESSAGES["angular_rate"][message.name])
     assert logged is not None  # _find looked
     combined = message.name == "sensor_combined"
+    try:
+        device = device_of(message, messages, "gyro")
+    except MagycError as error:  # another gyroscope has another bias, but its values are as good
+        device = None
+        notes.append(str(error))
     undone = undo(
         "GYRO",
         logged,
         message.stamp,
         parameters,
-        _device(message, messages, "gyro"),
+        device,
         corrected=combined or "x_raw" in message.data,
         rotated=combined,
     )
@@ -261,30 +210,7 @@ def _gyroscope(
     return stream, "instant"
 
 
-def _device(message: _Message, messages: list[_Message], kind: str) -> int | None:
-    """Identifier of the sensor behind a message; None where the log does not say.
-
-    Raises:
-        MagycError: the log changes from one sensor to another.
-    """
-    if "device_id" in message.data:
-        identifiers = np.unique(message.data["device_id"])
-    else:
-        selected = [m for m in messages if m.name == "sensor_selection" and f"{kind}_device_id" in m.data]
-        if not selected:
-            return None
-        identifiers = np.unique(selected[0].data[f"{kind}_device_id"])
-    identifiers = identifiers[identifiers != 0]
-    if len(identifiers) > 1:
-        raise MagycError(
-            f"{message.label}: PX4 changed from one sensor to another within the log (devices "
-            f"{', '.join(map(str, identifiers))}), which one calibration does not fit; "
-            f"name the message of one sensor (sensor_{kind}[0])"
-        )
-    return int(identifiers[0]) if len(identifiers) else None
-
-
-def _attitude(messages: list[_Message], request: Request, notes: list[str]) -> Stream | None:
+def _attitude(messages: list[Message], request: Request, notes: list[str]) -> Stream | None:
     named = request.named("attitude")
     fitting = [m for m in messages if all(f"q[{k}]" in m.data for k in range(4))]
     found = [m for m in fitting if (named or "vehicle_attitude") in (m.name, m.label)]
@@ -295,13 +221,13 @@ def _attitude(messages: list[_Message], request: Request, notes: list[str]) -> S
     message = found[0]
     quaternion = np.column_stack([message.data[f"q[{k}]"] for k in (1, 2, 3, 0)]).astype(np.float64)
     notes.append(
-        f"attitude is {message.label}, vehicle (forward, right, down) to north, east, down; PX4's own estimate, "
-        "which the magnetometer took part in"
+        f"attitude is {message.label}, vehicle (forward, right, down) to north, east, down; PX4's own "
+        "estimate, which the magnetometer took part in"
     )
     return Stream(message.label, message.stamp * 1000, quaternion)
 
 
-def _channels(messages: list[_Message], request: Request) -> dict[str, Stream]:
+def _channels(messages: list[Message], request: Request) -> dict[str, Stream]:
     result = {}
     for name in request.channels if request.channels is not None else _CHANNELS:
         label, _, member = name.partition(".")

@@ -23,6 +23,7 @@ class FieldHistory:
     Attributes:
         time: (n,) s since the first row.
         raw, calibrated: (n, 3) T, sensor axes.
+        aligned: (n, 3) T, the calibrated field at the instants of the references, its delay taken out.
         strength: T, of the calibrated field.
         up: (n, 3) unit vertical in sensor axes, rows of NaN where unknown; None without any reference.
         up_from: where the vertical is from, in words; "" without any reference.
@@ -33,6 +34,7 @@ class FieldHistory:
     time: Array
     raw: Array
     calibrated: Array
+    aligned: Array
     strength: float
     up: Array | None
     up_from: str
@@ -91,21 +93,24 @@ def field_history(recording: Recording, calibration: Calibration) -> FieldHistor
     strength = calibration.field_strength
     if strength is None:
         strength = float(np.median(np.linalg.norm(calibrated, axis=1)))
-    # The field at an instant is what the magnetometer says `delay` later.
-    aligned = [np.interp(time + calibration.delay, time, axis) for axis in calibrated.T]
+    aligned = calibrated
+    if calibration.delay:  # the field at an instant is what the magnetometer says `delay` later
+        later = time + calibration.delay
+        aligned = np.stack([np.interp(later, time, axis) for axis in calibrated.T], axis=1)
     attitude = None if recording.attitude is None else recording.attitude[fresh]
     acceleration = None if recording.acceleration is None else recording.acceleration[fresh]
+    if attitude is not None and not np.isfinite(attitude).any():
+        attitude = None
     up, up_from = _up(attitude, acceleration)
-    heading_error = None
-    if attitude is not None and np.isfinite(attitude).any():
-        heading_error = np.column_stack(
-            [_heading_error(raw, attitude), _heading_error(np.column_stack(aligned), attitude)]
-        )
-    return FieldHistory(time - recording.time[0], raw, calibrated, strength, up, up_from, heading_error)
+    error = None
+    if attitude is not None:
+        error = np.column_stack([_heading_error(field, attitude) for field in (raw, aligned)])
+    since = time - recording.time[0]
+    return FieldHistory(since, raw, calibrated, aligned, strength, up, up_from, error)
 
 
 def _up(attitude: Array | None, acceleration: Array | None) -> tuple[Array | None, str]:
-    if attitude is not None and np.isfinite(attitude).any():
+    if attitude is not None:
         up = np.full((len(attitude), 3), np.nan)
         known = np.isfinite(attitude).all(axis=1)
         up[known] = Rotation.from_quat(attitude[known]).inv().apply([0.0, 0.0, 1.0])
@@ -140,16 +145,15 @@ def level_turn(calibration: Calibration, history: FieldHistory) -> LevelTurn:
     """Heading error over a level turn: of the raw field, and what the covariance leaves."""
     axis, about = np.array([0.0, 0.0, 1.0]), "the sensor's z axis"
     if history.up is None:
-        axis = (
-            axis if np.median(history.calibrated[:, 2]) < 0 else -axis
-        )  # as on the northern half of the Earth
+        if np.median(history.calibrated[:, 2]) > 0:  # the northern half of the Earth
+            axis = -axis
         up = np.broadcast_to(axis, history.raw.shape)
     else:
         up = history.up
         mean = np.nanmean(up, axis=0)
         if np.linalg.norm(mean) > 0.5:  # else the instrument was tumbled, and no axis was the vertical
             axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
-    dip = np.radians(np.nanmedian(inclination(history.calibrated, up)))
+    dip = np.radians(np.nanmedian(inclination(history.aligned, up)))
     forward = np.eye(3)[np.abs(axis).argmin()] if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
     forward = forward - axis * (axis @ forward)
     forward /= np.linalg.norm(forward)
@@ -221,12 +225,10 @@ def summary(time: Array, value: Array, most: int = 600) -> tuple[Array, Array, A
     return time[: bins * per_bin].reshape(bins, per_bin).mean(axis=1), mean, lowest, highest
 
 
-def spread(field: Array, most: int = 3000) -> NDArray[np.int_]:
-    """Rows of `field` (n, 3) to draw: one per small cube, so that time at rest does not hide the motion."""
-    cube = float(np.median(np.linalg.norm(field, axis=1))) / 40
+def spread(field: Array, cube: float, most: int = 3000) -> NDArray[np.int_]:
+    """Rows of `field` (n, 3) to draw: one per cube of that side, so that time at rest hides no motion."""
     cells = np.floor(field / cube).astype(np.int64)
     cells -= cells.min(axis=0)
-    _, first = np.unique(
-        np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1)), return_index=True
-    )
+    cell = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))
+    _, first = np.unique(cell, return_index=True)
     return first[:: -(-len(first) // most)]

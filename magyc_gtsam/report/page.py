@@ -35,8 +35,8 @@ class Residuals(Protocol):
         time: (n,) s, window centres, on the recording's clock.
         magnetic_field: (n, 3) T, sensor axes.
         magnetic_sigma, magnetic_weight: (n,) T and robust weight in [0, 1].
-        link: (n − 1, k) rad, difference of neighbouring field directions from the gyroscope's.
-        link_sigma, link_weight: (n − 1,) rad and robust weight in [0, 1].
+        link: (n − 1, 3) rad, difference of neighbouring field directions from the gyroscope's.
+        link_sigma, link_weight: (n − 1,) rad, infinite across a hole, and robust weight in [0, 1].
     """
 
     @property
@@ -189,32 +189,39 @@ def _turn_figure(turn: LevelTurn) -> Figure:
 
 
 def _residual_section(residuals: Residuals, start: float) -> ResidualSection:
-    time = np.asarray(residuals.time) - start
+    time = residuals.time - start
     middle = (time[1:] + time[:-1]) / 2
-    link = np.asarray(residuals.link).reshape(len(middle), -1)
-    groups = [
+    joined = np.isfinite(residuals.link_sigma)  # not across a hole of the data
+    fits = [
         ("Magnetometer", time, residuals.magnetic_field, residuals.magnetic_sigma, residuals.magnetic_weight),
-        ("Gyroscope", middle, link, residuals.link_sigma, residuals.link_weight),
+        (
+            "Gyroscope",
+            middle[joined],
+            residuals.link[joined],
+            residuals.link_sigma[joined],
+            residuals.link_weight[joined],
+        ),
     ]
     figures: list[Figure] = []
     stretches: list[tuple[float, float]] = []
-    for name, at, value, sigma, weight in groups:
-        whitened = np.asarray(value) / np.asarray(sigma)[:, None]
-        kept = np.asarray(weight) >= DISTURBED_WEIGHT
-        disturbed = disturbed_stretches(at, np.asarray(weight))
+    for name, at, value, sigma, weight in fits:
+        whitened = value / sigma[:, None]
+        kept = weight >= DISTURBED_WEIGHT
+        disturbed = disturbed_stretches(at, weight)
         stretches += disturbed
+        noise = whitened[kept] if kept.any() else whitened
         figures += [
             Figure(
                 Markup(plots.residuals(at, whitened, disturbed)),
                 f"{name}: residual over time",
-                f"In units of its own σ; dotted: ±3. Less than half their weight: {(~kept).sum()} of "
-                f"{len(at)} windows.",
+                "In units of its own σ, drawn up to ±10; dotted: ±3. "
+                f"Below half their weight: {(~kept).sum()} of {len(at)} windows.",
             ),
             Figure(
-                Markup(plots.residual_histogram(whitened)),
+                Markup(plots.residual_histogram(noise)),
                 f"{name}: residual against noise",
-                "Line: what noise alone would give. Standard deviation outside disturbed windows: "
-                f"{whitened[kept].std() if kept.any() else np.nan:.2f}, ideally 1.",
+                "Line: what the stated noise alone would give. "
+                f"Standard deviation {noise.std():.2f}: up to about 1 is noise, more is not.",
             ),
         ]
     return ResidualSection(tuple(figures), tuple(_merged(stretches)))

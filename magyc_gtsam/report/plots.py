@@ -10,7 +10,6 @@ from typing import Concatenate, ParamSpec
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -30,6 +29,7 @@ CALIBRATED = "#2b8cdb"
 DISTURBED = "#b04a9b"
 _INK = "#010203"  # stands for the page's own text colour
 _MICRO = 1e6
+_FLAT = 0.1  # share of the axis below which the calibrated curve gets a scale of its own
 _STYLE = {
     "font.family": "sans-serif",
     "font.size": 10.5,
@@ -88,7 +88,7 @@ def field_projection(
 ) -> None:
     """Raw and calibrated field, with the fitted ellipsoid and the sphere, seen along one sensor axis."""
     axes = figure.add_subplot()
-    rows = spread(history.raw)
+    rows = spread(history.calibrated, history.strength / 40)
     for field, colour in ((history.raw, RAW), (history.calibrated, CALIBRATED)):
         x, y = field[rows][:, plane].T * _MICRO
         axes.plot(x, y, ".", color=colour, markersize=2.5, alpha=0.5, rasterized=True, markeredgewidth=0)
@@ -134,31 +134,24 @@ def _lambert(sine: Array) -> Array:
     return np.asarray(np.sqrt((1 - sine) / 2))
 
 
-@drawn(5.2, 3.0)
+@drawn(5.2, 3.2)
 def field_strength(figure: Figure, history: FieldHistory) -> None:
     """Strength of the field over time, raw and calibrated."""
-    axes = _before_after(
-        figure,
-        history.time,
-        np.linalg.norm(history.raw, axis=1) * _MICRO,
-        np.linalg.norm(history.calibrated, axis=1) * _MICRO,
-        "Field strength (µT)",
-    )
-    axes.axhline(history.strength * _MICRO, color=_INK, linewidth=1, linestyle="--")
+    raw, calibrated = (np.linalg.norm(field, axis=1) * _MICRO for field in (history.raw, history.calibrated))
+    _before_after(figure, history.time, raw, calibrated, "Strength (µT)", history.strength * _MICRO)
 
 
-@drawn(5.2, 3.0)
+@drawn(5.2, 3.2)
 def field_inclination(figure: Figure, history: FieldHistory, up: Array) -> None:
     """Angle of the field below the horizontal over time, raw and calibrated."""
-    raw, calibrated = inclination(history.raw, up), inclination(history.calibrated, up)
-    _before_after(figure, history.time, raw, calibrated, "Dip of the field (°)")
+    raw, calibrated = inclination(history.raw, up), inclination(history.aligned, up)
+    _before_after(figure, history.time, raw, calibrated, "Dip (°)", float(np.nanmedian(calibrated)))
 
 
-@drawn(5.2, 3.0)
+@drawn(5.2, 3.2)
 def heading_error(figure: Figure, time: Array, error: Array) -> None:
     """Error of the magnetic heading against the reference over time, raw and calibrated."""
-    axes = _before_after(figure, time, error[:, 0], error[:, 1], "Heading error (°)")
-    axes.axhline(0, color=_INK, linewidth=1, linestyle="--")
+    _before_after(figure, time, error[:, 0], error[:, 1], "Error (°)", 0.0)
 
 
 @drawn(5.2, 3.6)
@@ -180,12 +173,11 @@ def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
 
 @drawn(5.2, 3.6)
 def residuals(figure: Figure, time: Array, whitened: Array, disturbed: list[tuple[float, float]]) -> None:
-    """Whitened residuals (n, k) over time, one row per column, disturbed stretches shaded."""
+    """Whitened residuals (n, 3) over time, one row per sensor axis, disturbed stretches shaded."""
     unit, label = _clock(time)
-    largest = np.abs(whitened).max()
-    limit, step = (4, 3) if largest < 4 else (10, 5)
-    rows = figure.subplots(whitened.shape[1], 1, sharex=True, squeeze=False)[:, 0]
-    for axes, column, name in zip(rows, whitened.T, "xyz", strict=False):
+    limit, step = (10, 5) if (np.abs(whitened) > 4).any() else (4, 3)
+    rows = figure.subplots(3, 1, sharex=True)
+    for axes, column, name in zip(rows, whitened.T, "xyz", strict=True):
         for start, end in disturbed:
             axes.axvspan(start / unit, end / unit, color=DISTURBED, alpha=0.25, linewidth=0)
         clipped = np.clip(column, -limit, limit)
@@ -205,19 +197,26 @@ def residual_histogram(figure: Figure, whitened: Array) -> None:
     axes.hist(np.clip(whitened.ravel(), -5, 5), bins=bins, density=True, color=CALIBRATED)
     x = np.linspace(-5, 5, 201)
     axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=_INK)
-    axes.set(xlabel="Residual (σ)", ylabel="Density", xlim=(-5.1, 5.1))
+    axes.set(xlabel="Residual (σ)", ylabel="Share per σ", xlim=(-5.1, 5.1))
 
 
-def _before_after(figure: Figure, time: Array, raw: Array, calibrated: Array, label: str) -> Axes:
-    """Means as lines, the range of the samples as bands."""
-    axes = figure.add_subplot()
+def _before_after(
+    figure: Figure, time: Array, raw: Array, calibrated: Array, label: str, ideal: float
+) -> None:
+    """Means as lines, ranges as bands, `ideal` dashed; in two rows where one scale would hide one of them."""
     unit, clock = _clock(time)
-    for value, colour in ((raw, RAW), (calibrated, CALIBRATED)):
+    low, high = np.nanpercentile(calibrated, [1, 99])
+    both = np.append(raw, calibrated)
+    apart = high - low < _FLAT * (np.nanmax(both) - np.nanmin(both))
+    rows = figure.subplots(2 if apart else 1, 1, sharex=True, squeeze=False)[:, 0]
+    for axes, value, colour in ((rows[0], raw, RAW), (rows[-1], calibrated, CALIBRATED)):
         middle, mean, lowest, highest = summary(time, value)
         axes.fill_between(middle / unit, lowest, highest, color=colour, alpha=0.25, linewidth=0)
         axes.plot(middle / unit, mean, color=colour)
-    axes.set(xlabel=clock, ylabel=label, xlim=(time[0] / unit, time[-1] / unit))
-    return axes
+        axes.set_ylabel(label)
+    rows[-1].axhline(ideal, color=_INK, linewidth=1, linestyle="--")
+    rows[-1].set(xlabel=clock, xlim=(time[0] / unit, time[-1] / unit))
+    figure.align_ylabels()
 
 
 def _clock(time: Array) -> tuple[float, str]:

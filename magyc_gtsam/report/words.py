@@ -37,13 +37,14 @@ def trusted(calibration: Calibration) -> bool:
 
 def reasons(calibration: Calibration) -> list[str]:
     """Why to trust the result or not, one short sentence each."""
-    stopped = "The method converged." if calibration.converged else "The method did not converge."
-    sentences = [calibration.message or stopped]
+    message = calibration.message or ("converged" if calibration.converged else "not converged")
+    sentences = [message[0].upper() + message[1:].removesuffix(".") + "."]
     observability = calibration.observability
     if observability is not None and observability.observable:
         sentences.append("The motion was sufficient.")
     elif observability is not None:
-        sentences += [weakness.sentence for weakness in observability.weak[:1]]
+        worst = observability.weak[:1]
+        sentences += [weakness.sentence for weakness in worst if weakness.what not in message]
     return sentences
 
 
@@ -135,9 +136,8 @@ def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
 
 def stretch(seconds: tuple[float, float]) -> str:
     """A stretch of time in words: "120–150 s (2:00–2:30)"."""
-    start, end = seconds
-    minutes = "–".join(f"{int(t) // 60}:{int(t) % 60:02d}" for t in seconds)
-    return f"{start:.0f}–{end:.0f} s ({minutes})"
+    start, end = int(np.floor(seconds[0])), int(np.ceil(seconds[1]))
+    return f"{start}–{end} s ({start // 60}:{start % 60:02d}–{end // 60}:{end % 60:02d})"
 
 
 def advice(

@@ -101,7 +101,8 @@ def optimize(
     if missing:
         raise MagycError(f"no initial value for {', '.join(_called(key, names) for key in missing)}")
 
-    best, errors = initial, []
+    best = initial
+    errors: list[float] = []
 
     def result(status: Status, message: str) -> BatchResult:
         return BatchResult(best, status, message, max(len(errors) - 1, 0), tuple(errors))
@@ -113,10 +114,15 @@ def optimize(
         errors.append(graph.error(initial))
         if not np.isfinite(errors[0]):
             return result(Status.FAILED, f"the error is {errors[0]} at the initial values")
-        optimizer = _optimizer(graph, initial, method)
-        while True:
+        optimizer_type, parameters_type = _OPTIMIZERS[method]
+        optimizer = optimizer_type(graph, initial, parameters_type())
+        decrease = np.inf
+        while decrease > tolerance():
             if len(errors) > max_iterations:
-                return result(Status.MAX_ITERATIONS, _not_yet(errors))
+                return result(
+                    Status.MAX_ITERATIONS,
+                    f"not converged after {max_iterations} iterations{_last(errors)}; allow more iterations",
+                )
             optimizer.iterate()
             errors.append(optimizer.error())
             if not np.isfinite(errors[-1]):
@@ -126,19 +132,19 @@ def optimize(
                 best = gtsam.Values(optimizer.values())  # a copy: the next iteration frees the original
             if progress is not None:
                 progress(len(errors) - 1, errors[-1])
-            if decrease <= tolerance():
-                break
-        # No further decrease: a minimum, or merely no step? The full Gauss–Newton step knows; solving for
-        # it also finds variables that damping had hidden.
+        # A minimum, or merely no step? The full Gauss–Newton step knows; solving for it also finds
+        # variables that nothing determines, which damping hides.
         promised = _predicted_decrease(graph, best)
         if decrease <= 0 and promised > tolerance():
-            return result(Status.STALLED, f"{_obstacle(optimizer)}, though {promised:.2g} of {min(errors):.3g} remained to be won")
-        return result(
-            Status.CONVERGED,
-            f"converged in {len(errors) - 1} iterations: the last lowered the error by {max(decrease, 0.0):.1g} of {min(errors):.3g}",
-        )
+            return result(
+                Status.STALLED,
+                f"{_obstacle(optimizer)}, though {promised:.2g} of {min(errors):.3g} are to be won",
+            )
+        return result(Status.CONVERGED, f"converged in {len(errors) - 1} iterations{_last(errors)}")
     except KeyboardInterrupt:
-        return result(Status.INTERRUPTED, f"interrupted in iteration {len(errors)}; the best values so far are returned")
+        return result(
+            Status.INTERRUPTED, f"interrupted in iteration {len(errors)}; the best values so far are returned"
+        )
     except NonFiniteError as problem:
         return result(Status.FAILED, str(problem))
     except RuntimeError as problem:
@@ -149,11 +155,6 @@ def optimize(
             Status.INDETERMINATE,
             f"{_called(int(key[1]), names)} is not determined by the data; move more, or add a prior",
         )
-
-
-def _optimizer(graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, method: Method) -> Any:
-    optimizer, parameters = _OPTIMIZERS[method]
-    return optimizer(graph, initial, parameters())
 
 
 def _predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
@@ -171,11 +172,10 @@ def _obstacle(optimizer: Any) -> str:
     return "the undamped step raises the error (use 'lm' or 'dogleg')"
 
 
-def _not_yet(errors: list[float]) -> str:
-    text = f"not converged after {len(errors) - 1} iterations"
-    if len(errors) > 1:
-        text += f": the last lowered the error by {errors[-2] - errors[-1]:.1g} of {errors[-1]:.3g}"
-    return f"{text}; allow more iterations"
+def _last(errors: list[float]) -> str:
+    if len(errors) < 2:
+        return ""
+    return f": the last changed the error by {errors[-1] - errors[-2]:.1g} to {errors[-1]:.6g}"
 
 
 def _called(key: int, names: Mapping[int, str] | None) -> str:

@@ -1,0 +1,101 @@
+"""The messages of a PX4 log as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.px4_calibration import Parameters
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """One instance of a message: its name, its fields as arrays, and whether there are more instances."""
+
+    name: str
+    instance: int
+    data: Mapping[str, NDArray[Any]]
+
+    @property
+    def label(self) -> str:
+        """Name, and instance where it is not the first."""
+        return f"{self.name}[{self.instance}]" if self.instance else self.name
+
+    @property
+    def count(self) -> int:
+        """Samples."""
+        return len(self.data["timestamp"])
+
+    @property
+    def stamp(self) -> Stamps:
+        """µs since boot, of the sample itself where the message says so."""
+        at = self.data.get("timestamp_sample")
+        known = at is not None and bool(np.all(at > 0))
+        return np.asarray(at if known else self.data["timestamp"]).astype(np.int64)
+
+    def vector(self, fields: str) -> Array | None:
+        """(n, 3) of three fields, "xyz" or "field[{}]"; None where the message does not have them."""
+        names = list(fields) if "{}" not in fields else [fields.format(k) for k in range(3)]
+        if any(n not in self.data for n in names):
+            return None
+        return np.column_stack([self.data[n] for n in names]).astype(np.float64)
+
+
+def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters, tuple[str, ...]]:
+    """The messages of these names (None for all), the parameters, and notes on what is damaged.
+
+    Raises:
+        MagycError: pyulog is not installed, or the file is no PX4 log.
+    """
+    try:
+        from pyulog import ULog
+        from pyulog.exceptions import ULogException
+    except ImportError:
+        raise MagycError(
+            f"{path}: PX4 logs need pyulog; install it with: pip install 'magyc-gtsam[px4]'"
+        ) from None
+    try:
+        log = ULog(str(path), names)
+    except ULogException as error:
+        raise MagycError(f"{path}: not a PX4 log that can be read ({error})") from None
+    messages = [Message(d.name, int(d.multi_id), d.data) for d in log.data_list]
+    changes = tuple((int(when), name, float(value)) for when, name, value in log.changed_parameters)
+    notes = []
+    if log.file_corruption:
+        notes.append("the log is damaged or cut off; what could be read of it was")
+    if log.dropouts:
+        lost = sum(d.duration for d in log.dropouts) / 1e3
+        notes.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in all")
+    return messages, Parameters(dict(log.initial_parameters), changes), tuple(notes)
+
+
+def device_of(message: Message, messages: list[Message], kind: str) -> int | None:
+    """Identifier of the sensor behind a message; None where the log does not say.
+
+    Raises:
+        MagycError: the log changes from one sensor to another.
+    """
+    if "device_id" in message.data:
+        identifiers = np.unique(message.data["device_id"])
+    else:
+        selected = [m for m in messages if m.name == "sensor_selection" and f"{kind}_device_id" in m.data]
+        if not selected:
+            return None
+        identifiers = np.unique(selected[0].data[f"{kind}_device_id"])
+    identifiers = identifiers[identifiers != 0]
+    if len(identifiers) > 1:
+        raise MagycError(
+            f"{message.label}: PX4 changed from one sensor to another within the log (devices "
+            f"{', '.join(map(str, identifiers))}), which one calibration does not fit; "
+            f"name the message of one sensor (sensor_{kind}[0])"
+        )
+    return int(identifiers[0]) if len(identifiers) else None
