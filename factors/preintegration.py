@@ -188,14 +188,14 @@ class Preintegration:
         share = since / step
         rate_before, rate_after = self.angular_rate[left], self.angular_rate[left + 1]
         p, q = track.p[left], track.q[left]
-        if self.interval_mean:
-            rate = rate_after - bias
-            turned = rate * since[:, None]
-        else:
-            rate = rate_before + (rate_after - rate_before) * share[:, None] - bias
-            turned = (rate_before - bias + 0.5 * (rate_after - rate_before) * share[:, None]) * since[:, None]
-        if since.any():
-            p, q = multiply((p, q), exponential(turned))
+        lever, variance = track.lever[:, left], track.variance[left]
+        rate = (rate_after if self.interval_mean else rate_before) - bias
+        if since.any():  # else every sample lies on a gyroscope stamp
+            change = 0.0 if self.interval_mean else (rate_after - rate_before) * share[:, None]
+            p, q = multiply((p, q), exponential((rate + 0.5 * change) * since[:, None]))
+            rate = rate + change
+            lever += (track.lever[:, left + 1] - lever) * share
+            variance += (track.variance[left + 1] - variance) * share
         r = matrices((p, q))
         result = np.empty((29, len(time)))
         result[:9] = r[[0, 3, 6, 1, 4, 7, 2, 5, 8]]  # transposed
@@ -205,8 +205,7 @@ class Preintegration:
         result[9:12] = y * r2 - z * r1
         result[12:15] = z * r0 - x * r2
         result[15:18] = x * r1 - y * r0
-        before = track.lever[:, left]
-        result[18:27] = before + (track.lever[:, left + 1] - before) * share
-        result[27] = track.variance[left] + (track.variance[left + 1] - track.variance[left]) * share
+        result[18:27] = lever
+        result[27] = variance
         result[28] = time
         return result

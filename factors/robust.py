@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Array, Residual
+from magyc_gtsam.factors.guard import Array, Residual, standard_deviation
 
 _SMALL = 1e-9  # whitened norms below this count as this in quotients
 
@@ -113,7 +113,7 @@ def robust_noise(
         dimension: rows of the residual.
         tuning: the kernel's constant in whitened units; default 95 % efficiency.
     """
-    k = tuning_constant(name, dimension, tuning)
+    k, sigma = tuning_constant(name, dimension, tuning), standard_deviation(sigma)
     estimators = gtsam.noiseModel.mEstimator
     if name == "l1":  # not wrapped; Huber(e/√k; √k) is the same function
         estimator, sigma = estimators.Huber.Create(np.sqrt(k)), sigma * np.sqrt(k)

@@ -76,8 +76,8 @@ def _ardupilot(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[st
     length = float(np.linalg.norm(added))
     if length > _ARDUPILOT_OFFSET:
         notes.append(
-            f"LIMIT: offset of {length:.0f} milligauss, beyond {_ARDUPILOT_OFFSET:g}: the vehicle will not arm. "
-            "Move the compass away from iron, or raise COMPASS_OFFS_MAX."
+            f"LIMIT: offset of {length:.0f} milligauss, beyond {_ARDUPILOT_OFFSET:g}: "
+            "the vehicle will not arm. Move the compass away from iron, or raise COMPASS_OFFS_MAX."
         )
     low, high = _ARDUPILOT_DIAGONAL
     if not ((diagonal > low) & (diagonal < high)).all():
@@ -122,7 +122,10 @@ def _ros(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
         "# that magnetometer_pipeline's bias remover reads.",
         "/**:",
         "  ros__parameters:",
-        *(f"    initial_mag_bias_{axis}: {_yaml([value])}" for axis, value in zip("xyz", offset, strict=True)),
+        *(
+            f"    initial_mag_bias_{axis}: {_yaml([value])}"
+            for axis, value in zip("xyz", offset, strict=True)
+        ),
         f"    initial_mag_scaling_matrix: [{_yaml(matrix.ravel())}]",
     ]
     if gyro_bias is not None:

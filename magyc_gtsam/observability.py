@@ -130,9 +130,13 @@ def _vertical(recording: Recording) -> Array | None:
     """(3,) mean direction of the specific force in the sensor frame; None without an accelerometer."""
     if recording.acceleration is None:
         return None
-    mean = recording.acceleration.mean(axis=0)
+    mean = _thin(recording.acceleration).mean(axis=0)
     norm = float(np.linalg.norm(mean))
     return mean / norm if norm > 5.0 else None  # an instrument turned all over has no vertical axis
+
+
+def _thin(values: Array, most: int = 2000) -> Array:
+    return values[:: max(len(values) // most, 1)]
 
 
 def _remedy(axis: Array, up: Array | None) -> str:
@@ -156,23 +160,22 @@ def _heading_sigma(
     """
     if up is None or recording.acceleration is None:
         return None
-    field = (recording.magnetic_field - recording.magnetic_field.mean(axis=0)) @ np.linalg.inv(soft_iron).T
-    horizontal = float(np.sqrt(2 * np.mean((field - np.outer(field @ up, up)) ** 2) * 3 / 2))
-    horizontal = min(max(horizontal, 0.1 * field_strength), field_strength)
+    field = _thin(recording.magnetic_field) @ np.linalg.inv(soft_iron).T
+    level = field - np.outer(field @ up, up)
+    # Spread of a turn's horizontal circle: half its squared radius per axis, as far as the log turned.
+    horizontal = float(np.sqrt(2 * np.linalg.eigvalsh(np.cov(level.T))[-1]))
+    horizontal = min(max(horizontal, 0.2 * field_strength), field_strength)
     first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     first /= np.linalg.norm(first)
     second = np.cross(up, first)
     vertical = -np.sqrt(field_strength**2 - horizontal**2)
-    inverse = np.linalg.inv(soft_iron)
+    angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)[:, None]
+    toward = np.cos(angle) * first + np.sin(angle) * second
+    u = horizontal * toward + vertical * up
+    # Error of the calibrated field: −A⁻¹ (dA u + dh); its part across the horizontal field turns heading.
+    gain = -np.cross(up, toward) @ np.linalg.inv(soft_iron) / horizontal
     rows, columns = np.triu_indices(3)
-    largest = 0.0
-    for angle in np.linspace(0, 2 * np.pi, 36, endpoint=False):
-        toward = np.cos(angle) * first + np.sin(angle) * second
-        across = np.cross(up, toward)
-        u = horizontal * toward + vertical * up
-        # Error of the calibrated field: −A⁻¹ (dA u + dh); its part across the horizontal field turns heading.
-        gain = -(across @ inverse) / horizontal
-        on_soft_iron = gain[rows] * u[columns] + np.where(rows == columns, 0.0, gain[columns] * u[rows])
-        jacobian = np.concatenate([on_soft_iron, gain])
-        largest = max(largest, float(jacobian @ covariance[:9, :9] @ jacobian))
-    return float(np.rad2deg(np.sqrt(max(largest, 0.0))))
+    mirrored = np.where(rows == columns, 0.0, gain[:, columns] * u[:, rows])
+    jacobian = np.concatenate([gain[:, rows] * u[:, columns] + mirrored, gain], axis=1)
+    variance = np.einsum("na,ab,nb->n", jacobian, covariance[:9, :9], jacobian)
+    return float(np.rad2deg(np.sqrt(max(float(variance.max()), 0.0))))

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.magyc_bfg import GAUSS, KEYS, calibrate_magyc_bfg, derivative_windows
+from magyc_gtsam.estimators.magyc_bfg import GAUSS, KEYS, _covariance, calibrate_magyc_bfg, derivative_windows
 from magyc_gtsam.factors import MagycError, gyro_derivative_factor, norm_prior, unvech, vech
+from magyc_gtsam.factors.gyro_derivative import gyro_derivative_error
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.runners import optimize
 from magyc_gtsam.simulation import simulate
@@ -146,6 +147,62 @@ def test_what_it_cannot_do_is_said(wide):
     limited = calibrate_magyc_bfg(wide.recording, max_iterations=1)
     assert not limited.converged
     assert "after 1 iterations" in limited.message
+
+
+def test_motion_that_determines_too_little_is_not_called_converged():
+    rng = np.random.default_rng(0)
+    time = np.arange(0, 120, 0.1)
+    heading = 0.5 * time
+    level = np.stack([2e-5 * np.cos(heading), -2e-5 * np.sin(heading), np.full(len(time), 4e-5)], axis=1)
+    rate = np.tile([0.0, 0.0, 0.5], (len(time), 1))
+    for field, turning in ((level, rate), (level[:1] + 0 * level, 0 * rate)):
+        m = field + 1e-6 * rng.normal(size=field.shape)
+        calibration = calibrate_magyc_bfg(Recording(time, m, turning + 5e-3 * rng.normal(size=field.shape)))
+        assert not calibration.converged
+        assert "not observable" in calibration.message or "positive definite" in calibration.message
+
+
+def test_indeterminate_motion_is_named():
+    time = np.arange(0, 60, 0.1)
+    still = np.tile([2e-5, 0.0, 4e-5], (600, 1))
+    own = np.ones(600, dtype=bool)
+    recording = Recording(time, still, np.zeros((600, 3)), magnetic_field_fresh=own, angular_rate_fresh=own)
+    calibration = calibrate_magyc_bfg(recording)
+    assert not calibration.converged
+    assert "is not determined by the data" in calibration.message
+
+
+def test_its_weakness_is_that_of_numeric_differences(wide):
+    """The covariance behind the verdict, against the spread of A, h, b over perturbed (l, d, b)."""
+    windows = derivative_windows(wide.recording)
+    samples = windows.magnetic_field / GAUSS, windows.derivative / GAUSS, windows.angular_rate
+    graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gyro_derivative_factor(KEYS, *samples, 1.0))
+    graph.add(norm_prior(KEYS[0], 1e-3))
+    for key, value in zip(KEYS, (vech(np.eye(3)), np.zeros(3), np.zeros(3)), strict=True):
+        initial.insert(key, value)
+    values = optimize(graph, initial).values
+    l, d, b = (values.atVector(key) for key in KEYS)  # noqa: E741
+    residual, _ = gyro_derivative_error(samples, l, d, b)
+    marginal = gtsam.Marginals(graph, values).jointMarginalCovariance(gtsam.KeyVector(KEYS))
+    blocks = np.block([[marginal.at(i, j) for j in KEYS] for i in KEYS])
+    blocks *= np.sum(residual**2) / (residual.size - 12)
+
+    def physical(x):
+        inverse = np.linalg.inv(unvech(x[:6]))
+        return np.concatenate(
+            [vech(inverse / np.cbrt(np.linalg.det(inverse))), inverse @ x[6:9] * GAUSS, x[9:]]
+        )
+
+    x = np.concatenate([l, d, b])
+    mapping = np.array([(physical(x + e) - physical(x - e)) / 2e-6 for e in 1e-6 * np.eye(12)]).T
+    scale = np.diag(1 / np.repeat([1, GAUSS, 1], [6, 3, 3]))
+    np.testing.assert_allclose(
+        scale @ _covariance(samples, l, d, b) @ scale,
+        scale @ mapping @ blocks @ mapping.T @ scale,
+        rtol=0.02,
+        atol=1e-8,
+    )
 
 
 def test_progress_and_interrupt(wide):

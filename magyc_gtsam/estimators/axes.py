@@ -81,11 +81,11 @@ def check(recording: Recording) -> None:
     if best.unit:
         raise MagycError(
             f"angular_rate: read as {best.unit} it explains the field's changes ({1 - best.unexplained:.0%}, as given "
-            f"{1 - given.unexplained:.0%}); convert it, or say the unit (--angular-unit)"
+            f"{max(1 - given.unexplained, 0):.0%}); convert it, or say the unit (--angular-unit)"
         )
     raise MagycError(
         f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains "
-        f"{1 - given.unexplained:.0%} of the field's changes, with {best.axes} {1 - best.unexplained:.0%}; "
+        f"{max(1 - given.unexplained, 0):.0%} of the field's changes, with {best.axes} {1 - best.unexplained:.0%}; "
         f"bring both to one frame (--gyroscope-axes)"
     )
 

@@ -18,6 +18,7 @@ _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
 _NOISE_STABLE = 0.2  # squared length of a step of the noise levels in their own sigmas
 _GYROSCOPE_RANGE = 3.0
 _MAGNETOMETER_FLOOR = 3.0
+_COLOURED = 3.0  # standard deviations of an autocorrelation from which it counts
 _WEIGHTS_STABLE = 1e-3  # mean change of a robust weight
 
 
@@ -51,6 +52,31 @@ class Fit:
         value = np.maximum(value, 1e-15)
         result[kept] = (vector / value) @ vector.T * scale * scale[:, None]
         return result
+
+
+    @property
+    def colour(self) -> float:
+        """1 + 2 Σ ρ_k: by how much neighbouring windows repeat each other's misfit; 1 for white residuals.
+
+        A field that varies over the room or a filtered magnetometer leaves residuals that hang together,
+        so that the windows count for fewer than they are; taken in the sensor's and in the world's axes.
+        """
+        whitened = (
+            self.chain.residuals(self.state).window * np.sqrt(self.weights.window) / self.chain.window_sigma
+        )
+        turned = np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
+        return max(_colour(whitened), _colour(turned))
+
+
+def _colour(residual: Array) -> float:
+    total = float(np.vdot(residual, residual))
+    factor = 1.0
+    for lag in range(1, residual.shape[1] // 4):
+        correlation = float(np.vdot(residual[:, lag:], residual[:, :-lag])) / max(total, 1e-300)
+        if correlation < _COLOURED / np.sqrt(residual.size):
+            break
+        factor += 2 * correlation
+    return factor
 
 
 def begin(chain: FieldChain, parameters: Array, free: np.ndarray) -> Fit:

@@ -22,6 +22,9 @@ from magyc_gtsam.factors import (
     unvech,
     vech,
 )
+from magyc_gtsam.factors.gyro_derivative import Samples, gyro_derivative_error
+from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS
+from magyc_gtsam.observability import assess
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.runners.batch import BatchResult, Method, optimize
 
@@ -56,7 +59,8 @@ def calibrate_magyc_bfg(
     """Calibrate with MAGYC-BFG.
 
     The paper gives no covariance, and none is reported: residual (7) has the noise in its regressors,
-    so that the graph's marginals would not be those of the estimate.
+    so that the estimate is biased and the graph's marginals are not its spread. They only serve to say
+    what the motion left undetermined (`observability`); such a result does not count as converged.
 
     Args:
         recording: with a gyroscope.
@@ -106,7 +110,7 @@ def calibrate_magyc_bfg(
     calibration = _calibration(
         result,
         recording,
-        len(windows.time),
+        samples,
         field_strength,
         {
             "optimizer": optimizer,
@@ -145,16 +149,17 @@ def derivative_windows(recording: Recording, length: float = 1.0) -> DerivativeW
     edges = start + length * (np.arange(count + 1) - 1e-6)  # stamps on an edge belong to what follows
     first, stop = np.searchsorted(mag.time, edges[:-1]), np.searchsorted(mag.time, edges[1:])
     gyro_first, gyro_stop = np.searchsorted(gyro.time, edges[:-1]), np.searchsorted(gyro.time, edges[1:])
-    used = (stop - first >= 2) & (gyro_stop > gyro_first)
+    samples, gyro_samples = stop - first, gyro_stop - gyro_first
+    used = (samples >= max(2, 0.5 * np.median(samples))) & (
+        gyro_samples >= max(1, 0.5 * np.median(gyro_samples))
+    )
     first, stop, gyro_first, gyro_stop = first[used], stop[used], gyro_first[used], gyro_stop[used]
-    span = mag.time[stop - 1] - mag.time[first]
-    long = span >= 0.5 * length
-    first, stop, gyro_first, gyro_stop, span = (x[long] for x in (first, stop, gyro_first, gyro_stop, span))
     if len(first) < 4:
         raise MagycError(
-            f"{len(first)} windows of {length:g} s hold samples of both sensors over half their length, "
-            "at least 4 are needed; record for longer, or choose a window of several samples"
+            f"{len(first)} windows of {length:g} s hold two or more samples of the magnetometer and one of "
+            "the gyroscope, at least 4 are needed; record for longer, or choose a longer window"
         )
+    span = mag.time[stop - 1] - mag.time[first]
     return DerivativeWindows(
         _means(mag.time[:, None], first, stop)[:, 0],
         _means(mag.value, first, stop),
@@ -171,40 +176,72 @@ def _means(values: Array, first: np.ndarray, stop: np.ndarray) -> Array:
 def _calibration(
     result: BatchResult,
     recording: Recording,
-    windows: int,
+    samples: Samples,
     field_strength: float | None,
     configuration: dict[str, object],
 ) -> Calibration:
     """C and d, whose scale (7) cannot know, to soft iron and hard iron."""
-    c = unvech(result.values.atVector(INVERSE_SOFT_IRON))
+    l = result.values.atVector(INVERSE_SOFT_IRON)  # noqa: E741
     d = result.values.atVector(PSEUDO_HARD_IRON)
+    b = result.values.atVector(GYRO_BIAS)
+    c = unvech(l)
     determinant = float(np.linalg.det(c))
     if abs(determinant) < 1e-12 * np.linalg.norm(c) ** 3:
         raise MagycError(
             f"magyc-bfg: the inverse soft iron became singular ({result.message}); "
             "the motion does not determine it"
         )
-    hard_iron: Array = GAUSS * np.linalg.solve(c, d)
     soft_iron = np.linalg.inv(c) * np.cbrt(determinant)  # det 1; (−C, −d) solves (7) as well
+    hard_iron: Array = np.asarray(np.linalg.solve(c, d) * GAUSS, dtype=np.float64)
     field = np.linalg.solve(soft_iron, (recording.magnetometer.value - hard_iron).T)
     strength = float(np.linalg.norm(field, axis=0).mean())
+
+    reasons, observability = [] if result.converged else [result.message], None
+    if np.linalg.eigvalsh(soft_iron)[0] <= 0:
+        reasons.append("the soft iron is not positive definite")
+    elif result.converged:
+        observability = assess(_covariance(samples, l, d, b), soft_iron, strength, recording)
+        if not observability.observable:
+            reasons.append(f"not observable: {observability.weak[0].sentence}")
     if field_strength is not None:
-        soft_iron *= strength / field_strength
-    positive = bool((np.linalg.eigvalsh(soft_iron) > 0).all())
-    message = result.message if positive else f"the soft iron is not positive definite; {result.message}"
+        soft_iron, strength = soft_iron * (strength / field_strength), field_strength
     return Calibration(
         soft_iron,
         hard_iron,
-        result.values.atVector(GYRO_BIAS),
-        converged=result.converged and positive,
-        message=message,
+        b,
+        converged=not reasons,
+        message="; ".join(reasons) or result.message,
         method="magyc-bfg",
-        field_strength=strength if field_strength is None else field_strength,
+        field_strength=strength,
+        observability=observability,
         diagnostics={
             "status": str(result.status),
             "iterations": result.iterations,
             "error": min(result.errors),
-            "windows": windows,
+            "windows": len(samples[0]),
         },
         configuration=configuration,
     )
+
+
+def _covariance(samples: Samples, l: Array, d: Array, b: Array) -> Array:  # noqa: E741
+    """Of vech(A) at det A = 1, h in T and b, as if only the residuals (7) were noisy: (12, 12)."""
+    residual, jacobians = gyro_derivative_error(samples, l, d, b, want_jacobians=True)
+    jacobian = np.concatenate(jacobians, axis=2).reshape(-1, 12)
+    variance = np.sum(residual**2) / max(residual.size - 12, 1)
+    scale = np.concatenate([l, d, np.zeros(3)])  # the direction that (7) leaves free: determined exactly
+    scale *= np.linalg.norm(jacobian) / (scale @ scale)
+    graph = np.linalg.inv(jacobian.T @ jacobian + np.outer(scale, scale)) * variance
+
+    # dA = A (tr(C⁻¹ dC)/3 − dC C⁻¹) at det A = 1, and dh = C⁻¹ (dd − dC h).
+    inverse = np.linalg.inv(unvech(l))
+    soft_iron, h = inverse / np.cbrt(np.linalg.det(inverse)), inverse @ d
+    relative = SYMMETRIC_UNITS @ inverse
+    trace = np.trace(relative, axis1=1, axis2=2) / 3
+    mapping = np.zeros((12, 12))
+    mapping[:6, :6] = vech(soft_iron @ (trace[:, None, None] * np.eye(3) - relative)).T
+    mapping[6:9, :6] = -GAUSS * inverse @ (SYMMETRIC_UNITS @ h).T
+    mapping[6:9, 6:9] = GAUSS * inverse
+    mapping[9:, 9:] = np.eye(3)
+    covariance: Array = mapping @ graph @ mapping.T
+    return covariance

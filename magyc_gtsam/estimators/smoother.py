@@ -25,6 +25,7 @@ from magyc_gtsam.recording import Array, Recording, Samples
 Progress = Callable[[float], None]
 
 _MOVED = 0.01  # rad by which bias or delay may turn a window before the gyroscope is integrated again
+_TRIPLETS = 3000  # samples at which the short-term noise is taken
 _EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
 _CLOSE = 1.1  # ratio of two minima's costs from which they count as close
 _LEAST_TRUSTED = 0.5  # share of the windows' weight below which the result must not be trusted
@@ -136,8 +137,10 @@ def short_term_noise(recording: Recording) -> Noise:
     """Noise per sample and axis from second differences, which smooth motion does not enter."""
 
     def level(samples: Samples, least: float) -> float:
-        second = np.diff(samples.value[:50_000], n=2, axis=0)
-        deviation = np.sqrt(np.mean(second**2, axis=1) / 6)
+        value = samples.value
+        i = np.unique(np.linspace(1, len(value) - 2, min(len(value) - 2, _TRIPLETS)).astype(int))
+        second = value[i + 1] - 2 * value[i] + value[i - 1]
+        deviation = np.sqrt(np.einsum("ni,ni->n", second, second) / 18)
         # Upper quartile of sqrt(χ²₃/3): drivers that interpolate leave half of the differences at zero.
         return max(float(np.percentile(deviation, 75)) / 1.170, least)
 
@@ -189,7 +192,8 @@ def _apart(fit: Fit, other: Fit) -> bool:
 def _calibration(
     recording: Recording, fit: Fit, rival: Fit | None, field_strength: float | None, configuration: dict[str, Any]
 ) -> Calibration:
-    parameters, covariance = fit.state.parameters, fit.covariance
+    colour = fit.colour
+    parameters, covariance = fit.state.parameters, fit.covariance * colour
     scaled = symmetric(parameters[:6])
     if np.linalg.eigvalsh(scaled)[0] <= 0:
         raise MagycError(
@@ -236,6 +240,7 @@ def _calibration(
             "iterations": fit.iterations,
             "cost": fit.reduced.cost,
             "trusted_share": trusted,
+            "colour": colour,
             "disturbed": _disturbed(fit),
         },
         configuration=configuration | ({} if field_strength is None else {"field_strength": field_strength}),

@@ -9,6 +9,7 @@ from magyc_gtsam.factors.preintegration import FieldWindows
 from magyc_gtsam.factors.rotations import Array, skew
 
 _LAG = 3.0  # s between the windows that the linear start compares
+_PAIRS = 500  # pairs of windows that are enough for a start
 _PASSES = 4
 
 
@@ -37,17 +38,20 @@ def from_gyroscope(windows: FieldWindows) -> Array:
     turned_back = np.einsum("ijn,in->jn", windows.rotation, windows.field)
     total = np.zeros((3, 3, len(windows)))
     np.cumsum(windows.lever, axis=2, out=total[:, :, 1:])
-    lever = total[:, :, lag:] - total[:, :, :-lag]
+    first = np.arange(0, len(windows) - lag, -(-(len(windows) - lag) // _PAIRS))
+    last = first + lag
+    lever = total[:, :, last] - total[:, :, first]
     holes = np.concatenate([[0], np.cumsum(~windows.linked)])
-    weight = (holes[lag:] == holes[:-lag]).astype(float)
+    weight = (holes[last] == holes[first]).astype(float)
     if not weight.any():
         weight[:] = 1.0
 
-    constant = turned_back[:, lag:] - turned_back[:, :-lag]
-    on_hard_iron = np.swapaxes(windows.rotation[:, :, lag:] - windows.rotation[:, :, :-lag], 0, 1)
+    constant = turned_back[:, last] - turned_back[:, first]
+    on_hard_iron = np.swapaxes(windows.rotation[:, :, last] - windows.rotation[:, :, first], 0, 1)
+    before = windows.rotation[:, :, first]
     hard_iron, bias = windows.field.mean(axis=1), np.zeros(3)
     for _ in range(_PASSES):
-        still = turned_back[:, :-lag] - np.einsum("ijn,i->jn", windows.rotation[:, :, :-lag], hard_iron)
+        still = turned_back[:, first] - np.einsum("ijn,i->jn", before, hard_iron)
         design = np.concatenate([on_hard_iron, cross(still[:, None], lever)], axis=1)  # (3, 6, n)
         weighted = design * weight
         normal = np.einsum("ian,ibn->ab", weighted, design)

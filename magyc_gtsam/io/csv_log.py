@@ -84,11 +84,14 @@ def info(path: Path) -> LogInfo:
         except MagycError:
             continue  # `problem` says it: which columns are meant is for the caller of `read` to say
         serves |= {c.index: sensor for c in group.columns} if group else {}
-    time = find_time(table.columns, None)
-    span = None
-    if time is not None and (time.unit or len(table.lines) > 2):
-        stamp = _stamps(table, time, Request())
-        span = (0.0, float(stamp[-1] - stamp[0]) / 1e9)
+    time, span = None, None
+    try:
+        time = find_time(table.columns, None)
+        if time is not None:
+            stamp = _stamps(table, time, Request())
+            span = (0.0, float(stamp[-1] - stamp[0]) / 1e9)
+    except MagycError:
+        pass  # likewise
     columns = table.columns or parse_header(
         [f"column {i + 1}" for i in range(len(table.cells(table.lines[0])))]
     )
@@ -112,6 +115,8 @@ def _require(table: Table, magnetometer: Columns | None, time: Column | None, re
     if time is None and request.options.get("rate") is None:
         missing.append("a column of time stamps")
         remedies.append("name it (time=), or give the rate in Hz (rate=)")
+    if time is not None and request.options.get("rate") is not None:
+        raise MagycError(f"rate: {table.path} has the time stamps of {time.written}; leave the rate out")
     if missing:
         verb = "are" if len(missing) > 1 else "is"
         raise MagycError(f"{table.path}: {' and '.join(missing)} {verb} missing; {', and '.join(remedies)}")

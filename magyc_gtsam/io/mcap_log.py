@@ -26,13 +26,13 @@ from magyc_gtsam.recording import Recording
 
 # What a chunk that was damaged on disk raises: checksum, zstd, lz4 (a bare RuntimeError), records cut short.
 _DAMAGE = (CRCValidationError, zstandard.ZstdError, RuntimeError, EndOfFile, struct.error)
+_NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
 # The type that each sensor is published as; of other types in LAYOUTS the caller must name the topic.
 _FOUND_BY_TYPE = {
     "magnetic_field": "sensor_msgs/MagneticField",
     "angular_rate": "sensor_msgs/Imu",
     "attitude": "geometry_msgs/QuaternionStamped",
 }
-_WHAT = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope", "attitude": "attitude"}
 
 
 @dataclass
@@ -99,49 +99,57 @@ def info(path: Path) -> LogInfo:
 
 
 def _load(path: Path, report: Callable[[float], None]) -> _Log:
-    topics: dict[int, _Topic] = {}
+    channels: dict[int, Channel] = {}
     schemas: dict[int, Schema] = {}
+    messages: dict[int, tuple[list[int], list[bytes]]] = {}
     metadata: dict[str, str] = {}
     notes: list[str] = []
     too_large: set[int] = set()
     for record in _records(path, notes, report):
         if isinstance(record, Message):
-            topic = topics.get(record.channel_id)
-            if topic is None:
-                raise MagycError(
-                    f"{path}: a message of channel {record.channel_id} stands before the channel's record"
-                )
             if record.channel_id in too_large:
                 continue
-            topic.log_time.append(record.log_time)
-            topic.data.append(record.data)
-            if len(record.data) > LARGEST and topic.type not in LAYOUTS:
+            log_time, data = messages.setdefault(record.channel_id, ([], []))
+            log_time.append(record.log_time)
+            data.append(record.data)
+            if len(record.data) > LARGEST and _type(record.channel_id, channels, schemas) not in LAYOUTS:
                 too_large.add(
                     record.channel_id
                 )  # its first message says what it is; the rest need not be kept
         elif isinstance(record, Schema):
             schemas[record.id] = record
-        elif isinstance(record, Channel) and record.id not in topics:
-            schema = schemas.get(record.schema_id) or Schema(
-                id=record.schema_id, data=b"", encoding="", name=""
-            )
-            topics[record.id] = _Topic(record.topic, record.message_encoding, schema)
+        elif isinstance(record, Channel):
+            channels[record.id] = record
         elif isinstance(record, Metadata) and record.name == METADATA:
             metadata.update(record.metadata)
     merged: dict[str, _Topic] = {}
-    for topic in topics.values():
-        if not topic.data:
+    for identifier, (log_time, data) in messages.items():
+        # Only now: where a chunk is damaged its channels stand in the summary alone, at the end of the file.
+        channel = channels.get(identifier)
+        if channel is None:
+            notes.append(f"{len(data)} messages of a channel without a record ({identifier}) were left out")
             continue
+        schema = schemas.get(channel.schema_id, _NO_SCHEMA)
+        topic = merged.setdefault(channel.topic, _Topic(channel.topic, channel.message_encoding, schema))
         # Two publishers of one topic are two channels in the file, but one topic to everyone else.
-        if (first := merged.setdefault(topic.name, topic)) is not topic and first.type == topic.type:
-            first.data += topic.data
-            first.log_time += topic.log_time
+        if topic.schema.name == schema.name:
+            topic.log_time.extend(log_time)
+            topic.data.extend(data)
+        else:
+            notes.append(
+                f"{channel.topic} has two types; {len(data)} messages of {schema.name} were left out"
+            )
     count = sum(len(t.data) for t in merged.values())
     if not count:
         raise MagycError(
             f"{path}: holds no message that can be read{': ' if notes else ''}{'; '.join(notes)}"
         )
     return _Log(merged, metadata, tuple(f"{n}; {count} messages could be read" for n in notes))
+
+
+def _type(identifier: int, channels: dict[int, Channel], schemas: dict[int, Schema]) -> str:
+    channel = channels.get(identifier)
+    return short_type(schemas.get(channel.schema_id, _NO_SCHEMA).name) if channel else ""
 
 
 def _records(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[McapRecord]:
@@ -234,7 +242,7 @@ def _choose(topics: dict[str, _Topic], sensor: str, request: Request, notes: lis
             "record the magnetometer too, or name its topic (magnetic_field=) where it has another type"
         )
     elif sensor == "angular_rate":
-        notes.append(f"no {_WHAT[sensor]}: the file has no topic of type {_FOUND_BY_TYPE[sensor]}")
+        notes.append(f"no gyroscope: the file has no topic of type {_FOUND_BY_TYPE[sensor]}")
     return None
 
 

@@ -137,11 +137,11 @@ def _index(
     if not known:
         raise MagycError(
             f"the log's parameters do not say which CAL_{kind}n_* calibration was applied (no CAL_{kind}n_ID is "
-            "set), so it cannot be undone; use a log with its parameters, or with the uncorrected message"
+            "set), so it cannot be undone; use a log with its parameters, or one with the raw message"
         )
     raise MagycError(
         f"the log does not say which of CAL_{kind}n_* (n = {', '.join(map(str, known))}) was applied, so it "
-        "cannot be undone; name a message that says (magnetic_field='vehicle_magnetometer' or 'sensor_mag')"
+        "cannot be undone; name a message that says (magnetic_field='vehicle_magnetometer', 'sensor_mag')"
     )
 
 

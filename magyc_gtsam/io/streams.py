@@ -73,7 +73,9 @@ def assemble(
         sensors = {k: _part(s, max(main), start, end) for k, s in sensors.items()}
         channels = {k: _part(s, max(main), start, end) for k, s in channels.items()}
         start = end = None
-    clean = {k: _clean(s, k, said) for k, s in sensors.items()}
+    few = [k for k, s in sensors.items() if k in ("acceleration", "attitude") and len(s.stamp) < 2]
+    said.extend(f"{k} left out: {sensors[k].name} has {len(sensors[k].stamp)} samples" for k in few)
+    clean = {k: _clean(s, k, said) for k, s in sensors.items() if k not in few}
     usable = {}
     for channel, stream in channels.items():
         try:

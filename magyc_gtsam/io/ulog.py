@@ -10,14 +10,14 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.px4_calibration import Parameters, undo
-from magyc_gtsam.io.px4_messages import Message, device_of, load
+from magyc_gtsam.io.px4_messages import Array, Message, device_of, load
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
 
 _GAUSS = 1e-4  # T
 _NO_SAMPLE = 0x7FFFFFFF  # relative stamp of a sensor that sensor_combined had nothing new of
-# Messages of each sensor and their fields; the first of them that a log has is taken, see `_choose`.
+# Messages of each sensor and their fields, see `_find`.
 _MESSAGES = {
     "magnetic_field": {
         "sensor_combined": "magnetometer_ga[{}]",
@@ -60,12 +60,10 @@ def read(path: Path, request: Request) -> Recording:
         sensors["angular_rate"] = gyroscope
     acceleration = _find(messages, "acceleration", request.named("acceleration"))
     if acceleration is not None:
-        value = acceleration.vector(_MESSAGES["acceleration"][acceleration.name])
-        if value is None:
-            raise MagycError(f"acceleration: {acceleration.label} has none")
+        message, value = acceleration
         scale, said = request.scale("acceleration")
         notes.extend(said)
-        sensors["acceleration"] = Stream(acceleration.label, acceleration.stamp * 1000, value * scale)
+        sensors["acceleration"] = Stream(message.label, message.stamp * 1000, value * scale)
     attitude = _attitude(messages, request, notes)
     if attitude is not None:
         sensors["attitude"] = attitude
@@ -101,40 +99,41 @@ def info(path: Path) -> LogInfo:
 
 def _find(
     messages: list[Message], sensor: str, named: str | None, notes: list[str] | None = None
-) -> Message | None:
-    """The message of a sensor: the one that was named, or else the first kind there is, instance 0."""
-    candidates = [
-        m for m in messages if m.name in (k := _MESSAGES[sensor]) and m.vector(k[m.name]) is not None
-    ]
+) -> tuple[Message, Array] | None:
+    """The message of a sensor and its (n, 3) values: the one that was named, or else the fullest."""
+    fields = _MESSAGES[sensor]
+    values = [(m, m.vector(fields[m.name])) for m in messages if m.name in fields]
+    found = [(m, v) for m, v in values if v is not None]
     if named is not None:
-        wanted = [m for m in candidates if named in (m.label, f"{m.name}[{m.instance}]")]
+        wanted = [(m, v) for m, v in found if named in (m.label, f"{m.name}[{m.instance}]")]
         if not wanted:
-            listed = ", ".join(f"{m.label} ({m.count} samples)" for m in candidates) or "none"
+            listed = ", ".join(f"{m.label} ({m.count} samples)" for m, _ in found) or "none"
             raise MagycError(f"{sensor}: no message {named!r}; the log has {listed}")
         return wanted[0]
-    if not candidates:
+    if not found:
         return None
-    order = list(_MESSAGES[sensor])
     # sensor_combined has every sample; of the others, loggers thin out now the one and now the other.
-    best = min(candidates, key=lambda m: (m.name != order[0], -m.count, order.index(m.name), m.instance))
-    others = [m for m in candidates if m is not best and m.name != "sensor_combined"]
+    order = list(fields)
+    best, value = min(
+        found, key=lambda f: (f[0].name != order[0], -f[0].count, order.index(f[0].name), f[0].instance)
+    )
+    others = [m for m, _ in found if m is not best]
     if others and notes is not None:
         listed = ", ".join(f"{m.label} ({m.count} samples)" for m in others)
         notes.append(f"{sensor} is from {best.label} ({best.count} samples); {listed} could be named instead")
-    return best
+    return best, value
 
 
 def _magnetometer(
     messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
 ) -> Stream:
-    message = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
-    if message is None:
+    found = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
+    if found is None:
         raise MagycError(
             f"no magnetometer in the log (none of {', '.join(_MESSAGES['magnetic_field'])}); "
             "have the logger record sensor_mag (SDLOG_PROFILE)"
         )
-    logged = message.vector(_MESSAGES["magnetic_field"][message.name])
-    assert logged is not None  # _find looked
+    message, logged = found
     stamp = message.stamp
     if message.name == "sensor_combined":
         relative = np.asarray(message.data["magnetometer_timestamp_relative"]).astype(np.int64)
@@ -144,15 +143,14 @@ def _magnetometer(
         logged, stamp = logged[new], stamp[new]
     if message.name == "vehicle_magnetometer":
         _refuse_estimated_bias(messages)
-    in_driver = "x_raw" in message.data  # before 1.11 the driver corrected and sensors.cpp rotated
-    raw = message.name == "sensor_mag" and not in_driver
+    # Before 1.11 the driver corrected sensor_mag, which then had x_raw too; it is never rotated.
     undone = undo(
         "MAG",
         logged,
         stamp,
         parameters,
         device_of(message, messages, "mag"),
-        corrected=not raw,
+        corrected=message.name != "sensor_mag" or "x_raw" in message.data,
         rotated=message.name != "sensor_mag",
     )
     notes.extend(undone.notes)
@@ -175,12 +173,11 @@ def _refuse_estimated_bias(messages: list[Message]) -> None:
 def _gyroscope(
     messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
 ) -> tuple[Stream | None, Literal["instant", "interval-mean"]]:
-    message = _find(messages, "angular_rate", request.named("angular_rate"), notes)
-    if message is None:
+    found = _find(messages, "angular_rate", request.named("angular_rate"), notes)
+    if found is None:
         notes.append("no gyroscope: the log has neither sensor_combined nor sensor_gyro")
         return None, "instant"
-    logged = message.vector(_MESSAGES["angular_rate"][message.name])
-    assert logged is not None  # _find looked
+    message, logged = found
     combined = message.name == "sensor_combined"
     try:
         device = device_of(message, messages, "gyro")

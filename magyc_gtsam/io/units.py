@@ -8,7 +8,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 _STANDARD_GRAVITY = 9.80665  # m/s², what "1 g" means on a data sheet
 
-# The spellings that are looked up are in lower case, except where the case decides (nothing does so far).
+# Spellings in lower case: no two units of one quantity differ by their case alone.
 _UNITS: dict[str, dict[str, float]] = {
     "magnetic_field": {
         **dict.fromkeys(("t", "tesla"), 1.0),

@@ -212,10 +212,10 @@ def _residual_section(residuals: Residuals, start: float) -> ResidualSection:
         noise = whitened[kept] if kept.any() else whitened
         figures += [
             Figure(
-                Markup(plots.residuals(at, whitened, disturbed)),
+                Markup(plots.residuals(at, whitened, kept, disturbed)),
                 f"{name}: residual over time",
-                "In units of its own σ, drawn up to ±10; dotted: ±3. "
-                f"Below half their weight: {(~kept).sum()} of {len(at)} windows.",
+                "In units of its own σ, drawn up to ±10; dotted: ±3. Purple: below half the weight, "
+                f"{(~kept).sum()} of {len(at)} windows. Mean weight {weight.mean():.2f}.",
             ),
             Figure(
                 Markup(plots.residual_histogram(noise)),

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from magyc_gtsam.recording import Array
+from magyc_gtsam.recording import Array, Mask
 from magyc_gtsam.report.analysis import (
     Coverage,
     FieldHistory,
@@ -172,21 +172,25 @@ def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
 
 
 @drawn(5.2, 3.6)
-def residuals(figure: Figure, time: Array, whitened: Array, disturbed: list[tuple[float, float]]) -> None:
-    """Whitened residuals (n, 3) over time, one row per sensor axis, disturbed stretches shaded."""
+def residuals(
+    figure: Figure, time: Array, whitened: Array, kept: Mask, disturbed: list[tuple[float, float]]
+) -> None:
+    """Whitened residuals (n, 3) over time, one row per sensor axis, those not kept (n,) in another colour."""
     unit, label = _clock(time)
     limit, step = (10, 5) if (np.abs(whitened) > 4).any() else (4, 3)
-    rows = figure.subplots(3, 1, sharex=True)
-    for axes, column, name in zip(rows, whitened.T, "xyz", strict=True):
+    panels = figure.subplots(3, 1, sharex=True)
+    for axes, column, name in zip(panels, whitened.T, "xyz", strict=True):
         for start, end in disturbed:
             axes.axvspan(start / unit, end / unit, color=DISTURBED, alpha=0.25, linewidth=0)
         clipped = np.clip(column, -limit, limit)
-        axes.plot(time / unit, clipped, ".", color=CALIBRATED, markersize=3, alpha=0.6, rasterized=True)
+        for rows, colour in ((kept, CALIBRATED), (~kept, DISTURBED)):
+            style = {"markersize": 3, "alpha": 0.6, "rasterized": True}
+            axes.plot(time[rows] / unit, clipped[rows], ".", color=colour, **style)
         for level in (-3, 3):
             axes.axhline(level, color=_INK, linewidth=0.8, linestyle=":")
         axes.set(ylabel=f"{name} (σ)", ylim=(-1.08 * limit, 1.08 * limit), yticks=(-step, 0, step))
     figure.align_ylabels()
-    rows[-1].set_xlabel(label)
+    panels[-1].set_xlabel(label)
 
 
 @drawn(5.2, 3.6)

@@ -173,9 +173,9 @@ def exports(calibration: Calibration) -> list[tuple[str, str, bool]]:
     result = []
     for target in TARGETS:
         try:
-            result.append((_TARGET_NAMES[target], calibration.export(target), True))
+            result.append((_TARGET_NAMES.get(target, target), calibration.export(target), True))
         except MagycError as error:
-            result.append((_TARGET_NAMES[target], str(error), False))
+            result.append((_TARGET_NAMES.get(target, target), str(error), False))
     return result
 
 

@@ -1,0 +1,110 @@
+"""The field chain as ONE GTSAM factor on soft iron, hard iron, gyroscope bias and delay.
+
+As GTSAM's smart factors eliminate landmarks, the factor eliminates every window's field direction: its
+error is the cost at the best directions for the values at hand, its linearisation the Schur complement
+S = RᵀR with gradient g, written as the residual (R⁻ᵀg, rest) with the Jacobian (R, 0). A whole log, or any
+stretch of it, so enters a graph without a variable, or a Python call, per window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, Weights
+from magyc_gtsam.factors.guard import Array, custom_factor, gyro_bias, vector
+from magyc_gtsam.factors.preintegration import Preintegration
+
+_MOVED = 2e-3  # rad by which a bias or delay may turn a window before the gyroscope is integrated again
+_INNER = 20
+_INNER_SETTLED = 1e-18  # squared step of the directions, rad²
+
+
+def field_chain_factor(
+    soft_iron_key: int,
+    hard_iron_key: int,
+    gyro_bias_key: int,
+    samples: Preintegration,
+    noise: Noise,
+    *,
+    delay_key: int | None = None,
+    delay: float = 0.0,
+    weights: Weights | None = None,
+    soft_iron_unit: float = 1e-6,
+    field_unit: float = 1e-6,
+) -> gtsam.CustomFactor:
+    """A factor over all windows of `samples` (MATH.md section 4).
+
+    Args:
+        soft_iron_key: 6-vector, vech of soft iron times field strength, in `soft_iron_unit` T. With the
+            field strength as its unit the key holds the soft iron itself.
+        hard_iron_key: Point3 or 3-vector in `field_unit` T.
+        gyro_bias_key: Point3, 3-vector or imuBias.ConstantBias, rad/s.
+        samples: both sensors' samples in windows.
+        noise: standard deviations per sample.
+        delay_key: 1-vector, s; None fixes the delay at `delay`.
+        weights: robust weights of windows and links; None is all one.
+        soft_iron_unit, field_unit: T per unit of the keys; they keep a graph's variables of order one.
+
+    Raises:
+        MagycError: here, for units that are not positive; later, as `custom_factor`.
+    """
+    if not (soft_iron_unit > 0 and field_unit > 0):
+        raise MagycError(f"soft_iron_unit {soft_iron_unit} and field_unit {field_unit} must be above 0")
+    unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(4)])
+    marginal = _Marginal(samples, noise, weights, delay)
+    keys = [soft_iron_key, hard_iron_key, gyro_bias_key] + ([] if delay_key is None else [delay_key])
+    used = PARAMETERS if delay_key is not None else DELAY
+
+    def error(*values: Array | bool) -> tuple[Array, Sequence[Array]]:
+        *parts, _ = values
+        parameters = np.concatenate([*parts, [delay]] if delay_key is None else parts) * unit
+        cost, information, gradient = marginal.at(parameters)
+        root = np.linalg.cholesky((information * unit * unit[:, None])[:used, :used]).T
+        pull = solve_triangular(root, (gradient * unit)[:used], trans="T")
+        rest = np.sqrt(max(2 * cost - float(pull @ pull), 0.0))
+        jacobian = np.vstack([root, np.zeros((1, used))])
+        return np.append(pull, rest), np.split(jacobian, [6, 9, 12][: len(keys) - 1], axis=1)
+
+    variables = [vector(6), vector(3), gyro_bias] + ([] if delay_key is None else [vector(1)])
+    return custom_factor("field chain", 1.0, keys, variables, used + 1, error)
+
+
+class _Marginal:
+    """The chain's cost with its directions eliminated, as a function of θ alone.
+
+    It remembers the last chain and directions, which only shortens the way to the same minimum.
+    """
+
+    def __init__(self, samples: Preintegration, noise: Noise, weights: Weights | None, delay: float) -> None:
+        self._samples, self._noise = samples, noise
+        self._chain = FieldChain(samples.integrate(delay=delay), noise)
+        self._weights = weights or self._chain.unweighted()
+        self._direction: Array | None = None
+
+    def at(self, parameters: Array) -> tuple[float, Array, Array]:
+        """Cost, information (13, 13) and gradient (13,) at the best directions for θ."""
+        windows = self._chain.windows
+        turned = np.abs(windows.lever).max() * np.abs(parameters[9:12] - windows.bias).max()
+        slid = np.abs(windows.rotation_rate).max() * abs(parameters[DELAY] - windows.delay)
+        if max(turned, slid) > _MOVED:
+            self._chain = FieldChain(self._samples.integrate(parameters[9:12], parameters[DELAY]), self._noise)
+            self._direction = None
+        chain = self._chain
+        state = chain.start(parameters)
+        if self._direction is not None:
+            state = State(parameters, self._direction)
+        for _ in range(_INNER):
+            reduced = chain.eliminate(state, self._weights)
+            ahead = chain.move(state, reduced, np.zeros(PARAMETERS))
+            moved = float(np.square(ahead.direction - state.direction).max())
+            state = ahead
+            if moved < _INNER_SETTLED:
+                break
+        self._direction = state.direction
+        reduced = chain.eliminate(state, self._weights)
+        return reduced.cost, reduced.information, reduced.gradient

@@ -1,0 +1,196 @@
+"""ArduPilot logs: the compass correction is undone, so that applying it again gives what was logged."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from magyc_gtsam.factors.errors import MagycError
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam.io import info, read
+from magyc_gtsam.io.ardupilot_compass import undo
+
+RAW = np.random.default_rng(3).normal(0, 400, (40, 3))  # milligauss
+OFFSET = np.array([-40.328, 251.292, 363.938])
+MOTOR = np.random.default_rng(4).normal(0, 30, (40, 3))
+MATRIX = np.array([[1.1, 0.02, -0.03], [0.02, 0.95, 0.01], [-0.03, 0.01, 1.2]])
+PARAMETERS = {
+    "COMPASS_OFS_X": OFFSET[0], "COMPASS_OFS_Y": OFFSET[1], "COMPASS_OFS_Z": OFFSET[2],
+    "COMPASS_DIA_X": 1.1, "COMPASS_DIA_Y": 0.95, "COMPASS_DIA_Z": 1.2,
+    "COMPASS_ODI_X": 0.02, "COMPASS_ODI_Y": -0.03, "COMPASS_ODI_Z": 0.01,
+    "COMPASS_SCALE": 1.25, "COMPASS_PMOT_EN": 0.0,
+}  # fmt: skip
+ONE_SET = np.zeros(40, dtype=np.int64)
+WHOLE = np.tile(np.trunc(OFFSET), (40, 1))
+
+
+def correct(raw: np.ndarray, scale: float = 1.25) -> np.ndarray:
+    """AP_Compass_Backend::correct_field, one sample after the other."""
+    return np.array([MATRIX @ ((m + OFFSET) * scale) + k for m, k in zip(raw, MOTOR, strict=True)])
+
+
+def test_undone_is_raw() -> None:
+    raw, notes = undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [PARAMETERS], 0)
+    np.testing.assert_allclose(raw, RAW, atol=1e-9)
+    assert any("COMPASS_SCALE 1.2500" in n and "motor correction" in n for n in notes)
+
+
+def test_scale_that_ardupilot_ignores() -> None:
+    raw, _ = undo(correct(RAW, 1.0), WHOLE, MOTOR, ONE_SET, [PARAMETERS | {"COMPASS_SCALE": 1.7}], 0)
+    np.testing.assert_allclose(raw, RAW, atol=1e-9)
+
+
+def test_priority_is_not_the_drivers_number() -> None:
+    renamed = {
+        k.replace("OFS_", "OFS3_").replace("DIA_", "DIA3_").replace("ODI_", "ODI3_"): v
+        for k, v in PARAMETERS.items()
+    }
+    renamed = renamed | {
+        "COMPASS_SCALE3": 1.25,
+        "COMPASS_PRIO1_ID": 9,
+        "COMPASS_DEV_ID": 5,
+        "COMPASS_DEV_ID3": 9,
+    }
+    raw, _ = undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [renamed], 0)
+    np.testing.assert_allclose(raw, RAW, atol=1e-9)
+
+
+def test_offsets_learned_in_flight_and_parameters_that_change() -> None:
+    learned = OFFSET + np.array([70.6, 0, 0])
+    logged = correct(RAW)
+    logged[20:] += MATRIX @ (1.25 * (learned - OFFSET))
+    cut = np.vstack([WHOLE[:20], np.tile(np.trunc(learned), (20, 1))])
+    raw, notes = undo(logged, cut, MOTOR, ONE_SET, [PARAMETERS], 0)
+    np.testing.assert_allclose(raw, RAW, atol=1.0)
+    assert any("20 offsets differ from the parameters" in n for n in notes)
+    later = PARAMETERS | {f"COMPASS_OFS_{a}": learned[k] for k, a in enumerate("XYZ")}
+    raw, _ = undo(logged, cut, MOTOR, np.repeat([0, 1], 20), [PARAMETERS, later], 0)
+    np.testing.assert_allclose(raw, RAW, atol=1e-9)
+
+
+def test_old_firmware() -> None:
+    old = {k: v for k, v in PARAMETERS.items() if not k.endswith(("_SCALE", "_EN"))}
+    with pytest.raises(MagycError, match="an order that depends on the firmware's version"):
+        undo(correct(RAW), WHOLE, MOTOR, ONE_SET, [old], 0)
+    logged = np.array([MATRIX @ (m + OFFSET) for m in RAW])
+    raw, _ = undo(logged, WHOLE, np.zeros((40, 3)), ONE_SET, [old], 0)
+    np.testing.assert_allclose(raw, RAW, atol=1e-9)
+    with pytest.raises(MagycError, match=r"no COMPASS_\* parameters"):
+        undo(logged, WHOLE, MOTOR, ONE_SET, [{}], 0)
+
+
+def test_rov(shared_data: Path) -> None:
+    reader_of = pytest.importorskip("pymavlink.DFReader")
+    path = shared_data / "ardusub_still.BIN"
+    back = read(path)
+    reader = reader_of.DFReader_binary(str(path), zero_time_base=True)
+    messages: dict[str, list] = {"MAG": [], "IMU": [], "ATT": []}
+    parameters = {}
+    while (message := reader.recv_match(type=["MAG", "IMU", "ATT", "PARM"], strict=True)) is not None:
+        if message.get_type() == "PARM":
+            parameters.setdefault(message.Name, message.Value)
+        elif getattr(message, "I", 0) == 0:
+            messages[message.get_type()].append(message)
+    offset = np.array([parameters[f"COMPASS_OFS_{a}"] for a in "XYZ"])
+    first = max(messages["MAG"][0].TimeUS, messages["IMU"][0].TimeUS)
+    logged = {m.TimeUS - first: [m.MagX, m.MagY, m.MagZ] for m in messages["MAG"]}
+    again = back.magnetometer.value / 1e-7 + offset  # DIA is 1, ODI 0, SCALE and motors off
+    np.testing.assert_allclose(again, [logged[round(t * 1e6)] for t in back.magnetometer.time], atol=1e-6)
+    rates = {m.TimeUS - first: [m.GyrX, m.GyrY, m.GyrZ] for m in messages["IMU"]}
+    np.testing.assert_array_equal(back.gyroscope.value, [rates[round(t * 1e6)] for t in back.gyroscope.time])
+    np.testing.assert_array_equal(
+        [np.trunc(offset)] * 3, [[m.OfsX, m.OfsY, m.OfsZ] for m in messages["MAG"][:3]]
+    )
+    assert back.magnetometer.time[0] == 0
+    assert back.duration == pytest.approx(23.6, abs=0.1)
+    attitude = messages["ATT"][50]
+    row = int(np.argmin(np.abs(back.time - (attitude.TimeUS - first) / 1e6)))
+    angles = Rotation.from_quat(back.attitude[row]).as_euler("ZYX", degrees=True)  # type: ignore[index]
+    np.testing.assert_allclose(
+        angles % 360,
+        np.array([attitude.Yaw, attitude.Pitch, attitude.Roll]) % 360,
+        atol=0.05,
+    )
+    assert set(back.channels) >= {"BAT.Curr", "BAT.Volt", "IMU.T"}
+    other = read(path, magnetic_field="MAG[1]")
+    assert np.linalg.norm(other.magnetometer.value - back.magnetometer.value, axis=1).min() > 1e-6
+    with pytest.raises(
+        MagycError, match=r"no message 'MAG\[2\]'; the log has MAG\[0\] \(237 samples\), MAG\[1\]"
+    ):
+        read(path, magnetic_field="MAG[2]")
+    described = info(path)
+    assert described.readable
+    assert described.duration == pytest.approx(23.7, abs=0.1)
+    imu = next(s for s in described.sources if s.name == "IMU[0]")
+    assert imu.rate == pytest.approx(25, abs=0.1)
+
+
+def dataflash(path: Path, messages: list[tuple[str, tuple]]) -> Path:
+    """A log of the named messages, in dataflash's own format."""
+    formats = {
+        "FMT": (128, "BBnNZ", "<BB4s16s64s", "Type,Length,Name,Format,Columns"),
+        "PARM": (64, "QNf", "<Q16sf", "TimeUS,Name,Value"),
+        "MAG": (
+            65,
+            "QBhhhhhhhhhBI",
+            "<QBhhhhhhhhhBI",
+            "TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOX,MOY,MOZ,Health,S",
+        ),
+        "IMU": (66, "QBffffff", "<QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    }
+    data = b""
+
+    def add(name: str, values: tuple) -> bytes:
+        number, _, layout, _ = formats[name]
+        return bytes([0xA3, 0x95, number]) + struct.pack(
+            layout, *(v.encode() if isinstance(v, str) else v for v in values)
+        )
+
+    for name, (number, code, layout, columns) in formats.items():
+        data += add("FMT", (number, 3 + struct.calcsize(layout), name, code, columns))
+    for name, values in messages:
+        data += add(name, values)
+    path.write_bytes(data)
+    return path
+
+
+def test_parameters_in_the_order_of_the_log(tmp_path: Path) -> None:
+    pytest.importorskip("pymavlink")
+    messages: list[tuple[str, tuple]] = [
+        ("PARM", (0, "COMPASS_DIA_X", 1.0)),
+        ("PARM", (0, "COMPASS_SCALE", 0.0)),
+    ]
+    raw = np.round(RAW)
+    for k, m in enumerate(raw):
+        at = 1_000_000 + k * 100_000
+        if k == 10:  # written while samples already were: in force from the start
+            messages += [("PARM", (at, f"COMPASS_DIA_{a}", 1.0)) for a in "YZ"]
+            messages += [("PARM", (at, f"COMPASS_OFS_{a}", 100.0)) for a in "XYZ"]
+        if k == 25:  # changed
+            messages += [("PARM", (at, f"COMPASS_OFS_{a}", 150.0)) for a in "XYZ"]
+        offset = 100 if k < 25 else 150
+        logged = (int(x) + offset for x in m)
+        healthy = int(k != 30)
+        messages.append(("MAG", (at, 0, *logged, offset, offset, offset, 0, 0, 0, healthy, at)))
+        messages.append(("IMU", (at, 0, 0.1 * k, 0.0, 0.0, 0.0, 0.0, -9.8)))
+    back = read(dataflash(tmp_path / "a.BIN", messages))
+    np.testing.assert_allclose(back.magnetometer.value, np.delete(raw, 30, axis=0) * 1e-7, atol=1e-15)
+    assert any("1 of 40 samples are unhealthy" in n for n in back.notes)
+    np.testing.assert_allclose(back.gyroscope.value[:, 0], np.float32(0.1 * np.arange(40)), rtol=1e-6)
+    without = [m for m in messages if not (m[0] == "PARM" and str(m[1][1]).startswith("COMPASS"))]
+    with pytest.raises(MagycError, match=r"no COMPASS_\* parameters"):
+        read(dataflash(tmp_path / "b.BIN", without))
+    with pytest.raises(MagycError, match="no MAG messages"):
+        read(dataflash(tmp_path / "c.BIN", [m for m in messages if m[0] != "MAG"]))
+
+
+def test_without_pymavlink(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pymavlink", None)
+    monkeypatch.setitem(sys.modules, "pymavlink.DFReader", None)
+    (tmp_path / "a.BIN").write_bytes(b"\xa3\x95\x80" + bytes(100))
+    with pytest.raises(MagycError, match=r"pip install 'magyc-gtsam\[ardupilot\]'"):
+        read(tmp_path / "a.BIN")

@@ -1,0 +1,212 @@
+"""Text tables: names, units, separators and stamps as people write them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from magyc_gtsam.factors.errors import MagycError
+
+from magyc_gtsam.io import info, read
+
+RANDOM = np.random.default_rng(5)
+N = 50
+TIME = np.arange(N) * 0.01
+FIELD = RANDOM.normal(0, 3e-5, (N, 3))  # T
+RATE = RANDOM.normal(0, 0.5, (N, 3))  # rad/s
+
+
+def write(path: Path, header: str, *columns: np.ndarray, separator: str = ",", tail: str = "") -> Path:
+    table = np.column_stack(columns).tolist()
+    lines = [header] if header else []
+    lines += [separator.join(repr(x) for x in row) for row in table]
+    path.write_text("\n".join(lines) + "\n" + tail)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "time_scale", "separator"),
+    [
+        ("time,mx,my,mz,gx,gy,gz", (1, 1), 1, ","),
+        ("Time (s),Magnetometer X (uT),Magnetometer Y (uT),Magnetometer Z (uT),"
+         "Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s)", (1e6, 180 / np.pi), 1, ","),
+        ("t [s]; mag_x [uT]; mag_y [uT]; mag_z [uT]; wx [rad/s]; wy [rad/s]; wz [rad/s]", (1e6, 1), 1, ";"),
+        ("timestamp_ns\tmag.x\tmag.y\tmag.z\tgyro.x\tgyro.y\tgyro.z", (1, 1), 1e9, "\t"),
+        ("time_ms magnetic_field_x_T magnetic_field_y_T magnetic_field_z_T "
+         "angular_rate_x angular_rate_y angular_rate_z", (1, 1), 1e3, " "),
+        ("TimeUS,MagX_mG,MagY_mG,MagZ_mG,GyrX_dps,GyrY_dps,GyrZ_dps", (1e7, 180 / np.pi), 1e6, ","),
+        ("stamp_us,imu_magnetic_field_x_gauss,imu_magnetic_field_y_gauss,imu_magnetic_field_z_gauss,"
+         "angular_velocity.x,angular_velocity.y,angular_velocity.z", (1e4, 1), 1e6, ","),
+        ("# t mx my mz wx wy wz", (1, 1), 1, " "),
+    ],
+)  # fmt: skip
+def test_names_and_units(
+    tmp_path: Path, header: str, scale: tuple[float, float], time_scale: float, separator: str
+) -> None:
+    time = TIME * time_scale if time_scale == 1 else np.round(TIME * time_scale)
+    path = write(tmp_path / "a.csv", header, time, FIELD * scale[0], RATE * scale[1], separator=separator)
+    back = read(path)
+    np.testing.assert_allclose(back.time, TIME, atol=1e-12)
+    np.testing.assert_allclose(back.magnetic_field, FIELD, rtol=1e-12)
+    np.testing.assert_allclose(back.angular_rate, RATE, rtol=1e-12)  # type: ignore[arg-type]
+
+
+def test_values_are_exact_and_stamps_to_the_nanosecond(tmp_path: Path) -> None:
+    nanoseconds = 1_620_000_000_000_000_001 + np.arange(N, dtype=np.int64) * 10_000_003
+    rows = [
+        f"{s // 10**9}.{s % 10**9:09d},{m[0]!r},{m[1]!r},{m[2]!r}"
+        for s, m in zip(nanoseconds, FIELD.tolist(), strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("time_s,mx,my,mz\n" + "\n".join(rows))
+    back = read(tmp_path / "a.csv")
+    np.testing.assert_array_equal(np.round(back.time * 1e9), nanoseconds - nanoseconds[0])
+    np.testing.assert_array_equal(back.magnetic_field, FIELD)
+    assert "time 0 is 2021-05-03T00:00:00.000000001Z (1620000000.000000001 s)" in back.notes
+    calendar = [f"2021-05-03T02:00:00.{k * 10:03d}000001+02:00" for k in range(N)]
+    rows = [f"{c},{m[0]!r},{m[1]!r},{m[2]!r}" for c, m in zip(calendar, FIELD.tolist(), strict=True)]
+    (tmp_path / "b.csv").write_text("time,mx,my,mz\n" + "\n".join(rows))
+    back = read(tmp_path / "b.csv")
+    np.testing.assert_allclose(back.time, TIME, atol=1e-12)
+    assert "time 0 is 2021-05-03T00:00:00.000000001Z (1620000000.000000001 s)" in back.notes
+
+
+def test_named_columns(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "clock,a1,a2,a3,b1,b2,b3", TIME, FIELD, RATE)
+    with pytest.raises(
+        MagycError, match=r"magnetometer columns among clock, a1.* and a column of time stamps are"
+    ):
+        read(path)
+    back = read(path, time="clock", magnetic_field="a1,a2,a3", angular_rate=["b1", "b2", "b3"])
+    np.testing.assert_array_equal(back.angular_rate, RATE)
+    with pytest.raises(MagycError, match="no column 'a9'; the file has clock, a1"):
+        read(path, time="clock", magnetic_field="a1,a2,a9")
+    with pytest.raises(MagycError, match="2 columns named, 3 are needed"):
+        read(path, time="clock", magnetic_field="a1,a2")
+
+
+def test_two_magnetometers(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t,mag1_x,mag1_y,mag1_z,mag2_x,mag2_y,mag2_z", TIME, FIELD, 2 * FIELD)
+    names = "t,imu_mag_x,imu_mag_y,imu_mag_z,gps_mag_x,gps_mag_y,gps_mag_z"
+    write(path, names, TIME, FIELD, 2 * FIELD)
+    with pytest.raises(
+        MagycError, match="2 sets of columns could be meant: imu_mag_x, imu_mag_y, imu_mag_z; gps"
+    ):
+        read(path)
+    np.testing.assert_array_equal(read(path, magnetic_field="gps").magnetic_field, 2 * FIELD)
+
+
+def test_wrong_unit_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t,mx,my,mz,gx,gy,gz", TIME, FIELD * 1e6, RATE * 180)
+    with pytest.raises(MagycError, match="likely unit: µT"):
+        read(path)
+    with pytest.raises(MagycError, match="likely unit: deg/s"):
+        read(path, magnetic_unit="uT")
+    back = read(path, magnetic_unit="µT", angular_unit="deg/s")
+    np.testing.assert_allclose(back.magnetic_field, FIELD, rtol=1e-12)
+    labelled = write(tmp_path / "b.csv", "t,mx (T),my (T),mz (T)", TIME, FIELD * 1e6)
+    assert any(
+        "read in uT, as asked, though the header says T" in n
+        for n in read(labelled, magnetic_unit="uT").notes
+    )
+    mixed = write(tmp_path / "c.csv", "t,mx (T),my (T),mz (uT)", TIME, FIELD)
+    with pytest.raises(MagycError, match="different units in the header"):
+        read(mixed)
+
+
+def test_unit_of_time_is_asked_for(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "time,mx,my,mz", TIME * 1e3, FIELD)
+    with pytest.raises(MagycError, match=r"steps by 10; likely unit: ms; say it \(time_unit='ms'\)"):
+        read(path)
+    np.testing.assert_allclose(read(path, time_unit="ms").time, TIME, atol=1e-12)
+
+
+def test_without_header(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.txt", "", FIELD, separator=" ")
+    with pytest.raises(MagycError, match="header with column names and a column of time stamps are missing"):
+        read(path)
+    back = read(path, columns="mx my mz", rate=20)
+    np.testing.assert_array_equal(back.magnetic_field, FIELD)
+    np.testing.assert_allclose(back.time, np.arange(N) / 20)
+    assert "header" in str(info(path).problem)
+
+
+def test_empty_cells_are_another_sensors_rows(tmp_path: Path) -> None:
+    lines = ["time,mx,my,mz,gx,gy,gz,note,current"]
+    for k in range(N):
+        field = ",".join(map(repr, FIELD[k].tolist())) if k % 4 == 0 else ",,"
+        lines.append(
+            f"{k / 100},{field},{','.join(map(repr, RATE[k].tolist()))},fine,{k if k % 10 == 0 else ''}"
+        )
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    back = read(tmp_path / "a.csv")
+    np.testing.assert_array_equal(back.magnetometer.value, FIELD[::4])
+    np.testing.assert_array_equal(back.gyroscope.value, RATE[: len(back.gyroscope.value)])
+    np.testing.assert_allclose(back.channels["current"][:41], np.arange(41), atol=1e-12)
+    assert any("hold text: note" in n for n in back.notes)
+
+
+def test_broken_lines(tmp_path: Path) -> None:
+    header = "# a comment\ntime,mx,my,mz"
+    path = write(tmp_path / "a.csv", header, TIME, FIELD, tail="0.5,1e-5,2e")
+    back = read(path)
+    assert len(back.time) == N
+    assert any(f"line {N + 3}, the last, is cut off" in n for n in back.notes)
+    lines = path.read_text().splitlines()
+    (tmp_path / "b.csv").write_text("\n".join([*lines[:9], "0.07,1e-5", *lines[10:-1]]))
+    with pytest.raises(MagycError, match="line 10: 2 values, expected 4"):
+        read(tmp_path / "b.csv")
+    (tmp_path / "c.csv").write_text("\n".join([*lines[:9], "0.07,1e-5,bad,3e-5", *lines[10:-1]]))
+    with pytest.raises(MagycError, match="line 10: 'bad' in column 3 is not a number"):
+        read(tmp_path / "c.csv")
+    (tmp_path / "d.csv").write_text("\n".join([*lines[:9], "noon,1e-5,1e-5,3e-5", *lines[10:-1]]))
+    with pytest.raises(MagycError, match="line 10: 'noon' is no time stamp"):
+        read(tmp_path / "d.csv")
+    (tmp_path / "e.csv").write_text("time,mx,my,mz\n")
+    with pytest.raises(MagycError, match="a header but no data"):
+        read(tmp_path / "e.csv")
+
+
+def test_decimal_commas(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t;mx;my;mz", TIME, FIELD, separator=";")
+    path.write_text(path.read_text().replace(".", ","))
+    np.testing.assert_array_equal(read(path).magnetic_field, FIELD)
+
+
+def test_one_stamp_with_two_values(tmp_path: Path) -> None:
+    time = TIME.copy()
+    time[20] = time[19]
+    with pytest.raises(MagycError, match="1 stamps come twice with different values"):
+        read(write(tmp_path / "a.csv", "t,mx,my,mz", time, FIELD))
+
+
+def test_attitude_columns(tmp_path: Path) -> None:
+    quaternion = np.tile([0.0, 0.6, 0.0, 0.8], (N, 1))
+    path = write(tmp_path / "a.csv", "t,mx,my,mz,qw,qx,qy,qz", TIME, FIELD, quaternion[:, [3, 0, 1, 2]])
+    np.testing.assert_allclose(read(path).attitude, quaternion)  # type: ignore[arg-type]
+
+
+def test_xio(shared_data: Path) -> None:
+    path = shared_data / "xio_hand_motion.csv"
+    back = read(path)
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert len(back.time) == len(table)
+    np.testing.assert_allclose(back.time, table[:, 0], atol=1e-9)
+    np.testing.assert_allclose(back.angular_rate, np.radians(table[:, 1:4]), rtol=1e-12)  # type: ignore[arg-type]
+    np.testing.assert_allclose(back.acceleration, table[:, 4:7] * 9.80665, rtol=1e-12)  # type: ignore[arg-type]
+    np.testing.assert_allclose(back.magnetic_field, table[:, 7:] * 1e-6, rtol=1e-12)
+    assert back.magnetic_field_fresh.mean() == pytest.approx(0.2, abs=0.02)
+    assert info(path).readable
+
+
+def test_raw_counts_without_time(shared_data: Path) -> None:
+    path = shared_data / "magnetometer_only.txt"
+    with pytest.raises(
+        MagycError, match="a header with column names and a column of time stamps are missing"
+    ):
+        read(path)
+    with pytest.raises(MagycError, match="is not a field in tesla"):
+        read(path, columns="mx,my,mz", rate=10)
+    back = read(path, columns="mx,my,mz", rate=10, magnetic_unit=2.5e-7)
+    np.testing.assert_allclose(back.magnetic_field, np.loadtxt(path) * 2.5e-7, rtol=1e-15)
+    assert any("multiplied by 2.5e-07" in n for n in back.notes)
