@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import EARTH_FIELD, Array, Recording
 
 HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading in a mid-latitude field
 SOFT_IRON_LIMIT = 0.05
-GYRO_BIAS_LIMIT = 5e-3  # rad/s
+GYRO_BIAS_LIMIT = 15e-3  # rad/s
 
 @dataclass(frozen=True)
 class Weakness:
@@ -77,6 +77,7 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
         one passes the limit.
     """
     up = _vertical(recording)
+    limit = float(np.clip(field_strength, *EARTH_FIELD))
     found = []
     for variance, axis in _principal(covariance[6:9, 6:9]):
         sigma = float(np.sqrt(variance)) * 1e6
@@ -84,7 +85,7 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
             Weakness(
                 f"hard iron along {_axis_name(axis)}",
                 sigma,
-                HARD_IRON_LIMIT * field_strength * 1e6,
+                HARD_IRON_LIMIT * limit * 1e6,
                 "µT",
                 _remedy(axis, up),
             )

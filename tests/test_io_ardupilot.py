@@ -117,7 +117,7 @@ def test_rov(shared_data: Path) -> None:
     )
     assert set(back.channels) >= {"BAT.Curr", "BAT.Volt", "IMU.T"}
     other = read(path, magnetic_field="MAG[1]")
-    assert np.linalg.norm(other.magnetometer.value - back.magnetometer.value, axis=1).min() > 1e-6
+    assert np.linalg.norm(other.magnetometer.value.mean(axis=0) - back.magnetometer.value.mean(axis=0)) > 1e-6
     with pytest.raises(
         MagycError, match=r"no message 'MAG\[2\]'; the log has MAG\[0\] \(237 samples\), MAG\[1\]"
     ):

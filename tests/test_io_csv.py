@@ -167,6 +167,21 @@ def test_broken_lines(tmp_path: Path) -> None:
         read(tmp_path / "e.csv")
 
 
+def test_rate_beside_stamps(tmp_path: Path) -> None:
+    with pytest.raises(MagycError, match="has the time stamps of t; leave the rate out"):
+        read(write(tmp_path / "a.csv", "t,mx,my,mz", TIME, FIELD), rate=100)
+
+
+def test_what_is_no_log(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.mcap").touch()
+    with pytest.raises(MagycError, match="is a directory, a file is expected; read its bag_0"):
+        read(tmp_path / "bag")
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\0\0\0")
+    with pytest.raises(MagycError, match="not a format that can be read"):
+        read(tmp_path / "a.png")
+
+
 def test_decimal_commas(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "t;mx;my;mz", TIME, FIELD, separator=";")
     path.write_text(path.read_text().replace(".", ","))

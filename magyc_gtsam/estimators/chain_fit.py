@@ -114,6 +114,13 @@ def descend(fit: Fit, iterations: int = MAX_ITERATIONS, settled: float = _SETTLE
     return replace(fit, state=state, reduced=reduced, iterations=fit.iterations + spent, converged=False)
 
 
+def misfit(fit: Fit, noise: Noise) -> float:
+    """Sum of squares at `noise`, each window and link counting up to its rejection threshold."""
+    chain = FieldChain(fit.chain.windows, noise)
+    window, link = chain.squares(chain.residuals(fit.state))
+    return float(np.minimum(window, _WINDOW_OUTLIER).sum() + np.minimum(link, _LINK_OUTLIER).sum())
+
+
 def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 30) -> Fit:
     """Alternate robust weights, noise levels and descent until all three stand still.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import axes, starts
-from magyc_gtsam.estimators.chain_fit import Fit, adapt, begin, descend
+from magyc_gtsam.estimators.chain_fit import Fit, adapt, begin, descend, misfit
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, UPPER, FieldChain, Noise, State, symmetric
 from magyc_gtsam.factors.preintegration import Preintegration
@@ -92,27 +92,51 @@ def fit_field_chain(
     level = short_term or Noise(*noise)  # type: ignore[misc]
     chain = FieldChain(windows, level)
     progress(0.2)
-    fits = [_descended(samples, begin(chain, starts.from_gyroscope(windows), free))]
-    explained = fits[0].converged and fits[0].reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
-    if not explained or level.magnetometer > 0.1 * _strength(fits[0]):
-        # The misfit is more than the sensors' noise: the axes may disagree, or the minimum be a false one.
-        axes.check(recording)
-        bias = fits[0].state.parameters[9:12]
-        for parameters in (*starts.others(windows, np.zeros(3)), *starts.others(windows, bias)):
-            progress(0.2 + 0.08 * len(fits))
-            fits.append(_descended(samples, begin(chain, parameters, free)))
-        fits.sort(key=lambda fit: fit.reduced.cost)
-    best = fits[0]
-    rival = next((fit for fit in fits[1:] if _apart(fit, best)), None)
-    if rival is not None and rival.reduced.cost > _CLOSE * best.reduced.cost:
+    begun = begin(chain, starts.from_gyroscope(windows), free)
+    best = _descended(samples, begun)
+    explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
+    progress(0.4)
+    best = _adapted(samples, best, robust is not False, short_term)
+    if explained and level.magnetometer < 0.1 * _strength(best):
+        return best, None
+    # The misfit is more than the sensors' noise: the axes may disagree, or the minimum be a false one.
+    axes.check(recording)
+    fits = [best]
+    for parameters in starts.others(windows, best.state.parameters[9:12]):
+        progress(0.4 + 0.1 * len(fits))
+        fit = _descended(samples, begin(chain, parameters, free))
+        fits.append(_adapted(samples, fit, robust is not False, short_term))
+    return _lowest(fits)
+
+
+def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
+    """The minimum of lowest robust misfit, and a different one within `_CLOSE` of it.
+
+    Minima found with different noise levels and weights are compared at one noise, each residual counting
+    up to its rejection threshold; a soft iron that is not positive definite counts only if all are so.
+    """
+    possible = [fit for fit in fits if _positive(fit)] or fits
+    noise = min((fit.chain.noise for fit in possible), key=lambda noise: noise.magnetometer)
+    ranked = sorted(possible, key=lambda fit: misfit(fit, noise))
+    best = ranked[0]
+    rival = next((fit for fit in ranked[1:] if _apart(fit, best)), None)
+    if rival is not None and misfit(rival, noise) > _CLOSE * misfit(best, noise):
         rival = None
-    progress(0.8)
-    for _ in range(4):
-        best = adapt(best, robust is not False, short_term)
-        if not _moved(best):
-            break
-        best = _descended(samples, best)
     return best, rival
+
+
+def _adapted(samples: Preintegration, fit: Fit, reject: bool, short_term: Noise | None) -> Fit:
+    """At the minimum with its own noise and weights, the gyroscope integrated close to it."""
+    for _ in range(4):
+        fit = adapt(fit, reject, short_term)
+        if not _moved(fit):
+            break
+        fit = _descended(samples, fit)
+    return _upright(fit)
+
+
+def _positive(fit: Fit) -> bool:
+    return bool(np.linalg.eigvalsh(symmetric(fit.state.parameters[:6]))[0] > 0)
 
 
 def preintegrate(recording: Recording, window: float = 1.0, turn: float | None = None) -> Preintegration:
@@ -195,11 +219,6 @@ def _calibration(
     colour = fit.colour
     parameters, covariance = fit.state.parameters, fit.covariance * colour
     scaled = symmetric(parameters[:6])
-    if np.linalg.eigvalsh(scaled)[0] <= 0:
-        raise MagycError(
-            "the data fit no positive definite soft iron: the recording hardly turns, or the two sensors' axes or "
-            "clocks disagree; record turns about two axes, or check with `magyc-gtsam info`"
-        )
     strength = _strength(fit) if field_strength is None else field_strength
     jacobian = np.eye(12, PARAMETERS)
     jacobian[:6, :6] /= strength
@@ -210,6 +229,8 @@ def _calibration(
     reported = jacobian @ covariance @ jacobian.T
     observability = assess(reported, scaled / strength, strength, recording)
     reasons = [] if observability.observable else [f"not observable: {observability.weak[0].sentence}"]
+    if not _positive(fit):
+        reasons.append("no positive definite soft iron fits the data: the field changed while it was recorded")
     if not fit.converged:
         reasons.append(f"no convergence within {fit.iterations} iterations")
     if rival is not None:

@@ -136,8 +136,8 @@ def _index(
         return None, ["the log does not say which CAL_GYROn_* was subtracted in flight, so it is kept"]
     if not known:
         raise MagycError(
-            f"the log's parameters do not say which CAL_{kind}n_* calibration was applied (no CAL_{kind}n_ID is "
-            "set), so it cannot be undone; use a log with its parameters, or one with the raw message"
+            f"the log's parameters do not say which CAL_{kind}n_* calibration was applied (no CAL_{kind}n_ID "
+            "is set), so it cannot be undone; use a log with its parameters, or one with the raw message"
         )
     raise MagycError(
         f"the log does not say which of CAL_{kind}n_* (n = {', '.join(map(str, known))}) was applied, so it "
