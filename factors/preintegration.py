@@ -25,6 +25,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array, chain, exponential, matrices, multiply
 
+_ROWS = 21  # per sample: Rᵀ 9, K 9, angular rate 3
 _CHUNK = 32768  # samples whose matrices are held at a time
 
 
@@ -37,7 +38,7 @@ class FieldWindows:
         count: (n,) magnetometer samples.
         field: (3, n) T, mean measured field.
         rotation: (3, 3, n) mean of R_jᵀ, integrated world→sensor.
-        rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s.
+        rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s (mean rate times mean rotation).
         lever: (3, 3, n − 1) s, K̄' − K̄ between neighbours.
         link_time: (n − 1,) s², Σ dt² between neighbours; the link's variance is σ_g² times it.
         linked: (n − 1,) False where a hole in the gyroscope parts two windows.
@@ -60,8 +61,9 @@ class FieldWindows:
 
 
 class _Track(NamedTuple):
-    """The integrated gyroscope at its own stamps: spinors, K (9, G) and Σ dt² (G,)."""
+    """The gyroscope integrated at `bias`, at its own stamps: spinors, K (9, G) s and Σ dt² (G,) s²."""
 
+    bias: Array
     p: np.ndarray
     q: np.ndarray
     lever: Array
@@ -131,23 +133,30 @@ class Preintegration:
         track = self._track(bias)
         starts, total = self.starts, len(self.magnetometer_time)
         count = np.diff(np.append(starts, total)).astype(float)
-        sums = np.empty((29, len(starts)))  # Rᵀ 9, its rate 9, K 9, Σ dt² 1, time 1
+        means = np.empty((_ROWS, len(starts)))
         first = 0
         while first < len(starts):  # chunks of whole windows, so that memory stays flat
             last = max(int(np.searchsorted(starts, starts[first] + _CHUNK)), first + 1)
             stop = int(starts[last]) if last < len(starts) else total
-            rows = self._at(track, slice(int(starts[first]), stop), bias, delay)
-            np.add.reduceat(rows, starts[first:last] - starts[first], axis=1, out=sums[:, first:last])
+            rows = self._at(track, slice(int(starts[first]), stop), delay)
+            np.add.reduceat(rows, starts[first:last] - starts[first], axis=1, out=means[:, first:last])
             first = last
-        sums /= count
+        means /= count
+        rotation = means[:9].reshape(3, 3, -1)
+        x, y, z = means[18:21] - bias[:, None]
+        # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
+        rotation_rate = np.stack(
+            [y * rotation[2] - z * rotation[1], z * rotation[0] - x * rotation[2], x * rotation[1] - y * rotation[0]]
+        )
+        time = np.add.reduceat(self.magnetometer_time, starts) / count
         return FieldWindows(
-            time=sums[28],
+            time=time,
             count=count,
             field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
-            rotation=sums[:9].reshape(3, 3, -1),
-            rotation_rate=sums[9:18].reshape(3, 3, -1),
-            lever=np.diff(sums[18:27]).reshape(3, 3, -1),
-            link_time=np.diff(sums[27]),
+            rotation=rotation,
+            rotation_rate=rotation_rate,
+            lever=np.diff(means[9:18]).reshape(3, 3, -1),
+            link_time=np.diff(np.interp(time - delay, self.gyroscope_time, track.variance)),
             linked=self._linked,  # type: ignore[attr-defined]
             bias=bias,
             delay=delay,
@@ -175,37 +184,30 @@ class Preintegration:
         np.cumsum(lever, axis=1, out=lever)
         variance = np.zeros(n)
         np.cumsum(step**2, out=variance[1:])
-        return _Track(p, q, lever, variance)
+        return _Track(bias, p, q, lever, variance)
 
-    def _at(self, track: _Track, rows: slice, bias: Array, delay: float) -> Array:
-        """Rᵀ, its derivative with respect to the delay, K, Σ dt² and t of single samples: (29, len(rows))."""
-        time = self.magnetometer_time[rows]
-        when = time - delay
+    def _at(self, track: _Track, rows: slice, delay: float) -> Array:
+        """Rᵀ (9), K (9) and the measured rate (3) at single samples' stamps less the delay: (21, len(rows))."""
         gyro = self.gyroscope_time
-        left = np.clip(np.searchsorted(gyro, when, side="right") - 1, 0, len(gyro) - 2)
-        since = when - gyro[left]
-        step: Array = self._step[left]  # type: ignore[attr-defined]
-        share = since / step
-        rate_before, rate_after = self.angular_rate[left], self.angular_rate[left + 1]
-        p, q = track.p[left], track.q[left]
-        lever, variance = track.lever[:, left], track.variance[left]
-        rate = (rate_after if self.interval_mean else rate_before) - bias
-        if since.any():  # else every sample lies on a gyroscope stamp
-            change = 0.0 if self.interval_mean else (rate_after - rate_before) * share[:, None]
-            p, q = multiply((p, q), exponential((rate + 0.5 * change) * since[:, None]))
-            rate = rate + change
-            lever += (track.lever[:, left + 1] - lever) * share
-            variance += (track.variance[left + 1] - variance) * share
-        r = matrices((p, q))
-        result = np.empty((29, len(time)))
-        result[:9] = r[[0, 3, 6, 1, 4, 7, 2, 5, 8]]  # transposed
-        # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
-        r0, r1, r2 = result[0:3], result[3:6], result[6:9]
-        x, y, z = rate.T
-        result[9:12] = y * r2 - z * r1
-        result[12:15] = z * r0 - x * r2
-        result[15:18] = x * r1 - y * r0
-        result[18:27] = lever
-        result[27] = variance
-        result[28] = time
+        when = self.magnetometer_time[rows] - delay
+        result = np.empty((_ROWS, len(when)))
+        if len(gyro) == len(self.magnetometer_time) and np.array_equal(when, gyro[rows]):
+            r = matrices((track.p[rows], track.q[rows]))
+            result[9:18] = track.lever[:, rows]
+            result[18:] = self.angular_rate[rows].T
+        else:
+            left = np.clip(np.searchsorted(gyro, when, side="right") - 1, 0, len(gyro) - 2)
+            since = when - gyro[left]
+            share = since / self._step[left]  # type: ignore[attr-defined]
+            rate, after = self.angular_rate[left], self.angular_rate[left + 1]
+            if self.interval_mean:
+                rate, change = after, np.zeros_like(after)
+            else:
+                change = (after - rate) * share[:, None]
+            turned = exponential((rate + 0.5 * change - track.bias) * since[:, None])
+            r = matrices(multiply((track.p[left], track.q[left]), turned))
+            lever = track.lever[:, left]
+            result[9:18] = lever + (track.lever[:, left + 1] - lever) * share
+            result[18:] = (rate + change).T
+        result[:9] = r.reshape(3, 3, -1).transpose(1, 0, 2).reshape(9, -1)
         return result

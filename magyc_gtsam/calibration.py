@@ -68,7 +68,10 @@ class Calibration:
             value = getattr(self, name)
             if value is None and name in ("gyro_bias", "covariance"):
                 continue
-            array = np.array(value, dtype=np.float64)
+            try:
+                array = np.array(value, dtype=np.float64)
+            except (TypeError, ValueError):
+                raise MagycError(f"calibration: {name} must be {shape} finite numbers, got {value!r}") from None
             if array.shape != shape or not np.isfinite(array).all():
                 raise MagycError(f"calibration: {name} must be {shape} finite numbers, got {array.tolist()}")
             array.flags.writeable = False
@@ -76,7 +79,10 @@ class Calibration:
         if abs(np.linalg.det(self.soft_iron)) < 1e-12:
             raise MagycError("calibration: soft_iron is singular, so it cannot be applied")
         for name in ("noise", "diagnostics", "configuration"):
-            put(self, name, MappingProxyType(dict(getattr(self, name))))
+            value = getattr(self, name)
+            if not isinstance(value, Mapping):
+                raise MagycError(f"calibration: {name} must be names with values, got {value!r}")
+            put(self, name, MappingProxyType(dict(value)))
 
     def apply(self, magnetic_field: ArrayLike) -> Array:
         """Calibrated field soft_iron⁻¹ (m − hard_iron): (N, 3) or (3,) T in, the same shape out."""
@@ -158,14 +164,18 @@ class Calibration:
             data = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
         except FileNotFoundError:
             raise MagycError(f"{path}: no such file") from None
+        except OSError as error:
+            raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
         except (json.JSONDecodeError, yaml.YAMLError, UnicodeDecodeError) as error:
             raise MagycError(f"{path}: not readable as {path.suffix or 'YAML'} ({error})") from None
         if not isinstance(data, dict):
             raise MagycError(f"{path}: not a calibration")
         try:
             return cls.from_dict(data)
-        except (MagycError, TypeError) as error:
+        except MagycError as error:
             raise MagycError(f"{path}: {error}") from None
+        except (KeyError, TypeError, ValueError) as error:
+            raise MagycError(f"{path}: a damaged calibration ({type(error).__name__}: {error})") from None
 
 
 def _dump(suffix: str, data: dict[str, Any]) -> str:

@@ -78,34 +78,20 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
     """
     up = _vertical(recording)
     limit = float(np.clip(field_strength, *EARTH_FIELD))
-    found = []
-    for variance, axis in _principal(covariance[6:9, 6:9]):
-        sigma = float(np.sqrt(variance)) * 1e6
-        found.append(
-            Weakness(
-                f"hard iron along {_axis_name(axis)}",
-                sigma,
-                HARD_IRON_LIMIT * limit * 1e6,
-                "µT",
-                _remedy(axis, up),
-            )
-        )
-    for variance, vech in _principal(covariance[:6, :6]):
-        shape = np.zeros((3, 3))
-        shape[np.triu_indices(3)] = vech
-        value, vector = np.linalg.eigh(shape + shape.T)
-        axis = vector[:, np.argmax(np.abs(value))]
-        sigma = float(np.sqrt(variance)) * 100
-        found.append(
-            Weakness(f"soft iron along {_axis_name(axis)}", sigma, SOFT_IRON_LIMIT * 100, "%", _remedy(axis, up))
-        )
-    for variance, axis in _principal(covariance[9:12, 9:12]):
-        sigma = float(np.sqrt(variance)) * 1e3
-        remedy = "record longer, and rest for some seconds" if sigma < 1e3 else "move: nothing turned"
-        found.append(
-            Weakness(f"gyroscope bias about {_axis_name(axis)}", sigma, GYRO_BIAS_LIMIT * 1e3, "mrad/s", remedy)
-        )
-    weak = sorted((w for w in found if w.sigma > 0.5 * w.limit), key=lambda w: -w.sigma / w.limit)
+    groups = (
+        ("hard iron along", covariance[6:9, 6:9], 1e6, HARD_IRON_LIMIT * limit * 1e6, "µT"),
+        ("soft iron along", covariance[:6, :6], 1e2, SOFT_IRON_LIMIT * 1e2, "%"),
+        ("gyroscope bias about", covariance[9:, 9:], 1e3, GYRO_BIAS_LIMIT * 1e3, "mrad/s"),
+    )
+    weak = []
+    for what, block, scale, most, unit in groups:
+        variance, vectors = np.linalg.eigh(block)
+        for sigma, vector in zip(np.sqrt(np.maximum(variance, 0.0)) * scale, vectors.T, strict=True):
+            if sigma > 0.5 * most:
+                axis = _stretched(vector) if len(vector) == 6 else vector
+                remedy = _rest_or_move(sigma) if unit == "mrad/s" else _remedy(axis, up)
+                weak.append(Weakness(f"{what} {_axis_name(axis)}", float(sigma), most, unit, remedy))
+    weak.sort(key=lambda w: -w.sigma / w.limit)
     return Observability(
         observable=all(w.sigma <= w.limit for w in weak),
         weak=tuple(weak),
@@ -113,9 +99,17 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
     )
 
 
-def _principal(covariance: Array) -> list[tuple[float, Array]]:
-    value, vector = np.linalg.eigh(covariance)
-    return [(max(float(v), 0.0), vector[:, i]) for i, v in enumerate(value)][::-1]
+def _stretched(vech: Array) -> Array:
+    """The axis along which a change of the soft iron stretches most."""
+    shape = np.zeros((3, 3))
+    shape[np.triu_indices(3)] = vech
+    value, vector = np.linalg.eigh(shape + shape.T)
+    axis: Array = vector[:, np.argmax(np.abs(value))]
+    return axis
+
+
+def _rest_or_move(sigma: float) -> str:
+    return "record longer, and rest for some seconds" if sigma < 1e3 else "move: nothing turned"
 
 
 def _axis_name(axis: Array) -> str:

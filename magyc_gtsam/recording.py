@@ -25,6 +25,7 @@ EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
 _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
 _HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope counts as sample-held
+_LONGEST_HOLD = 0.2  # s; a rate that repeats for longer stands still and is measured all the same
 _FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT": 1e-3}
 
 
@@ -102,15 +103,15 @@ class Recording:
             )
         channels = {k: _frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
         put(self, "channels", MappingProxyType(channels))
-        put(self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0))
-        put(self, "angular_rate_fresh", self._mask("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE))
+        put(self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf))
+        put(self, "angular_rate_fresh", self._mask("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE, _LONGEST_HOLD))
         if self.magnetic_field_fresh.sum() < 3:
             raise MagycError(
                 "magnetic_field: fewer than 3 different samples, all others repeat the row before; "
                 "the sensor is stuck or the wrong column was read"
             )
 
-    def _mask(self, name: str, values: Array | None, tolerated: float) -> Mask:
+    def _mask(self, name: str, values: Array | None, tolerated: float, longest: float) -> Mask:
         given = getattr(self, name)
         if given is not None:
             mask = np.array(given, dtype=bool)
@@ -122,6 +123,8 @@ class Recording:
                 repeats = (values[1:] == values[:-1]).all(axis=1)
                 if repeats.mean() > tolerated:
                     mask[1:] = ~repeats
+                    own = np.maximum.accumulate(np.where(mask, self.time, -np.inf))
+                    mask |= self.time - own > longest
         mask.flags.writeable = False
         return mask
 
@@ -372,5 +375,5 @@ def _slerp(at: Array, time: Array, quaternion: Array) -> Array:
     step = np.diff(time)
     left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(step) - 1)
     inside &= (step[left] <= max(10 * float(np.median(step)), 0.1)) | np.isin(at, time)
-    result[inside] = Slerp(time, Rotation.from_quat(quaternion))(at[inside]).as_quat()
+    result[inside] = Slerp(time, Rotation.from_quat(_unit_quaternions(quaternion)))(at[inside]).as_quat()
     return result

@@ -186,7 +186,7 @@ def _dive(random: np.random.Generator) -> tuple[Array, Array]:
     tilts = [(0, 0), (0, 20), (0, -20), (12, 0), (-12, 0), (0, 35), (0, -35)]
     time, points = [0.0], [(0.0, 0.0, 0.0)]
     heading, way = 0.0, 1
-    for roll, pitch in tilts * 40:  # twenty and more hours of it; `duration` says where to stop
+    for roll, pitch in tilts * 250:  # twenty and more hours of it; `duration` says where to stop
         time.append(time[-1] + random.uniform(6, 10))
         points.append((roll, pitch, heading))
         heading += 360 * way

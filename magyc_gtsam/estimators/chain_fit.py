@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dpbtrs
 from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise, Reduced, State, Weights
 from magyc_gtsam.factors.rotations import Array
 
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 40
 _SETTLED = 1e-4  # squared length of the last step in sigmas; convergence is quadratic, so less is left
 _NEAR = 1.0  # the same between rounds of noise and weights
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
@@ -121,7 +121,7 @@ def misfit(fit: Fit, noise: Noise) -> float:
     return float(np.minimum(window, _WINDOW_OUTLIER).sum() + np.minimum(link, _LINK_OUTLIER).sum())
 
 
-def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 30) -> Fit:
+def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 20) -> Fit:
     """Alternate robust weights, noise levels and descent until all three stand still.
 
     Args:
@@ -139,7 +139,7 @@ def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 30) ->
         fit = replace(fit, chain=chain, reduced=chain.eliminate(fit.state, fit.weights), iterations=fit.iterations + 1)
         stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
         fit = descend(fit, settled=_SETTLED if stable else _NEAR)
-        if fit.converged and stable:
+        if not fit.converged or stable:
             return fit
     return replace(fit, converged=False)
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import axes, starts
@@ -19,7 +20,7 @@ from magyc_gtsam.estimators.chain_fit import Fit, adapt, begin, descend, misfit
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, UPPER, FieldChain, Noise, State, symmetric
 from magyc_gtsam.factors.preintegration import Preintegration
-from magyc_gtsam.observability import assess
+from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Array, Recording, Samples
 
 Progress = Callable[[float], None]
@@ -28,6 +29,7 @@ _MOVED = 0.01  # rad by which bias or delay may turn a window before the gyrosco
 _TRIPLETS = 3000  # samples at which the short-term noise is taken
 _EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
 _CLOSE = 1.1  # ratio of two minima's costs from which they count as close
+_MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LEAST_TRUSTED = 0.5  # share of the windows' weight below which the result must not be trusted
 _APART = 0.05  # distance of two minima's hard irons, in field strengths, from which they differ
 
@@ -147,7 +149,7 @@ def preintegrate(recording: Recording, window: float = 1.0, turn: float | None =
         # the whole log; at these values some 2 % of the weakest parameter's sigma.
         thin = magnetometer.value[:: max(len(magnetometer.value) // 2000, 1)]
         spread = np.linalg.eigvalsh(np.cov(thin.T))
-        turn = float(np.clip(np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.1, 0.3))
+        turn = float(np.clip(np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.3))
     return Preintegration(
         *magnetometer,
         *gyroscope,
@@ -162,8 +164,8 @@ def short_term_noise(recording: Recording) -> Noise:
 
     def level(samples: Samples, least: float) -> float:
         value = samples.value
-        i = np.unique(np.linspace(1, len(value) - 2, min(len(value) - 2, _TRIPLETS)).astype(int))
-        second = value[i + 1] - 2 * value[i] + value[i - 1]
+        stride = max(len(value) // _TRIPLETS, 1)
+        second = value[2::stride] - 2 * value[1:-1:stride] + value[:-2:stride]
         deviation = np.sqrt(np.einsum("ni,ni->n", second, second) / 18)
         # Upper quartile of sqrt(χ²₃/3): drivers that interpolate leave half of the differences at zero.
         return max(float(np.percentile(deviation, 75)) / 1.170, least)
@@ -228,20 +230,7 @@ def _calibration(
         jacobian[:6, :6] -= np.outer(parameters[:6], slope) / strength**2
     reported = jacobian @ covariance @ jacobian.T
     observability = assess(reported, scaled / strength, strength, recording)
-    reasons = [] if observability.observable else [f"not observable: {observability.weak[0].sentence}"]
-    if not _positive(fit):
-        reasons.append("no positive definite soft iron fits the data: the field changed while it was recorded")
-    if not fit.converged:
-        reasons.append(f"no convergence within {fit.iterations} iterations")
-    if rival is not None:
-        other = rival.state.parameters[6:9] * 1e6
-        reasons.append(
-            f"two calibrations explain the data almost equally well (the other hard iron is "
-            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion"
-        )
-    trusted = float(fit.weights.window.mean())
-    if trusted < _LEAST_TRUSTED:
-        reasons.append(f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated")
+    reasons = _reasons(fit, rival, strength, observability)
     noise = fit.chain.noise
     return Calibration(
         soft_iron=scaled / strength,
@@ -260,12 +249,49 @@ def _calibration(
             "windows": len(fit.chain.windows),
             "iterations": fit.iterations,
             "cost": fit.reduced.cost,
-            "trusted_share": trusted,
+            "trusted_share": float(fit.weights.window.mean()),
             "colour": colour,
             "disturbed": _disturbed(fit),
         },
         configuration=configuration | ({} if field_strength is None else {"field_strength": field_strength}),
     )
+
+
+def _reasons(fit: Fit, rival: Fit | None, strength: float, observability: Observability) -> list[str]:
+    """Why the result must not be trusted, the root cause first; empty where it may be."""
+    reasons = []
+    left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
+    if left > _MOST_UNEXPLAINED * strength or not _positive(fit):
+        reasons.append(
+            f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field is "
+            "tolerated): the field or the instrument changed during the recording; choose an interval (--start, --end)"
+        )
+    trusted = float(fit.weights.window.mean())
+    if trusted < _LEAST_TRUSTED:
+        reasons.append(f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated")
+    if not observability.observable:
+        x, y, z = _turned(fit)
+        reasons.append(
+            f"too little motion (it turned by {x:.0f}°, {y:.0f}°, {z:.0f}° about x, y, z): "
+            f"{observability.weak[0].sentence}"
+        )
+    if rival is not None:
+        other = rival.state.parameters[6:9] * 1e6
+        reasons.append(
+            f"two calibrations explain the data almost equally well (the other hard iron is "
+            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion"
+        )
+    if not fit.converged:
+        reasons.append(f"no convergence within {fit.iterations} iterations")
+    return reasons
+
+
+def _turned(fit: Fit) -> Array:
+    """(3,) range of the attitude about the sensor's axes against its mean, in degrees."""
+    rotation = fit.chain.windows.rotation[:, :, :: max(len(fit.chain.windows) // 200, 1)]
+    attitude = Rotation.from_matrix(np.moveaxis(rotation, 2, 0)).inv()
+    vectors = (attitude.mean().inv() * attitude).as_rotvec(degrees=True)
+    return np.ptp(vectors, axis=0)
 
 
 def _disturbed(fit: Fit) -> list[list[float]]:

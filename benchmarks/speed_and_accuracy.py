@@ -1,0 +1,75 @@
+"""`smoother` and `magyc-bfg` against `magyc_bfg` of the authors' package, same process, same data.
+
+The authors' package pins numpy < 2, so it gets an environment of its own:
+
+    python3 -m venv .venv-peer && .venv-peer/bin/pip install . magyc==1.0.0
+    .venv-peer/bin/python benchmarks/speed_and_accuracy.py
+
+Prints, per motion, the run times of one 10-minute log at 10 Hz (median over the seeds), their ratio, and
+the root-mean-square errors of hard iron (mG, norm), soft iron (det 1, Frobenius, %) and gyroscope bias
+(mrad/s, norm). The peer is fed in gauss and with windows of one second, as its documentation asks.
+"""
+
+import argparse
+import time
+
+import numpy as np
+from magyc import magyc_bfg
+
+import magyc_gtsam as mg
+
+GAUSS = 1e-4
+MOTIONS = ("wide", "moderate", "low", "tiny")
+
+
+def peer(recording: mg.Recording) -> mg.Calibration:
+    """The authors' MAGYC-BFG as its documentation runs it."""
+    hard_iron, soft_iron, gyro_bias, *_ = magyc_bfg(
+        recording.magnetic_field / GAUSS, recording.angular_rate, recording.time, measurements_window=10
+    )
+    scale = np.cbrt(np.linalg.det(soft_iron))
+    return mg.Calibration(soft_iron / scale, hard_iron * GAUSS, gyro_bias)
+
+
+METHODS = {
+    "smoother": mg.calibrate,
+    "magyc-bfg": lambda recording: mg.calibrate(recording, "magyc-bfg"),
+    "magyc_bfg of magyc 1.0.0": peer,
+}
+
+
+def errors(estimate: mg.Calibration, truth: mg.Calibration) -> tuple[float, float, float]:
+    """Hard iron in mG, soft iron in %, gyroscope bias in mrad/s."""
+    return (
+        float(np.linalg.norm(estimate.hard_iron - truth.hard_iron)) * 1e7,
+        float(np.linalg.norm(estimate.soft_iron - truth.soft_iron)) * 100,
+        float(np.linalg.norm(estimate.gyro_bias - truth.gyro_bias)) * 1e3,
+    )
+
+
+def main() -> None:
+    """Run and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=5)
+    seeds = range(parser.parse_args().seeds)
+    mg.calibrate(mg.simulate("wide", seed=99).recording)  # imports and caches are not part of the time
+    print(f"{'motion':10s}{'method':26s}{'ms':>9s}{'ratio':>8s}{'hard iron mG':>14s}{'soft iron %':>13s}{'bias mrad/s':>13s}")
+    for motion in MOTIONS:
+        took: dict[str, list[float]] = {name: [] for name in METHODS}
+        wrong: dict[str, list[tuple[float, float, float]]] = {name: [] for name in METHODS}
+        for seed in seeds:
+            simulation = mg.simulate(motion, seed=seed)
+            for name, method in METHODS.items():
+                start = time.perf_counter()
+                estimate = method(simulation.recording)
+                took[name].append(time.perf_counter() - start)
+                wrong[name].append(errors(estimate, simulation.truth))
+        slowest = np.median(took["magyc_bfg of magyc 1.0.0"])
+        for name in METHODS:
+            median = np.median(took[name])
+            hard, soft, bias = np.sqrt(np.mean(np.square(wrong[name]), axis=0))
+            print(f"{motion:10s}{name:26s}{median * 1e3:9.1f}{slowest / median:8.0f}{hard:14.2f}{soft:13.2f}{bias:13.3f}")
+
+
+if __name__ == "__main__":
+    main()

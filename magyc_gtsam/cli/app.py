@@ -1,0 +1,113 @@
+"""All commands under one name, and every failure as one line and an exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from magyc_gtsam import __version__
+from magyc_gtsam.cli import apply, calibrate, export, info, simulate
+from magyc_gtsam.cli.options import spelled
+
+WRONG, INTERRUPTED = 2, 130
+
+app = typer.Typer(
+    name="magyc-gtsam",
+    help="Calibrate magnetometers and gyroscopes from the data a vehicle records anyway.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+for name, command in (
+    ("calibrate", calibrate),
+    ("apply", apply),
+    ("info", info),
+    ("simulate", simulate),
+    ("export", export),
+):
+    app.command(name)(command.run)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"magyc-gtsam {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    """Options before the command."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: without the program's name; None takes the process's own.
+
+    Returns:
+        The exit code. MAGYC_DEBUG=1 in the environment lets the traceback of a failure through.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    debug = bool(os.environ.get("MAGYC_DEBUG"))
+    if not debug:
+        warnings.simplefilter("ignore")  # a library's warning is no line of ours
+        logging.disable(logging.WARNING)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal without µ shows a question mark
+    group = typer.main.get_command(app)
+    try:
+        with group.make_context("magyc-gtsam", given, obj=given) as context:
+            code = int(group.invoke(context) or 0)
+        sys.stdout.flush()
+        return code
+    except typer.Exit as finished:
+        return finished.exit_code
+    except KeyboardInterrupt:
+        return _say("interrupted, nothing was written", INTERRUPTED)
+    except BrokenPipeError:  # the reader of the output had enough, as `head` has
+        with contextlib.suppress(OSError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if debug:
+            raise
+        return _say(_explain(error), WRONG)
+
+
+def _explain(error: Exception) -> str:
+    """What, where, limit and remedy of a failure, in the command line's own words."""
+    usage = getattr(error, "format_message", None)  # of every usage error, whichever click typer brings
+    if usage is not None:
+        context = getattr(error, "ctx", None)
+        path = context.command_path if context is not None else "magyc-gtsam"
+        return f"{usage()} (see {path} --help)"
+    from magyc_gtsam.factors.errors import MagycError
+
+    if isinstance(error, MagycError):
+        return spelled(str(error))
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}; check the path, its permissions and the space left"
+    return (
+        f"internal error: {type(error).__name__}: {error}; this is a bug, please report it "
+        "(MAGYC_DEBUG=1 shows the traceback)"
+    )
+
+
+def _say(message: str, code: int) -> int:
+    print("magyc-gtsam:", " ".join(message.split()), file=sys.stderr)
+    return code

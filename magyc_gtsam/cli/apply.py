@@ -1,0 +1,109 @@
+"""`magyc-gtsam apply`: a log with its field and angular rate calibrated."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.calibrate import verdict
+from magyc_gtsam.cli.files import replacing
+from magyc_gtsam.cli.reading import Reading, epoch
+from magyc_gtsam.cli.terminal import show, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.recording import Recording
+
+
+def run(
+    calibration_file: given.CalibrationFile,
+    log: given.Log,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="OUT.mcap or OUT.csv.", show_default=False)
+    ],
+    start: given.Start = None,
+    end: given.End = None,
+    magnetic_field: given.MagneticField = None,
+    angular_rate: given.AngularRate = None,
+    acceleration: given.Acceleration = None,
+    attitude: given.Attitude = None,
+    magnetic_unit: given.MagneticUnit = None,
+    angular_unit: given.AngularUnit = None,
+    acceleration_unit: given.AccelerationUnit = None,
+    stamps: given.Stamps = "header",
+    angular_rate_is: given.AngularRateIs = None,
+    gyroscope_axes: given.GyroscopeAxes = None,
+    read: given.Read = None,
+    quiet: given.Quiet = False,
+) -> int:
+    """Apply a calibration to a log; time stamps and all other data stay as they are.
+
+    The gyroscope's bias is subtracted where the method estimated one. Read the log as it was read for the
+    calibration (units, axes).
+    """
+    from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.factors.errors import MagycError
+
+    if output.suffix.lower() not in (".mcap", ".csv"):
+        raise MagycError(f"--output: {output} is neither .mcap nor .csv")
+    if output.exists() and log.exists() and output.samefile(log):
+        raise MagycError(f"--output: {output} is the log itself; name another file")
+    calibration = Calibration.load(calibration_file)
+    reading = Reading(
+        log, magnetic_field, angular_rate, acceleration, attitude,
+        magnetic_unit, angular_unit, acceleration_unit,
+        start, end, stamps, angular_rate_is, gyroscope_axes, read,
+    )  # fmt: skip
+    with replacing(output) as part, stages(shown=not quiet) as stage:
+        recording = reading.recording(stage("reading"))
+        rate = recording.angular_rate
+        if rate is not None and calibration.gyro_bias is not None:
+            rate = calibration.apply_gyroscope(rate)
+        calibrated = replace(
+            recording, magnetic_field=calibration.apply(recording.magnetic_field), angular_rate=rate
+        )
+        writing = stage("writing")
+        if output.suffix.lower() == ".mcap":
+            from magyc_gtsam.io import write_mcap
+
+            write_mcap(part, calibrated, epoch=epoch(recording))
+        else:
+            _write_csv(part, calibrated)
+        writing(1.0)
+    if not quiet:
+        show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field")
+    return verdict(calibration)
+
+
+def _write_csv(path: Path, recording: Recording) -> None:
+    """A table with units in the header; a cell is empty where its sensor has no sample of its own."""
+    import numpy as np
+
+    columns: list[tuple[list[str], np.ndarray, np.ndarray]] = []
+    every = np.ones(len(recording.time), dtype=bool)
+    for name, unit, value, rows in (
+        ("magnetic_field", "T", recording.magnetic_field, recording.magnetic_field_fresh),
+        ("angular_rate", "rad/s", recording.angular_rate, recording.angular_rate_fresh),
+        ("acceleration", "m/s^2", recording.acceleration, recording.angular_rate_fresh),
+    ):
+        if value is not None:
+            columns.append(([f"{name}_{axis}_{unit}" for axis in "xyz"], value, rows))
+    if recording.attitude is not None:
+        columns.append(([f"quaternion_{axis}" for axis in "xyzw"], recording.attitude, every))
+    for name, value in recording.channels.items():
+        table = value.reshape(len(value), -1)
+        names = [name] if value.ndim == 1 else [f"{name}_{i}" for i in range(table.shape[1])]
+        columns.append((names, table, every))
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time_s", *(name for names, _, _ in columns for name in names)])
+        for row, time in enumerate(recording.time.tolist()):
+            cells: list[float | str] = [f"{time:.9f}"]
+            for names, value, rows in columns:
+                known = rows[row] and np.isfinite(value[row]).all()
+                cells += value[row].tolist() if known else [""] * len(names)
+            writer.writerow(cells)

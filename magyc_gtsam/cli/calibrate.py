@@ -1,0 +1,194 @@
+"""`magyc-gtsam calibrate`: a log in; parameters, a page and files to paste out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.reading import Reading, parse_pairs
+from magyc_gtsam.cli.results import dated_folder, write_configuration, write_exports, write_page
+from magyc_gtsam.cli.terminal import show, show_calibration, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.calibration import Calibration
+
+
+def run(
+    context: typer.Context,
+    log: given.Log,
+    method: Annotated[str, typer.Option(help="One of magyc_gtsam.methods().")] = "smoother",
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-<date>-<time>."),
+    ] = None,
+    start: given.Start = None,
+    end: given.End = None,
+    magnetic_field: given.MagneticField = None,
+    angular_rate: given.AngularRate = None,
+    acceleration: given.Acceleration = None,
+    attitude: given.Attitude = None,
+    magnetic_unit: given.MagneticUnit = None,
+    angular_unit: given.AngularUnit = None,
+    acceleration_unit: given.AccelerationUnit = None,
+    stamps: given.Stamps = "header",
+    angular_rate_is: given.AngularRateIs = None,
+    gyroscope_axes: given.GyroscopeAxes = None,
+    read: given.Read = None,
+    field_strength: Annotated[
+        float | None,
+        typer.Option(
+            metavar="µT", help="True strength of the field; sets the scale. Default: det soft iron = 1."
+        ),
+    ] = None,
+    location: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="LAT LON", help="Degrees; the strength by the World Magnetic Model, with --date."
+        ),
+    ] = None,
+    altitude: Annotated[float, typer.Option(metavar="METRES", help="Above the sea, with --location.")] = 0.0,
+    date: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="Day of the recording, with --location.")
+    ] = None,
+    noise: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="µT MRAD/S",
+            help="Deviation per sample of magnetometer and gyroscope. Default: estimated.",
+        ),
+    ] = None,
+    delay: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MS", help="By which the magnetometer lags the gyroscope, or 'auto' (the default)."
+        ),
+    ] = None,
+    robust: Annotated[
+        bool | None,
+        typer.Option(
+            "--robust/--no-robust", help="Weigh disturbed windows down. Default: as the method does."
+        ),
+    ] = None,
+    window: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Longest window. Default: as the method has it.")
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
+    ] = None,
+    quiet: given.Quiet = False,
+    json: given.Json = False,
+) -> int:
+    """Calibrate a log; writes calibration.yaml, configuration.yaml, report.html and files to paste.
+
+    Exit code 1: done, but the result must not be trusted; the reason is printed.
+    """
+    reading = Reading(
+        log, magnetic_field, angular_rate, acceleration, attitude,
+        magnetic_unit, angular_unit, acceleration_unit,
+        start, end, stamps, angular_rate_is, gyroscope_axes, read,
+    )  # fmt: skip
+    options = _method_options(
+        strength_option(field_strength, location, altitude, date), noise, delay, robust, window, option
+    )
+    folder = output or dated_folder(log)
+    with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
+        recording = reading.recording(stage("reading"))
+        from magyc_gtsam import calibrate
+
+        calibration: Calibration = calibrate(recording, method, progress=stage("calibrating"), **options)
+        page = stage("drawing the page")
+        calibration.save(part / "calibration.yaml")
+        write_configuration(part, reading, recording, calibration, options, context.obj)
+        write_exports(part, calibration)
+        write_page(part, recording, calibration)
+        page(1.0)
+    if json:
+        _show_json(folder, calibration)
+    elif not quiet:
+        show(f"{log.name}: {recording.duration:.1f} s, {calibration.method}", "")
+        show_calibration(calibration)
+        show(
+            *(f"note: {note}" for note in recording.notes),
+            "",
+            f"results: {folder}",
+            f"page: {folder / 'report.html'}",
+        )
+    return verdict(calibration)
+
+
+def strength_option(
+    field_strength: float | None, location: tuple[float, float] | None, altitude: float, date: str | None
+) -> float | None:
+    """T; from the options µT, or place and day."""
+    from magyc_gtsam.factors.errors import MagycError
+
+    if location is None:
+        if date is not None:
+            raise MagycError("--date: says nothing without a place; give --location LAT LON too")
+        return None if field_strength is None else field_strength * 1e-6
+    if field_strength is not None:
+        raise MagycError(
+            "--field-strength and --location: both set the strength of the field; give one of them"
+        )
+    if date is None:
+        raise MagycError("--location: the field changes by the year; give --date YYYY-MM-DD too")
+    from magyc_gtsam.world_field import world_magnetic_field
+
+    return world_magnetic_field(*location, date, altitude).strength
+
+
+def verdict(calibration: Calibration) -> int:
+    """The exit code of a calibration; says on standard error why one must not be trusted."""
+    from magyc_gtsam.report.words import trusted
+
+    if trusted(calibration):
+        return 0
+    reason = calibration.message or "the method did not converge"
+    typer.echo(f"magyc-gtsam: the result must not be trusted: {reason}", err=True)
+    return 1
+
+
+def _method_options(
+    field_strength: float | None,
+    noise: tuple[float, float] | None,
+    delay: str | None,
+    robust: bool | None,
+    window: float | None,
+    pairs: list[str] | None,
+) -> dict[str, Any]:
+    """Arguments of `magyc_gtsam.calibrate`; what was not asked for is left to the method."""
+    from magyc_gtsam.factors.errors import MagycError
+
+    options: dict[str, Any] = {"field_strength": field_strength, "robust": robust, "window": window}
+    if noise is not None:
+        if min(noise) <= 0:
+            raise MagycError(f"--noise: {noise[0]:g} µT and {noise[1]:g} mrad/s, both must be more than 0")
+        options["noise"] = [noise[0] * 1e-6, noise[1] * 1e-3]
+    if delay not in (None, "auto"):
+        try:
+            options["delay"] = float(str(delay)) * 1e-3
+        except ValueError:
+            raise MagycError(f"--delay: {delay!r} is neither a number of milliseconds nor 'auto'") from None
+    if window is not None and not window > 0:
+        raise MagycError(f"--window: {window:g} s, it must be more than 0")
+    return {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", pairs)
+
+
+def _show_json(folder: Path, calibration: Calibration) -> None:
+    import json
+
+    from magyc_gtsam.report.words import trusted
+
+    files = {file.name: str(file) for file in sorted(folder.iterdir())}
+    result = {
+        "trusted": trusted(calibration),
+        "folder": str(folder),
+        "files": files,
+        "calibration": calibration.to_dict(),
+    }
+    typer.echo(json.dumps(result, indent=2))

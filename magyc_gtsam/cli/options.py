@@ -1,0 +1,84 @@
+"""Options that several commands share: how a log is read, and how things are written and shown."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+# What `magyc_gtsam.read` calls its arguments; its messages name them.
+_ARGUMENT = re.compile(r"\b(magnetic_field|angular_rate|acceleration|attitude|stamps|start|end)=(?=(\)?))")
+_TABLE_ARGUMENT = re.compile(r"\b(time|time_unit|rate|columns)=")
+
+Log = Annotated[
+    Path,
+    typer.Argument(metavar="LOG", help="MCAP, text table, PX4 .ulg or ArduPilot .BIN.", show_default=False),
+]
+CalibrationFile = Annotated[
+    Path,
+    typer.Argument(metavar="CALIBRATION", help="calibration.yaml of an earlier result.", show_default=False),
+]
+
+MagneticField = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TOPIC", help="Topic, message or columns of the magnetometer; where it is not clear."
+    ),
+]
+AngularRate = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise, of the gyroscope.")]
+Acceleration = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise, of the accelerometer.")]
+Attitude = Annotated[
+    str | None,
+    typer.Option(metavar="TOPIC", help="Likewise, of a reference attitude (shown on the page only)."),
+]
+MagneticUnit = Annotated[
+    str | None,
+    typer.Option(
+        metavar="UNIT", help="What the log's field is in: T, mT, uT, nT, gauss, mgauss, or tesla per count."
+    ),
+]
+AngularUnit = Annotated[
+    str | None, typer.Option(metavar="UNIT", help="Likewise, of the angular rate: rad/s, deg/s, mrad/s.")
+]
+AccelerationUnit = Annotated[
+    str | None, typer.Option(metavar="UNIT", help="Likewise, of the acceleration: m/s^2, g.")
+]
+Start = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="Leave out what is before, counted from the log's first row."),
+]
+End = Annotated[float | None, typer.Option(metavar="SECONDS", help="Leave out what is after.")]
+Stamps = Annotated[
+    Literal["header", "log"], typer.Option(help="Time stamps of the sensors, or of the recorder (MCAP).")
+]
+AngularRateIs = Annotated[
+    Literal["instant", "interval-mean"] | None,
+    typer.Option(
+        help="Rate at its stamp, or mean since the stamp before (delta angles); default: as the log says."
+    ),
+]
+GyroscopeAxes = Annotated[
+    str | None,
+    typer.Option(
+        metavar="AXES",
+        help="The gyroscope's axes that lie along the magnetometer's x, y, z, as 'y,-x,z'; the accelerometer "
+        "is turned along.",
+    ),
+]
+Read = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="KEY=VALUE", help="Of text tables: time, time_unit, rate, columns. May be repeated."
+    ),
+]
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]
+Json = Annotated[bool, typer.Option("--json", help="The result as JSON on standard output.")]
+
+
+def spelled(message: str) -> str:
+    """A message of the library with its arguments spelled as options."""
+    text = _ARGUMENT.sub(lambda m: f"--{m[1].replace('_', '-')}{'' if m[2] else ' '}", message)
+    return _TABLE_ARGUMENT.sub(r"--read \1=", text)

@@ -1,0 +1,92 @@
+"""The files of one calibration, and what is needed to run it again."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import shlex
+from collections.abc import Sequence
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.cli.reading import Reading
+    from magyc_gtsam.recording import Recording
+
+EXPORTS = {
+    "px4": "px4.params",
+    "ardupilot": "ardupilot.param",
+    "vectornav": "vectornav.txt",
+    "ros": "ros.yaml",
+}
+
+
+def dated_folder(log: Path) -> Path:
+    """`results/<log>-<date>-<time>`, with a number where that exists."""
+    name = f"{log.stem}-{datetime.now():%Y%m%d-%H%M%S}"
+    folder = Path("results") / name
+    count = 1
+    while folder.exists():
+        count += 1
+        folder = folder.with_name(f"{name}-{count}")
+    return folder
+
+
+def write_page(folder: Path, recording: Recording, calibration: Calibration) -> None:
+    """`report.html`, with the residuals of methods that have them."""
+    from magyc_gtsam.estimators.smoother import window_residuals
+    from magyc_gtsam.report import write_report
+
+    has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None
+    residuals = window_residuals(recording, calibration) if has_residuals else None
+    write_report(folder / "report.html", recording, calibration, residuals)
+
+
+def write_exports(folder: Path, calibration: Calibration) -> None:
+    """Parameters to paste; a target that cannot hold the calibration gets the reason instead."""
+    from magyc_gtsam.factors.errors import MagycError
+
+    for target, name in EXPORTS.items():
+        try:
+            text = calibration.export(target)
+        except MagycError as error:
+            text = f"# {error}\n"
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def write_configuration(
+    folder: Path,
+    reading: Reading,
+    recording: Recording,
+    calibration: Calibration,
+    options: dict[str, Any],
+    arguments: Sequence[str],
+) -> None:
+    """`configuration.yaml`: versions, the log, how it was read, and the options of the method."""
+    import yaml
+
+    from magyc_gtsam import __version__
+
+    with open(reading.log, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    configuration = {
+        "magyc_gtsam": __version__,
+        "command": shlex.join(["magyc-gtsam", *arguments]),
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "log": {"name": reading.log.name, "sha256": digest, "bytes": reading.log.stat().st_size},
+        "interval": [float(recording.time[0]), float(recording.time[-1])],
+        "reading": reading.to_dict(),
+        "notes": list(recording.notes),
+        "method": calibration.method,
+        "options": options,
+        "configuration": dict(calibration.configuration),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in ("gtsam", "numpy", "scipy")},
+        },
+    }
+    text = yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True, width=110)
+    (folder / "configuration.yaml").write_text(text, encoding="utf-8")

@@ -1,0 +1,80 @@
+"""`magyc-gtsam simulate`: a recording with its truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from magyc_gtsam.cli.files import replacing
+from magyc_gtsam.cli.terminal import show
+
+
+def run(
+    motion: Annotated[
+        str,
+        typer.Argument(
+            metavar="MOTION", help="wide, moderate, low, tiny, dive or survey.", show_default=False
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="FILE.mcap; FILE.truth.yaml goes beside it.",
+            show_default=False,
+        ),
+    ],
+    duration: Annotated[float, typer.Option(metavar="SECONDS")] = 600.0,
+    rate: Annotated[float, typer.Option(metavar="HZ")] = 10.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of motion and noise.")] = 0,
+    field_strength: Annotated[
+        float | None, typer.Option(metavar="µT", help="Default: 47.3, of the MAGYC paper's field.")
+    ] = None,
+    hard_iron: Annotated[
+        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="µT; default 2, 12, 9.")
+    ] = None,
+    gyroscope_bias: Annotated[
+        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="mrad/s; default 4, -5, 2.")
+    ] = None,
+    magnetometer_noise: Annotated[
+        float, typer.Option(metavar="µT", help="Deviation per sample and axis.")
+    ] = 1.0,
+    gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Likewise.")] = 5.0,
+    delay: Annotated[float, typer.Option(metavar="MS", help="By which the magnetometer lags.")] = 0.0,
+) -> int:
+    """Simulate a recording; the same arguments give the same messages."""
+    import numpy as np
+
+    from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.io import write_mcap
+    from magyc_gtsam.simulation import FIELD, simulate
+
+    if output.suffix.lower() != ".mcap":
+        raise MagycError(f"--output: {output} does not end in .mcap")
+    for option, value in (("--duration", duration), ("--rate", rate)):
+        if not value > 0:
+            raise MagycError(f"{option}: {value:g}, it must be more than 0")
+    if min(magnetometer_noise, gyroscope_noise) < 0:
+        raise MagycError("--magnetometer-noise, --gyroscope-noise: a deviation is not negative")
+    sensor: dict[str, Any] = {
+        "magnetometer_noise": magnetometer_noise * 1e-6,
+        "gyroscope_noise": gyroscope_noise * 1e-3,
+        "delay": delay * 1e-3,
+    }
+    if field_strength is not None:
+        sensor["field"] = FIELD * (field_strength * 1e-6 / np.linalg.norm(FIELD))
+    if hard_iron is not None:
+        sensor["hard_iron"] = np.multiply(hard_iron, 1e-6)
+    if gyroscope_bias is not None:
+        sensor["gyro_bias"] = np.multiply(gyroscope_bias, 1e-3)
+    simulation = simulate(motion, duration, rate, seed, **sensor)
+    truth = output.with_suffix(".truth.yaml")
+    with replacing(output) as part, replacing(truth) as truth_part:
+        write_mcap(part, simulation.recording)
+        simulation.truth.save(truth_part)
+    show(f"{output}: {simulation.recording.duration:.1f} s at {rate:g} Hz", f"{truth}: the truth behind it")
+    return 0

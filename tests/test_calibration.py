@@ -1,0 +1,221 @@
+"""Calibration: applied as its formula says, saved and loaded bit for bit, never half written."""
+
+import dataclasses
+import os
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from magyc_gtsam import Calibration, MagycError
+from magyc_gtsam.observability import Observability, Weakness
+
+SOFT_IRON = np.array([[1.1, 0.1, 0.04], [0.1, 0.9, 0.02], [0.04, 0.02, 1.2]])
+HARD_IRON = np.array([2e-6, 12e-6, -9e-6])
+BIAS = np.array([4e-3, -5e-3, 2e-3])
+
+FINITE = st.floats(-1e12, 1e12)
+# PyYAML writes the control character NEL as the line break it stands for, and reads a blank.
+TEXT = st.text(st.characters(exclude_characters="\x85"), max_size=10)
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | FINITE | TEXT,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
+    max_leaves=8,
+)
+WEAKNESSES = st.builds(Weakness, TEXT, FINITE, FINITE, st.sampled_from(["µT", "%"]), TEXT)
+OBSERVABILITIES = st.builds(
+    Observability, st.booleans(), st.lists(WEAKNESSES, max_size=3).map(tuple), st.none() | FINITE
+)
+
+
+@st.composite
+def calibrations(draw):
+    soft_iron = np.diag(draw(hnp.arrays(float, 3, elements=st.floats(0.5, 2.0))))
+    soft_iron += draw(hnp.arrays(float, (3, 3), elements=st.floats(-0.1, 0.1)))
+    return Calibration(
+        soft_iron,
+        draw(hnp.arrays(float, 3, elements=FINITE)),
+        draw(st.none() | hnp.arrays(float, 3, elements=FINITE)),
+        draw(st.none() | hnp.arrays(float, (12, 12), elements=FINITE)),
+        delay=draw(FINITE),
+        delay_sigma=draw(st.none() | FINITE),
+        converged=draw(st.booleans()),
+        message=draw(TEXT),
+        method=draw(TEXT),
+        noise=draw(st.dictionaries(st.sampled_from(["magnetic_field", "angular_rate"]), FINITE)),
+        field_strength=draw(st.none() | FINITE),
+        observability=draw(st.none() | OBSERVABILITIES),
+        diagnostics=draw(st.dictionaries(TEXT, JSON, max_size=3)),
+        configuration=draw(st.dictionaries(TEXT, JSON, max_size=3)),
+    )
+
+
+def test_apply_undoes_the_sensor_model():
+    u = np.random.default_rng(0).normal(0, 5e-5, (20, 3))
+    m = np.array([SOFT_IRON @ row + HARD_IRON for row in u])
+    calibration = Calibration(SOFT_IRON, HARD_IRON, BIAS)
+    np.testing.assert_allclose(calibration.apply(m), u, atol=1e-18)
+    np.testing.assert_allclose(calibration.apply(m[3]), u[3], atol=1e-18)
+    np.testing.assert_allclose(calibration.apply(m[:3].tolist()), u[:3], atol=1e-18)
+    assert calibration.apply(m[0]).shape == (3,)
+    assert calibration.apply(m[:0]).shape == (0, 3)
+
+
+def test_apply_an_unsymmetric_soft_iron():
+    """A transposed inverse would pass with a symmetric one."""
+    soft_iron = np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.25], [0.0, 0.0, 2.0]])
+    m = np.array([[1.0, 2.0, 3.0]])
+    np.testing.assert_allclose(Calibration(soft_iron, np.zeros(3)).apply(m)[0], np.linalg.solve(soft_iron, m[0]))
+
+
+def test_apply_gyroscope():
+    rates = np.random.default_rng(0).normal(size=(5, 3))
+    calibration = Calibration(SOFT_IRON, HARD_IRON, BIAS)
+    np.testing.assert_array_equal(calibration.apply_gyroscope(rates), rates - BIAS)
+    np.testing.assert_array_equal(calibration.apply_gyroscope(rates[0]), rates[0] - BIAS)
+    with pytest.raises(MagycError, match="'twostep' estimates no gyroscope bias"):
+        Calibration(SOFT_IRON, HARD_IRON, method="twostep").apply_gyroscope(rates)
+
+
+@pytest.mark.parametrize("shape", [(4,), (3, 4), (2, 3, 3), ()])
+def test_apply_refuses_other_shapes(shape):
+    """(3, N) must not be scrambled into (N, 3)."""
+    calibration = Calibration(SOFT_IRON, HARD_IRON, BIAS)
+    with pytest.raises(MagycError, match=r"magnetic_field: shape .* expected \(N, 3\) or \(3,\)"):
+        calibration.apply(np.zeros(shape))
+    with pytest.raises(MagycError, match="angular_rate: shape"):
+        calibration.apply_gyroscope(np.zeros(shape))
+
+
+def test_sigma_is_the_root_of_the_diagonal_in_its_place():
+    sigma = Calibration(SOFT_IRON, HARD_IRON, BIAS, np.diag(np.arange(12.0) ** 2)).sigma
+    np.testing.assert_array_equal(sigma["soft_iron"], [[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+    np.testing.assert_array_equal(sigma["hard_iron"], [6, 7, 8])
+    np.testing.assert_array_equal(sigma["gyro_bias"], [9, 10, 11])
+    assert Calibration(SOFT_IRON, HARD_IRON).sigma == {}
+
+
+@settings(max_examples=60, deadline=None)
+@given(calibrations(), st.sampled_from([".yaml", ".yml", ".json"]))
+def test_saved_and_loaded_is_the_same_bit_for_bit(tmp_path_factory, calibration, suffix):
+    path = tmp_path_factory.getbasetemp() / f"calibration{suffix}"
+    calibration.save(path)
+    loaded = Calibration.load(path)
+    for field in dataclasses.fields(Calibration):
+        before, after = getattr(calibration, field.name), getattr(loaded, field.name)
+        if isinstance(before, np.ndarray):
+            assert after.dtype == float
+            assert after.tobytes() == before.tobytes(), field.name
+        else:
+            assert after == before, field.name
+
+
+def test_save_replaces_the_file_in_one_step(tmp_path, monkeypatch):
+    path = tmp_path / "cal.yaml"
+    Calibration(SOFT_IRON, HARD_IRON, message="first").save(path)
+    second = Calibration(SOFT_IRON, HARD_IRON, message="second")
+
+    def out_of_power(*_):
+        raise OSError("out of power")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", out_of_power)
+        with pytest.raises(OSError, match="out of power"):
+            second.save(path)
+    assert Calibration.load(path).message == "first"
+    second.save(path)
+    assert Calibration.load(path).message == "second"
+    assert [p.name for p in tmp_path.iterdir()] == ["cal.yaml"]
+
+
+def test_what_cannot_be_written_leaves_the_old_file_alone(tmp_path):
+    path = tmp_path / "cal.yaml"
+    Calibration(SOFT_IRON, HARD_IRON).save(path)
+    before = path.read_text()
+    with pytest.raises(Exception, match="cannot represent"):
+        Calibration(SOFT_IRON, HARD_IRON, diagnostics={"bad": object()}).save(path)
+    assert path.read_text() == before
+
+
+def test_the_yaml_is_for_people_too(tmp_path):
+    Calibration(SOFT_IRON, HARD_IRON, message="µT").save(tmp_path / "cal.yaml")
+    text = (tmp_path / "cal.yaml").read_text(encoding="utf-8")
+    assert text.splitlines()[0] == "format: magyc-gtsam calibration 1"
+    assert "- [1.1, 0.1, 0.04]" in text
+    assert "message: µT" in text
+
+
+GOOD = yaml.safe_dump(Calibration(SOFT_IRON, HARD_IRON).to_dict())
+BAD_FILES = {
+    "broken YAML": ("cal.yaml", "soft_iron: [1, 2", "not readable as .yaml"),
+    "broken JSON": ("cal.json", "{", "not readable as .json"),
+    "binary": ("cal.yaml", b"\xff\xfe\x00\x01", "not readable as .yaml"),
+    "a list": ("cal.yaml", "[1, 2]", "not a calibration"),
+    "empty": ("cal.yaml", "", "not a calibration"),
+    "something else": ("cal.yaml", "camera: {fx: 500}", "not a calibration: format is None"),
+    "another version": ("cal.yaml", GOOD.replace("calibration 1", "calibration 9"), "calibration 9"),
+    "no hard iron": ("cal.yaml", GOOD.replace("hard_iron", "hard_irony"), "calibration without hard_iron"),
+    "wrong shape": ("cal.yaml", "format: magyc-gtsam calibration 1\nsoft_iron: [1]\nhard_iron: [1, 2, 3]", "soft_iron"),
+    "words": ("cal.yaml", "format: magyc-gtsam calibration 1\nsoft_iron: a\nhard_iron: [1, 2, 3]", "soft_iron"),
+    "observability": ("cal.yaml", GOOD.replace("observability: null", "observability: {}"), "damaged calibration"),
+    "diagnostics": ("cal.yaml", GOOD.replace("diagnostics: {}", "diagnostics: 3"), "diagnostics"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_load_refuses_with_the_files_name(tmp_path, case):
+    name, text, words = BAD_FILES[case]
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(MagycError) as caught:
+        Calibration.load(path)
+    assert str(caught.value).startswith(str(path))
+    assert words in str(caught.value)
+
+
+def test_load_of_a_missing_file(tmp_path):
+    with pytest.raises(MagycError, match=r"none\.yaml: no such file"):
+        Calibration.load(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize("name", ["cal.txt", "cal"])
+def test_save_refuses_other_suffixes(tmp_path, name):
+    with pytest.raises(MagycError, match="saved as .yaml or .json"):
+        Calibration(SOFT_IRON, HARD_IRON).save(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"soft_iron": np.ones((3, 3))}, "soft_iron is singular"),
+        ({"soft_iron": np.eye(2)}, r"soft_iron must be \(3, 3\)"),
+        ({"hard_iron": HARD_IRON[None]}, r"hard_iron must be \(3,\)"),
+        ({"hard_iron": [np.nan, 0, 0]}, "hard_iron must be .* finite"),
+        ({"gyro_bias": [1, 2]}, r"gyro_bias must be \(3,\)"),
+        ({"covariance": np.eye(9)}, r"covariance must be \(12, 12\)"),
+        ({"covariance": np.diag([np.inf] * 12)}, "covariance must be .* finite"),
+    ],
+)
+def test_refused_values(change, words):
+    with pytest.raises(MagycError, match=words):
+        Calibration(**{"soft_iron": SOFT_IRON, "hard_iron": HARD_IRON} | change)
+
+
+def test_immutable_and_its_own():
+    soft_iron, diagnostics = SOFT_IRON.copy(), {"cost": 1.0, "disturbed": [[1.0, 2.0]]}
+    calibration = Calibration(soft_iron, HARD_IRON, BIAS, np.eye(12), diagnostics=diagnostics)
+    soft_iron[:] = 0
+    diagnostics["cost"] = 2.0
+    np.testing.assert_array_equal(calibration.soft_iron, SOFT_IRON)
+    assert calibration.diagnostics["cost"] == 1.0
+    for name in ("soft_iron", "hard_iron", "gyro_bias", "covariance"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(calibration, name)[0] = 0
+    with pytest.raises(TypeError):
+        calibration.diagnostics["cost"] = 3.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        calibration.converged = False
