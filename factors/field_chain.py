@@ -21,11 +21,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
-
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.preintegration import FieldWindows
 from magyc_gtsam.factors.rotations import Array
+from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
 UPPER = np.triu_indices(3)
@@ -66,7 +65,8 @@ class Reduced(NamedTuple):
     cost: half the weighted sum of squares at the state; information (13, 13): Schur complement on θ;
     gradient (13,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
     on_parameters (13, 3, n): whitened window Jacobians; band and factor (4, 2n): the directions' matrix and
-    its Cholesky factor; right (14, 2n): its border with θ, and the directions' gradient.
+    its Cholesky factor L; right (14, 2n): its border with θ, and the directions' gradient; half (2n, 14):
+    L⁻¹ of it.
     """
 
     cost: float
@@ -78,6 +78,7 @@ class Reduced(NamedTuple):
     band: Array
     factor: Array
     right: Array
+    half: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +220,7 @@ class FieldChain:
         gradient[9:12] += np.einsum("ikn,in->k", on_bias, link)
         cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
         return Reduced(
-            cost, information, gradient, basis, on_direction, on_parameters, band.T, factor, right
+            cost, information, gradient, basis, on_direction, on_parameters, band.T, factor, right, half
         )
 
     def move(self, state: State, reduced: Reduced, step: Array) -> State:
@@ -237,7 +238,7 @@ class FieldChain:
         backward Schur complements, (D_f + D_b − D)⁻¹, each read off one banded factorisation.
         """
         band, n = reduced.band, reduced.on_direction.shape[2]
-        solve, _ = dpbtrs(reduced.factor, reduced.right[:PARAMETERS].T, lower=1)
+        solve, _ = dtbtrs(reduced.factor, reduced.half[:, :PARAMETERS], uplo="L", trans="T")
         forward = _schur_blocks(reduced.factor)
         backward = _schur_blocks(dpbtrf(_reversed_band(band), lower=1)[0])
         s00 = forward[0] + backward[2][::-1] - band[0, ::2]

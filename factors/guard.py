@@ -18,9 +18,8 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from magyc_gtsam.factors.errors import MagycError
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 Residual = tuple[Array, Sequence[Array]]

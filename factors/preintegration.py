@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array, chain, exponential, matrices, multiply
 
@@ -146,7 +145,11 @@ class Preintegration:
         x, y, z = means[18:21] - bias[:, None]
         # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
         rotation_rate = np.stack(
-            [y * rotation[2] - z * rotation[1], z * rotation[0] - x * rotation[2], x * rotation[1] - y * rotation[0]]
+            [
+                y * rotation[2] - z * rotation[1],
+                z * rotation[0] - x * rotation[2],
+                x * rotation[1] - y * rotation[0],
+            ]
         )
         time = np.add.reduceat(self.magnetometer_time, starts) / count
         return FieldWindows(

@@ -17,7 +17,7 @@ _PUBLIC = {
     "simulate": "magyc_gtsam.simulation",
 }
 
-__all__ = [*_PUBLIC, "__version__"]  # noqa: PLE0604
+__all__ = [*_PUBLIC, "__version__"]
 
 __version__ = "0.1.0"
 

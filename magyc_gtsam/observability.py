@@ -14,6 +14,7 @@ HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading 
 SOFT_IRON_LIMIT = 0.05
 GYRO_BIAS_LIMIT = 15e-3  # rad/s
 
+
 @dataclass(frozen=True)
 class Weakness:
     """A direction of the parameters that the motion left weak.

@@ -101,10 +101,18 @@ class Recording:
             raise MagycError(
                 f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'"
             )
-        channels = {k: _frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
+        channels = {
+            k: _frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()
+        }
         put(self, "channels", MappingProxyType(channels))
-        put(self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf))
-        put(self, "angular_rate_fresh", self._mask("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE, _LONGEST_HOLD))
+        put(
+            self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf)
+        )
+        put(
+            self,
+            "angular_rate_fresh",
+            self._mask("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE, _LONGEST_HOLD),
+        )
         if self.magnetic_field_fresh.sum() < 3:
             raise MagycError(
                 "magnetic_field: fewer than 3 different samples, all others repeat the row before; "
@@ -250,7 +258,9 @@ class Recording:
             time,
             mag[held],
             rate,
-            acceleration=None if acceleration is None else _interpolate(time, *_stream("acceleration", *acceleration, 3)),
+            acceleration=None
+            if acceleration is None
+            else _interpolate(time, *_stream("acceleration", *acceleration, 3)),
             attitude=None if attitude is None else _slerp(time, *_stream("attitude", *attitude, 4)),
             channels={
                 k: _interpolate(time, *_stream(f"channel {k!r}", *v, None), outside=np.nan)

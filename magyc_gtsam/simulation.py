@@ -77,12 +77,16 @@ def simulate(
         MagycError: unknown motion or effect, or too few samples.
     """
     if effects:
-        raise MagycError(f"effects: {', '.join(map(repr, effects))} unknown; this simulator has the sensor model only")
+        raise MagycError(
+            f"effects: {', '.join(map(repr, effects))} unknown; this simulator has the sensor model only"
+        )
     if motion not in MOTIONS:
         raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
     samples = round(duration * rate)
     if samples < 3:
-        raise MagycError(f"duration {duration:g} s at {rate:g} Hz gives {samples} samples, at least 3 are needed")
+        raise MagycError(
+            f"duration {duration:g} s at {rate:g} Hz gives {samples} samples, at least 3 are needed"
+        )
     random = np.random.default_rng(seed)
     time = np.arange(samples) / rate
     angles = MOTIONS[motion](random)

@@ -54,7 +54,7 @@ def test_the_papers_amplitudes_and_rates(motion):
 
 
 @pytest.mark.parametrize("motion", ["dive", "survey"])
-def test_vehicles_turn_all_around(motion):
+def test_dives_tilt_and_surveys_come_back(motion):
     angles = np.rad2deg(euler(simulate(motion, duration=900, rate=5)))
     roll, pitch, heading = np.ptp(angles, axis=0)
     if motion == "dive":

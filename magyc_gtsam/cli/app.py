@@ -16,7 +16,7 @@ from magyc_gtsam import __version__
 from magyc_gtsam.cli import apply, calibrate, export, info, simulate
 from magyc_gtsam.cli.options import spelled
 
-WRONG, INTERRUPTED = 2, 130
+WRONG, INTERRUPTED, UNREAD = 2, 130, 141  # the last two as shells count signals 2 and 13
 
 app = typer.Typer(
     name="magyc-gtsam",
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of the output had enough, as `head` has
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return UNREAD
     except Exception as error:
         if debug:
             raise
@@ -94,7 +94,7 @@ def _explain(error: Exception) -> str:
     if usage is not None:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else "magyc-gtsam"
-        return f"{usage()} (see {path} --help)"
+        return f"{usage().replace('Value error, ', '').removesuffix('.')}; see {path} --help"
     from magyc_gtsam.factors.errors import MagycError
 
     if isinstance(error, MagycError):

@@ -72,18 +72,19 @@ def run(
 
             write_mcap(part, calibrated, epoch=epoch(recording))
         else:
-            _write_csv(part, calibrated)
+            _write_csv(part, calibrated, epoch(recording))
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field")
     return verdict(calibration)
 
 
-def _write_csv(path: Path, recording: Recording) -> None:
+def _write_csv(path: Path, recording: Recording, origin: int) -> None:
     """A table with units in the header; a cell is empty where its sensor has no sample of its own."""
     import numpy as np
 
     columns: list[tuple[list[str], np.ndarray, np.ndarray]] = []
+    stamps = np.round(recording.time * 1e9).astype(np.int64) + origin
     every = np.ones(len(recording.time), dtype=bool)
     for name, unit, value, rows in (
         ("magnetic_field", "T", recording.magnetic_field, recording.magnetic_field_fresh),
@@ -101,8 +102,8 @@ def _write_csv(path: Path, recording: Recording) -> None:
     with open(path, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["time_s", *(name for names, _, _ in columns for name in names)])
-        for row, time in enumerate(recording.time.tolist()):
-            cells: list[float | str] = [f"{time:.9f}"]
+        for row, stamp in enumerate(stamps.tolist()):
+            cells: list[float | str] = [f"{stamp // 1_000_000_000}.{stamp % 1_000_000_000:09d}"]
             for names, value, rows in columns:
                 known = rows[row] and np.isfinite(value[row]).all()
                 cells += value[row].tolist() if known else [""] * len(names)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +16,8 @@ from magyc_gtsam.cli.terminal import show, show_calibration, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.cli.terminal import Progress
+    from magyc_gtsam.recording import Recording
 
 
 def run(
@@ -98,9 +101,7 @@ def run(
     folder = output or dated_folder(log)
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording = reading.recording(stage("reading"))
-        from magyc_gtsam import calibrate
-
-        calibration: Calibration = calibrate(recording, method, progress=stage("calibrating"), **options)
+        calibration = _calibrate(recording, method, stage("calibrating"), options, option)
         page = stage("drawing the page")
         calibration.save(part / "calibration.yaml")
         write_configuration(part, reading, recording, calibration, options, context.obj)
@@ -153,6 +154,20 @@ def verdict(calibration: Calibration) -> int:
     return 1
 
 
+def _calibrate(
+    recording: Recording, method: str, progress: Progress, options: dict[str, Any], pairs: list[str] | None
+) -> Calibration:
+    from magyc_gtsam import MagycError, calibrate
+
+    try:
+        calibration: Calibration = calibrate(recording, method, progress=progress, **options)
+    except TypeError as error:
+        if pairs is None:
+            raise
+        raise MagycError(f"--option {' '.join(pairs)}: the method cannot use it ({error})") from None
+    return calibration
+
+
 def _method_options(
     field_strength: float | None,
     noise: tuple[float, float] | None,
@@ -166,7 +181,7 @@ def _method_options(
 
     options: dict[str, Any] = {"field_strength": field_strength, "robust": robust, "window": window}
     if noise is not None:
-        if min(noise) <= 0:
+        if not min(noise) > 0 or not max(noise) < math.inf:
             raise MagycError(f"--noise: {noise[0]:g} µT and {noise[1]:g} mrad/s, both must be more than 0")
         options["noise"] = [noise[0] * 1e-6, noise[1] * 1e-3]
     if delay not in (None, "auto"):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,8 +23,7 @@ def replacing(path: Path) -> Iterator[Path]:
 @contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
     """Likewise a folder; where `path` exists, the new files take their places in it one by one."""
-    if path.exists() and not path.is_dir():
-        raise NotADirectoryError(20, "is a file, a folder is expected", str(path))
+    _refuse_files((path,))
     with _beside(path) as directory:
         part = directory / path.name
         part.mkdir()
@@ -38,7 +38,8 @@ def replacing_folder(path: Path) -> Iterator[Path]:
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """A temporary directory on the file system of `path`, whose missing parents are made."""
-    missing = [p for p in (path.parent, *path.parent.parents) if not p.exists()]
+    _refuse_files(path.parents)
+    missing = [p for p in path.parents if not p.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
     directory = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
@@ -50,3 +51,9 @@ def _beside(path: Path) -> Iterator[Path]:
                 parent.rmdir()
         raise
     shutil.rmtree(directory, ignore_errors=True)
+
+
+def _refuse_files(folders: Iterable[Path]) -> None:
+    for folder in folders:
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, "is a file, a folder is expected", str(folder))

@@ -40,13 +40,15 @@ class Reading:
         Raises:
             MagycError: as `magyc_gtsam.read`, and for axes or options that mean nothing.
         """
-        from magyc_gtsam import read
+        from magyc_gtsam import MagycError, read
 
         arguments = asdict(self)
         for own in ("log", "angular_rate_is", "gyroscope_axes", "read"):
             del arguments[own]
         for unit in ("magnetic_unit", "angular_unit", "acceleration_unit"):
             arguments[unit] = _unit(arguments[unit])
+        if self.start is not None and self.end is not None and not self.start < self.end:
+            raise MagycError(f"--start {self.start:g} s is not before --end {self.end:g} s")
         axes = None if self.gyroscope_axes is None else parse_axes(self.gyroscope_axes)
         recording: Recording = read(
             self.log, **arguments, **parse_pairs("--read", self.read), progress=progress

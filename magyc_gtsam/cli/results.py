@@ -37,7 +37,7 @@ def dated_folder(log: Path) -> Path:
 
 def write_page(folder: Path, recording: Recording, calibration: Calibration) -> None:
     """`report.html`, with the residuals of methods that have them."""
-    from magyc_gtsam.estimators.smoother import window_residuals
+    from magyc_gtsam.estimators.residuals import window_residuals
     from magyc_gtsam.report import write_report
 
     has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None

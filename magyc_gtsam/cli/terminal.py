@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -86,5 +88,11 @@ def show_weak(sentences: Sequence[str]) -> None:
 def _console(stderr: bool = False) -> Console:
     from rich.console import Console
 
-    console = Console(stderr=stderr)
-    return console if console.is_terminal else Console(stderr=stderr, width=_WIDE)
+    class Patient(Console):
+        def on_broken_pipe(self) -> None:
+            """Go on in silence: `head` may have enough, the exit code is still to come."""
+            self.quiet = True
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+    console = Patient(stderr=stderr)
+    return console if console.is_terminal else Patient(stderr=stderr, width=_WIDE)

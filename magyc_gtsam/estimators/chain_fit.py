@@ -11,8 +11,8 @@ from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise, Reduc
 from magyc_gtsam.factors.rotations import Array
 
 MAX_ITERATIONS = 40
-_SETTLED = 1e-4  # squared length of the last step in sigmas; convergence is quadratic, so less is left
-_NEAR = 1.0  # the same between rounds of noise and weights
+_SETTLED = 1e-3  # squared length of the last step in sigmas; convergence is quadratic, so less is left
+NEAR = 4.0  # the same between rounds of noise and weights: two sigmas
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
 _NOISE_STABLE = 0.2  # squared length of a step of the noise levels in their own sigmas
@@ -53,7 +53,6 @@ class Fit:
         result[kept] = (vector / value) @ vector.T * scale * scale[:, None]
         return result
 
-
     @property
     def colour(self) -> float:
         """1 + 2 Σ ρ_k: by how much neighbouring windows repeat each other's misfit; 1 for white residuals.
@@ -85,21 +84,14 @@ def begin(chain: FieldChain, parameters: Array, free: np.ndarray) -> Fit:
     return Fit(chain, state, weights, chain.eliminate(state, weights), free)
 
 
-def descend(fit: Fit, iterations: int = MAX_ITERATIONS, settled: float = _SETTLED) -> Fit:
+def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
     """Levenberg–Marquardt on θ (the directions follow exactly) until a step is below `settled`."""
-    damping, free = 0.0, fit.free
+    damping = 0.0
     state, reduced = fit.state, fit.reduced
-    for spent in range(1, iterations + 1):
-        information = reduced.information[np.ix_(free, free)]
-        diagonal = np.maximum(np.diag(information), 1e-300)
-        scale = 1 / np.sqrt(diagonal)
-        scaled = information * scale * scale[:, None]
-        scaled[np.diag_indices_from(scaled)] += damping + 1e-14
-        step = np.zeros(PARAMETERS)
-        step[free] = -scale * np.linalg.solve(scaled, scale * reduced.gradient[free])
+    for spent in range(1, MAX_ITERATIONS + 1):
+        step, length = _step(reduced, fit.free, damping)
         trial = fit.chain.move(state, reduced, step)
         ahead = fit.chain.eliminate(trial, fit.weights)
-        length = float(step[free] @ information @ step[free])
         if ahead.cost <= reduced.cost * (1 + 1e-10) and np.isfinite(ahead.cost):
             state, reduced = trial, ahead
             damping = damping / 10 if damping > 1e-6 else 0.0
@@ -112,6 +104,17 @@ def descend(fit: Fit, iterations: int = MAX_ITERATIONS, settled: float = _SETTLE
             if damping > 1e8:
                 break
     return replace(fit, state=state, reduced=reduced, iterations=fit.iterations + spent, converged=False)
+
+
+def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Array, float]:
+    """The damped Gauss–Newton step on θ (13,), and its squared length in sigmas."""
+    information = reduced.information[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = information * scale * scale[:, None]
+    scaled[np.diag_indices_from(scaled)] += damping + 1e-14
+    step = np.zeros(PARAMETERS)
+    step[free] = -scale * np.linalg.solve(scaled, scale * reduced.gradient[free])
+    return step, float(step[free] @ information @ step[free])
 
 
 def misfit(fit: Fit, noise: Noise) -> float:
@@ -132,14 +135,19 @@ def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 20) ->
     """
     for _ in range(rounds):
         weights = _reweigh(fit) if reject else fit.weights
-        moved = float(np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum())
+        moved = float(
+            np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
+        )
         fit = replace(fit, weights=weights)
         noise, gain = (fit.chain.noise, 0.0) if short_term is None else improved_noise(fit, short_term)
-        chain = FieldChain(fit.chain.windows, noise)
-        fit = replace(fit, chain=chain, reduced=chain.eliminate(fit.state, fit.weights), iterations=fit.iterations + 1)
         stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
-        fit = descend(fit, settled=_SETTLED if stable else _NEAR)
-        if not fit.converged or stable:
+        chain = FieldChain(fit.chain.windows, noise)
+        fit = replace(
+            fit, chain=chain, reduced=chain.eliminate(fit.state, weights), iterations=fit.iterations + 1
+        )
+        # The noise levels' gradient holds at a minimum only, so descend in every round.
+        fit = descend(fit, _SETTLED if stable else NEAR)
+        if stable or not fit.converged:
             return fit
     return replace(fit, converged=False)
 
@@ -176,10 +184,12 @@ def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float]:
     absorbed = float(chain.leverage(reduced, covariance).sum())
     unknowns = 2 * len(chain.windows) + int(fit.free.sum())
     squares = np.array([weights.window @ window, weights.link @ link])
-    redundancy = np.array([
-        3 * weights.window.sum() - absorbed,
-        2 * weights.link[chain.windows.linked].sum() - (unknowns - absorbed),
-    ])
+    redundancy = np.array(
+        [
+            3 * weights.window.sum() - absorbed,
+            2 * weights.link[chain.windows.linked].sum() - (unknowns - absorbed),
+        ]
+    )
     shared = _shared(fit, residuals.window / chain.window_sigma * np.sqrt(weights.window), covariance)
     information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
     gradient = squares - redundancy
@@ -187,7 +197,11 @@ def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float]:
     low = np.array(short_term) / np.array([_MAGNETOMETER_FLOOR, _GYROSCOPE_RANGE])
     high = np.array([np.inf, short_term.gyroscope * _GYROSCOPE_RANGE])
     # A group with less than one degree of freedom of information, or at its bound, keeps the noise it has.
-    kept = (np.diag(information) > 1.0) & ~((level <= low) & (gradient < 0)) & ~((level >= high) & (gradient > 0))
+    kept = (
+        (np.diag(information) > 1.0)
+        & ~((level <= low) & (gradient < 0))
+        & ~((level >= high) & (gradient > 0))
+    )
     if not kept.any():
         return chain.noise, 0.0
     step = np.zeros(2)

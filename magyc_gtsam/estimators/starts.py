@@ -6,10 +6,10 @@ import numpy as np
 
 from magyc_gtsam.factors.field_chain import PARAMETERS, UPPER, cross
 from magyc_gtsam.factors.preintegration import FieldWindows
-from magyc_gtsam.factors.rotations import Array, skew
+from magyc_gtsam.factors.rotations import Array
 
 _LAG = 3.0  # s between the windows that the linear start compares
-_PAIRS = 500  # pairs of windows that are enough for a start
+_PAIRS = 300  # pairs of windows that are enough for a start
 _PASSES = 4
 
 
@@ -52,13 +52,16 @@ def from_gyroscope(windows: FieldWindows) -> Array:
     hard_iron, bias = windows.field.mean(axis=1), np.zeros(3)
     for _ in range(_PASSES):
         still = turned_back[:, first] - np.einsum("ijn,i->jn", before, hard_iron)
-        design = np.concatenate([on_hard_iron, cross(still[:, None], lever)], axis=1)  # (3, 6, n)
-        weighted = design * weight
-        normal = np.einsum("ian,ibn->ab", weighted, design)
-        normal += np.diag(np.diag(normal)) * 1e-9
-        solution = np.linalg.lstsq(normal, np.einsum("ian,in->a", weighted, constant), rcond=None)[0]
+        design = np.concatenate(
+            [on_hard_iron.swapaxes(0, 1), cross(still[:, None], lever).swapaxes(0, 1)]
+        )  # (6, 3, n)
+        flat = design.reshape(6, -1)
+        weighted = (design * weight).reshape(6, -1)
+        normal = weighted @ flat.T
+        normal[np.diag_indices(6)] *= 1 + 1e-9
+        solution = np.linalg.lstsq(normal, weighted @ constant.ravel(), rcond=None)[0]
         hard_iron, bias = solution[:3], solution[3:]
-        misfit = constant - np.einsum("ian,a->in", design, solution)
+        misfit = constant - (solution @ flat).reshape(3, -1)
         square = np.einsum("in,in->n", misfit, misfit)
         scale = float(np.median(square[weight > 0])) or 1.0
         weight = (weight > 0) / (1 + square / (2 * scale))  # Cauchy

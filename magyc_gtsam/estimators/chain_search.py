@@ -1,0 +1,170 @@
+"""From a recording to the field chain at its lowest minimum, without a start or a noise level from the user."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.estimators import axes, starts
+from magyc_gtsam.estimators.chain_fit import NEAR, Fit, adapt, begin, descend, misfit
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, symmetric
+from magyc_gtsam.factors.preintegration import Preintegration
+from magyc_gtsam.recording import Recording, Samples
+
+Progress = Callable[[float], None]
+
+_MOVED = 0.01  # rad by which bias or delay may turn a window before the gyroscope is integrated again
+_TRIPLETS = 3000  # samples at which the short-term noise is taken
+_EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
+_CLOSE = 1.1  # ratio of two minima's misfits from which they count as close
+_APART = 0.05  # distance of two minima's hard irons, in field strengths, from which they differ
+_LEAST_WINDOWS = 8
+
+
+def fit_field_chain(
+    recording: Recording,
+    *,
+    noise: tuple[float, float] | None = None,
+    robust: bool | None = None,
+    delay: float | None = None,
+    window: float = 1.0,
+    turn: float | None = None,
+    progress: Progress = lambda _: None,
+) -> tuple[Fit, Fit | None]:
+    """The chain at its lowest minimum, and the best different minimum if one is close (arguments as above)."""
+    samples = preintegrate(recording, window, turn)
+    free = np.ones(PARAMETERS, dtype=bool)
+    free[DELAY] = delay is None
+    windows = samples.integrate(delay=delay or 0.0)
+    if len(windows) < _LEAST_WINDOWS:
+        raise MagycError(
+            f"{len(windows)} windows of {window:g} s, at least {_LEAST_WINDOWS} are needed: record longer (a minute or more), or move"
+        )
+    short_term = short_term_noise(recording) if noise is None else None
+    level = short_term or Noise(*noise)  # type: ignore[misc]
+    chain = FieldChain(windows, level)
+    progress(0.2)
+    begun = begin(chain, starts.from_gyroscope(windows), free)
+    best = _descended(samples, begun)
+    explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
+    progress(0.4)
+    best = _adapted(samples, best, robust is not False, short_term)
+    if explained and level.magnetometer < 0.1 * strength(best):
+        return best, None
+    # The misfit is more than the sensors' noise: the axes may disagree, or the minimum be a false one.
+    axes.check(recording)
+    fits = [best]
+    for parameters in starts.others(windows, best.state.parameters[9:12]):
+        progress(0.4 + 0.1 * len(fits))
+        fit = _descended(samples, begin(chain, parameters, free))
+        fits.append(_adapted(samples, fit, robust is not False, short_term))
+    return _lowest(fits)
+
+
+def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
+    """The minimum of lowest robust misfit, and a different one within `_CLOSE` of it.
+
+    Minima found with different noise levels and weights are compared at one noise, each residual counting
+    up to its rejection threshold; a soft iron that is not positive definite counts only if all are so.
+    """
+    possible = [fit for fit in fits if positive(fit)] or fits
+    noise = min((fit.chain.noise for fit in possible), key=lambda noise: noise.magnetometer)
+    ranked = sorted(possible, key=lambda fit: misfit(fit, noise))
+    best = ranked[0]
+    rival = next((fit for fit in ranked[1:] if _apart(fit, best)), None)
+    if rival is not None and misfit(rival, noise) > _CLOSE * misfit(best, noise):
+        rival = None
+    return best, rival
+
+
+def _adapted(samples: Preintegration, fit: Fit, reject: bool, short_term: Noise | None) -> Fit:
+    """At the minimum with its own noise and weights, the gyroscope integrated close to it."""
+    for _ in range(4):
+        fit = adapt(fit, reject, short_term)
+        if not _moved(fit):
+            break
+        fit = _descended(samples, fit)
+    return _upright(fit)
+
+
+def positive(fit: Fit) -> bool:
+    """Whether the soft iron is positive definite."""
+    return bool(np.linalg.eigvalsh(symmetric(fit.state.parameters[:6]))[0] > 0)
+
+
+def preintegrate(recording: Recording, window: float = 1.0, turn: float | None = None) -> Preintegration:
+    """The recording's samples, cut into windows."""
+    magnetometer, gyroscope = recording.magnetometer, recording.gyroscope
+    if turn is None:
+        # Rotation inside a window costs information where it is not small against the field's spread over
+        # the whole log; at these values some 2 % of the weakest parameter's sigma.
+        thin = magnetometer.value[:: max(len(magnetometer.value) // 2000, 1)]
+        spread = np.linalg.eigvalsh(np.cov(thin.T))
+        turn = float(np.clip(np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.3))
+    return Preintegration(
+        *magnetometer,
+        *gyroscope,
+        interval_mean=recording.angular_rate_is == "interval-mean",
+        length=window,
+        turn=turn,
+    )
+
+
+def short_term_noise(recording: Recording) -> Noise:
+    """Noise per sample and axis from second differences, which smooth motion does not enter."""
+
+    def level(samples: Samples, least: float) -> float:
+        value = samples.value
+        stride = max(len(value) // _TRIPLETS, 1)
+        second = value[2::stride] - 2 * value[1:-1:stride] + value[:-2:stride]
+        deviation = np.sqrt(np.einsum("ni,ni->n", second, second) / 18)
+        # Upper quartile of sqrt(χ²₃/3): drivers that interpolate leave half of the differences at zero.
+        return max(float(np.percentile(deviation, 75)) / 1.170, least)
+
+    return Noise(level(recording.magnetometer, 1e-10), level(recording.gyroscope, 1e-6))
+
+
+def _descended(samples: Preintegration, fit: Fit) -> Fit:
+    """At the minimum for the noise and weights at hand, the gyroscope integrated close to it."""
+    fit = descend(fit, settled=NEAR)
+    for _ in range(8):
+        if not _moved(fit):
+            break
+        parameters = fit.state.parameters
+        chain = FieldChain(samples.integrate(parameters[9:12], parameters[DELAY]), fit.chain.noise)
+        state = chain.start(parameters)
+        fit = replace(fit, chain=chain, state=state, reduced=chain.eliminate(state, fit.weights))
+        fit = descend(fit, settled=NEAR)
+    return _upright(fit)
+
+
+def _moved(fit: Fit) -> bool:
+    """Whether bias or delay are so far from where the gyroscope was integrated that second order matters."""
+    windows, parameters = fit.chain.windows, fit.state.parameters
+    turned = np.einsum("ijn,j->in", windows.lever[:, :, windows.linked], parameters[9:12] - windows.bias)
+    slid = windows.rotation_rate * (parameters[DELAY] - windows.delay)
+    return bool(np.abs(turned).max(initial=0.0) > _MOVED or np.abs(slid).max() > _MOVED)
+
+
+def _upright(fit: Fit) -> Fit:
+    """(B, g) and (−B, −g) are one solution: take the one with positive soft iron."""
+    parameters, direction = fit.state
+    if parameters[[0, 3, 5]].sum() >= 0:
+        return fit
+    flipped = parameters.copy()
+    flipped[:6] *= -1
+    state = State(flipped, -direction)
+    return replace(fit, state=state, reduced=fit.chain.eliminate(state, fit.weights))
+
+
+def strength(fit: Fit) -> float:
+    """T, the field strength that makes det A = 1."""
+    return float(np.cbrt(abs(np.linalg.det(symmetric(fit.state.parameters[:6])))))
+
+
+def _apart(fit: Fit, other: Fit) -> bool:
+    distance = np.linalg.norm(fit.state.parameters[6:9] - other.state.parameters[6:9])
+    return bool(distance > _APART * strength(other))
