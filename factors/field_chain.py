@@ -21,10 +21,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.preintegration import FieldWindows
 from magyc_gtsam.factors.rotations import Array
-from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
 UPPER = np.triu_indices(3)

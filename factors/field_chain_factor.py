@@ -12,11 +12,12 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
+from scipy.linalg import solve_triangular
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, Weights
 from magyc_gtsam.factors.guard import Array, custom_factor, gyro_bias, vector
 from magyc_gtsam.factors.preintegration import Preintegration
-from scipy.linalg import solve_triangular
 
 _MOVED = 2e-3  # rad by which a bias or delay may turn a window before the gyroscope is integrated again
 _INNER = 20
@@ -91,9 +92,7 @@ class _Marginal:
         turned = np.abs(windows.lever).max() * np.abs(parameters[9:12] - windows.bias).max()
         slid = np.abs(windows.rotation_rate).max() * abs(parameters[DELAY] - windows.delay)
         if max(turned, slid) > _MOVED:
-            self._chain = FieldChain(
-                self._samples.integrate(parameters[9:12], parameters[DELAY]), self._noise
-            )
+            self._chain = FieldChain(self._samples.integrate(parameters[9:12], parameters[DELAY]), self._noise)
             self._direction = None
         chain = self._chain
         state = chain.start(parameters)

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import ArrayLike
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, direction, gyro_bias, measured
 from magyc_gtsam.factors.rotations import chain, exponential, matrices, skew
-from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True, eq=False)

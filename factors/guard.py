@@ -18,8 +18,9 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
-from magyc_gtsam.factors.errors import MagycError
 from numpy.typing import ArrayLike, NDArray
+
+from magyc_gtsam.factors.errors import MagycError
 
 Array = NDArray[np.float64]
 Residual = tuple[Array, Sequence[Array]]

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import ArrayLike
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import (
     Array,
@@ -29,7 +31,6 @@ from magyc_gtsam.factors.guard import (
 from magyc_gtsam.factors.robust import robustify, tuning_constant
 from magyc_gtsam.factors.rotations import skew
 from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS, unvech
-from numpy.typing import ArrayLike
 
 Samples = tuple[Array, Array, Array]
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array, chain, exponential, matrices, multiply
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Array, Residual, standard_deviation
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
+from numpy.typing import ArrayLike
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, vector
-from numpy.typing import ArrayLike
 
 _UPPER = np.triu_indices(3)
 

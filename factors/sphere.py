@@ -10,10 +10,11 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
+from numpy.typing import ArrayLike
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, direction, measured, vector
 from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS
-from numpy.typing import ArrayLike
 
 _FULL_UNITS = np.eye(9).reshape(9, 3, 3)
 

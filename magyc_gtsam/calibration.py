@@ -71,9 +71,7 @@ class Calibration:
             try:
                 array = np.array(value, dtype=np.float64)
             except (TypeError, ValueError):
-                raise MagycError(
-                    f"calibration: {name} must be {shape} finite numbers, got {value!r}"
-                ) from None
+                raise MagycError(f"calibration: {name} must be {shape} finite numbers, got {value!r}") from None
             if array.shape != shape or not np.isfinite(array).all():
                 raise MagycError(f"calibration: {name} must be {shape} finite numbers, got {array.tolist()}")
             array.flags.writeable = False
@@ -185,9 +183,7 @@ def _dump(suffix: str, data: dict[str, Any]) -> str:
         return json.dumps(data, indent=2) + "\n"
     if suffix in (".yaml", ".yml"):
         return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
-    raise MagycError(
-        f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}"
-    )
+    raise MagycError(f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}")
 
 
 def _vectors(name: str, value: ArrayLike) -> Array:

@@ -24,9 +24,7 @@ _ARDUPILOT_DIAGONAL = (0.2, 5.0)  # what ArduPilot's own calibration accepts
 _ARDUPILOT_OFF_DIAGONAL = 1.0
 
 
-def export(
-    target: str, soft_iron: ArrayLike, hard_iron: ArrayLike, gyro_bias: ArrayLike | None = None
-) -> str:
+def export(target: str, soft_iron: ArrayLike, hard_iron: ArrayLike, gyro_bias: ArrayLike | None = None) -> str:
     """Text to paste into `target`.
 
     Args:
@@ -81,9 +79,7 @@ def _ardupilot(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[st
         )
     low, high = _ARDUPILOT_DIAGONAL
     if not ((diagonal > low) & (diagonal < high)).all():
-        notes.append(
-            f"LIMIT: a COMPASS_DIA is outside {low:g} to {high:g}, the range of ArduPilot's own fit."
-        )
+        notes.append(f"LIMIT: a COMPASS_DIA is outside {low:g} to {high:g}, the range of ArduPilot's own fit.")
     if (np.abs(off_diagonal) >= _ARDUPILOT_OFF_DIAGONAL).any():
         notes.append("LIMIT: a COMPASS_ODI is beyond 1, the limit of ArduPilot's own fit.")
     if gyro_bias is not None:
@@ -122,10 +118,7 @@ def _ros(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
         "# that magnetometer_pipeline's bias remover reads.",
         "/**:",
         "  ros__parameters:",
-        *(
-            f"    initial_mag_bias_{axis}: {_yaml([value])}"
-            for axis, value in zip("xyz", offset, strict=True)
-        ),
+        *(f"    initial_mag_bias_{axis}: {_yaml([value])}" for axis, value in zip("xyz", offset, strict=True)),
         f"    initial_mag_scaling_matrix: [{_yaml(matrix.ravel())}]",
     ]
     if gyro_bias is not None:

@@ -98,16 +98,10 @@ class Recording:
         if self.attitude is not None:
             put(self, "attitude", _unit_quaternions(_frozen("attitude", self.attitude, (n, 4), nan=True)))
         if self.angular_rate_is not in ("instant", "interval-mean"):
-            raise MagycError(
-                f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'"
-            )
-        channels = {
-            k: _frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()
-        }
+            raise MagycError(f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'")
+        channels = {k: _frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
         put(self, "channels", MappingProxyType(channels))
-        put(
-            self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf)
-        )
+        put(self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf))
         put(
             self,
             "angular_rate_fresh",

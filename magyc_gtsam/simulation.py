@@ -34,10 +34,14 @@ Angles = tuple[Array, Array]  # (N, 3) roll, pitch, heading in rad, and their ti
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What `simulate` returns: `recording` as the instrument would log it, and the `truth` behind it."""
+    """What `simulate` returns: `recording` as the instrument would log it, and the `truth` behind it.
+
+    `field` (3,) T is the world's field, north, east, down.
+    """
 
     recording: Recording
     truth: Calibration
+    field: Array
 
 
 def simulate(
@@ -84,9 +88,7 @@ def simulate(
         raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
     samples = round(duration * rate)
     if samples < 3:
-        raise MagycError(
-            f"duration {duration:g} s at {rate:g} Hz gives {samples} samples, at least 3 are needed"
-        )
+        raise MagycError(f"duration {duration:g} s at {rate:g} Hz gives {samples} samples, at least 3 are needed")
     random = np.random.default_rng(seed)
     time = np.arange(samples) / rate
     angles = MOTIONS[motion](random)
@@ -113,7 +115,7 @@ def simulate(
         noise={"magnetic_field": magnetometer_noise, "angular_rate": gyroscope_noise},
         field_strength=scale * float(np.linalg.norm(field)),
     )
-    return Simulation(recording, truth)
+    return Simulation(recording, truth, np.array(field, dtype=float))
 
 
 def disturb(

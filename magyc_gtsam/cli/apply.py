@@ -40,10 +40,10 @@ def run(
     read: given.Read = None,
     quiet: given.Quiet = False,
 ) -> int:
-    """Apply a calibration to a log; time stamps and all other data stay as they are.
+    """Apply a calibration to a log.
 
-    The gyroscope's bias is subtracted where the method estimated one. Read the log as it was read for the
-    calibration (units, axes).
+    Time stamps and all other data stay as they are. The gyroscope's bias is subtracted where the method
+    estimated one. Read the log as it was read for the calibration (units, axes).
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.factors.errors import MagycError

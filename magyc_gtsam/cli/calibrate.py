@@ -86,8 +86,9 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Calibrate a log; writes calibration.yaml, configuration.yaml, report.html and files to paste.
+    """Calibrate the sensors of a log.
 
+    Writes calibration.yaml, configuration.yaml, report.html and the parameters to paste.
     Exit code 1: done, but the result must not be trusted; the reason is printed.
     """
     reading = Reading(

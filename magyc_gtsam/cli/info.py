@@ -51,7 +51,7 @@ def run(
     read: given.Read = None,
     json: given.Json = False,
 ) -> int:
-    """Say what a log holds, and try the default calibration on it.
+    """Say what a log holds, and whether it can be calibrated.
 
     Exit code 0 wherever the file is a log that can be read, whatever the answer is.
     """

@@ -46,7 +46,10 @@ def run(
     gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Likewise.")] = 5.0,
     delay: Annotated[float, typer.Option(metavar="MS", help="By which the magnetometer lags.")] = 0.0,
 ) -> int:
-    """Simulate a recording; the same arguments give the same messages."""
+    """Simulate a recording with its truth.
+
+    The same arguments give the same messages.
+    """
     import numpy as np
 
     from magyc_gtsam.factors.errors import MagycError

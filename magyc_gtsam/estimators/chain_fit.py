@@ -60,9 +60,7 @@ class Fit:
         A field that varies over the room or a filtered magnetometer leaves residuals that hang together,
         so that the windows count for fewer than they are; taken in the sensor's and in the world's axes.
         """
-        whitened = (
-            self.chain.residuals(self.state).window * np.sqrt(self.weights.window) / self.chain.window_sigma
-        )
+        whitened = self.chain.residuals(self.state).window * np.sqrt(self.weights.window) / self.chain.window_sigma
         turned = np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
         return max(_colour(whitened), _colour(turned))
 
@@ -142,9 +140,7 @@ def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 20) ->
         noise, gain = (fit.chain.noise, 0.0) if short_term is None else improved_noise(fit, short_term)
         stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
         chain = FieldChain(fit.chain.windows, noise)
-        fit = replace(
-            fit, chain=chain, reduced=chain.eliminate(fit.state, weights), iterations=fit.iterations + 1
-        )
+        fit = replace(fit, chain=chain, reduced=chain.eliminate(fit.state, weights), iterations=fit.iterations + 1)
         # The noise levels' gradient holds at a minimum only, so descend in every round.
         fit = descend(fit, _SETTLED if stable else NEAR)
         if stable or not fit.converged:
@@ -197,11 +193,7 @@ def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float]:
     low = np.array(short_term) / np.array([_MAGNETOMETER_FLOOR, _GYROSCOPE_RANGE])
     high = np.array([np.inf, short_term.gyroscope * _GYROSCOPE_RANGE])
     # A group with less than one degree of freedom of information, or at its bound, keeps the noise it has.
-    kept = (
-        (np.diag(information) > 1.0)
-        & ~((level <= low) & (gradient < 0))
-        & ~((level >= high) & (gradient > 0))
-    )
+    kept = (np.diag(information) > 1.0) & ~((level <= low) & (gradient < 0)) & ~((level >= high) & (gradient > 0))
     if not kept.any():
         return chain.noise, 0.0
     step = np.zeros(2)

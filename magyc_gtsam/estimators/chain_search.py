@@ -52,7 +52,7 @@ def fit_field_chain(
     explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
     progress(0.4)
     best = _adapted(samples, best, robust is not False, short_term)
-    if explained and level.magnetometer < 0.1 * strength(best):
+    if explained and level.magnetometer < 0.1 * _strength(best):
         return best, None
     # The misfit is more than the sensors' noise: the axes may disagree, or the minimum be a false one.
     axes.check(recording)
@@ -160,11 +160,10 @@ def _upright(fit: Fit) -> Fit:
     return replace(fit, state=state, reduced=fit.chain.eliminate(state, fit.weights))
 
 
-def strength(fit: Fit) -> float:
-    """T, the field strength that makes det A = 1."""
+def _strength(fit: Fit) -> float:
     return float(np.cbrt(abs(np.linalg.det(symmetric(fit.state.parameters[:6])))))
 
 
 def _apart(fit: Fit, other: Fit) -> bool:
     distance = np.linalg.norm(fit.state.parameters[6:9] - other.state.parameters[6:9])
-    return bool(distance > _APART * strength(other))
+    return bool(distance > _APART * _strength(other))

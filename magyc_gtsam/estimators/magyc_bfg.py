@@ -150,9 +150,7 @@ def derivative_windows(recording: Recording, length: float = 1.0) -> DerivativeW
     first, stop = np.searchsorted(mag.time, edges[:-1]), np.searchsorted(mag.time, edges[1:])
     gyro_first, gyro_stop = np.searchsorted(gyro.time, edges[:-1]), np.searchsorted(gyro.time, edges[1:])
     samples, gyro_samples = stop - first, gyro_stop - gyro_first
-    used = (samples >= max(2, 0.5 * np.median(samples))) & (
-        gyro_samples >= max(1, 0.5 * np.median(gyro_samples))
-    )
+    used = (samples >= max(2, 0.5 * np.median(samples))) & (gyro_samples >= max(1, 0.5 * np.median(gyro_samples)))
     first, stop, gyro_first, gyro_stop = first[used], stop[used], gyro_first[used], gyro_stop[used]
     if len(first) < 4:
         raise MagycError(

@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
-from magyc_gtsam.estimators.chain_search import Progress, fit_field_chain, positive, strength
-from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, UPPER, symmetric
+from magyc_gtsam.estimators.chain_search import Progress, fit_field_chain, positive
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.factors.field_chain import DELAY, symmetric
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Array, Recording
 
@@ -71,20 +72,12 @@ def _calibration(
 ) -> Calibration:
     colour = fit.colour
     parameters, covariance = fit.state.parameters, fit.covariance * colour
-    scaled = symmetric(parameters[:6])
-    unit = strength(fit) if field_strength is None else field_strength
-    jacobian = np.eye(12, PARAMETERS)
-    jacobian[:6, :6] /= unit
-    if field_strength is None:  # det A = 1: the unit ∛det B moves with B
-        inverse = np.linalg.inv(scaled)
-        slope = unit / 3 * inverse[UPPER] * np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
-        jacobian[:6, :6] -= np.outer(parameters[:6], slope) / unit**2
-    reported = jacobian @ covariance @ jacobian.T
-    observability = assess(reported, scaled / unit, unit, recording)
+    soft_iron, unit, reported = fix_scale(symmetric(parameters[:6]), covariance[:12, :12], field_strength)
+    observability = assess(reported, soft_iron, unit, recording)
     reasons = _reasons(fit, rival, unit, observability)
     noise = fit.chain.noise
     return Calibration(
-        soft_iron=scaled / unit,
+        soft_iron=soft_iron,
         hard_iron=parameters[6:9],
         gyro_bias=parameters[9:12],
         covariance=reported,

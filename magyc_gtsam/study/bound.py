@@ -1,0 +1,40 @@
+"""The Cramér–Rao bound of a simulated recording: what no unbiased method can beat."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.estimators.starts import parameters
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import DELAY, FieldChain, Noise, State
+from magyc_gtsam.factors.preintegration import Preintegration
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation import Simulation
+
+_EVERY_SAMPLE = 1e-9  # rad of rotation per window: one window a sample, so that no information is lost
+
+
+def cramer_rao(simulation: Simulation) -> Array:
+    """(12, 12) bound on the covariance of vech(soft iron, det 1), hard iron T and gyroscope bias rad/s.
+
+    The inverse of the information at the truth, the delay known (zero), every sample a node of its own.
+
+    Raises:
+        MagycError: the recording has no attitude, from which the true directions are taken, or a delay.
+    """
+    recording, truth = simulation.recording, simulation.truth
+    if recording.attitude is None or truth.gyro_bias is None or truth.field_strength is None or truth.delay:
+        raise MagycError("the bound needs a simulated recording with attitude and without delay")
+    samples = Preintegration(*recording.magnetometer, *recording.gyroscope, turn=_EVERY_SAMPLE)
+    windows = samples.integrate(truth.gyro_bias)
+    chain = FieldChain(windows, Noise(truth.noise["magnetic_field"], truth.noise["angular_rate"]))
+    scaled = truth.soft_iron * truth.field_strength
+    body = Rotation.from_quat(recording.attitude).inv().apply(simulation.field / np.linalg.norm(simulation.field))
+    state = State(
+        parameters(scaled, truth.hard_iron, truth.gyro_bias, 0.0),
+        np.einsum("ijn,ni->jn", windows.rotation, body),
+    )
+    information = chain.eliminate(state, chain.unweighted()).information[:DELAY, :DELAY]
+    return fix_scale(scaled, np.linalg.inv(information))[2]

@@ -1,0 +1,109 @@
+"""What is shipped: the wheel, the installed package, and the README's own words."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import magyc_gtsam as mg
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel built from a copy of the sources, as `pip install .` builds it."""
+    if int(version("setuptools").split(".")[0]) < 77:
+        pytest.skip("setuptools 77 or newer builds the wheel; it comes with pip install '.[test]'")
+    source = tmp_path_factory.mktemp("source")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    for name in ("magyc_gtsam", "factors"):
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    target = tmp_path_factory.mktemp("wheel")
+    build = f"import setuptools.build_meta as b; b.build_wheel({str(target)!r})"
+    result = subprocess.run([sys.executable, "-c", build], cwd=source, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return next(target.glob("*.whl"))
+
+
+def _where(folder: Path, **environment: str) -> list[str]:
+    """Where `magyc_gtsam.factors` comes from, and whether there is a top-level `factors`."""
+    code = (
+        "import importlib.util, magyc_gtsam.factors as f; "
+        "print(f.__file__); print(importlib.util.find_spec('factors'))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=folder,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.split()
+
+
+def test_wheel_holds_every_file_in_its_place(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+    sources = {f"magyc_gtsam/{p.relative_to(ROOT / 'magyc_gtsam')}" for p in _files("magyc_gtsam")}
+    factors = {f"magyc_gtsam/factors/{p.relative_to(ROOT / 'factors')}" for p in _files("factors")}
+    assert len(factors) > 5
+    assert sources | factors == {name for name in names if ".dist-info/" not in name}
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+
+
+def _files(folder: str) -> list[Path]:
+    return [p for p in (ROOT / folder).rglob("*") if p.is_file() and "__pycache__" not in p.parts]
+
+
+def test_factors_of_the_wheel(wheel: Path, tmp_path: Path) -> None:
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    found, top_level = _where(tmp_path, PYTHONPATH=str(tmp_path))
+    assert Path(found) == tmp_path / "magyc_gtsam" / "factors" / "__init__.py"
+    assert top_level == "None"
+
+
+def test_factors_of_this_installation(tmp_path: Path) -> None:
+    found, top_level = _where(tmp_path)
+    assert Path(found).parent.name == "factors"
+    assert top_level == "None"
+
+
+def test_one_version() -> None:
+    assert version("magyc-gtsam") == mg.__version__
+    assert f"## [{mg.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"version: {mg.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_readme_names_the_methods() -> None:
+    section = _readme().split("## Methods")[1].split("\n## ")[0]
+    assert set(re.findall(r"^\| `([a-z0-9-]+)` \|", section, re.MULTILINE)) == set(mg.methods())
+
+
+def test_readme_example_runs(tmp_path: Path) -> None:
+    example = re.search(r"```python\n(.*?)```", _readme(), re.DOTALL)
+    assert example
+    shutil.copytree(ROOT / "datasets", tmp_path / "datasets")
+    result = subprocess.run([sys.executable, "-c", example[1]], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    assert (tmp_path / "cal.yaml").exists()
+
+
+def test_readme_marks_the_commands_of_the_integration_run() -> None:
+    marked = re.findall(r"<!-- ci -->\n```bash\n(.*?)```", _readme(), re.DOTALL)
+    assert len(marked) == 2
+    assert "pip install ." in marked[0]
+    assert "pytest" in marked[1]
+
+
+def _readme() -> str:
+    return (ROOT / "README.md").read_text(encoding="utf-8")
