@@ -235,25 +235,17 @@ class FieldChain:
         """(n,) how much of each window's 3 squared residuals the fit absorbs, in expectation.
 
         The trace of the window's block of the hat matrix; `covariance` (13, 13) is the inverse of the
-        information (zeros for fixed parameters). The diagonal blocks of H⁻¹ come from the forward and the
-        backward Schur complements, (D_f + D_b − D)⁻¹, each read off one banded factorisation.
+        information (zeros for fixed parameters).
         """
-        band, n = reduced.band, reduced.on_direction.shape[2]
-        solve, _ = dtbtrs(reduced.factor, reduced.half[:, :PARAMETERS], uplo="L", trans="T")
-        forward = _schur_blocks(reduced.factor)
-        backward = _schur_blocks(dpbtrf(_reversed_band(band), lower=1)[0])
-        s00 = forward[0] + backward[2][::-1] - band[0, ::2]
-        s01 = forward[1] + backward[1][::-1] - band[1, ::2]
-        s11 = forward[2] + backward[0][::-1] - band[0, 1::2]
+        solve = _solve(reduced)
+        s00, s01, s11 = _inner_covariance(reduced)
         j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
         inner = (
-            np.einsum("in,in->n", j0, j0) * s11
-            - 2 * np.einsum("in,in->n", j0, j1) * s01
-            + np.einsum("in,in->n", j1, j1) * s00
-        ) / (s00 * s11 - s01 * s01)
-        across = reduced.on_parameters - np.einsum(
-            "ian,pna->pin", reduced.on_direction, solve.T.reshape(PARAMETERS, n, 2)
+            np.einsum("in,in->n", j0, j0) * s00
+            + 2 * np.einsum("in,in->n", j0, j1) * s01
+            + np.einsum("in,in->n", j1, j1) * s11
         )
+        across = reduced.on_parameters - np.einsum("ian,pan->pin", reduced.on_direction, solve)
         spread = (covariance @ across.reshape(PARAMETERS, -1)).reshape(across.shape)
         return inner + np.einsum("pin,pin->n", across, spread)
 
@@ -315,6 +307,28 @@ def tangent_basis(direction: Array) -> Array:
     basis[0, 0], basis[1, 0], basis[2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
     basis[0, 1], basis[1, 1], basis[2, 1] = b, sign + y * y * a, -y
     return basis
+
+
+def _solve(reduced: Reduced) -> Array:
+    """H⁻¹ C: (13, 2, n)."""
+    solved, _ = dtbtrs(reduced.factor, reduced.half[:, :PARAMETERS], uplo="L", trans="T")
+    return np.ascontiguousarray(solved.T.reshape(PARAMETERS, -1, 2).swapaxes(1, 2))
+
+
+def _inner_covariance(reduced: Reduced) -> tuple[Array, Array, Array]:
+    """The diagonal blocks of H⁻¹: entries 00, 01, 11, (n,) each.
+
+    They are (D_f + D_b − D)⁻¹ with the forward and the backward Schur complements, each read off one
+    banded factorisation.
+    """
+    band = reduced.band
+    forward = _schur_blocks(reduced.factor)
+    backward = _schur_blocks(dpbtrf(_reversed_band(band), lower=1)[0])
+    s00 = forward[0] + backward[2][::-1] - band[0, ::2]
+    s01 = forward[1] + backward[1][::-1] - band[1, ::2]
+    s11 = forward[2] + backward[0][::-1] - band[0, 1::2]
+    determinant = s00 * s11 - s01 * s01
+    return s11 / determinant, -s01 / determinant, s00 / determinant
 
 
 def _schur_blocks(factor: Array) -> tuple[Array, Array, Array]:

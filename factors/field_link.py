@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, direction, gyro_bias, measured
-from magyc_gtsam.factors.rotations import chain, exponential, matrices, skew
+from magyc_gtsam.factors.rotations import chain, exponential, increments, matrices, skew
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def preintegrate(
     *,
     interval_mean: bool = False,
 ) -> FieldLink:
-    """Integrate a gyroscope from `start` to `end` by the trapezoid rule.
+    """Integrate a gyroscope from `start` to `end` (`rotations.increments`).
 
     Args:
         time: (n,) s, strictly ascending, covering start to end.
@@ -86,11 +86,9 @@ def preintegrate(
     stamps = np.concatenate([[start], t[inside], [end]])
     step = np.diff(stamps)
     if interval_mean:
-        mean = w[np.searchsorted(t, stamps[1:])]
+        turn = (w[np.searchsorted(t, stamps[1:])] - b) * step[:, None]
     else:
-        at = np.stack([np.interp(stamps, t, axis) for axis in w.T], axis=1)
-        mean = 0.5 * (at[1:] + at[:-1])
-    turn = (mean - b) * step[:, None]
+        turn = increments(stamps, np.stack([np.interp(stamps, t, axis) for axis in w.T], axis=1), b)
     rotations = matrices(chain(exponential(turn))).T.reshape(-1, 3, 3)
     lever = -np.einsum("nij,njk,n->ik", rotations[:-1], left_jacobian(turn), step)
     return FieldLink(rotations[-1], lever, b, float(step @ step))

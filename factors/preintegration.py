@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.rotations import Array, chain, exponential, matrices, multiply
+from magyc_gtsam.factors.rotations import Array, chain, exponential, increments, matrices, multiply
 
 _ROWS = 21  # per sample: Rᵀ 9, K 9, angular rate 3
 _CHUNK = 32768  # samples whose matrices are held at a time
@@ -166,19 +166,16 @@ class Preintegration:
             delay=delay,
         )
 
-    def _increments(self, rows: slice, bias: Array) -> Array:
-        """Rotation vectors from sample k to k + 1 by the trapezoid rule, (len(rows), 3)."""
-        stop = rows.stop + 1
+    def _increments(self, bias: Array) -> Array:
+        """Rotation vectors from sample k to k + 1, (G − 1, 3)."""
         if self.interval_mean:
-            mean = self.angular_rate[rows.start + 1 : stop] - bias
-        else:
-            mean = 0.5 * (self.angular_rate[rows] + self.angular_rate[rows.start + 1 : stop]) - bias
-        return mean * self._step[rows, None]  # type: ignore[attr-defined,no-any-return]
+            return (self.angular_rate[1:] - bias) * self._step[:, None]  # type: ignore[attr-defined,no-any-return]
+        return increments(self.gyroscope_time, self.angular_rate, bias)
 
     def _track(self, bias: Array) -> _Track:
         n = len(self.gyroscope_time)
         step: Array = self._step  # type: ignore[attr-defined]
-        p, q = chain(exponential(self._increments(slice(0, n - 1), bias)))
+        p, q = chain(exponential(self._increments(bias)))
         lever = np.zeros((9, n))
         for first in range(0, n - 1, _CHUNK):
             stop = min(first + _CHUNK, n - 1)

@@ -30,6 +30,30 @@ def exponential(rotation_vector: Array) -> Spinor:
     return p, q
 
 
+def increments(time: Array, rate: Array, bias: Array | None = None) -> Array:
+    """Rotation vectors (n − 1, 3) rad from each sample to the next, of rates (n, 3) rad/s AT their stamps.
+
+    The trapezoid rule with its end correction, h/2 (ω₀ + ω₁) − h²/12 (ω̇₁ − ω̇₀), and the first term of the
+    Magnus series, h²/12 ω₀ × ω₁ (coning): fourth order where plain trapezoids lose (ωh)²/12 of every
+    oscillation, 1 % of a 0.5 Hz swell at 10 Hz. Derivatives are central differences, none across a hole.
+    """
+    step = np.diff(time)[:, None]
+    rate = rate if bias is None else rate - bias
+    result = (0.5 * step) * (rate[1:] + rate[:-1])
+    if len(rate) > 3:
+        slope = np.zeros_like(rate)
+        before, after = step[:-1], step[1:]
+        even = np.maximum(before, after) < 2 * np.minimum(before, after)
+        slope[1:-1] = np.where(even, (rate[2:] - rate[:-2]) / (before + after), 0.0)
+        known = np.zeros((len(rate), 1))
+        known[1:-1] = even
+        result -= step**2 / 12 * (slope[1:] - slope[:-1]) * (known[1:] * known[:-1])
+    x0, y0, z0 = rate[:-1].T
+    x1, y1, z1 = rate[1:].T
+    result += step**2 / 12 * np.stack([y0 * z1 - z0 * y1, z0 * x1 - x0 * z1, x0 * y1 - y0 * x1], axis=1)
+    return result
+
+
 def multiply(first: Spinor, second: Spinor) -> Spinor:
     """R₁ R₂, elementwise."""
     p1, q1 = first

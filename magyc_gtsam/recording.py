@@ -56,7 +56,7 @@ class Recording:
             there is no reference.
         channels: {name: (N,) or (N, k)}, e.g. current, temperature, depth; NaN where absent.
         name: what to call it in reports.
-        angular_rate_is: "instant" (values AT `time`, integrated by the trapezoid rule) or
+        angular_rate_is: "instant" (values AT `time`; see `factors.rotations.increments`) or
             "interval-mean" (mean rate since the previous row, as delta angles are).
         magnetic_field_fresh: (N,) bool, rows that hold a sample of the magnetometer's own. Default:
             all rows that do not repeat the row before them exactly (sample-and-hold).

@@ -7,6 +7,10 @@ from pathlib import Path
 import pytest
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "real: reads the real recordings (../shared/data)")
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The directory of real recordings beside the repository; tests that need it are skipped without it."""

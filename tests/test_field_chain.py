@@ -62,7 +62,7 @@ def state(chain):
     return State(parameters, direction / np.linalg.norm(direction, axis=0))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def weights(chain):
     rng = np.random.default_rng(1)
     n = len(chain.windows)
@@ -222,22 +222,38 @@ def test_the_integrated_world_is_arbitrary(chain, state, weights):
     )
 
 
+def settled(chain, parameters):
+    """The best directions at fixed θ."""
+    state, weights = chain.start(parameters), chain.unweighted()
+    for _ in range(10):
+        state = chain.move(state, chain.eliminate(state, weights), np.zeros(PARAMETERS))
+    return state
+
+
+def noisy_chain(n, interval_mean):
+    """Single-sample windows of piecewise constant or piecewise linear rates, and the true directions."""
+    rng = np.random.default_rng(4)
+    time, rate = np.arange(n) / 10, 0.3 * np.sin(np.arange(n)[:, None] / 10 * [0.5, 0.8, 1.1])
+    steps = rate[1:] if interval_mean else 0.5 * (rate[1:] + rate[:-1])
+    world = np.array([0.48, 0.6, 0.64])
+    attitude, body = Rotation.identity(), [world]
+    for step in steps:
+        attitude = attitude * Rotation.from_rotvec(step / 10)
+        body.append(attitude.inv().apply(world))
+    soft_iron, hard_iron = 50e-6 * vech(np.eye(3)), np.array([1e-6, 2e-6, 3e-6])
+    m = 50e-6 * np.array(body) + hard_iron + NOISE.magnetometer * rng.normal(size=(n, 3))
+    w = rate + NOISE.gyroscope * rng.normal(size=(n, 3))
+    chain = FieldChain(Preintegration(time, m, time, w, interval_mean, turn=1e-9).integrate(), NOISE)
+    direction = np.einsum("ijn,ni->jn", chain.windows.rotation, np.array(body))
+    return chain, State(np.concatenate([soft_iron, hard_iron, np.zeros(4)]), direction)
+
+
 def test_residuals_at_the_truth_are_as_likely_as_the_noise_says():
-    """Single samples: χ² of 3 per window and of 2 per link, neighbours independent."""
-    simulation = simulate("wide", duration=400, rate=10, seed=4)
-    recording, truth = simulation.recording, simulation.truth
-    samples = Preintegration(
-        recording.time, recording.magnetic_field, recording.time, recording.angular_rate, turn=1e-9
-    )
-    windows = samples.integrate(truth.gyro_bias)
-    chain = FieldChain(windows, NOISE)
-    # The true field, in the frame that the noisy gyroscope was integrated to.
-    exact = simulate("wide", duration=400, rate=10, seed=4, magnetometer_noise=0).recording
-    body = truth.apply(exact.magnetic_field) / truth.field_strength
-    state = State(truth_parameters(simulation), np.einsum("ijn,ni->jn", windows.rotation, body))
-    residuals = chain.residuals(state)
+    """χ² of 3 per window and of 2 per link, neighbours independent."""
+    n = 4000
+    chain, truth = noisy_chain(n, interval_mean=True)
+    residuals = chain.residuals(truth)
     window, link = chain.squares(residuals)
-    n = len(windows)
     assert window.mean() == pytest.approx(3, abs=4 * np.sqrt(6 / n))
     assert link.mean() == pytest.approx(2, abs=4 * np.sqrt(4 / n))
     for group in (residuals.window / chain.window_sigma, residuals.link / chain.link_sigma):
@@ -245,30 +261,41 @@ def test_residuals_at_the_truth_are_as_likely_as_the_noise_says():
         assert neighbours.mean() == pytest.approx(0, abs=4 * np.sqrt(3 / n))
 
 
-def test_without_noise_the_start_at_the_truth_leaves_nothing():
+def test_links_of_instant_rates_add_up_to_the_right_drift():
+    """The trapezoid rule shares each sample between two links: halves of one, but the sum is right."""
+    blocks, length = 800, 20
+    chain, truth = noisy_chain(blocks * length + 1, interval_mean=False)
+    _, link = chain.squares(chain.residuals(truth))
+    assert link.mean() == pytest.approx(1, rel=0.05)
+    drift = np.linalg.norm(truth.direction[:, length::length] - truth.direction[:, :-1:length], axis=0)
+    expected = 2 * NOISE.gyroscope**2 * (length - 0.5) * 0.1**2
+    assert np.mean(drift**2) == pytest.approx(expected, rel=4 / np.sqrt(blocks))
+
+
+def test_without_noise_the_truth_leaves_nothing():
     simulation = simulate("wide", duration=60, rate=100, seed=1, magnetometer_noise=0, gyroscope_noise=0)
-    windows = samples_of(simulation.recording).integrate(simulation.truth.gyro_bias)
-    chain = FieldChain(windows, NOISE)
-    residuals = chain.residuals(chain.start(truth_parameters(simulation)))
+    chain = FieldChain(samples_of(simulation.recording).integrate(simulation.truth.gyro_bias), NOISE)
+    residuals = chain.residuals(settled(chain, truth_parameters(simulation)))
     assert np.abs(residuals.link).max() < 1e-6
     assert np.abs(residuals.window).max() < 1e-10
 
 
 def test_a_moved_bias_and_delay_are_right_to_first_order():
-    """Against integrating again: ten times closer, a hundred times less wrong."""
+    """Residuals against those of integrating again: ten times closer, a hundred times less wrong."""
     simulation = simulate("wide", duration=60, rate=20, seed=1)
-    samples = samples_of(simulation.recording)
+    samples = Preintegration(
+        *simulation.recording.magnetometer, *simulation.recording.gyroscope, turn=1e-9
+    )  # over wider windows the first order itself is an approximation
     parameters = truth_parameters(simulation)
     errors = []
-    for size in (1e-3, 1e-4):
+    for size in (1e-2, 1e-3):
         moved = parameters + np.r_[np.zeros(9), [size, -size, size], size]
         first = FieldChain(samples.integrate(parameters[9:12]), NOISE)
         again = FieldChain(samples.integrate(moved[9:12], moved[DELAY]), NOISE)
-        errors.append(
-            np.abs(first.residuals(first.start(moved)).link - again.residuals(again.start(moved)).link).max()
-        )
-    assert errors[0] < 1e-3
-    assert errors[1] < errors[0] / 10
+        one, two = (np.linalg.norm(c.residuals(c.start(moved)).link, axis=0) for c in (first, again))
+        errors.append(np.abs(one - two).max())
+    assert errors[0] < 1e-4
+    assert errors[1] < errors[0] / 50
 
 
 def test_sigmas_are_per_window_and_link(chain):
@@ -363,7 +390,7 @@ def test_the_factors_gradient_is_the_derivative_of_its_error(wide, bias, delay_k
                 errors.append(factor.error(values.retract(delta)))
             numeric = (errors[0] - errors[1]) / (2 * step)
             # Half a percent of the column's size: bias and delay are derivatives to first order only.
-            tolerance = 5e-3 * np.linalg.norm(jacobian[:, row]) * np.sqrt(2 * factor.error(values)) * 0.05
+            tolerance = 5e-3 * np.linalg.norm(jacobian[:, row]) * np.sqrt(2 * factor.error(values)) * 0.05 + 1e-4
             assert gradient[row] == pytest.approx(numeric, rel=5e-3, abs=tolerance), (gtsam.DefaultKeyFormatter(key), unit)
             row += 1
     assert row == jacobian.shape[1]
@@ -375,9 +402,7 @@ def test_the_linearised_information_is_the_schur_complement(wide):
     factor = field_chain_factor(SOFT, HARD, BIAS, samples, NOISE, delay_key=LATE)
     found = factor.linearize(values_at(parameters)).information()
     chain = FieldChain(samples.integrate(parameters[9:12], parameters[DELAY]), NOISE)
-    state = chain.start(parameters)
-    for _ in range(10):
-        state = chain.move(state, chain.eliminate(state, chain.unweighted()), np.zeros(PARAMETERS))
+    state = settled(chain, parameters)
     unit = np.r_[np.full(9, MICROTESLA), np.ones(4)]
     expected = chain.eliminate(state, chain.unweighted()).information * unit * unit[:, None]
     scale = 1 / np.sqrt(np.diag(expected))
@@ -394,7 +419,10 @@ def test_levenberg_marquardt_over_the_factor_is_the_smoother(wide, delay):
     graph = gtsam.NonlinearFactorGraph()
     graph.add(field_chain_factor(SOFT, HARD, BIAS, samples, NOISE, delay_key=LATE if free else None))
     start = np.r_[50e-6 * vech(np.eye(3)), np.zeros(7)]
-    values = gtsam.LevenbergMarquardtOptimizer(graph, values_at(start, late=free)).optimize()
+    tight = gtsam.LevenbergMarquardtParams()
+    tight.setRelativeErrorTol(1e-12)
+    tight.setAbsoluteErrorTol(1e-10)
+    values = gtsam.LevenbergMarquardtOptimizer(graph, values_at(start, late=free), tight).optimize()
 
     soft_iron = symmetric(values.atVector(SOFT))
     soft_iron /= np.cbrt(np.linalg.det(soft_iron))

@@ -20,9 +20,7 @@ def test_layers(tmp_path: Path) -> None:
     unwanted = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "magyc_gtsam", tmp_path / "magyc_gtsam", ignore=unwanted)
     shutil.copytree(ROOT / "factors", tmp_path / "magyc_gtsam" / "factors", ignore=unwanted)
-    command = (
-        "import sys; from importlinter.cli import lint_imports_command; sys.exit(lint_imports_command())"
-    )
+    command = "import sys; from importlinter.cli import lint_imports_command; sys.exit(lint_imports_command())"
     result = subprocess.run(
         [sys.executable, "-c", command, "--config", str(ROOT / "pyproject.toml"), "--no-cache"],
         cwd=tmp_path,

@@ -17,6 +17,7 @@ from magyc_gtsam.cli import apply, calibrate, export, info, simulate
 from magyc_gtsam.cli.options import spelled
 
 WRONG, INTERRUPTED, UNREAD = 2, 130, 141  # the last two as shells count signals 2 and 13
+_INTERRUPTION = "interrupted; no file is left half written"
 
 app = typer.Typer(
     name="magyc-gtsam",
@@ -77,12 +78,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except typer.Exit as finished:
         return finished.exit_code
     except KeyboardInterrupt:
-        return _say("interrupted, nothing was written", INTERRUPTED)
+        return _say(_INTERRUPTION, INTERRUPTED)
     except BrokenPipeError:  # the reader of the output had enough, as `head` has
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
     except Exception as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # met while an extension module was being loaded
+            return _say(_INTERRUPTION, INTERRUPTED)
         if debug:
             raise
         return _say(_explain(error), WRONG)

@@ -43,15 +43,11 @@ def run(
     read: given.Read = None,
     field_strength: Annotated[
         float | None,
-        typer.Option(
-            metavar="µT", help="True strength of the field; sets the scale. Default: det soft iron = 1."
-        ),
+        typer.Option(metavar="µT", help="True strength of the field; sets the scale. Default: det soft iron = 1."),
     ] = None,
     location: Annotated[
         tuple[float, float] | None,
-        typer.Option(
-            metavar="LAT LON", help="Degrees; the strength by the World Magnetic Model, with --date."
-        ),
+        typer.Option(metavar="LAT LON", help="Degrees; the strength by the World Magnetic Model, with --date."),
     ] = None,
     altitude: Annotated[float, typer.Option(metavar="METRES", help="Above the sea, with --location.")] = 0.0,
     date: Annotated[
@@ -66,15 +62,11 @@ def run(
     ] = None,
     delay: Annotated[
         str | None,
-        typer.Option(
-            metavar="MS", help="By which the magnetometer lags the gyroscope, or 'auto' (the default)."
-        ),
+        typer.Option(metavar="MS", help="By which the magnetometer lags the gyroscope, or 'auto' (the default)."),
     ] = None,
     robust: Annotated[
         bool | None,
-        typer.Option(
-            "--robust/--no-robust", help="Weigh disturbed windows down. Default: as the method does."
-        ),
+        typer.Option("--robust/--no-robust", help="Weigh disturbed windows down. Default: as the method does."),
     ] = None,
     window: Annotated[
         float | None, typer.Option(metavar="SECONDS", help="Longest window. Default: as the method has it.")
@@ -134,9 +126,7 @@ def strength_option(
             raise MagycError("--date: says nothing without a place; give --location LAT LON too")
         return None if field_strength is None else field_strength * 1e-6
     if field_strength is not None:
-        raise MagycError(
-            "--field-strength and --location: both set the strength of the field; give one of them"
-        )
+        raise MagycError("--field-strength and --location: both set the strength of the field; give one of them")
     if date is None:
         raise MagycError("--location: the field changes by the year; give --date YYYY-MM-DD too")
     from magyc_gtsam.world_field import world_magnetic_field

@@ -14,7 +14,7 @@ from pathlib import Path
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """A file to write to; it takes the place of `path` if the block ends well, and is removed otherwise."""
-    with _beside(path) as directory:
+    with _temporary(path.parent) as directory:
         part = directory / path.name
         yield part
         os.replace(part, path)
@@ -24,8 +24,8 @@ def replacing(path: Path) -> Iterator[Path]:
 def replacing_folder(path: Path) -> Iterator[Path]:
     """Likewise a folder; where `path` exists, the new files take their places in it one by one."""
     _refuse_files((path,))
-    with _beside(path) as directory:
-        part = directory / path.name
+    with _temporary(path if path.exists() else path.parent) as directory:
+        part = directory / "folder"
         part.mkdir()
         yield part
         if not path.exists():
@@ -36,19 +36,19 @@ def replacing_folder(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[Path]:
-    """A temporary directory on the file system of `path`, whose missing parents are made."""
-    _refuse_files(path.parents)
-    missing = [p for p in path.parents if not p.exists()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    directory = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+def _temporary(place: Path) -> Iterator[Path]:
+    """A directory in `place`, which is made where it is missing, and unmade if the block fails."""
+    missing = [p for p in (place, *place.parents) if not p.exists()]
+    _refuse_files((place, *place.parents))
+    place.mkdir(parents=True, exist_ok=True)
+    directory = Path(tempfile.mkdtemp(prefix=".magyc-gtsam-", dir=place))
     try:
         yield directory
     except BaseException:
         shutil.rmtree(directory, ignore_errors=True)
-        for parent in missing:
-            if not any(parent.iterdir()):
-                parent.rmdir()
+        for folder in missing:
+            if not any(folder.iterdir()):
+                folder.rmdir()
         raise
     shutil.rmtree(directory, ignore_errors=True)
 

@@ -23,9 +23,7 @@ CalibrationFile = Annotated[
 
 MagneticField = Annotated[
     str | None,
-    typer.Option(
-        metavar="TOPIC", help="Topic, message or columns of the magnetometer; where it is not clear."
-    ),
+    typer.Option(metavar="TOPIC", help="Topic, message or columns of the magnetometer; where it is not clear."),
 ]
 AngularRate = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise, of the gyroscope.")]
 Acceleration = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise, of the accelerometer.")]
@@ -69,9 +67,7 @@ GyroscopeAxes = Annotated[
 ]
 Read = Annotated[
     list[str] | None,
-    typer.Option(
-        metavar="KEY=VALUE", help="Of text tables: time, time_unit, rate, columns. May be repeated."
-    ),
+    typer.Option(metavar="KEY=VALUE", help="Of text tables: time, time_unit, rate, columns. May be repeated."),
 ]
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]

@@ -50,9 +50,7 @@ class Reading:
         if self.start is not None and self.end is not None and not self.start < self.end:
             raise MagycError(f"--start {self.start:g} s is not before --end {self.end:g} s")
         axes = None if self.gyroscope_axes is None else parse_axes(self.gyroscope_axes)
-        recording: Recording = read(
-            self.log, **arguments, **parse_pairs("--read", self.read), progress=progress
-        )
+        recording: Recording = read(self.log, **arguments, **parse_pairs("--read", self.read), progress=progress)
         if axes is not None:
             recording = _turned(recording, axes)
         return recording if self.angular_rate_is is None else _restated(recording, self.angular_rate_is)
@@ -76,9 +74,7 @@ def parse_axes(text: str) -> Array:
     found = [_AXIS.match(part.strip().lower()) for part in text.split(",")]
     names = [match[2] for match in found if match]
     if len(found) != 3 or sorted(names) != ["x", "y", "z"]:
-        raise MagycError(
-            f"--gyroscope-axes: {text!r} does not name x, y and z once each; write it as 'y,-x,z'"
-        )
+        raise MagycError(f"--gyroscope-axes: {text!r} does not name x, y and z once each; write it as 'y,-x,z'")
     matrix = np.zeros((3, 3))
     for row, match in enumerate(match for match in found if match):
         matrix[row, "xyz".index(match[2])] = -1.0 if match[1] in ("-", "−") else 1.0

@@ -14,9 +14,7 @@ from magyc_gtsam.cli.terminal import show
 def run(
     motion: Annotated[
         str,
-        typer.Argument(
-            metavar="MOTION", help="wide, moderate, low, tiny, dive or survey.", show_default=False
-        ),
+        typer.Argument(metavar="MOTION", help="wide, moderate, low, tiny, dive or survey.", show_default=False),
     ],
     output: Annotated[
         Path,
@@ -40,9 +38,7 @@ def run(
     gyroscope_bias: Annotated[
         tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="mrad/s; default 4, -5, 2.")
     ] = None,
-    magnetometer_noise: Annotated[
-        float, typer.Option(metavar="µT", help="Deviation per sample and axis.")
-    ] = 1.0,
+    magnetometer_noise: Annotated[float, typer.Option(metavar="µT", help="Deviation per sample and axis.")] = 1.0,
     gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Likewise.")] = 5.0,
     delay: Annotated[float, typer.Option(metavar="MS", help="By which the magnetometer lags.")] = 0.0,
 ) -> int:

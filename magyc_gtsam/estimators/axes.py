@@ -16,7 +16,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
 _PAIRS = 3000  # pairs of samples that are compared
-_LAG = 0.12  # s between the samples of a pair; the rotation must stay small
+_TURN = 0.25  # rad of rotation between the samples of a pair: above their noise, yet small
+_LAGS = (0.1, 2.0)  # s between them
 _CLEARLY = 0.5  # share of the squared misfit below which another arrangement is clearly better
 _EXPLAINS = 0.3  # share of the field's variation that an arrangement must leave unexplained at most
 
@@ -41,29 +42,41 @@ class Arrangement(NamedTuple):
 
 
 def arrangements(recording: Recording) -> list[Arrangement]:
-    """All signed permutations and units of the gyroscope, the best first."""
+    """All signed permutations and units of the gyroscope, the best first.
+
+    Δm = m × Gθ − h × Gθ − m × b' Δt + c Δt is linear in h, b' = G b and c; all arrangements share one
+    normal matrix of the products that occur in it.
+    """
     change, mid, turn, step = _pairs(recording)
-    matrices = [
-        (np.eye(3)[list(order)] * np.array(signs)[:, None] * scale, unit)
-        for unit, scale in _SCALES.items()
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ]
-    total = float(np.einsum("ni,ni->", change, change))
+    scale = float(np.linalg.norm(mid, axis=1).mean())
+    change, mid, step = change / scale, mid / scale, step[:, None, None]
+    columns = np.concatenate(
+        [
+            np.einsum("nri,nj->nrij", -_skew(mid), turn).reshape(-1, 3, 9),  # G_ij: m × eᵢ θⱼ, negated
+            np.einsum("ri,nj->nrij", np.eye(3), turn).reshape(-1, 3, 9),  # eᵢ θⱼ
+            -_skew(mid) * step,
+            np.eye(3) * step,
+            change[:, :, None],
+        ],
+        axis=2,
+    ).reshape(-1, 25)
+    normal = columns.T @ columns
+    total = max(float(normal[24, 24]), 1e-300)
     found = []
-    for matrix, unit in matrices:
-        # Δm = m × Gθ − h × Gθ − m × b' Δt + c Δt: linear in h, b' and c.
-        rotation = turn @ matrix.T
-        design = np.zeros((len(change), 3, 9))
-        design[:, :, :3] = _skew(rotation)
-        design[:, :, 3:6] = -_skew(mid) * step[:, None, None]
-        design[:, :, 6:] = np.eye(3) * step[:, None, None]
-        target = (change - np.cross(mid, rotation)).ravel()
-        flat = design.reshape(-1, 9)
-        scale = np.linalg.norm(flat, axis=0) + 1e-300
-        solution = np.linalg.lstsq(flat / scale, target, rcond=None)[0]
-        misfit = target - flat / scale @ solution
-        found.append(Arrangement(matrix, unit, float(misfit @ misfit) / max(total, 1e-300)))
+    for unit, factor in _SCALES.items():
+        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+            matrix = np.eye(3)[list(order)] * np.array(signs)[:, None] * factor
+            chosen = np.zeros((25, 10))
+            chosen[:9, 9] = matrix.ravel()  # Δm − m × Gθ …
+            chosen[24, 9] = 1.0
+            chosen[9:18, :3] = np.einsum("jri->rji", _skew(matrix.T)).reshape(9, 3)  # … = [Gθ]× h …
+            chosen[18:24, 3:9] = np.eye(6)  # … − m × b' Δt + c Δt
+            small = chosen.T @ normal @ chosen
+            size = np.sqrt(np.diag(small)) + 1e-300
+            small /= np.outer(size, size)
+            solution = np.linalg.lstsq(small[:9, :9], small[:9, 9], rcond=1e-12)[0]
+            left = (small[9, 9] - small[9, :9] @ solution) * size[9] ** 2
+            found.append(Arrangement(matrix, unit, max(float(left), 0.0) / total))
     return sorted(found, key=lambda a: a.unexplained)
 
 
@@ -78,15 +91,15 @@ def check(recording: Recording) -> None:
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
     if best.unexplained > _EXPLAINS or best.unexplained > _CLEARLY * given.unexplained:
         return
+    as_given, otherwise = f"{max(1 - given.unexplained, 0):.0%}", f"{1 - best.unexplained:.0%}"
     if best.unit:
         raise MagycError(
-            f"angular_rate: read as {best.unit} it explains the field's changes ({1 - best.unexplained:.0%}, as given "
-            f"{max(1 - given.unexplained, 0):.0%}); convert it, or say the unit (--angular-unit)"
+            f"angular_rate: as given it explains {as_given} of the field's changes, read as {best.unit} "
+            f"{otherwise}; convert it, or say the unit (--angular-unit)"
         )
     raise MagycError(
-        f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains "
-        f"{max(1 - given.unexplained, 0):.0%} of the field's changes, with {best.axes} {1 - best.unexplained:.0%}; "
-        f"bring both to one frame (--gyroscope-axes)"
+        f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains {as_given} of the "
+        f"field's changes, with {best.axes} {otherwise}; bring both to one frame (--gyroscope-axes)"
     )
 
 
@@ -94,7 +107,9 @@ def _pairs(recording: Recording) -> tuple[Array, Array, Array, Array]:
     """Change and middle of the field (n, 3), rotation vector in between (n, 3), and the time step (n,)."""
     time, field = recording.magnetometer
     gyro_time, rate = recording.gyroscope
-    lag = max(int(round(_LAG / float(np.median(np.diff(time))))), 1)
+    speed = float(np.percentile(np.linalg.norm(rate, axis=1), 75))
+    seconds = np.clip(_TURN / max(speed, 1e-6), *_LAGS)
+    lag = int(np.clip(round(float(seconds / np.median(np.diff(time)))), 1, (len(time) - 1) // 2))
     first = np.arange(0, len(time) - lag, max((len(time) - lag) // _PAIRS, 1))
     step = time[first + lag] - time[first]
     angle = np.zeros((len(gyro_time), 3))

@@ -21,6 +21,7 @@ _TRIPLETS = 3000  # samples at which the short-term noise is taken
 _EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
 _CLOSE = 1.1  # ratio of two minima's misfits from which they count as close
 _APART = 0.05  # distance of two minima's hard irons, in field strengths, from which they differ
+_UNDISTURBED = 0.97  # share of the windows' weight from which their length stays as it is
 _LEAST_WINDOWS = 8
 
 
@@ -41,27 +42,35 @@ def fit_field_chain(
     windows = samples.integrate(delay=delay or 0.0)
     if len(windows) < _LEAST_WINDOWS:
         raise MagycError(
-            f"{len(windows)} windows of {window:g} s, at least {_LEAST_WINDOWS} are needed: record longer (a minute or more), or move"
+            f"{len(windows)} windows of {window:g} s, at least {_LEAST_WINDOWS} are needed: "
+            "record longer (a minute or more), or move"
         )
     short_term = short_term_noise(recording) if noise is None else None
     level = short_term or Noise(*noise)  # type: ignore[misc]
+    reject = robust is not False
     chain = FieldChain(windows, level)
     progress(0.2)
-    begun = begin(chain, starts.from_gyroscope(windows), free)
-    best = _descended(samples, begun)
+    best = _descended(samples, begin(chain, starts.from_gyroscope(windows), free))
     explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
     progress(0.4)
-    best = _adapted(samples, best, robust is not False, short_term)
-    if explained and level.magnetometer < 0.1 * _strength(best):
-        return best, None
-    # The misfit is more than the sensors' noise: the axes may disagree, or the minimum be a false one.
-    axes.check(recording)
-    fits = [best]
-    for parameters in starts.others(windows, best.state.parameters[9:12]):
-        progress(0.4 + 0.1 * len(fits))
-        fit = _descended(samples, begin(chain, parameters, free))
-        fits.append(_adapted(samples, fit, robust is not False, short_term))
-    return _lowest(fits)
+    best, rival = _adapted(samples, best, reject, short_term), None
+    if not explained or level.magnetometer > 0.1 * _strength(best):
+        # The misfit is more than the sensors' noise: the axes may disagree, or the minimum be a false one.
+        axes.check(recording)
+        fits = [best]
+        for parameters in starts.others(windows, best.state.parameters[9:12]):
+            progress(0.4 + 0.1 * len(fits))
+            fit = _descended(samples, begin(chain, parameters, free))
+            fits.append(_adapted(samples, fit, reject, short_term))
+        best, rival = _lowest(fits)
+    if reject and best.weights.window.mean() < _UNDISTURBED:
+        # Shorter windows lose less at the edges of disturbed stretches.
+        progress(0.8)
+        parameters = best.state.parameters
+        samples = preintegrate(recording, 0.5 * window, turn)
+        finer = FieldChain(samples.integrate(parameters[9:12], parameters[DELAY]), best.chain.noise)
+        best = _adapted(samples, begin(finer, parameters, free), reject, short_term)
+    return best, rival
 
 
 def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:

@@ -108,7 +108,8 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
     if left > _MOST_UNEXPLAINED * field_strength or not positive(fit):
         reasons.append(
             f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field is "
-            "tolerated): the field or the instrument changed during the recording; choose an interval (--start, --end)"
+            "tolerated): the field or the instrument changed during the recording; choose an interval "
+            "(--start, --end)"
         )
     trusted = float(fit.weights.window.mean())
     if trusted < _LEAST_TRUSTED:

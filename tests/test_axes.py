@@ -1,0 +1,84 @@
+"""Axes, signs and units of the gyroscope against the magnetometer's."""
+
+from dataclasses import replace
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+
+from magyc_gtsam import MagycError, simulate
+from magyc_gtsam.estimators import axes
+
+MATRICES = [
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+]
+
+
+@pytest.fixture(scope="module")
+def tumbling():
+    """A calibration dive of low noise: it turns about all axes."""
+    return simulate("dive", duration=300, rate=20, seed=1, magnetometer_noise=1e-7).recording
+
+
+def test_there_are_48_arrangements_of_three_units(tumbling):
+    found = axes.arrangements(tumbling)
+    assert len(found) == 3 * 48
+    assert [a.unexplained for a in found] == sorted(a.unexplained for a in found)
+
+
+@pytest.mark.parametrize("matrix", MATRICES, ids=lambda m: axes.Arrangement(m, "", 0.0).axes)
+def test_every_signed_permutation_is_found(tumbling, matrix):
+    """The log's gyroscope is given in other axes; `matrix` brings it back."""
+    disguised = replace(tumbling, angular_rate=tumbling.angular_rate @ matrix)  # row vectors: matrixᵀ w
+    best = axes.arrangements(disguised)[0]
+    assert best.unit == ""
+    np.testing.assert_array_equal(best.matrix, matrix)
+    assert best.unexplained < 0.2
+    if np.array_equal(matrix, np.eye(3)):
+        axes.check(disguised)
+    else:
+        with pytest.raises(MagycError, match="axes of gyroscope and magnetometer disagree") as caught:
+            axes.check(disguised)
+        assert best.axes in str(caught.value)
+        assert "--gyroscope-axes" in str(caught.value)
+
+
+def test_degrees_for_radians_are_named(tumbling):
+    degrees = replace(tumbling, angular_rate=np.rad2deg(tumbling.angular_rate))
+    with pytest.raises(MagycError, match=r"angular_rate: .*read as deg/s.*--angular-unit"):
+        axes.check(degrees)
+    radians = replace(tumbling, angular_rate=np.deg2rad(tumbling.angular_rate))
+    assert axes.arrangements(radians)[0].unit == "rad/s read as deg/s"
+
+
+def test_words():
+    assert axes.Arrangement(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]), "", 0.0).axes == "x ← −y, y ← x, z ← z"
+
+
+def test_a_large_hard_iron_and_bias_do_not_mislead(tumbling):
+    log = replace(
+        tumbling,
+        magnetic_field=tumbling.magnetic_field + [60e-6, -70e-6, 410e-6],
+        angular_rate=tumbling.angular_rate + [0.05, 0.0, 0.075],
+    )
+    axes.check(log)
+    with pytest.raises(MagycError, match="x ← −x, y ← −y, z ← z"):
+        axes.check(replace(log, angular_rate=log.angular_rate * [-1, -1, 1]))
+
+
+def test_where_no_arrangement_explains_the_field_none_is_proposed(tumbling):
+    shuffled = np.random.default_rng(0).permutation(tumbling.angular_rate)
+    axes.check(replace(tumbling, angular_rate=shuffled))
+
+
+@pytest.mark.parametrize("motion", ["wide", "moderate", "low"])
+def test_the_papers_noise_does_not_hide_the_arrangement(motion):
+    """10 Hz and 10 mG: the pairs compared must be far enough apart, also where the unit is wrong."""
+    recording = simulate(motion, duration=300, rate=10, seed=3).recording
+    axes.check(recording)
+    with pytest.raises(MagycError, match="x ← y, y ← x, z ← z"):
+        axes.check(replace(recording, angular_rate=recording.angular_rate[:, [1, 0, 2]]))
+    with pytest.raises(MagycError, match="deg/s"):
+        axes.check(replace(recording, angular_rate=np.rad2deg(recording.angular_rate)))

@@ -1,0 +1,436 @@
+"""The installed command on small logs: files, numbers, exit codes, and one line for every mistake."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import magyc_gtsam as mg
+from magyc_gtsam import cli
+from magyc_gtsam.cli.options import spelled
+from magyc_gtsam.cli.reading import Reading, parse_axes, parse_pairs
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.simulation import simulate
+
+COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
+DATASETS = Path(__file__).parents[1] / "datasets"
+FILES = {
+    "calibration.yaml",
+    "configuration.yaml",
+    "report.html",
+    "px4.params",
+    "ardupilot.param",
+    "vectornav.txt",
+    "ros.yaml",
+}
+Finished = subprocess.CompletedProcess[str]
+
+
+def run(*arguments: object, cwd: Path) -> Finished:
+    """The installed command, with the environment of a plain pipe."""
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=120
+    )
+
+
+def refused(result: Finished) -> str:
+    """The one line of a command that was refused."""
+    assert result.returncode == 2, result.stderr
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    assert result.stderr.count("\n") == 1
+    return result.stderr
+
+
+@pytest.fixture(scope="module")
+def dive() -> mg.Simulation:
+    return simulate("dive", duration=240, seed=3)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory, dive: mg.Simulation) -> Path:
+    """A directory with dive.mcap, still.mcap (hardly any motion), field.mcap (no gyroscope), text.csv (no log)."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_mcap(folder / "dive.mcap", dive.recording)
+    write_mcap(folder / "still.mcap", simulate("survey", duration=30).recording)
+    write_mcap(folder / "field.mcap", replace(dive.recording, angular_rate=None, acceleration=None))
+    (folder / "text.csv").write_text("Dear diary,\ntoday nothing turned.\n")
+    return folder
+
+
+@pytest.fixture
+def quiet_logging() -> Iterator[None]:
+    """`main` silences the libraries of its process; here the process goes on."""
+    yield
+    logging.disable(logging.NOTSET)
+
+
+@pytest.fixture(scope="module")
+def result(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Finished, Path]:
+    """The plainest call, and the folder it made."""
+    cwd = tmp_path_factory.mktemp("plain")
+    finished = run("calibrate", logs / "dive.mcap", cwd=cwd)
+    (folder,) = (cwd / "results").iterdir()
+    return finished, folder
+
+
+def agrees(calibration: mg.Calibration, truth: mg.Calibration, sigmas: float = 4.5) -> None:
+    """All parameters lie within so many of their own standard deviations."""
+    for name in ("soft_iron", "hard_iron", "gyro_bias"):
+        error = np.abs(getattr(calibration, name) - getattr(truth, name))
+        assert (error < sigmas * calibration.sigma[name]).all(), (name, error / calibration.sigma[name])
+
+
+def test_calibrate(result: tuple[Finished, Path], dive: mg.Simulation, logs: Path) -> None:
+    finished, folder = result
+    assert finished.returncode == 0
+    assert finished.stderr == ""
+    assert re.fullmatch(r"dive-\d{8}-\d{6}", folder.name)
+    assert {file.name for file in folder.iterdir()} == FILES
+    assert [p.name for p in folder.parent.iterdir()] == [folder.name]  # no temporary directory is left
+
+    calibration = mg.Calibration.load(folder / "calibration.yaml")
+    agrees(calibration, dive.truth)
+    assert calibration.converged
+    for text in ("Hard iron (µT)", "±", "observable: yes", str(folder.relative_to(folder.parents[1]))):
+        assert text in finished.stdout
+
+    configuration = yaml.safe_load((folder / "configuration.yaml").read_text(encoding="utf-8"))
+    assert configuration["magyc_gtsam"] == mg.__version__
+    assert configuration["method"] == "smoother"
+    assert configuration["command"] == f"magyc-gtsam calibrate {logs / 'dive.mcap'}"
+    assert configuration["log"]["sha256"] == hashlib.sha256((logs / "dive.mcap").read_bytes()).hexdigest()
+    assert configuration["interval"] == [0.0, pytest.approx(239.9)]
+
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("<svg") > 3
+    for target, name in {"px4": "px4.params", "ros": "ros.yaml"}.items():
+        assert (folder / name).read_text(encoding="utf-8") == calibration.export(target)
+
+
+def test_calibrate_with_every_option(logs: Path, dive: mg.Simulation, tmp_path: Path) -> None:
+    finished = run(
+        *("calibrate", logs / "dive.mcap", "--output", "here", "--json", "--start", 20, "--end", 220),
+        *("--magnetic-field", "/imu/mag", "--angular-rate", "/imu/data_raw", "--stamps", "log"),
+        *("--field-strength", 48.5, "--noise", 1, 5, "--delay", 0, "--no-robust", "--window", 0.8),
+        *("--option", "turn=0.2"),
+        cwd=tmp_path,
+    )
+    assert finished.returncode == 0
+    answer = json.loads(finished.stdout)
+    assert answer["trusted"]
+    assert {*answer["files"]} == FILES
+    assert Path(answer["folder"]) == Path("here")
+    calibration = mg.Calibration.from_dict(answer["calibration"])
+    assert calibration.delay == 0
+    assert calibration.field_strength == pytest.approx(48.5e-6)
+    expected = {"window": 0.8, "turn": 0.2, "robust": False, "delay": 0.0, "field_strength": 48.5e-6}
+    assert {k: calibration.configuration[k] for k in expected} == pytest.approx(expected)
+    scale = dive.truth.field_strength / 48.5e-6
+    agrees(calibration, replace(dive.truth, soft_iron=dive.truth.soft_iron * scale))
+    configuration = yaml.safe_load((tmp_path / "here/configuration.yaml").read_text(encoding="utf-8"))
+    assert configuration["interval"] == pytest.approx([20, 220])
+    assert configuration["options"]["noise"] == pytest.approx([1e-6, 5e-3])
+    assert configuration["reading"]["stamps"] == "log"
+
+    again = run("calibrate", logs / "dive.mcap", "-o", ".", "-q", "--method", "magyc-bfg", cwd=tmp_path / "here")
+    assert again.stdout == ""
+    assert {file.name for file in (tmp_path / "here").iterdir()} == FILES
+    assert mg.Calibration.load(tmp_path / "here/calibration.yaml").method == "magyc-bfg"
+
+
+def test_the_field_of_a_place(logs: Path, tmp_path: Path) -> None:
+    place = ("--location", -33.4, -70.6, "--altitude", 500, "--date", "2024-06-01")
+    finished = run("calibrate", logs / "dive.mcap", "-o", "here", "-q", *place, cwd=tmp_path)
+    assert finished.returncode == 0
+    strength = mg.Calibration.load(tmp_path / "here/calibration.yaml").field_strength
+    assert strength == pytest.approx(23.0e-6, rel=0.02)  # the weak field of Santiago
+
+
+def test_a_result_that_must_not_be_trusted(logs: Path, tmp_path: Path) -> None:
+    finished = run("calibrate", logs / "still.mcap", "--output", "here", cwd=tmp_path)
+    assert finished.returncode == 1
+    assert "must not be trusted" in finished.stderr
+    assert "motion" in finished.stderr or "observable" in finished.stderr
+    assert finished.stderr.count("\n") == 1
+    assert "observable: no" in finished.stdout
+    assert {file.name for file in (tmp_path / "here").iterdir()} == FILES
+    exported = run("export", "here/calibration.yaml", "px4", cwd=tmp_path)
+    assert exported.returncode == 1
+    assert "must not be trusted" in exported.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ("calibrate {logs}/none.mcap", "none.mcap: cannot be read"),
+        ("calibrate", "Missing argument 'LOG'; see magyc-gtsam calibrate --help"),
+        ("calibrate {logs}/dive.mcap -o {logs}/text.csv/deeper", "text.csv: is a file, a folder is expected"),
+    ],
+)
+def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_path: Path) -> None:
+    assert says in refused(run(*arguments.format(logs=logs).split(), cwd=tmp_path))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("quiet_logging")
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ("calibrate {logs}/text.csv", "text.csv"),
+        ("calibrate {logs}/field.mcap", "no angular rate"),
+        ("calibrate {logs}/dive.mcap --magnetic-unit furlong", "'furlong' is not known; known are T, mT, uT"),
+        ("calibrate {logs}/dive.mcap --magnetic-unit gauss", "is not a field in tesla"),
+        ("calibrate {logs}/dive.mcap --method fluke", "'fluke' is none of smoother"),
+        ("calibrate {logs}/dive.mcap --magnetic-field /compass", "no topic '/compass'; the file has /imu/mag"),
+        ("calibrate {logs}/dive.mcap --start 900", "holds 0 rows of a recording of 239.9 s"),
+        ("calibrate {logs}/dive.mcap --start 9 --end 5", "--start 9 s is not before --end 5 s"),
+        ("calibrate {logs}/dive.mcap -o {logs}/text.csv", "text.csv: is a file, a folder is expected"),
+        ("calibrate {logs}/dive.mcap --option smooth=3", "no option 'smooth'; it has"),
+        ("calibrate {logs}/dive.mcap --option turn=much", "--option turn=much: the method cannot use it"),
+        ("calibrate {logs}/dive.mcap --delay soon", "--delay: 'soon' is neither a number of milliseconds nor"),
+        ("calibrate {logs}/dive.mcap --noise nan 1", "--noise: nan"),
+        ("calibrate {logs}/dive.mcap --location 1 2", "give --date YYYY-MM-DD too"),
+        ("calibrate {logs}/dive.mcap --gyroscope-axes x,y,y", "write it as 'y,-x,z'"),
+        ("calibrate {logs}/dive.mcap --angular-rate-is never", "'never' is not one of"),
+        ("calibrate {logs}/dive.mcap --frobnicate", "No such option: --frobnicate"),
+        ("frobnicate", "No such command 'frobnicate'"),
+        ("apply {logs}/dive.mcap {logs}/dive.mcap -o out.csv", "dive.mcap: not readable"),
+        ("apply none.yaml {logs}/dive.mcap -o out.bag", "neither .mcap nor .csv"),
+        ("apply none.yaml {logs}/dive.mcap -o {logs}/dive.mcap", "is the log itself"),
+        ("export none.yaml px4", "none.yaml: no such file"),
+        ("info {logs}/none.mcap", "none.mcap: cannot be read"),
+        ("simulate waltz -o out.mcap", "'waltz' is none of wide"),
+        ("simulate dive -o out.mcap --rate 0", "--rate: 0"),
+    ],
+)
+def test_one_line_for_every_mistake(
+    arguments: str,
+    says: str,
+    logs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In this process, to spare the time of starting it."""
+    before = set(logs.iterdir())
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments.format(logs=logs).split()) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.count("\n") == 1
+    assert says in errors
+    assert list(tmp_path.iterdir()) == []
+    assert set(logs.iterdir()) == before
+
+
+def test_interrupted(logs: Path, tmp_path: Path) -> None:
+    arguments = [COMMAND, "calibrate", str(logs / "dive.mcap"), "-o", "here/there"]
+    with subprocess.Popen(
+        arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        while process.poll() is None and not (tmp_path / "here").exists():
+            time.sleep(0.01)
+        time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == "magyc-gtsam: interrupted; no file is left half written\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ["mcap", "csv"])
+def test_apply(
+    suffix: str, result: tuple[Finished, Path], dive: mg.Simulation, logs: Path, tmp_path: Path
+) -> None:
+    file = result[1] / "calibration.yaml"
+    calibration = mg.Calibration.load(file)
+    shifted = tmp_path / "log.mcap"  # a log with a clock of its own, sensors of different rates and a channel
+    streams = {
+        "magnetic_field": (dive.recording.time[::3], dive.recording.magnetic_field[::3]),
+        "angular_rate": (dive.recording.time, dive.recording.angular_rate),
+    }
+    depth = {"depth": (dive.recording.time[:-60:60], dive.recording.time[:-60:60] / 7)}
+    write_mcap(shifted, mg.Recording.from_streams(**streams, channels=depth), epoch=1_700_000_000_123_456_789)
+    finished = run("apply", file, shifted, "--output", f"out.{suffix}", cwd=tmp_path)
+    assert finished.returncode == 0, finished.stderr
+    raw, calibrated = mg.read(shifted), mg.read(tmp_path / f"out.{suffix}")
+    assert np.array_equal(calibrated.time, raw.time)
+    assert np.array_equal(calibrated.magnetometer.time, raw.magnetometer.time)
+    assert np.array_equal(calibrated.magnetometer.value, calibration.apply(raw.magnetometer.value))
+    assert np.array_equal(calibrated.gyroscope.value, calibration.apply_gyroscope(raw.gyroscope.value))
+    assert np.array_equal(calibrated.channels["depth"], raw.channels["depth"], equal_nan=True)
+    assert "1700000000.123456789 s" in " ".join(calibrated.notes)
+    assert np.linalg.norm(calibrated.magnetic_field, axis=1).std() < 1.2e-6
+
+
+def test_export(result: tuple[Finished, Path], tmp_path: Path) -> None:
+    file = result[1] / "calibration.yaml"
+    for target in ("ardupilot", "vectornav"):
+        finished = run("export", file, target, cwd=tmp_path)
+        assert finished.returncode == 0
+        assert finished.stdout == mg.Calibration.load(file).export(target)
+    assert run("export", file, "px4", "-o", "px4.params", cwd=tmp_path).stdout == ""
+    assert (tmp_path / "px4.params").read_bytes() == (result[1] / "px4.params").read_bytes()
+    assert "'px3' is not one of 'px4'" in refused(run("export", file, "px3", cwd=tmp_path))
+
+
+def test_info(logs: Path, tmp_path: Path) -> None:
+    finished = run("info", logs / "dive.mcap", cwd=tmp_path)
+    assert (finished.returncode, finished.stderr) == (0, "")
+    for text in ("/imu/mag", "sensor_msgs/msg/Imu", "10.0", "can be calibrated: yes", "motion: turned by about"):
+        assert text in finished.stdout
+    answer = json.loads(run("info", logs / "still.mcap", "--json", cwd=tmp_path).stdout)
+    assert not answer["calibration"]["possible"]
+    assert answer["calibration"]["weak"]
+    assert {s["name"]: s["count"] for s in answer["sources"]}["/imu/mag"] == 300
+    finished = run("info", logs / "field.mcap", cwd=tmp_path)
+    assert finished.returncode == 0
+    assert "can be calibrated: no" in finished.stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "possible"), [("ardusub_still.BIN", False), ("nexus5_calibration_d1.mcap", True)]
+)
+def test_info_of_real_logs(name: str, possible: bool, shared_data: Path, tmp_path: Path) -> None:
+    finished = run("info", shared_data / name, "--json", cwd=tmp_path)
+    assert finished.returncode == 0
+    assert json.loads(finished.stdout)["calibration"]["possible"] is possible
+
+
+def test_axes_that_differ(tmp_path: Path) -> None:
+    """The message names the axes in words that the option takes."""
+    dive = simulate("dive", duration=240, seed=3, magnetometer_noise=0.05e-6, gyroscope_noise=1e-3)
+    turned = dive.recording.angular_rate[:, [1, 0, 2]] * [1.0, -1.0, 1.0]
+    write_mcap(tmp_path / "log.mcap", replace(dive.recording, angular_rate=turned))
+    message = refused(run("calibrate", "log.mcap", cwd=tmp_path))
+    axes = re.search(r"with (x ← .*?z ← \S+)", message)
+    assert axes, message
+    assert "--gyroscope-axes" in message
+    finished = run("calibrate", "log.mcap", "--gyroscope-axes", axes[1], "-q", "-o", "here", cwd=tmp_path)
+    assert finished.returncode == 0
+    agrees(mg.Calibration.load(tmp_path / "here/calibration.yaml"), dive.truth)
+
+
+def test_a_table_without_header(dive: mg.Simulation, tmp_path: Path) -> None:
+    rows = np.column_stack([dive.recording.magnetic_field * 1e6, np.degrees(dive.recording.angular_rate)])
+    np.savetxt(tmp_path / "log.txt", rows)
+    assert "--read columns=" in run("info", "log.txt", cwd=tmp_path).stdout
+    finished = run(
+        *("calibrate", "log.txt", "--read", "columns=mx,my,mz,gx,gy,gz", "--read", "rate=10"),
+        *("--magnetic-unit", "uT", "--angular-unit", "deg/s", "-q", "-o", "here"),
+        cwd=tmp_path,
+    )
+    assert finished.returncode == 0, finished.stderr
+    agrees(mg.Calibration.load(tmp_path / "here/calibration.yaml"), dive.truth)
+
+
+def test_simulate(tmp_path: Path) -> None:
+    sensor = ("--field-strength", 50, "--hard-iron", -1, 2, 3, "--gyroscope-bias", 1, 2, -3, "--delay", 20)
+    noise = ("--magnetometer-noise", 0.5, "--gyroscope-noise", 1)
+    finished = run(
+        "simulate", "wide", "-o", "a.mcap", "--duration", 30, "--seed", 7, *sensor, *noise, cwd=tmp_path
+    )
+    assert finished.returncode == 0
+    truth = mg.Calibration.load(tmp_path / "a.truth.yaml")
+    assert np.allclose(truth.hard_iron, [-1e-6, 2e-6, 3e-6])
+    assert np.allclose(truth.gyro_bias, [1e-3, 2e-3, -3e-3])
+    assert truth.delay == pytest.approx(0.02)
+    assert dict(truth.noise) == pytest.approx({"magnetic_field": 0.5e-6, "angular_rate": 1e-3})
+    recording = mg.read(tmp_path / "a.mcap")
+    assert len(recording.time) == 300
+    strength = np.linalg.norm(truth.apply(recording.magnetic_field), axis=1).mean()
+    assert strength == pytest.approx(truth.field_strength, rel=0.01)
+
+
+def test_datasets_are_what_their_commands_make(tmp_path: Path) -> None:
+    text = (DATASETS / "README.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^magyc-gtsam (simulate .*)$", text, re.MULTILINE)
+    for command in commands:
+        assert run(*shlex.split(command), cwd=tmp_path).returncode == 0
+    made = {file.name for file in tmp_path.iterdir()}
+    assert made == {file.name for file in DATASETS.iterdir()} - {"README.md"}
+    for file in DATASETS.glob("*.mcap"):
+        assert file.stat().st_size < 1.5e6
+        shipped, again = mg.read(file), mg.read(tmp_path / file.name)
+        for name in ("time", "magnetic_field", "angular_rate", "acceleration", "attitude"):
+            np.testing.assert_allclose(getattr(again, name), getattr(shipped, name), rtol=1e-9, atol=1e-15)
+        truth = file.with_suffix(".truth.yaml").name
+        shipped_truth, again_truth = (mg.Calibration.load(d / truth).to_dict() for d in (DATASETS, tmp_path))
+        np.testing.assert_allclose(again_truth["soft_iron"], shipped_truth["soft_iron"])
+        assert again_truth["hard_iron"] == shipped_truth["hard_iron"]
+
+
+def test_help_waits_for_nothing() -> None:
+    code = (
+        "import sys; from magyc_gtsam.cli import main; "
+        "codes = [main([]), main(['--help']), main(['calibrate', '-h']), main(['--version'])]; "
+        "print(codes, sorted({'numpy', 'gtsam', 'scipy', 'matplotlib', 'rich'} & set(sys.modules)))"
+    )
+    finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, encoding="utf-8")
+    assert finished.stdout.endswith("[0, 0, 0, 0] []\n")
+    for text in ("calibrate", "export", "--gyroscope-axes", f"magyc-gtsam {mg.__version__}"):
+        assert text in finished.stdout
+
+
+@pytest.mark.usefixtures("quiet_logging")
+def test_a_bug_is_one_line_too(
+    logs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(*_: object) -> None:
+        raise ZeroDivisionError("by\nzero")
+
+    monkeypatch.setattr("magyc_gtsam.io.info", broken)
+    monkeypatch.delenv("MAGYC_DEBUG", raising=False)
+    assert cli.main(["info", str(logs / "dive.mcap")]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("magyc-gtsam: internal error: ZeroDivisionError: by zero; this is a bug")
+    assert message.count("\n") == 1
+    monkeypatch.setenv("MAGYC_DEBUG", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["info", str(logs / "dive.mcap")])
+
+
+@pytest.mark.usefixtures("quiet_logging")
+def test_a_disk_that_is_full(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("magyc_gtsam.cli.calibrate.write_page", full)
+    assert cli.main(["calibrate", str(logs / "dive.mcap"), "-q", "-o", str(tmp_path / "here/there")]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_parts_of_the_arguments(logs: Path) -> None:
+    assert parse_axes("y,-x,z").tolist() == [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
+    assert np.array_equal(parse_axes("x ← y, y ← −x, z ← z"), parse_axes("Y, -X, +Z"))
+    assert parse_pairs("--option", ["a=1", "b-c=[1, 2]", "d=x=y"]) == {"a": 1, "b_c": [1, 2], "d": "x=y"}
+    with pytest.raises(mg.MagycError, match="not of the form key=value"):
+        parse_pairs("--option", ["a"])
+    assert spelled("name one (magnetic_field=) or end=3.5 (stamps='log')") == (
+        "name one (--magnetic-field) or --end 3.5 (--stamps 'log')"
+    )
+    assert spelled("give the rate in Hz (rate=)") == "give the rate in Hz (--read rate=)"
+    mean = Reading(logs / "dive.mcap", angular_rate_is="interval-mean").recording()
+    assert mean.angular_rate_is == "interval-mean"
+    mirrored = Reading(logs / "dive.mcap", gyroscope_axes="-x,y,z").recording()
+    assert mirrored.acceleration is None
+    assert "acceleration left out" in mirrored.notes[-1]

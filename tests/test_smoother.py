@@ -1,0 +1,417 @@
+"""The smoother against simulated truth: accuracy, consistency, invariance, and what it refuses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam import MagycError, Recording, calibrate, methods, simulate
+from magyc_gtsam.estimators.residuals import window_residuals
+from magyc_gtsam.simulation import AMPLITUDES, disturb
+
+UPPER = np.triu_indices(3)
+MICROTESLA = 1e-6
+RUNS = 40
+CHI2_11 = 31.3  # 99.9 % point of χ² of 11 degrees of freedom
+
+
+def error(calibration, truth):
+    """vech(soft iron), hard iron and bias, estimate less truth (12,)."""
+    return np.concatenate(
+        [
+            (calibration.soft_iron - truth.soft_iron)[UPPER],
+            calibration.hard_iron - truth.hard_iron,
+            calibration.gyro_bias - truth.gyro_bias,
+        ]
+    )
+
+
+def normalised(calibration, truth):
+    """eᵀ Σ⁺ e: with det A = 1 the covariance has rank 11."""
+    e, scale = error(calibration, truth), np.sqrt(np.diag(calibration.covariance))
+    inverse = np.linalg.pinv(calibration.covariance / np.outer(scale, scale), rcond=1e-9, hermitian=True)
+    return (e / scale) @ inverse @ (e / scale)
+
+
+def in_sigmas(one, other):
+    """Largest difference of two estimates in standard deviations of the first."""
+    sigma = one.sigma
+    return max(
+        np.abs(one.soft_iron - other.soft_iron).max() / sigma["soft_iron"].min(),
+        np.abs((one.hard_iron - other.hard_iron) / sigma["hard_iron"]).max(),
+        np.abs((one.gyro_bias - other.gyro_bias) / sigma["gyro_bias"]).max(),
+    )
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """{motion: [(simulation, calibration), …]}, ten minutes at 10 Hz each."""
+    found = {}
+    for motion in AMPLITUDES:
+        simulations = [simulate(motion, seed=seed) for seed in range(RUNS)]
+        found[motion] = [(s, calibrate(s.recording)) for s in simulations]
+    return found
+
+
+@pytest.fixture(scope="module")
+def wide():
+    return simulate("wide", duration=300, rate=10, seed=3)
+
+
+# --- accuracy and consistency ---
+
+
+@pytest.mark.parametrize("motion", AMPLITUDES)
+def test_without_noise_the_truth_is_found(motion):
+    simulation = simulate(motion, duration=120, rate=50, seed=1, magnetometer_noise=0, gyroscope_noise=0)
+    truth = simulation.truth
+    calibration = calibrate(simulation.recording, noise=(1e-7, 1e-4))
+    # What is left is the trapezoid rule's error at 50 Hz.
+    assert calibration.converged, calibration.message
+    np.testing.assert_allclose(calibration.soft_iron, truth.soft_iron, atol=4e-5)
+    np.testing.assert_allclose(calibration.hard_iron, truth.hard_iron, atol=3e-9)
+    np.testing.assert_allclose(calibration.gyro_bias, truth.gyro_bias, atol=6e-6)
+    assert calibration.delay == pytest.approx(0, abs=1e-4)
+    assert calibration.field_strength == pytest.approx(truth.field_strength, rel=4e-5)
+
+
+@pytest.mark.parametrize("motion", AMPLITUDES)
+def test_every_run_is_accepted(runs, motion):
+    for _, calibration in runs[motion]:
+        assert calibration.converged, calibration.message
+        assert calibration.message.startswith("converged in")
+        assert calibration.observability.observable
+        assert np.linalg.det(calibration.soft_iron) == pytest.approx(1)
+        shape = calibration.covariance[:6, :6]
+        assert np.linalg.matrix_rank(shape, tol=1e-9 * np.trace(shape)) == 5  # det A = 1
+
+
+def test_the_covariance_is_honest(runs):
+    """Mean NEES of 11 degrees of freedom: inside its 95 % band over all runs, its 99 % band for each motion."""
+    means = {
+        motion: np.mean([normalised(calibration, simulation.truth) for simulation, calibration in pairs])
+        for motion, pairs in runs.items()
+    }
+    deviation = np.sqrt(2 * 11 / RUNS)
+    assert np.mean(list(means.values())) == pytest.approx(11, abs=1.96 * deviation / np.sqrt(len(means)))
+    for motion, mean in means.items():
+        assert mean == pytest.approx(11, abs=2.58 * deviation), motion
+
+
+@pytest.mark.parametrize("motion", AMPLITUDES)
+def test_the_error_is_as_small_as_the_bound(runs, motion):
+    """Root-mean-square hard-iron error against the covariance without noise in it: that at the truth's noise."""
+    errors = [error(calibration, simulation.truth)[6:9] for simulation, calibration in runs[motion]]
+    bounds = [
+        np.trace(calibrate(simulation.recording, noise=(1e-6, 5e-3)).covariance[6:9, 6:9])
+        for simulation, _ in runs[motion][:10]
+    ]
+    efficiency = np.sqrt(np.mean(np.sum(np.square(errors), axis=1)) / np.mean(bounds))
+    assert efficiency < 1.1 + 2 * 0.5 / np.sqrt(RUNS)  # two standard deviations of the estimated ratio
+
+
+def test_noise_is_estimated(runs):
+    for motion in AMPLITUDES:
+        magnetometer = np.mean([c.noise["magnetic_field"] for _, c in runs[motion]])
+        gyroscope = np.mean([c.noise["angular_rate"] for _, c in runs[motion]])
+        assert magnetometer == pytest.approx(1e-6, rel=0.01), motion
+        assert gyroscope == pytest.approx(5e-3, rel=0.05), motion
+
+
+def test_delay_without_a_delay(runs):
+    """In its own sigmas it is standard normal."""
+    scores = np.array([c.delay / c.delay_sigma for motion in AMPLITUDES for _, c in runs[motion]])
+    count = len(scores)
+    assert abs(scores.mean()) < 3 / np.sqrt(count)
+    assert np.mean(scores**2) == pytest.approx(1, abs=3 * np.sqrt(2 / count))
+
+
+# --- invariance ---
+
+
+def test_turning_the_sensor_turns_the_result(wide):
+    """Soft iron R A Rᵀ, hard iron R h, bias R b; the windows are the same."""
+    r = Rotation.from_rotvec([0.3, -1.2, 0.8]).as_matrix()
+    recording = wide.recording
+    turned = Recording(recording.time, recording.magnetic_field @ r.T, recording.angular_rate @ r.T)
+    one, other = calibrate(recording), calibrate(turned)
+    np.testing.assert_allclose(other.soft_iron, r @ one.soft_iron @ r.T, atol=1e-5)
+    np.testing.assert_allclose(other.hard_iron, r @ one.hard_iron, atol=1e-9)
+    np.testing.assert_allclose(other.gyro_bias, r @ one.gyro_bias, atol=1e-6)
+    np.testing.assert_allclose(other.covariance[6:9, 6:9], r @ one.covariance[6:9, 6:9] @ r.T, rtol=0.02, atol=1e-17)
+
+
+def test_the_clock_may_start_anywhere(wide):
+    recording = wide.recording
+    later = calibrate(replace(recording, time=recording.time + 1.7e9))
+    assert in_sigmas(calibrate(recording), later) < 0.01
+
+
+def test_a_stronger_field_scales_field_and_hard_iron(wide):
+    recording = wide.recording
+    one, two = calibrate(recording), calibrate(replace(recording, magnetic_field=1.3 * recording.magnetic_field))
+    np.testing.assert_allclose(two.soft_iron, one.soft_iron, atol=1e-6)
+    np.testing.assert_allclose(two.hard_iron, 1.3 * one.hard_iron, rtol=1e-4)
+    assert two.field_strength == pytest.approx(1.3 * one.field_strength)
+
+
+def test_gyroscope_rate_and_magnetometer_rate_may_differ():
+    """Gyroscope at 50 Hz, every fifth magnetometer sample: as all at 50 Hz, within what the rest would tell."""
+    simulation = simulate("wide", duration=300, rate=50, seed=5, magnetometer_noise=1e-7, gyroscope_noise=1e-3)
+    recording = simulation.recording
+    apart = Recording.from_streams(
+        (recording.time[::5], recording.magnetic_field[::5]), (recording.time, recording.angular_rate)
+    )
+    calibration = calibrate(apart)
+    assert len(apart.magnetometer.time) == 3000
+    assert calibration.noise["magnetic_field"] == pytest.approx(1e-7, rel=0.05)
+    assert normalised(calibration, simulation.truth) < CHI2_11
+    assert in_sigmas(calibration, calibrate(recording)) < 4
+
+
+def test_field_strength_fixes_the_scale(wide):
+    """A known field: the soft iron takes the scale, and the covariance has full rank."""
+    relative = calibrate(wide.recording)
+    absolute = calibrate(wide.recording, field_strength=40e-6)
+    ratio = relative.field_strength / 40e-6
+    np.testing.assert_allclose(absolute.soft_iron, ratio * relative.soft_iron, rtol=1e-9)
+    np.testing.assert_array_equal(absolute.hard_iron, relative.hard_iron)
+    assert absolute.field_strength == 40e-6
+    strength = np.linalg.norm(absolute.apply(wide.recording.magnetic_field), axis=1)
+    assert np.median(strength) == pytest.approx(40e-6, rel=2e-3)
+    scale = np.sqrt(np.diag(absolute.covariance))
+    assert np.linalg.eigvalsh(absolute.covariance / np.outer(scale, scale))[0] > 1e-4
+    # The soft iron's truth is then A·F/40 µT, and the covariance covers its scale as well.
+    truth = wide.truth
+    e = error(absolute, replace(truth, soft_iron=truth.soft_iron * truth.field_strength / 40e-6))
+    assert e @ np.linalg.solve(absolute.covariance, e) < 32.9  # 99.9 % of χ² of 12
+
+
+def test_options_reach_the_fit(wide):
+    given = calibrate(wide.recording, noise=(2e-6, 1e-2), robust=False, window=0.5, turn=0.1)
+    assert given.noise == {"magnetic_field": 2e-6, "angular_rate": 1e-2}
+    assert given.diagnostics["trusted_share"] == 1.0
+    assert given.diagnostics["windows"] > 600
+    assert given.configuration == {
+        "window": 0.5, "turn": 0.1, "robust": False, "delay": None, "noise": [2e-6, 1e-2],
+    }  # fmt: skip
+    again = calibrate(wide.recording, **given.configuration)
+    np.testing.assert_array_equal(again.covariance, given.covariance)
+
+
+# --- delay ---
+
+
+@pytest.mark.parametrize("delay", [0.03, -0.02])
+def test_delay_is_recovered(delay):
+    simulation = simulate("wide", duration=200, rate=50, seed=2, delay=delay)
+    calibration = calibrate(simulation.recording)
+    assert calibration.delay_sigma < 3e-3
+    assert calibration.delay == pytest.approx(delay, abs=4 * calibration.delay_sigma)
+    assert normalised(calibration, simulation.truth) < CHI2_11
+
+
+def test_delay_can_be_fixed():
+    simulation = simulate("wide", duration=200, rate=50, seed=2, delay=0.03, magnetometer_noise=2e-7)
+    known, wrong = (calibrate(simulation.recording, delay=delay) for delay in (0.03, 0.0))
+    assert (known.delay, wrong.delay) == (0.03, 0.0)
+    assert known.delay_sigma is None
+    assert normalised(known, simulation.truth) < CHI2_11
+    assert normalised(wrong, simulation.truth) > CHI2_11
+
+
+# --- hard iron, disturbances ---
+
+
+@pytest.mark.parametrize("motion", AMPLITUDES)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_hard_iron_ten_times_the_field_and_a_large_bias(motion, seed):
+    """The start h = 0 falls into a false minimum there."""
+    simulation = simulate(
+        motion, seed=seed, hard_iron=[100e-6, -150e-6, 410e-6], gyro_bias=np.array([45, -40, 45]) * 1e-3
+    )
+    calibration = calibrate(simulation.recording)
+    assert calibration.converged, calibration.message
+    assert normalised(calibration, simulation.truth) < CHI2_11
+
+
+def test_disturbed_windows_are_weighed_down(runs):
+    """20 % of all seconds disturbed by up to 50 µT, three runs of each motion: nearly as good as without."""
+    ratios = []
+    for seed in range(3):
+        for motion in AMPLITUDES:
+            simulation, undisturbed = runs[motion][seed]
+            calibration = calibrate(disturb(simulation.recording, seed=seed))
+            assert calibration.converged, calibration.message
+            assert 0.6 < calibration.diagnostics["trusted_share"] < 0.9
+            e = error(calibration, simulation.truth)[6:9]
+            ratios.append(e @ np.linalg.solve(undisturbed.covariance[6:9, 6:9], e) / 3)
+    # 1.3 in the root mean square, and two standard deviations of so few runs.
+    assert np.sqrt(np.mean(ratios)) < 1.3 + 2 * np.sqrt(2 / 36)
+
+
+def test_disturbed_stretches_are_reported(wide):
+    recording = wide.recording
+    field = recording.magnetic_field.copy()
+    for start, end in ((100, 110), (200, 204)):
+        field[(recording.time >= start) & (recording.time < end)] += [20e-6, 0, 10e-6]
+    calibration = calibrate(replace(recording, magnetic_field=field))
+    (longer, shorter) = calibration.diagnostics["disturbed"]
+    np.testing.assert_allclose(longer, [100, 110], atol=1.0)
+    np.testing.assert_allclose(shorter, [200, 204], atol=1.0)
+    assert in_sigmas(calibrate(recording), calibration) < 1
+    # Without robust weights they pull the estimate.
+    assert in_sigmas(calibrate(recording), calibrate(replace(recording, magnetic_field=field), robust=False)) > 3
+
+
+def test_a_recording_that_is_disturbed_for_the_most_part_is_not_trusted(wide):
+    calibration = calibrate(disturb(wide.recording, share=0.8))
+    assert not calibration.converged
+    assert "disturbed" in calibration.message or "unexplained" in calibration.message
+
+
+# --- what is refused ---
+
+
+def still(seconds=60, rate=20, seed=0):
+    rng = np.random.default_rng(seed)
+    n = seconds * rate
+    return {
+        "time": np.arange(n) / rate,
+        "magnetic_field": np.array([20e-6, 5e-6, -40e-6]) + 5e-7 * rng.normal(size=(n, 3)),
+        "angular_rate": 2e-3 * rng.normal(size=(n, 3)),
+        "acceleration": np.tile([0, 0, -9.81], (n, 1)),
+    }
+
+
+def test_a_still_recording_is_not_trusted():
+    calibration = calibrate(Recording(**still()))
+    assert not calibration.converged
+    assert not calibration.observability.observable
+    assert calibration.message.startswith("too little motion (it turned by 0°, 0°, 0° about x, y, z): hard iron")
+    worst = calibration.observability.weak[0]
+    assert worst.sigma > 100 * worst.limit
+
+
+def test_turning_level_leaves_the_vertical_weak():
+    """Without pitch and roll the hard iron along z cannot be told from the vertical field."""
+    time = np.arange(6000) / 20
+    rng = np.random.default_rng(0)
+    attitude = Rotation.from_rotvec(np.outer(0.3 * time, [0, 0, 1]))
+    world = np.array([20e-6, 0, 43e-6])
+    recording = Recording(
+        time,
+        attitude.inv().apply(world) + [3e-6, 2e-6, 1e-6] + 5e-7 * rng.normal(size=(6000, 3)),
+        np.array([0, 0, 0.3]) + 3e-3 * rng.normal(size=(6000, 3)),
+        acceleration=np.tile([0, 0, -9.81], (6000, 1)),
+    )
+    calibration = calibrate(recording)
+    assert not calibration.converged
+    assert "along z" in calibration.message
+    assert "pitch or roll" in calibration.message
+    # What the turns do determine is right nevertheless.
+    np.testing.assert_allclose(calibration.hard_iron[:2], [3e-6, 2e-6], atol=3e-7)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        ([[0, 1, 0], [1, 0, 0], [0, 0, 1]], "x ← y, y ← x, z ← z"),
+        ([[-1, 0, 0], [0, 1, 0], [0, 0, -1]], "x ← −x, y ← y, z ← −z"),
+    ],
+)
+def test_axes_that_disagree_are_named(wide, matrix, words):
+    recording = wide.recording
+    with pytest.raises(MagycError, match="axes of gyroscope and magnetometer disagree") as caught:
+        calibrate(replace(recording, angular_rate=recording.angular_rate @ matrix))
+    assert words in str(caught.value)
+
+
+def test_degrees_for_radians_are_named(wide):
+    """At low rates deg/s pass the constructor's limit."""
+    recording = wide.recording
+    with pytest.raises(MagycError, match="deg/s"):
+        calibrate(replace(recording, angular_rate=np.rad2deg(recording.angular_rate)))
+
+
+def test_too_short():
+    with pytest.raises(MagycError, match=r"windows .* at least 8 are needed: record longer"):
+        calibrate(Recording(**still(seconds=4)))
+
+
+def test_a_magnetometer_alone_is_not_enough():
+    data = still()
+    with pytest.raises(MagycError, match="no angular rate"):
+        calibrate(Recording(data["time"], data["magnetic_field"]))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"method": "magic"}, "'magic' is none of smoother"),
+        ({"colour": "red"}, "'smoother' has no option 'colour'; it has .*delay"),
+        ({"field_strength": 0.5}, "field_strength: 0.5 T is no field"),
+    ],
+)
+def test_unknown_options(wide, options, words):
+    with pytest.raises(MagycError, match=words):
+        calibrate(wide.recording, **options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"window": 0.0}, {"window": -1.0}, {"turn": 0.0}, {"noise": (0.0, 1e-3)}, {"noise": (1e-6, -1.0)},
+        {"noise": 1e-6}, {"delay": np.nan},
+    ],
+)  # fmt: skip
+def test_impossible_options(wide, options):
+    (name,) = options
+    with pytest.raises(MagycError, match=name):
+        calibrate(wide.recording, **options)
+
+
+def test_the_registry():
+    assert "smoother" in methods()
+    assert methods()["smoother"].needs == ("angular_rate",)
+    assert calibrate.__defaults__[0] == "smoother"
+
+
+# --- progress and residuals ---
+
+
+@pytest.mark.parametrize("hard", [False, True])
+def test_progress_ascends_to_one(wide, hard):
+    recording = disturb(wide.recording, share=0.3) if hard else wide.recording
+    seen = []
+    calibrate(recording, progress=seen.append)
+    assert seen[0] == 0.0
+    assert seen[-1] == 1.0
+    assert seen == sorted(seen)
+    assert len(seen) > 3
+
+
+def test_window_residuals_are_white_with_their_sigma(wide):
+    calibration = calibrate(wide.recording)
+    residuals = window_residuals(wide.recording, calibration)
+    n = len(residuals.time)
+    assert residuals.magnetic_field.shape == (n, 3)
+    assert residuals.link.shape == (n - 1, 3)
+    assert (np.diff(residuals.time) > 0).all()
+    # The directions absorb nearly two of a window's three, and give back two of a link's two.
+    window = np.sum((residuals.magnetic_field / residuals.magnetic_sigma[:, None]) ** 2)
+    link = np.sum((residuals.link / residuals.link_sigma[:, None]) ** 2)
+    freedom = 3 * n + 2 * (n - 1) - 2 * n - 13
+    assert window + link == pytest.approx(freedom, abs=4 * np.sqrt(2 * freedom))
+    assert window > n - 13
+    assert residuals.magnetic_weight.min() > 0.5
+
+
+def test_window_residuals_show_what_the_calibration_misses(wide):
+    calibration = calibrate(wide.recording)
+    off = replace(calibration, hard_iron=calibration.hard_iron + [5e-6, 0, 0])
+    good, bad = (window_residuals(wide.recording, c) for c in (calibration, off))
+    assert np.square(bad.magnetic_field).sum() > 2 * np.square(good.magnetic_field).sum()
+    with pytest.raises(MagycError, match="no gyroscope bias"):
+        window_residuals(wide.recording, replace(calibration, gyro_bias=None))
