@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.estimators import axes, starts
 from magyc_gtsam.estimators.chain_fit import NEAR, Fit, adapt, begin, descend, misfit
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, symmetric
+from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, Weights, symmetric
 from magyc_gtsam.factors.preintegration import Preintegration
 from magyc_gtsam.recording import Recording, Samples
 
@@ -64,13 +64,23 @@ def fit_field_chain(
             fits.append(_adapted(samples, fit, reject, short_term))
         best, rival = _lowest(fits)
     if reject and best.weights.window.mean() < _UNDISTURBED:
-        # Shorter windows lose less at the edges of disturbed stretches.
         progress(0.8)
-        parameters = best.state.parameters
+        # Shorter windows lose less at the edges of disturbed stretches.
         samples = preintegrate(recording, 0.5 * window, turn)
-        finer = FieldChain(samples.integrate(parameters[9:12], parameters[DELAY]), best.chain.noise)
-        best = _adapted(samples, begin(finer, parameters, free), reject, short_term)
+        best = _adapted(samples, _rewindowed(samples, best), reject, short_term)
     return best, rival
+
+
+def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
+    """The same minimum with other windows, each weighed as the one it lies in."""
+    parameters = fit.state.parameters
+    chain = FieldChain(samples.integrate(parameters[9:12], parameters[DELAY]), fit.chain.noise)
+    before = fit.chain.windows.time
+    nearest = np.searchsorted(0.5 * (before[1:] + before[:-1]), chain.windows.time)
+    weights = Weights(fit.weights.window[nearest], chain.unweighted().link)
+    state = chain.start(parameters)
+    begun = replace(fit, chain=chain, state=state, weights=weights, reduced=chain.eliminate(state, weights))
+    return descend(begun, NEAR)
 
 
 def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
