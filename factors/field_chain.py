@@ -1,6 +1,6 @@
 """The field chain: every window's field direction eliminated, leaving a cost on (B, h, b, τ) alone.
 
-MATH.md section 4 in the integrated world frame of `preintegration`. Parameters θ (13):
+See docs/field_chain.md; in the integrated world frame of `preintegration`. Parameters θ (13):
 
     vech(B) 6 T (soft iron times field strength), h 3 T, b 3 rad/s, τ 1 s (delay),
 

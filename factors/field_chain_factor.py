@@ -37,7 +37,7 @@ def field_chain_factor(
     soft_iron_unit: float = 1e-6,
     field_unit: float = 1e-6,
 ) -> gtsam.CustomFactor:
-    """A factor over all windows of `samples` (MATH.md section 4).
+    """A factor over all windows of `samples` (docs/field_chain.md).
 
     Args:
         soft_iron_key: 6-vector, vech of soft iron times field strength, in `soft_iron_unit` T. With the

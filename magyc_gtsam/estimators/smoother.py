@@ -1,4 +1,4 @@
-"""`smoother`: the maximum-likelihood calibration under the sensor model (MATH.md section 4), the default.
+"""`smoother`: the maximum-likelihood calibration under the sensor model (docs/field_chain.md), the default.
 
 The field's direction is a Markov chain under the gyroscope; eliminating it leaves thirteen parameters:
 soft iron (times field strength), hard iron, gyroscope bias and the magnetometer's delay. No start, no
