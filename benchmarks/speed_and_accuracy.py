@@ -53,9 +53,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     seeds = range(parser.parse_args().seeds)
     mg.calibrate(mg.simulate("wide", seed=99).recording)  # imports and caches are not part of the time
-    print(
-        f"{'motion':10s}{'method':26s}{'ms':>9s}{'ratio':>8s}{'hard iron mG':>14s}{'soft iron %':>13s}{'bias mrad/s':>13s}"
-    )
+    heads = ("ms", "ratio", "hard iron mG", "soft iron %", "bias mrad/s")
+    print(f"{'motion':10s}{'method':26s}" + "".join(f"{head:>14s}" for head in heads))
     for motion in MOTIONS:
         took: dict[str, list[float]] = {name: [] for name in METHODS}
         wrong: dict[str, list[tuple[float, float, float]]] = {name: [] for name in METHODS}
@@ -70,9 +69,8 @@ def main() -> None:
         for name in METHODS:
             median = np.median(took[name])
             hard, soft, bias = np.sqrt(np.mean(np.square(wrong[name]), axis=0))
-            print(
-                f"{motion:10s}{name:26s}{median * 1e3:9.1f}{slowest / median:8.0f}{hard:14.2f}{soft:13.2f}{bias:13.3f}"
-            )
+            numbers = (median * 1e3, slowest / median, hard, soft, bias)
+            print(f"{motion:10s}{name:26s}" + "".join(f"{number:14.2f}" for number in numbers))
 
 
 if __name__ == "__main__":

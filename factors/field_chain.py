@@ -17,7 +17,7 @@ numpy-only cyclic reduction was several times slower.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -90,12 +90,18 @@ class FieldChain:
         windows: integrated windows; `windows.bias` and `.delay` are the points of linearisation.
         noise: standard deviations per sample.
 
+    Attributes:
+        window_scale: (n,) 1/T, one over the standard deviation of a window's mean.
+        link_scale: (n − 1,) 1/rad, one over that of a link; 0 across a hole.
+
     Raises:
         MagycError: fewer than 3 windows.
     """
 
     windows: FieldWindows
     noise: Noise
+    window_scale: Array = field(init=False)
+    link_scale: Array = field(init=False)
 
     def __post_init__(self) -> None:
         if len(self.windows) < 3:
@@ -103,23 +109,23 @@ class FieldChain:
                 f"{len(self.windows)} windows, at least 3 are needed: the recording is too short or hardly moves"
             )
         w = self.windows
-        object.__setattr__(self, "_window_scale", np.sqrt(w.count) / self.noise.magnetometer)
+        object.__setattr__(self, "window_scale", np.sqrt(w.count) / self.noise.magnetometer)
         # A floor of a thousandth of the magnetometer's own angle keeps a perfect gyroscope solvable.
         spread = float(np.linalg.norm(w.field - w.field.mean(axis=1)[:, None], axis=0).mean()) + 1e-9
         floor = (0.001 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
         variance = self.noise.gyroscope**2 * w.link_time + floor
-        object.__setattr__(self, "_link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
+        object.__setattr__(self, "link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
 
     @property
     def window_sigma(self) -> Array:
         """(n,) T, standard deviation of a window's mean."""
-        return 1 / self._window_scale  # type: ignore[attr-defined,no-any-return]
+        return 1 / self.window_scale
 
     @property
     def link_sigma(self) -> Array:
         """(n − 1,) rad, standard deviation of a link; infinite across a hole."""
         with np.errstate(divide="ignore"):
-            return 1 / self._link_scale  # type: ignore[attr-defined,no-any-return]
+            return 1 / self.link_scale
 
     def unweighted(self) -> Weights:
         """All weights one."""
@@ -142,8 +148,8 @@ class FieldChain:
     def squares(self, residuals: Residuals) -> tuple[Array, Array]:
         """Squared whitened residuals of windows (n,) and links (n − 1,)."""
         return (
-            np.einsum("in,in->n", residuals.window, residuals.window) * self._window_scale**2,  # type: ignore[attr-defined]
-            np.einsum("in,in->n", residuals.link, residuals.link) * self._link_scale**2,  # type: ignore[attr-defined]
+            np.einsum("in,in->n", residuals.window, residuals.window) * self.window_scale**2,
+            np.einsum("in,in->n", residuals.link, residuals.link) * self.link_scale**2,
         )
 
     def eliminate(self, state: State, weights: Weights) -> Reduced:
@@ -155,8 +161,8 @@ class FieldChain:
         parameters, g = state
         n = g.shape[1]
         soft = symmetric(parameters[:6])
-        scale = self._window_scale * np.sqrt(weights.window)  # type: ignore[attr-defined]
-        link_scale = self._link_scale * np.sqrt(weights.link)  # type: ignore[attr-defined]
+        scale = self.window_scale * np.sqrt(weights.window)
+        link_scale = self.link_scale * np.sqrt(weights.link)
         basis = tangent_basis(g)
 
         # Windows: r = B M g + h − m, Jacobians on the direction (3, 2, n) and on θ (13, 3, n).
@@ -203,7 +209,7 @@ class FieldChain:
             right[9:12, :-1, a] += np.einsum("in,ikn->kn", before[:, a], on_bias)
             right[PARAMETERS, 1:, a] += np.einsum("in,in->n", after[:, a], link)
             right[PARAMETERS, :-1, a] += np.einsum("in,in->n", before[:, a], link)
-        right = right.reshape(PARAMETERS + 1, 2 * n)
+        border = right.reshape(PARAMETERS + 1, 2 * n)
 
         factor, failed = dpbtrf(band.T, lower=1)
         if failed:
@@ -212,7 +218,7 @@ class FieldChain:
                 f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
                 "its weight or its noise is out of range"
             )
-        half, _ = dtbtrs(factor, right.T, uplo="L")  # L⁻¹ [C, gradient]
+        half, _ = dtbtrs(factor, border.T, uplo="L")  # L⁻¹ [C, gradient]
         reduction = half.T @ half
         flat = on_parameters.reshape(PARAMETERS, -1)
         information = flat @ flat.T - reduction[:PARAMETERS, :PARAMETERS]
@@ -221,7 +227,7 @@ class FieldChain:
         gradient[9:12] += np.einsum("ikn,in->k", on_bias, link)
         cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
         return Reduced(
-            cost, information, gradient, basis, on_direction, on_parameters, band.T, factor, right, half
+            cost, information, gradient, basis, on_direction, on_parameters, band.T, factor, border, half
         )
 
     def move(self, state: State, reduced: Reduced, step: Array) -> State:

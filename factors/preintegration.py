@@ -17,7 +17,7 @@ has moved far, integrate again. A delay τ of the magnetometer reads R at t − 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +82,11 @@ class Preintegration:
         turn: rad, largest rotation inside a window; infinitely small gives one window per sample.
         hole: s, a gyroscope step longer than this parts the chain.
 
+    Attributes:
+        starts: (n,) index of each window's first magnetometer sample.
+        linked: (n − 1,) False where a hole parts two windows.
+        step: (G − 1,) s between gyroscope samples.
+
     Raises:
         MagycError: no magnetometer sample lies inside the gyroscope's time span.
     """
@@ -94,6 +99,9 @@ class Preintegration:
     length: float = 1.0
     turn: float = 0.2
     hole: float = 0.5
+    starts: np.ndarray = field(init=False)
+    linked: np.ndarray = field(init=False)
+    step: Array = field(init=False)
 
     def __post_init__(self) -> None:
         inside = (self.magnetometer_time >= self.gyroscope_time[0]) & (
@@ -118,14 +126,9 @@ class Preintegration:
         segment = np.searchsorted(self.gyroscope_time[holes], self.magnetometer_time, side="right")
         window = np.floor(distance).astype(np.int64) + segment
         starts = np.concatenate([[0], np.flatnonzero(np.diff(window)) + 1])
-        object.__setattr__(self, "_starts", starts)
-        object.__setattr__(self, "_linked", np.diff(segment[starts]) == 0)
-        object.__setattr__(self, "_step", step)
-
-    @property
-    def starts(self) -> np.ndarray:
-        """(n,) index of each window's first magnetometer sample."""
-        return self._starts  # type: ignore[attr-defined,no-any-return]
+        object.__setattr__(self, "starts", starts)
+        object.__setattr__(self, "linked", np.diff(segment[starts]) == 0)
+        object.__setattr__(self, "step", step)
 
     def integrate(self, bias: Array | None = None, delay: float = 0.0) -> FieldWindows:
         """Integrate the gyroscope at `bias` (3,) rad/s, the magnetometer taken `delay` s earlier."""
@@ -161,7 +164,7 @@ class Preintegration:
             rotation_rate=rotation_rate,
             lever=np.diff(means[9:18]).reshape(3, 3, -1),
             link_time=np.diff(np.interp(time - delay, self.gyroscope_time, track.variance)),
-            linked=self._linked,  # type: ignore[attr-defined]
+            linked=self.linked,
             bias=bias,
             delay=delay,
         )
@@ -169,12 +172,12 @@ class Preintegration:
     def _increments(self, bias: Array) -> Array:
         """Rotation vectors from sample k to k + 1, (G − 1, 3)."""
         if self.interval_mean:
-            return (self.angular_rate[1:] - bias) * self._step[:, None]  # type: ignore[attr-defined,no-any-return]
+            return (self.angular_rate[1:] - bias) * self.step[:, None]
         return increments(self.gyroscope_time, self.angular_rate, bias)
 
     def _track(self, bias: Array) -> _Track:
         n = len(self.gyroscope_time)
-        step: Array = self._step  # type: ignore[attr-defined]
+        step = self.step
         p, q = chain(exponential(self._increments(bias)))
         lever = np.zeros((9, n))
         for first in range(0, n - 1, _CHUNK):
@@ -199,7 +202,7 @@ class Preintegration:
         else:
             left = np.clip(np.searchsorted(gyro, when, side="right") - 1, 0, len(gyro) - 2)
             since = when - gyro[left]
-            share = since / self._step[left]  # type: ignore[attr-defined]
+            share = since / self.step[left]
             rate, after = self.angular_rate[left], self.angular_rate[left + 1]
             if self.interval_mean:
                 rate, change = after, np.zeros_like(after)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,8 +76,8 @@ class Recording:
     channels: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     name: str = field(default="", kw_only=True)
     angular_rate_is: Literal["instant", "interval-mean"] = field(default="instant", kw_only=True)
-    magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[assignment]
-    angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[assignment]
+    magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -351,7 +351,7 @@ def _unit_quaternions(attitude: Array) -> Array:
         )
     unit = attitude / np.where(known, norm, np.nan)[:, None]
     unit.flags.writeable = False
-    return cast(Array, unit)
+    return unit
 
 
 def _stream(name: str, time: ArrayLike, value: ArrayLike, width: int | None) -> tuple[Array, Array]:

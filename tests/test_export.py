@@ -8,10 +8,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from magyc_gtsam.factors.errors import MagycError
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.export import TARGETS, export
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 
 PRECISION = 1e-8  # printed decimals, in gauss for a field of one gauss

@@ -59,9 +59,7 @@ def field_graph(simulation, step, gyroscope_noise, magnetometer_noise):
         initial.insert(gtsam.symbol("x", i), gtsam.Unit3(m[i]))
     for i in rows[:-1]:
         link = preintegrate(time, w, time[i], time[i + step])
-        graph.add(
-            field_link_factor([gtsam.symbol("x", i), gtsam.symbol("x", i + step), b], link, gyroscope_noise)
-        )
+        graph.add(field_link_factor([gtsam.symbol("x", i), gtsam.symbol("x", i + step), b], link, gyroscope_noise))
     accelerometer = gtsam.noiseModel.Diagonal.Sigmas(np.array([1, 1, 1, 1e3, 1e3, 1e3]))
     graph.addPriorConstantBias(b, gtsam.imuBias.ConstantBias(), accelerometer)
     initial.insert(k, 50 * vech(np.eye(3)))

@@ -137,9 +137,7 @@ KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
         (lambda: gyro_derivative_factor(KEYS[:2], GOOD, GOOD, GOOD, 1.0), "3 different keys"),
         (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="median"), "'median' unknown"),
         (
-            lambda: gyro_derivative_factor(
-                KEYS, GOOD, GOOD, GOOD, robust_noise("huber", 1, 12, 2), robust="l1"
-            ),
+            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, robust_noise("huber", 1, 12, 2), robust="l1"),
             "one standard deviation",
         ),
         (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, -1.0, robust="l1"), "standard deviation"),

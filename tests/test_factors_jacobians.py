@@ -98,8 +98,6 @@ def test_gradient_under_gtsams_robust_models(name):
 
 
 def test_left_jacobian_is_gtsams():
-    vectors = np.vstack(
-        [np.zeros(3), 1e-6 * RNG.normal(size=(2, 3)), 1e-3 * np.ones(3), RNG.normal(size=(4, 3))]
-    )
+    vectors = np.vstack([np.zeros(3), 1e-6 * RNG.normal(size=(2, 3)), 1e-3 * np.ones(3), RNG.normal(size=(4, 3))])
     expected = [gtsam.Rot3.ExpmapDerivative(-v) for v in vectors]
     np.testing.assert_allclose(left_jacobian(vectors), expected, atol=1e-13)

@@ -69,9 +69,7 @@ def test_stacked_samples_equal_single_factors_under_gtsams_models(name):
     keys = [gtsam.symbol(c, 0) for c in "ldb"]
     m, derivative, w = rng.normal(size=(3, 30, 3)) * np.geomspace(1e-3, 30, 30)[:, None]
     values = gtsam.Values()
-    for key, value in zip(
-        keys, ([1.1, 0.1, -0.2, 0.9, 0.3, 1.2], [0.01, 0.02, 0.03], [0.1, 0, 0]), strict=True
-    ):
+    for key, value in zip(keys, ([1.1, 0.1, -0.2, 0.9, 0.3, 1.2], [0.01, 0.02, 0.03], [0.1, 0, 0]), strict=True):
         values.insert(key, np.array(value, dtype=float))
     stacked, singles = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
     stacked.add(gyro_derivative_factor(keys, m, derivative, w, 0.2, robust=name))

@@ -82,9 +82,7 @@ def dense_jacobian(chain, state, weights):
     """Central differences of all residuals on θ and on both tangent coordinates of every direction."""
     basis, columns = tangent_basis(state.direction), []
     for i, step in enumerate(STEP):
-        moved = [
-            state._replace(parameters=state.parameters + s * step * np.eye(PARAMETERS)[i]) for s in (1, -1)
-        ]
+        moved = [state._replace(parameters=state.parameters + s * step * np.eye(PARAMETERS)[i]) for s in (1, -1)]
         columns.append((whitened(chain, moved[0], weights) - whitened(chain, moved[1], weights)) / (2 * step))
     for n in range(len(chain.windows)):
         for a in (0, 1):
@@ -191,7 +189,9 @@ def test_a_link_of_weight_zero_parts_the_chain_in_two(chain, state, weights):
         information, cost = information + reduced.information, cost + reduced.cost
     assert whole.cost == pytest.approx(cost, rel=1e-12)
     scale = 1 / np.sqrt(np.diag(information))
-    np.testing.assert_allclose(whole.information * scale * scale[:, None], information * scale * scale[:, None], atol=1e-9)
+    np.testing.assert_allclose(
+        whole.information * scale * scale[:, None], information * scale * scale[:, None], atol=1e-9
+    )
 
 
 def test_a_window_without_measurement_and_links_has_no_direction(chain, state, weights):
@@ -216,7 +216,9 @@ def test_the_integrated_world_is_arbitrary(chain, state, weights):
     scale = 1 / np.sqrt(np.diag(one.information))
     assert two.cost == pytest.approx(one.cost, rel=1e-12)
     np.testing.assert_allclose(scale * two.gradient, scale * one.gradient, rtol=1e-9, atol=1e-6)
-    np.testing.assert_allclose(two.information * scale * scale[:, None], one.information * scale * scale[:, None], atol=1e-9)
+    np.testing.assert_allclose(
+        two.information * scale * scale[:, None], one.information * scale * scale[:, None], atol=1e-9
+    )
     step = 0.1 * scale
     np.testing.assert_allclose(
         other.move(moved, two, step).direction, q @ chain.move(state, one, step).direction, atol=1e-9
@@ -390,7 +392,10 @@ def test_the_factors_gradient_is_the_derivative_of_its_error(wide, bias, delay_k
             numeric = (errors[0] - errors[1]) / (2 * step)
             # Half a percent of the column's size: bias and delay are derivatives to first order only.
             tolerance = 5e-3 * np.linalg.norm(jacobian[:, row]) * np.sqrt(2 * factor.error(values)) * 0.05 + 1e-4
-            assert gradient[row] == pytest.approx(numeric, rel=5e-3, abs=tolerance), (gtsam.DefaultKeyFormatter(key), unit)
+            assert gradient[row] == pytest.approx(numeric, rel=5e-3, abs=tolerance), (
+                gtsam.DefaultKeyFormatter(key),
+                unit,
+            )
             row += 1
     assert row == jacobian.shape[1]
 

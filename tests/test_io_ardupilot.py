@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from magyc_gtsam.factors.errors import MagycError
 from scipy.spatial.transform import Rotation
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.ardupilot_compass import undo
 
@@ -102,9 +102,7 @@ def test_rov(shared_data: Path) -> None:
     np.testing.assert_allclose(again, [logged[round(t * 1e6)] for t in back.magnetometer.time], atol=1e-6)
     rates = {m.TimeUS - first: [m.GyrX, m.GyrY, m.GyrZ] for m in messages["IMU"]}
     np.testing.assert_array_equal(back.gyroscope.value, [rates[round(t * 1e6)] for t in back.gyroscope.time])
-    np.testing.assert_array_equal(
-        [np.trunc(offset)] * 3, [[m.OfsX, m.OfsY, m.OfsZ] for m in messages["MAG"][:3]]
-    )
+    np.testing.assert_array_equal([np.trunc(offset)] * 3, [[m.OfsX, m.OfsY, m.OfsZ] for m in messages["MAG"][:3]])
     assert back.magnetometer.time[0] == 0
     assert back.duration == pytest.approx(23.6, abs=0.1)
     attitude = messages["ATT"][50]
@@ -118,9 +116,7 @@ def test_rov(shared_data: Path) -> None:
     assert set(back.channels) >= {"BAT.Curr", "BAT.Volt", "IMU.T"}
     other = read(path, magnetic_field="MAG[1]")
     assert np.linalg.norm(other.magnetometer.value.mean(axis=0) - back.magnetometer.value.mean(axis=0)) > 1e-6
-    with pytest.raises(
-        MagycError, match=r"no message 'MAG\[2\]'; the log has MAG\[0\] \(237 samples\), MAG\[1\]"
-    ):
+    with pytest.raises(MagycError, match=r"no message 'MAG\[2\]'; the log has MAG\[0\] \(237 samples\), MAG\[1\]"):
         read(path, magnetic_field="MAG[2]")
     described = info(path)
     assert described.readable

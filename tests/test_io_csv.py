@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from magyc_gtsam.factors.errors import MagycError
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
 
 RANDOM = np.random.default_rng(5)
@@ -89,9 +89,7 @@ def test_two_magnetometers(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "t,mag1_x,mag1_y,mag1_z,mag2_x,mag2_y,mag2_z", TIME, FIELD, 2 * FIELD)
     names = "t,imu_mag_x,imu_mag_y,imu_mag_z,gps_mag_x,gps_mag_y,gps_mag_z"
     write(path, names, TIME, FIELD, 2 * FIELD)
-    with pytest.raises(
-        MagycError, match="2 sets of columns could be meant: imu_mag_x, imu_mag_y, imu_mag_z; gps"
-    ):
+    with pytest.raises(MagycError, match="2 sets of columns could be meant: imu_mag_x, imu_mag_y, imu_mag_z; gps"):
         read(path)
     np.testing.assert_array_equal(read(path, magnetic_field="gps").magnetic_field, 2 * FIELD)
 
@@ -106,8 +104,7 @@ def test_wrong_unit_is_named(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.magnetic_field, FIELD, rtol=1e-12)
     labelled = write(tmp_path / "b.csv", "t,mx (T),my (T),mz (T)", TIME, FIELD * 1e6)
     assert any(
-        "read in uT, as asked, though the header says T" in n
-        for n in read(labelled, magnetic_unit="uT").notes
+        "read in uT, as asked, though the header says T" in n for n in read(labelled, magnetic_unit="uT").notes
     )
     mixed = write(tmp_path / "c.csv", "t,mx (T),my (T),mz (uT)", TIME, FIELD)
     with pytest.raises(MagycError, match="different units in the header"):
@@ -135,9 +132,7 @@ def test_empty_cells_are_another_sensors_rows(tmp_path: Path) -> None:
     lines = ["time,mx,my,mz,gx,gy,gz,note,current"]
     for k in range(N):
         field = ",".join(map(repr, FIELD[k].tolist())) if k % 4 == 0 else ",,"
-        lines.append(
-            f"{k / 100},{field},{','.join(map(repr, RATE[k].tolist()))},fine,{k if k % 10 == 0 else ''}"
-        )
+        lines.append(f"{k / 100},{field},{','.join(map(repr, RATE[k].tolist()))},fine,{k if k % 10 == 0 else ''}")
     (tmp_path / "a.csv").write_text("\n".join(lines))
     back = read(tmp_path / "a.csv")
     np.testing.assert_array_equal(back.magnetometer.value, FIELD[::4])
@@ -216,9 +211,7 @@ def test_xio(shared_data: Path) -> None:
 
 def test_raw_counts_without_time(shared_data: Path) -> None:
     path = shared_data / "magnetometer_only.txt"
-    with pytest.raises(
-        MagycError, match="a header with column names and a column of time stamps are missing"
-    ):
+    with pytest.raises(MagycError, match="a header with column names and a column of time stamps are missing"):
         read(path)
     with pytest.raises(MagycError, match="is not a field in tesla"):
         read(path, columns="mx,my,mz", rate=10)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from magyc_gtsam.factors.errors import MagycError
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read, write_mcap
 from magyc_gtsam.io.ros2 import definition, encode
 from magyc_gtsam.recording import Recording
@@ -322,9 +322,7 @@ def test_no_estimate(log: Path, tmp_path: Path) -> None:
 
 
 def test_repeated_messages(log: Path, tmp_path: Path) -> None:
-    again = alter(
-        log, tmp_path / "a.mcap", lambda t, i, d, at: [(t, at, d)] * (2 if "mag" in t and i < 5 else 1)
-    )
+    again = alter(log, tmp_path / "a.mcap", lambda t, i, d, at: [(t, at, d)] * (2 if "mag" in t and i < 5 else 1))
     back = read(again)
     assert_same(read(log), back)
     assert any("/imu/mag: 5 samples were recorded twice" in n for n in back.notes)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from magyc_gtsam.factors.errors import MagycError
 from scipy.spatial.transform import Rotation
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import info, read
 from magyc_gtsam.io.mounting import mounting
 from magyc_gtsam.io.px4_calibration import Parameters, undo
@@ -56,9 +56,7 @@ def test_board_rotation_of_an_internal_sensor() -> None:
         "SENS_BOARD_X_OFF": 2.0,
         "SENS_BOARD_Z_OFF": -3.0,
     }
-    board = Rotation.from_euler("xyz", [2.0, 0.0, -3.0], degrees=True).as_matrix() @ np.diag(
-        [1.0, -1.0, -1.0]
-    )
+    board = Rotation.from_euler("xyz", [2.0, 0.0, -3.0], degrees=True).as_matrix() @ np.diag([1.0, -1.0, -1.0])
     undone = undo("MAG", correct(RAW, board), STAMP, Parameters(parameters), 77, corrected=True, rotated=True)
     np.testing.assert_allclose(undone.value, RAW @ board.T, atol=1e-12)
 

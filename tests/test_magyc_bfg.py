@@ -69,9 +69,7 @@ def test_every_optimizer_and_the_compressed_factor_find_the_same(wide):
 def test_it_is_the_papers_graph_of_two_factors_per_window(wide):
     windows = derivative_windows(wide.recording)
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for m, derivative, w in zip(
-        windows.magnetic_field, windows.derivative, windows.angular_rate, strict=True
-    ):
+    for m, derivative, w in zip(windows.magnetic_field, windows.derivative, windows.angular_rate, strict=True):
         graph.add(gyro_derivative_factor(KEYS, m / GAUSS, derivative / GAUSS, w, 1e-3))
         graph.add(norm_prior(KEYS[0], 1e-2))
     for key, value in zip(KEYS, (vech(np.eye(3)), np.zeros(3), np.zeros(3)), strict=True):
@@ -190,9 +188,7 @@ def test_its_weakness_is_that_of_numeric_differences(wide):
 
     def physical(x):
         inverse = np.linalg.inv(unvech(x[:6]))
-        return np.concatenate(
-            [vech(inverse / np.cbrt(np.linalg.det(inverse))), inverse @ x[6:9] * GAUSS, x[9:]]
-        )
+        return np.concatenate([vech(inverse / np.cbrt(np.linalg.det(inverse))), inverse @ x[6:9] * GAUSS, x[9:]])
 
     x = np.concatenate([l, d, b])
     mapping = np.array([(physical(x + e) - physical(x - e)) / 2e-6 for e in 1e-6 * np.eye(12)]).T

@@ -37,11 +37,15 @@ def attitudes(time, rate, bias=None):
 
 def test_exponential_and_product_are_scipys():
     rng = np.random.default_rng(0)
-    vectors = np.vstack([np.zeros(3), [1e-300, 0, 0], 1e-9 * rng.normal(size=(3, 3)), 3 * rng.normal(size=(20, 3))])
+    vectors = np.vstack(
+        [np.zeros(3), [1e-300, 0, 0], 1e-9 * rng.normal(size=(3, 3)), 3 * rng.normal(size=(20, 3))]
+    )
     first, second = exponential(vectors), exponential(vectors[::-1])
     theirs = Rotation.from_rotvec(vectors), Rotation.from_rotvec(vectors[::-1])
     np.testing.assert_allclose(as_matrices(first), theirs[0].as_matrix(), atol=1e-15)
-    np.testing.assert_allclose(as_matrices(multiply(first, second)), (theirs[0] * theirs[1]).as_matrix(), atol=2e-15)
+    np.testing.assert_allclose(
+        as_matrices(multiply(first, second)), (theirs[0] * theirs[1]).as_matrix(), atol=2e-15
+    )
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 15, 16, 17, 31, 32, 33, 255, 256, 257, 300, 4097])
@@ -66,7 +70,9 @@ def test_increments_are_of_fourth_order_in_the_middle(motion):
     """Against the simulator's attitudes: a step half as long is 16 times less wrong; plain trapezoids, 8 times."""
     errors = []
     for rate in (5, 10):
-        log = simulate(motion, duration=20, rate=rate, seed=1, gyroscope_noise=0, gyro_bias=[0.01, 0.02, 0.03]).recording
+        log = simulate(
+            motion, duration=20, rate=rate, seed=1, gyroscope_noise=0, gyro_bias=[0.01, 0.02, 0.03]
+        ).recording
         attitude = Rotation.from_quat(log.attitude)
         true = (attitude[:-1].inv() * attitude[1:]).as_rotvec()
         found = increments(log.time, log.angular_rate, np.array([0.01, 0.02, 0.03]))

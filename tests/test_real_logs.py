@@ -73,7 +73,9 @@ def test_a_phone_with_a_hard_iron_ten_times_the_field(calibrated, name):
     np.testing.assert_allclose(calibration.hard_iron / MICROTESLA, [58.0, -73.8, 412.4], atol=1.0)
     assert 0.01 < calibration.delay < 0.06
     # Turned all over for 28 s the bias is known less well than by walking for two minutes.
-    np.testing.assert_allclose(calibration.gyro_bias, [0.012, 0.0, 0.075], atol=5e-3 if "augmented" in name else 10e-3)
+    np.testing.assert_allclose(
+        calibration.gyro_bias, [0.012, 0.0, 0.075], atol=5e-3 if "augmented" in name else 10e-3
+    )
 
 
 def test_a_still_vehicle_is_refused(calibrated):
@@ -101,6 +103,9 @@ def test_a_factory_calibrated_instrument_needs_little(calibrated):
     assert np.linalg.norm(calibration.hard_iron) < 10e-6
     assert np.abs(calibration.soft_iron - np.eye(3)).max() < 0.1
     assert np.abs(calibration.gyro_bias).max() < 10e-3
-    norm = [np.linalg.norm(m, axis=1) for m in (recording.magnetometer.value, calibration.apply(recording.magnetometer.value))]
+    norm = [
+        np.linalg.norm(m, axis=1)
+        for m in (recording.magnetometer.value, calibration.apply(recording.magnetometer.value))
+    ]
     spread = [n.std() / n.mean() for n in norm]
     assert spread[1] < spread[0]

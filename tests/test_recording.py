@@ -247,9 +247,7 @@ def test_references_and_channels_end_where_they_end():
 def test_no_reference_inside_a_hole_of_the_reference():
     time = np.arange(200) / 100
     reference = np.concatenate([time[:50], time[150:]])
-    recording = Recording.from_streams(
-        (time, field(200)), attitude=(reference, np.tile([0, 0, 0, 1.0], (100, 1)))
-    )
+    recording = Recording.from_streams((time, field(200)), attitude=(reference, np.tile([0, 0, 0, 1.0], (100, 1))))
     np.testing.assert_array_equal(np.isnan(recording.attitude[:, 0]), (time > time[49]) & (time < time[150]))
 
 
@@ -316,7 +314,10 @@ def test_refused_with_what_where_limit_and_remedy(case):
 @pytest.mark.parametrize(
     ("streams", "words"),
     [
-        ([(T, M), (T + 100, W)], ["clocks do not overlap", "magnetic_field 0.000 to 1.900 s", "angular_rate 100.000"]),
+        (
+            [(T, M), (T + 100, W)],
+            ["clocks do not overlap", "magnetic_field 0.000 to 1.900 s", "angular_rate 100.000"],
+        ),
         ([(T, M), (T[:1], W[:1])], ["angular_rate: 1 samples, at least 2"]),
         ([(put(T, 5, T[4]), M), (T, W)], ["magnetic_field: time: repeats at row 5"]),
         ([(T, M), (T[::-1], W)], ["angular_rate: time: goes back at row 1"]),

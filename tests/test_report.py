@@ -272,9 +272,7 @@ def opened(browser: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
         )
         contexts.append(context)
         page = context.new_page()
-        page.on(
-            "request", lambda r: r.url.startswith(("file://", "data:")) or wrong.append(f"request {r.url}")
-        )
+        page.on("request", lambda r: r.url.startswith(("file://", "data:")) or wrong.append(f"request {r.url}"))
         page.on("console", lambda m: m.type in ("error", "warning") and wrong.append(f"console {m.text}"))
         page.on("pageerror", lambda e: wrong.append(f"error {e}"))
         page.goto(path.as_uri())

@@ -36,7 +36,9 @@ def test_rates_are_the_derivative_of_the_attitude(motion):
     simulation = simulate(motion, duration=20, rate=1000, seed=3, gyro_bias=np.zeros(3), **EXACT)
     attitude = Rotation.from_quat(simulation.recording.attitude)
     turned = (attitude[:-2].inv() * attitude[2:]).as_rotvec() / 2e-3
-    np.testing.assert_allclose(simulation.recording.angular_rate[1:-1], turned, atol=2e-6 if motion in AMPLITUDES else 1e-4)
+    np.testing.assert_allclose(
+        simulation.recording.angular_rate[1:-1], turned, atol=2e-6 if motion in AMPLITUDES else 1e-4
+    )
 
 
 @pytest.mark.parametrize("motion", AMPLITUDES)
@@ -91,7 +93,9 @@ def test_truth_applied_gives_the_field_in_the_sensor_and_still_in_the_world():
     recording, truth = simulation.recording, simulation.truth
     calibrated = truth.apply(recording.magnetic_field)
     world = Rotation.from_quat(recording.attitude).apply(calibrated)
-    np.testing.assert_allclose(world, np.tile(FIELD / np.linalg.norm(FIELD) * truth.field_strength, (600, 1)), rtol=1e-12)
+    np.testing.assert_allclose(
+        world, np.tile(FIELD / np.linalg.norm(FIELD) * truth.field_strength, (600, 1)), rtol=1e-12
+    )
     # At rest an accelerometer reads −g, up, in the north-east-down world.
     up = Rotation.from_quat(recording.attitude).apply(recording.acceleration.copy())
     np.testing.assert_allclose(up, np.tile([0, 0, -9.80665], (600, 1)), atol=1e-12)
@@ -110,8 +114,12 @@ def test_a_delayed_magnetometer_shows_the_field_of_earlier(delay):
     late = simulate("wide", duration=30, rate=100, seed=2, delay=delay, **EXACT)
     prompt = simulate("wide", duration=30, rate=100, seed=2, **EXACT)
     steps = round(delay * 100)
-    here, there = (slice(steps, None), slice(None, -steps)) if steps > 0 else (slice(None, steps), slice(-steps, None))
-    np.testing.assert_allclose(late.recording.magnetic_field[here], prompt.recording.magnetic_field[there], atol=1e-16)
+    here, there = (
+        (slice(steps, None), slice(None, -steps)) if steps > 0 else (slice(None, steps), slice(-steps, None))
+    )
+    np.testing.assert_allclose(
+        late.recording.magnetic_field[here], prompt.recording.magnetic_field[there], atol=1e-16
+    )
     np.testing.assert_array_equal(late.recording.angular_rate, prompt.recording.angular_rate)
     assert late.truth.delay == delay
 
@@ -126,7 +134,13 @@ def test_seeds():
 def test_sensors_of_ones_own():
     soft_iron, field = np.diag([2.0, 1.0, 1.0]), [0.0, 0.0, 50e-6]
     simulation = simulate(
-        "tiny", duration=10, field=field, soft_iron=soft_iron, hard_iron=[1e-6, 0, 0], gyro_bias=[0, 0, 1.0], **EXACT
+        "tiny",
+        duration=10,
+        field=field,
+        soft_iron=soft_iron,
+        hard_iron=[1e-6, 0, 0],
+        gyro_bias=[0, 0, 1.0],
+        **EXACT,
     )
     body = Rotation.from_quat(simulation.recording.attitude).inv().apply(field)
     np.testing.assert_allclose(simulation.recording.magnetic_field, body * [2, 1, 1] + [1e-6, 0, 0])

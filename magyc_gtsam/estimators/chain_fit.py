@@ -84,24 +84,24 @@ def begin(chain: FieldChain, parameters: Array, free: np.ndarray) -> Fit:
 
 def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
     """Levenberg–Marquardt on θ (the directions follow exactly) until a step is below `settled`."""
-    damping = 0.0
+    damping, spent = 0.0, 0
     state, reduced = fit.state, fit.reduced
-    for spent in range(1, MAX_ITERATIONS + 1):
+    converged = False
+    while spent < MAX_ITERATIONS and damping < 1e8:
         step, length = _step(reduced, fit.free, damping)
         trial = fit.chain.move(state, reduced, step)
+        if length < settled and damping == 0.0:  # too short to be checked, or to need a new linearisation
+            state, converged = trial, True
+            break
         ahead = fit.chain.eliminate(trial, fit.weights)
+        spent += 1
         if ahead.cost <= reduced.cost * (1 + 1e-10) and np.isfinite(ahead.cost):
             state, reduced = trial, ahead
             damping = damping / 10 if damping > 1e-6 else 0.0
-            if length < settled and damping == 0.0:
-                return replace(
-                    fit, state=state, reduced=reduced, iterations=fit.iterations + spent, converged=True
-                )
         else:
             damping = max(10 * damping, 1e-3)
-            if damping > 1e8:
-                break
-    return replace(fit, state=state, reduced=reduced, iterations=fit.iterations + spent, converged=False)
+    iterations = fit.iterations + spent
+    return replace(fit, state=state, reduced=reduced, iterations=iterations, converged=converged)
 
 
 def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Array, float]:

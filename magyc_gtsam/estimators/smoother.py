@@ -55,7 +55,7 @@ def calibrate_smoother(
     fit, rival = fit_field_chain(
         recording, noise=noise, robust=robust, delay=delay, window=window, turn=turn, progress=report
     )
-    configuration = {"window": window, "turn": turn, "robust": robust is not False, "delay": delay}
+    configuration: dict[str, Any] = {"window": window, "turn": turn, "robust": robust is not False, "delay": delay}
     if noise is not None:
         configuration["noise"] = list(noise)
     calibration = _calibration(recording, fit, rival, field_strength, configuration)

@@ -119,9 +119,7 @@ def _reader(path: Path) -> ModuleType:
     by_content = next((name for magic, name in _MAGIC.items() if head.startswith(magic)), None)
     name = by_content or _SUFFIXES.get(path.suffix.lower()) or ("csv_log" if b"\0" not in head else None)
     if name is None or (by_content is None and name == "csv_log" and b"\0" in head):
-        raise MagycError(
-            f"{path}: not a format that can be read (MCAP, text table, PX4 .ulg, ArduPilot .BIN)"
-        )
+        raise MagycError(f"{path}: not a format that can be read (MCAP, text table, PX4 .ulg, ArduPilot .BIN)")
     if by_content is None and name != "csv_log":
         raise MagycError(f"{path}: is called {path.suffix} but does not begin like one; is the file damaged?")
     return importlib.import_module(f"magyc_gtsam.io.{name}")

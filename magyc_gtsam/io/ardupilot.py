@@ -110,9 +110,7 @@ def info(path: Path) -> LogInfo:
     """As `magyc_gtsam.io.info`, of an ArduPilot log; `problem` is left to the caller."""
     reader = _open(path)
     kinds = {
-        name: int(reader.counts[number])
-        for number, name in reader.id_to_name.items()
-        if reader.counts[number]
+        name: int(reader.counts[number]) for number, name in reader.id_to_name.items() if reader.counts[number]
     }
     timed: dict[str, tuple[str, ...]] = {
         k: () for k in kinds if "TimeUS" in reader.formats[reader.name_to_id[k]].columns
@@ -163,9 +161,7 @@ def _load(path: Path, fields: dict[str, tuple[str, ...]], request: Request) -> _
     for kind in present:
         form = reader.formats[reader.name_to_id[kind]]
         # Logs without units do not mark the field; in other messages than these "I" is an integral.
-        marked = form.instance_field or (
-            "I" if "I" in form.columns and kind in ("MAG", "IMU", "BARO") else None
-        )
+        marked = form.instance_field or ("I" if "I" in form.columns and kind in ("MAG", "IMU", "BARO") else None)
         instances |= {kind: marked} if marked else {}
     samples: dict[tuple[str, int], _Samples] = defaultdict(_Samples)
     parameters: list[dict[str, float]] = [{}]
@@ -222,9 +218,7 @@ def _choose(log: _Log, sensor: str, request: Request, notes: list[str]) -> tuple
     listed = ", ".join(f"{_label(k)} ({len(log.samples[k].time)} samples)" for k in found)
     named = request.named(sensor)
     if named is not None:
-        wanted = [
-            k for k in found if named in (_label(k), f"{kind}{k[1] + 1}") or (named == kind and k[1] == 0)
-        ]
+        wanted = [k for k in found if named in (_label(k), f"{kind}{k[1] + 1}") or (named == kind and k[1] == 0)]
         if not wanted:
             raise MagycError(f"{sensor}: no message {named!r}; the log has {listed or 'none'}")
         return wanted[0]
@@ -277,9 +271,7 @@ def _attitude(log: _Log, request: Request, notes: list[str]) -> Stream | None:
     stream = log.samples["ATT", 0].stream("ATT", slice(0, 3))
     quaternion = Rotation.from_euler("ZYX", stream.value[:, ::-1], degrees=True).as_quat()
     trim = [log.parameters[-1].get(f"AHRS_TRIM_{axis}", 0.0) for axis in "XY"]
-    turned = (
-        f", turned by AHRS_TRIM ({', '.join(f'{np.degrees(t):.1f}°' for t in trim)})" if any(trim) else ""
-    )
+    turned = f", turned by AHRS_TRIM ({', '.join(f'{np.degrees(t):.1f}°' for t in trim)})" if any(trim) else ""
     notes.append(
         f"attitude is ATT, vehicle (forward, right, down) to north, east, down{turned}; ArduPilot's own "
         "estimate, which the compass took part in"

@@ -70,9 +70,7 @@ def undo(
         raw[rows] = field - added
         parts = [f"offset ({', '.join(f'{x:.1f}' for x in added[0])}) milligauss"]
         if not np.array_equal(matrix, np.eye(3)):
-            parts.append(
-                f"COMPASS_DIA{suffix} and COMPASS_ODI{suffix} {np.array2string(matrix, precision=4)}"
-            )
+            parts.append(f"COMPASS_DIA{suffix} and COMPASS_ODI{suffix} {np.array2string(matrix, precision=4)}")
         if scale != 1.0:
             parts.append(f"COMPASS_SCALE{suffix} {scale:.4f}")
         if motor[rows].any():

@@ -66,9 +66,7 @@ def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:
             for quantity, words in (("time", (r"t|time|stamp|time[ _.]?stamp",)), *_WORDS.items()):
                 axis = "" if quantity == "time" else r"[ _.\-/]?[xyz]"
                 pattern = rf"^(.*(?:{'|'.join(words)}){axis})[ _.\-]([a-z0-9µμ°/²^_]+)$"
-                if (match := re.match(pattern, written, re.IGNORECASE)) and lookup(
-                    quantity, match[2]
-                ) is not None:
+                if (match := re.match(pattern, written, re.IGNORECASE)) and lookup(quantity, match[2]) is not None:
                     name, unit = match[1], match[2]
                     break
         columns.append(Column(index, written, name.lower(), unit))
@@ -85,9 +83,7 @@ def find_time(columns: Sequence[Column], named: str | None) -> Column | None:
         return _named(columns, named)
     found = [c for c in columns if _TIME.match(c.name) or re.match(r"^time(?:us|ms)$", c.name)]
     if len(found) > 1:
-        raise MagycError(
-            f"time: columns {', '.join(c.written for c in found)} could be meant; name one (time=)"
-        )
+        raise MagycError(f"time: columns {', '.join(c.written for c in found)} could be meant; name one (time=)")
     return found[0] if found else None
 
 
@@ -118,9 +114,7 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
     elif selection is not None:
         names = selection.split(",") if isinstance(selection, str) else selection
         if len(names) != len(axes):
-            raise MagycError(
-                f"{sensor}: {len(names)} columns named, {len(axes)} are needed ({', '.join(axes)})"
-            )
+            raise MagycError(f"{sensor}: {len(names)} columns named, {len(axes)} are needed ({', '.join(axes)})")
         found = tuple(_named(columns, n) for n in names)
         return Columns(", ".join(c.written for c in found), found)
     elif sensor == "attitude":
@@ -131,9 +125,7 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
         groups = _groups(columns, pattern, axes)
     if len(groups) > 1:
         listed = "; ".join(", ".join(c.written for c in g.columns) for g in groups.values())
-        raise MagycError(
-            f"{sensor}: {len(groups)} sets of columns could be meant: {listed}; name one ({sensor}=)"
-        )
+        raise MagycError(f"{sensor}: {len(groups)} sets of columns could be meant: {listed}; name one ({sensor}=)")
     return next(iter(groups.values()), None)
 
 

@@ -92,9 +92,7 @@ def info(path: Path) -> LogInfo:
             span = (0.0, float(stamp[-1] - stamp[0]) / 1e9)
     except MagycError:
         pass  # likewise
-    columns = table.columns or parse_header(
-        [f"column {i + 1}" for i in range(len(table.cells(table.lines[0])))]
-    )
+    columns = table.columns or parse_header([f"column {i + 1}" for i in range(len(table.cells(table.lines[0])))])
     sources = tuple(
         Source(c.written, c.unit or "", len(table.lines), span, (serves.get(c.index, "channel"),))
         for c in columns
@@ -141,9 +139,7 @@ def _stamps(table: Table, time: Column | None, request: Request) -> NDArray[np.i
             unit = unit or "ISO 8601"
     step = float(np.median(np.abs(np.diff(stamp)))) / 1e9 if len(stamp) > 1 else 0.0
     if unit is None and step > _LONGEST_STEP:
-        likely = next(
-            (u for u, s in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if step / s <= _LONGEST_STEP), "ns"
-        )
+        likely = next((u for u, s in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if step / s <= _LONGEST_STEP), "ns")
         raise MagycError(
             f"{table.path}: column {time.written} names no unit and steps by {step:g}; "
             f"likely unit: {likely}; say it (time_unit='{likely}')"
@@ -169,9 +165,7 @@ def _channel_columns(table: Table, used: set[int], request: Request, notes: list
     if request.channels is not None:
         missing = [w for w in request.channels if w not in {c.written for c in free}]
         if missing:
-            raise MagycError(
-                f"channels: no column {missing[0]!r}; free are {', '.join(c.written for c in free)}"
-            )
+            raise MagycError(f"channels: no column {missing[0]!r}; free are {', '.join(c.written for c in free)}")
         return [c for c in free if c.written in request.channels]
     first = table.cells(table.lines[0])
     text = [c for c in free if first[c.index].strip() and not is_number(first[c.index])]

@@ -113,9 +113,7 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
     for number, line in zip(numbers, lines, strict=True):
         count = len(_split(line, separator))
         if count != width:
-            raise MagycError(
-                f"{path}, line {number}: {count} values, expected {width}; repair or remove the line"
-            )
+            raise MagycError(f"{path}, line {number}: {count} values, expected {width}; repair or remove the line")
     return Table(path, numbers, lines, separator, columns, notes)
 
 

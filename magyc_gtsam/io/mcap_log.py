@@ -113,9 +113,7 @@ def _load(path: Path, report: Callable[[float], None]) -> _Log:
             log_time.append(record.log_time)
             data.append(record.data)
             if len(record.data) > LARGEST and _type(record.channel_id, channels, schemas) not in LAYOUTS:
-                too_large.add(
-                    record.channel_id
-                )  # its first message says what it is; the rest need not be kept
+                too_large.add(record.channel_id)  # its first message says what it is; the rest need not be kept
         elif isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -136,14 +134,10 @@ def _load(path: Path, report: Callable[[float], None]) -> _Log:
             topic.log_time.extend(log_time)
             topic.data.extend(data)
         else:
-            notes.append(
-                f"{channel.topic} has two types; {len(data)} messages of {schema.name} were left out"
-            )
+            notes.append(f"{channel.topic} has two types; {len(data)} messages of {schema.name} were left out")
     count = sum(len(t.data) for t in merged.values())
     if not count:
-        raise MagycError(
-            f"{path}: holds no message that can be read{': ' if notes else ''}{'; '.join(notes)}"
-        )
+        raise MagycError(f"{path}: holds no message that can be read{': ' if notes else ''}{'; '.join(notes)}")
     return _Log(merged, metadata, tuple(f"{n}; {count} messages could be read" for n in notes))
 
 
@@ -179,9 +173,7 @@ def _records(path: Path, notes: list[str], report: Callable[[float], None]) -> I
     report(1.0)
 
 
-def _sensors(
-    topics: dict[str, _Topic], request: Request, notes: list[str]
-) -> tuple[dict[str, Stream], set[str]]:
+def _sensors(topics: dict[str, _Topic], request: Request, notes: list[str]) -> tuple[dict[str, Stream], set[str]]:
     """The streams of the sensors, and the topics they are from."""
     chosen = {sensor: _choose(topics, sensor, request, notes) for sensor in _FOUND_BY_TYPE}
     acceleration = request.named("acceleration")
@@ -253,27 +245,19 @@ def _checked(topics: dict[str, _Topic], sensor: str, name: str) -> _Topic:
         raise MagycError(f"{sensor}: no topic {name!r}; the file has {listed}")
     fitting = [k for k, v in LAYOUTS.items() if sensor in v.parts]
     if topic.type not in fitting:
-        raise MagycError(
-            f"{sensor}: {name} is of type {topic.schema.name}; one of {', '.join(fitting)} is needed"
-        )
+        raise MagycError(f"{sensor}: {name} is of type {topic.schema.name}; one of {', '.join(fitting)} is needed")
     if topic.encoding not in ("cdr", "ros1"):
         raise MagycError(f"{sensor}: {name} is encoded as {topic.encoding}; cdr (ROS 2) and ros1 can be read")
     return topic
 
 
-def _channels(
-    topics: dict[str, _Topic], used: set[str], request: Request, notes: list[str]
-) -> dict[str, Stream]:
+def _channels(topics: dict[str, _Topic], used: set[str], request: Request, notes: list[str]) -> dict[str, Stream]:
     result: dict[str, Stream] = {}
     wanted = request.channels
     for topic in topics.values():
         base = topic.name.lstrip("/")
         named = wanted is not None and any(w.lstrip("/").split(".")[0] == base for w in wanted)
-        if (
-            topic.name in used
-            or (wanted is not None and not named)
-            or (wanted is None and topic.type in LAYOUTS)
-        ):
+        if topic.name in used or (wanted is not None and not named) or (wanted is None and topic.type in LAYOUTS):
             continue
         try:
             if len(topic.data[0]) > LARGEST:
@@ -288,14 +272,10 @@ def _channels(
                 raise
             notes.append(f"channel left out: {error}")
             continue
-        result |= {
-            k: v for k, v in found.items() if wanted is None or {k, base} & {w.lstrip("/") for w in wanted}
-        }
+        result |= {k: v for k, v in found.items() if wanted is None or {k, base} & {w.lstrip("/") for w in wanted}}
     if wanted is not None:
         missing = [
-            w
-            for w in wanted
-            if not any(k == w.lstrip("/") or k.startswith(f"{w.lstrip('/')}.") for k in result)
+            w for w in wanted if not any(k == w.lstrip("/") or k.startswith(f"{w.lstrip('/')}.") for k in result)
         ]
         if missing:
             raise MagycError(f"channels: the file has no {', '.join(missing)}")

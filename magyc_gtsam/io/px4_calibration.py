@@ -97,23 +97,17 @@ def undo(
         value = np.linalg.solve(scale, value[:, :, None])[:, :, 0] + offset
         unit = "gauss" if kind == "MAG" else "rad/s"
         text = ", ".join(f"{x:.5g}" for x in offset[0])
-        extra = (
-            "" if np.allclose(scale, np.eye(3)) else f" and scale {np.array2string(scale[0], precision=4)}"
-        )
+        extra = "" if np.allclose(scale, np.eye(3)) else f" and scale {np.array2string(scale[0], precision=4)}"
         notes.append(f"{prefix}* was applied in flight and is undone: offset ({text}) {unit}{extra}")
         if (offset != offset[0]).any() or (scale != scale[0]).any():
-            notes.append(
-                f"{prefix}* changed within the log; each sample was treated by the values of its time"
-            )
+            notes.append(f"{prefix}* changed within the log; each sample was treated by the values of its time")
     if not np.allclose(rotation, np.eye(3)):
         angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
         notes.append(f"{kind}: values are in the vehicle's frame, {angle:.2f}° from the sensor's")
     return Undone(value @ rotation.T, tuple(notes))
 
 
-def _index(
-    kind: str, parameters: Parameters, device: int | None, corrected: bool
-) -> tuple[int | None, list[str]]:
+def _index(kind: str, parameters: Parameters, device: int | None, corrected: bool) -> tuple[int | None, list[str]]:
     """Which CAL_MAGn / CAL_GYROn belongs to the sensor."""
     identifiers = {n: int(parameters.initial.get(f"CAL_{kind}{n}_ID", 0)) for n in _INSTANCES}
     known = [n for n, identifier in identifiers.items() if identifier != 0]
@@ -127,9 +121,7 @@ def _index(
     prime = int(parameters.initial.get(f"CAL_{kind}_PRIME", 0))
     matching = [n for n in known if identifiers[n] == prime]
     if matching:
-        return matching[0], [
-            f"the log does not say which sensor it was; taken for CAL_{kind}_PRIME ({prime})"
-        ]
+        return matching[0], [f"the log does not say which sensor it was; taken for CAL_{kind}_PRIME ({prime})"]
     if not corrected:
         return None, []
     if kind == "GYRO":  # an offset that stays in is only a smaller bias to find
@@ -154,9 +146,7 @@ def _scale(prefix: str, parameters: Parameters, stamp: Stamps) -> Array:
     for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
         scale[:, i, j] = scale[:, j, i] = off[:, k]
     if (np.abs(np.linalg.det(scale)) < 1e-6).any():
-        raise MagycError(
-            f"{prefix}*SCALE, {prefix}*ODIAG: not invertible, so what was logged cannot be undone"
-        )
+        raise MagycError(f"{prefix}*SCALE, {prefix}*ODIAG: not invertible, so what was logged cannot be undone")
     return scale
 
 

@@ -47,9 +47,7 @@ class Request:
         """
         name = self.sensors.get(sensor)
         if name is not None and not isinstance(name, str):
-            raise MagycError(
-                f"{sensor}: {name!r}, one topic or message is expected; columns are for text files"
-            )
+            raise MagycError(f"{sensor}: {name!r}, one topic or message is expected; columns are for text files")
         return name
 
     def scale(self, sensor: str, native: float = 1.0) -> tuple[float, tuple[str, ...]]:
@@ -57,11 +55,7 @@ class Request:
         unit = self.units.get(sensor)
         if unit is None:
             return native, ()
-        text = (
-            f"{sensor} was read in {unit}"
-            if isinstance(unit, str)
-            else f"{sensor} was multiplied by {unit:g}"
-        )
+        text = f"{sensor} was read in {unit}" if isinstance(unit, str) else f"{sensor} was multiplied by {unit:g}"
         return factor(sensor, unit), (f"{text}, as asked",)
 
     def only(self, file_format: str, *known: str) -> None:

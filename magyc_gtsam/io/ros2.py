@@ -87,9 +87,7 @@ def decode(topic: str, messages: Sequence[bytes], layout: Layout, encoding: str)
             raise _broken(topic, i, len(data))
         alike.setdefault((order, place, len(data)), []).append(i)
     for (order, place, length), rows in alike.items():
-        table = np.frombuffer(b"".join([messages[i] for i in rows]), dtype=np.uint8).reshape(
-            len(rows), length
-        )
+        table = np.frombuffer(b"".join([messages[i] for i in rows]), dtype=np.uint8).reshape(len(rows), length)
         seconds, nanoseconds = (
             table[:, 4:8].copy().view(f"{order}i4"),
             table[:, 8:12].copy().view(f"{order}u4"),

@@ -62,9 +62,7 @@ def assemble(
     """
     said = list(notes)
     main = [
-        sensors[k].stamp[0]
-        for k in ("magnetic_field", "angular_rate")
-        if k in sensors and len(sensors[k].stamp)
+        sensors[k].stamp[0] for k in ("magnetic_field", "angular_rate") if k in sensors and len(sensors[k].stamp)
     ]
     start, end = request.start, request.end
     jumped = any(len(_restarts(s.stamp)) > 0 for s in sensors.values())

@@ -124,9 +124,7 @@ def _find(
     return best, value
 
 
-def _magnetometer(
-    messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
-) -> Stream:
+def _magnetometer(messages: list[Message], parameters: Parameters, request: Request, notes: list[str]) -> Stream:
     found = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
     if found is None:
         raise MagycError(

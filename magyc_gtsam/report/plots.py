@@ -124,9 +124,7 @@ def coverage_map(figure: Figure, coverage: Coverage) -> None:
     axes.set(ylim=(0, 1), yticks=_lambert(np.array([0.0])), yticklabels=[])
     axes.set_xticks(np.radians([0, 90, 180, 270]), ["+x", "+y", "−x", "−y"])
     axes.tick_params(pad=0)
-    figure.colorbar(
-        mesh, ax=axes, label="Time spent (s)", location="bottom", shrink=0.8, aspect=30, format="%g"
-    )
+    figure.colorbar(mesh, ax=axes, label="Time spent (s)", location="bottom", shrink=0.8, aspect=30, format="%g")
 
 
 def _lambert(sine: Array) -> Array:
@@ -204,9 +202,7 @@ def residual_histogram(figure: Figure, whitened: Array) -> None:
     axes.set(xlabel="Residual (σ)", ylabel="Share per σ", xlim=(-5.1, 5.1))
 
 
-def _before_after(
-    figure: Figure, time: Array, raw: Array, calibrated: Array, label: str, ideal: float
-) -> None:
+def _before_after(figure: Figure, time: Array, raw: Array, calibrated: Array, label: str, ideal: float) -> None:
     """Means as lines, ranges as bands, `ideal` dashed; in two rows where one scale would hide one of them."""
     unit, clock = _clock(time)
     low, high = np.nanpercentile(calibrated, [1, 99])

@@ -85,9 +85,7 @@ def key_numbers(
         largest = float(np.abs(turn.error).max())
         numbers.append(Number("Heading corrected by up to", f"{largest:.1f}°", "in a level turn"))
     if turn.sigma is not None:
-        numbers.append(
-            Number("Heading uncertain by", f"{turn.sigma.max():.2g}°", "1σ at worst in a level turn")
-        )
+        numbers.append(Number("Heading uncertain by", f"{turn.sigma.max():.2g}°", "1σ at worst in a level turn"))
     numbers += [
         Number("Field strength", f"{history.strength * _MICRO:.2f} µT", "of the calibrated field"),
         Number("Hard iron", f"{np.linalg.norm(calibration.hard_iron) * _MICRO:.1f} µT", "its length"),
@@ -140,9 +138,7 @@ def stretch(seconds: tuple[float, float]) -> str:
     return f"{start}–{end} s ({start // 60}:{start % 60:02d}–{end // 60}:{end % 60:02d})"
 
 
-def advice(
-    recording: Recording, calibration: Calibration, disturbed: Sequence[tuple[float, float]]
-) -> list[str]:
+def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[tuple[float, float]]) -> list[str]:
     """What to do next, most urgent first."""
     lines = []
     if not trusted(calibration):

@@ -37,4 +37,5 @@ def cramer_rao(simulation: Simulation) -> Array:
         np.einsum("ijn,ni->jn", windows.rotation, body),
     )
     information = chain.eliminate(state, chain.unweighted()).information[:DELAY, :DELAY]
-    return fix_scale(scaled, np.linalg.inv(information))[2]
+    covariance: Array = np.linalg.inv(information)
+    return fix_scale(scaled, covariance)[2]

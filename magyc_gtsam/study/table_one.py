@@ -79,9 +79,7 @@ def table_one(
         for seed in range(runs):
             recording = simulate(motion, duration, RATE, seed, gyroscope_noise=gyroscope_noise).recording
             for name in names:
-                estimate = (
-                    Calibration(np.eye(3), np.zeros(3)) if name == "raw" else calibrate(recording, name)
-                )
+                estimate = Calibration(np.eye(3), np.zeros(3)) if name == "raw" else calibrate(recording, name)
                 scores[name, motion].append(_score(estimate, judge, quiet))
             done += 1
             if progress:
