@@ -98,7 +98,7 @@ class Calibration:
 
     @property
     def sigma(self) -> Mapping[str, Array]:
-        """Standard deviations {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,)}; empty without covariance."""
+        """Standard deviations: soft_iron (3, 3), hard_iron (3,) and gyro_bias (3,); empty without covariance."""
         if self.covariance is None:
             return {}
         deviation = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))

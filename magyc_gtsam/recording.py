@@ -346,10 +346,11 @@ def _unit_quaternions(attitude: Array) -> Array:
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0])
         raise MagycError(
-            f"attitude: quaternion of norm {norm[row]:.4g} at row {row}, 1 is expected (x, y, z, w, sensor→world); "
-            "mark rows without a reference with NaN"
+            f"attitude: quaternion of norm {norm[row]:.4g} at row {row}, 1 is expected (x, y, z, w, "
+            "sensor→world); mark rows without a reference with NaN"
         )
-    unit = attitude / np.where(known, norm, np.nan)[:, None]
+    # What is normalised stays as it is to the last bit, so that a part of a recording repeats the whole.
+    unit = attitude / np.where(np.abs(norm - 1) < 1e-14, 1.0, norm)[:, None]
     unit.flags.writeable = False
     return unit
 

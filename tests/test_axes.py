@@ -60,8 +60,8 @@ def test_words():
 def test_a_large_hard_iron_and_bias_do_not_mislead(tumbling):
     log = replace(
         tumbling,
-        magnetic_field=tumbling.magnetic_field + [60e-6, -70e-6, 410e-6],
-        angular_rate=tumbling.angular_rate + [0.05, 0.0, 0.075],
+        magnetic_field=tumbling.magnetic_field + np.array([60e-6, -70e-6, 410e-6]),
+        angular_rate=tumbling.angular_rate + np.array([0.05, 0.0, 0.075]),
     )
     axes.check(log)
     with pytest.raises(MagycError, match="x ← −x, y ← −y, z ← z"):

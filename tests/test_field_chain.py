@@ -380,7 +380,7 @@ def test_the_factors_gradient_is_the_derivative_of_its_error(wide, bias, delay_k
     jacobian, right = factor.linearize(values).jacobian()
     gradient, row = -jacobian.T @ right, 0
     assert 0.5 * right @ right == pytest.approx(factor.error(values), rel=1e-9)
-    for key in factor.keys():
+    for key in list(factor.keys()):
         size = values.zeroVectors().at(key).size
         step = {SOFT: 1e-2, HARD: 1e-2, BIAS: 1e-5, LATE: 1e-4}[key]
         for unit in np.eye(size):

@@ -143,7 +143,7 @@ def test_a_still_vehicle_has_windows_of_the_longest_length():
 
 
 def test_means_over_each_window():
-    """Mean field, stamp and Rᵀ of the samples between two starts, the gyroscope integrated by the trapezoid rule."""
+    """Mean field, stamp and Rᵀ of the samples between two starts."""
     time, rate = walk()
     bias = np.array([0.1, -0.2, 0.05])
     samples = Preintegration(time, field(400), time, rate, turn=0.3)
@@ -187,7 +187,7 @@ def test_lever_is_the_derivative_with_respect_to_the_bias():
 @pytest.mark.parametrize("interval_mean", [False, True])
 @pytest.mark.parametrize(("turn", "tolerance"), [(SINGLE, 2e-4), (0.2, 0.03)])
 def test_rotation_rate_is_the_derivative_with_respect_to_the_delay(interval_mean, turn, tolerance):
-    """For single samples; over a window, mean rate times mean attitude comes close to the mean of their product."""
+    """For single samples; over a window, the product of the means comes close to the mean of the products."""
     time, rate = walk()
     mag_time = time[:-1] + 0.011  # off the gyroscope's stamps, at which the rate has kinks
     samples = Preintegration(mag_time, field(399), time, rate, interval_mean, turn=turn)

@@ -93,7 +93,7 @@ def test_a_flight_of_weak_excitation_is_not_trusted(calibrated):
 
 
 def test_chips_whose_axes_disagree(calibrated):
-    with pytest.raises(MagycError, match="axes .* disagree.*x ← −x, y ← −y, z ← z"):
+    with pytest.raises(MagycError, match=r"axes .* disagree.*x ← −x, y ← −y, z ← z"):
         calibrated("breakout_boards_hand_rotation.mcap")
 
 

@@ -411,7 +411,7 @@ def test_window_residuals_are_white_with_their_sigma(wide):
 
 def test_window_residuals_show_what_the_calibration_misses(wide):
     calibration = calibrate(wide.recording)
-    off = replace(calibration, hard_iron=calibration.hard_iron + [5e-6, 0, 0])
+    off = replace(calibration, hard_iron=calibration.hard_iron + np.array([5e-6, 0, 0]))
     good, bad = (window_residuals(wide.recording, c) for c in (calibration, off))
     assert np.square(bad.magnetic_field).sum() > 2 * np.square(good.magnetic_field).sum()
     with pytest.raises(MagycError, match="no gyroscope bias"):

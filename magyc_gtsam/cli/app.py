@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from magyc_gtsam import __version__
-from magyc_gtsam.cli import apply, calibrate, export, info, simulate
+from magyc_gtsam.cli import apply, calibrate, export, info, simulate, study
 from magyc_gtsam.cli.options import spelled
 
 WRONG, INTERRUPTED, UNREAD = 2, 130, 141  # the last two as shells count signals 2 and 13
@@ -33,6 +33,7 @@ for name, command in (
     ("info", info),
     ("simulate", simulate),
     ("export", export),
+    ("study", study),
 ):
     app.command(name)(command.run)
 

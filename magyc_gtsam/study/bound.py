@@ -37,5 +37,5 @@ def cramer_rao(simulation: Simulation) -> Array:
         np.einsum("ijn,ni->jn", windows.rotation, body),
     )
     information = chain.eliminate(state, chain.unweighted()).information[:DELAY, :DELAY]
-    covariance: Array = np.linalg.inv(information)
+    covariance = np.linalg.inv(information).astype(np.float64)
     return fix_scale(scaled, covariance)[2]

@@ -1,0 +1,59 @@
+"""Calibrate public recordings and judge the heading by their optical reference.
+
+    python benchmarks/real_recordings.py FOLDER
+
+FOLDER holds recordings named in datasets/README.md, as MCAP (broad_*.mcap, nexus5_*.mcap). Prints hard iron
+(µT), gyroscope bias (mrad/s), delay (ms) and the standard deviation of the magnetic heading (deg): raw, and
+calibrated, both with the field taken as late as it was found to be.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import magyc_gtsam as mg
+
+INTERVALS = {  # s, the parts that move; the magnet is attached from 41.5 to 92 s
+    "broad_01_slow_rotation": (34, 160),
+    "broad_06_fast_rotation": (38, 160),
+    "broad_32_attached_magnet_1cm": (41.5, 92),
+    "nexus5_augmented_reality": (None, None),
+    "nexus5_calibration_d1": (None, None),
+}
+
+
+def heading_deviation(recording: mg.Recording, calibration: mg.Calibration, delay: float) -> float:
+    """Standard deviation, in degrees, of the heading of the calibrated field turned into the world."""
+    time, field = recording.magnetometer
+    known = np.isfinite(recording.attitude).all(axis=1)
+    late = np.clip(recording.time[known] + delay, time[0], time[-1])
+    calibrated = calibration.apply(np.stack([np.interp(late, time, axis) for axis in field.T], axis=1))
+    world = Rotation.from_quat(recording.attitude[known]).apply(calibrated)
+    direction = np.exp(1j * np.arctan2(world[:, 0], world[:, 1]))
+    return float(np.rad2deg(np.angle(direction / direction.mean()).std()))
+
+
+def main() -> None:
+    """Run and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    raw = mg.Calibration(np.eye(3), np.zeros(3))
+    for name, interval in INTERVALS.items():
+        recording = mg.read(folder / f"{name}.mcap").between(*interval)
+        calibration = mg.calibrate(recording)
+        hard, bias = calibration.hard_iron * 1e6, calibration.gyro_bias * 1e3
+        heading = ""
+        if recording.attitude is not None:
+            before, after = (heading_deviation(recording, c, calibration.delay) for c in (raw, calibration))
+            heading = f"heading {before:.2f}° raw, {after:.2f}° calibrated"
+        print(
+            f"{name:30s} hard iron {hard[0]:6.1f} {hard[1]:6.1f} {hard[2]:6.1f}  bias {bias[0]:5.1f} {bias[1]:5.1f} "
+            f"{bias[2]:5.1f}  delay {calibration.delay * 1e3:4.1f}  {heading}"
+        )
+
+
+if __name__ == "__main__":
+    main()
