@@ -30,6 +30,8 @@ from magyc_gtsam.factors.rotations import Array
 PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
 UPPER = np.triu_indices(3)
 DELAY = 12
+_SETTLING = 20  # Gauss–Newton steps of the directions alone, at most
+_SETTLED = 1e-18  # squared step of a direction, rad²
 
 
 class Noise(NamedTuple):
@@ -236,6 +238,18 @@ class FieldChain:
         tangent, _ = dpbtrs(reduced.factor, pull, lower=1)
         g = state.direction - reduced.basis[:, 0] * tangent[::2] - reduced.basis[:, 1] * tangent[1::2]
         return State(state.parameters + step, g / np.sqrt(np.einsum("in,in->n", g, g)))
+
+    def settle(self, state: State, weights: Weights) -> tuple[State, Reduced]:
+        """The directions at their best for the state's θ, and the linearisation there."""
+        still = np.zeros(PARAMETERS)
+        for _ in range(_SETTLING):
+            reduced = self.eliminate(state, weights)
+            ahead = self.move(state, reduced, still)
+            moved = float(np.square(ahead.direction - state.direction).max())
+            state = ahead
+            if moved < _SETTLED:
+                break
+        return state, self.eliminate(state, weights)
 
     def leverage(self, reduced: Reduced, covariance: Array) -> Array:
         """(n,) how much of each window's 3 squared residuals the fit absorbs, in expectation.

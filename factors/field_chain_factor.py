@@ -20,8 +20,6 @@ from magyc_gtsam.factors.guard import Array, custom_factor, gyro_bias, vector
 from magyc_gtsam.factors.preintegration import Preintegration
 
 _MOVED = 2e-3  # rad by which a bias or delay may turn a window before the gyroscope is integrated again
-_INNER = 20
-_INNER_SETTLED = 1e-18  # squared step of the directions, rad²
 
 
 def field_chain_factor(
@@ -98,13 +96,6 @@ class _Marginal:
         state = chain.start(parameters)
         if self._direction is not None:
             state = State(parameters, self._direction)
-        for _ in range(_INNER):
-            reduced = chain.eliminate(state, self._weights)
-            ahead = chain.move(state, reduced, np.zeros(PARAMETERS))
-            moved = float(np.square(ahead.direction - state.direction).max())
-            state = ahead
-            if moved < _INNER_SETTLED:
-                break
+        state, reduced = chain.settle(state, self._weights)
         self._direction = state.direction
-        reduced = chain.eliminate(state, self._weights)
         return reduced.cost, reduced.information, reduced.gradient

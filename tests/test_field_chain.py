@@ -159,12 +159,17 @@ def test_a_window_of_weight_zero_is_not_seen(chain, state, weights):
     """Whatever it measured; the chain goes on through it."""
     weights.window[20] = 0
     field = chain.windows.field.copy()
-    field[:, 20] += 1e-3
+    field[:, 20] += 50e-6
     other = FieldChain(replace(chain.windows, field=field), NOISE)
-    other._link_scale[:] = chain._link_scale  # its floor depends on the field's spread
     one, two = chain.eliminate(state, weights), other.eliminate(state, weights)
-    np.testing.assert_allclose(two.information, one.information, rtol=1e-12)
-    assert two.cost == pytest.approx(one.cost, rel=1e-12)
+    # Not to the last digit: the floor of the links' variance depends on the field's spread.
+    scale = 1 / np.sqrt(np.diag(one.information))
+    np.testing.assert_allclose(
+        two.information * scale * scale[:, None], one.information * scale * scale[:, None], atol=1e-4
+    )
+    assert two.cost == pytest.approx(one.cost, rel=1e-4)
+    weights.window[20] = 1
+    assert other.eliminate(state, weights).cost > 1.02 * chain.eliminate(state, weights).cost
 
 
 def test_a_link_of_weight_zero_parts_the_chain_in_two(chain, state, weights):
@@ -182,15 +187,14 @@ def test_a_link_of_weight_zero_parts_the_chain_in_two(chain, state, weights):
             ),
             NOISE,
         )  # fmt: skip
-        piece._link_scale[:] = chain._link_scale[links]
         reduced = piece.eliminate(
             State(state.parameters, state.direction[:, part]), Weights(weights.window[part], weights.link[links])
         )
         information, cost = information + reduced.information, cost + reduced.cost
-    assert whole.cost == pytest.approx(cost, rel=1e-12)
+    assert whole.cost == pytest.approx(cost, rel=1e-4)
     scale = 1 / np.sqrt(np.diag(information))
     np.testing.assert_allclose(
-        whole.information * scale * scale[:, None], information * scale * scale[:, None], atol=1e-9
+        whole.information * scale * scale[:, None], information * scale * scale[:, None], atol=1e-4
     )
 
 

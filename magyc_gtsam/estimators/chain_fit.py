@@ -115,6 +115,20 @@ def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Arr
     return step, float(step[free] @ information @ step[free])
 
 
+def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
+    """Directions and robust weights at given θ and noise."""
+    fit = begin(chain, parameters, np.zeros(PARAMETERS, dtype=bool))
+    for _ in range(rounds):
+        state, reduced = chain.settle(fit.state, fit.weights)
+        fit = replace(fit, state=state, reduced=reduced)
+        weights = _reweigh(fit)
+        moved = np.abs(weights.window - fit.weights.window).mean() + np.abs(weights.link - fit.weights.link).mean()
+        fit = replace(fit, weights=weights)
+        if moved < _WEIGHTS_STABLE:
+            break
+    return fit
+
+
 def misfit(fit: Fit, noise: Noise) -> float:
     """Sum of squares at `noise`, each window and link counting up to its rejection threshold."""
     chain = FieldChain(fit.chain.windows, noise)

@@ -8,10 +8,10 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import starts
-from magyc_gtsam.estimators.chain_fit import adapt, begin
+from magyc_gtsam.estimators.chain_fit import weigh
 from magyc_gtsam.estimators.chain_search import preintegrate, short_term_noise
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise
+from magyc_gtsam.factors.field_chain import FieldChain, Noise
 from magyc_gtsam.recording import Array, Recording
 
 
@@ -58,7 +58,7 @@ def window_residuals(recording: Recording, calibration: Calibration) -> WindowRe
     parameters = starts.parameters(
         calibration.soft_iron * strength, calibration.hard_iron, calibration.gyro_bias, calibration.delay
     )
-    fit = adapt(begin(chain, parameters, np.zeros(PARAMETERS, dtype=bool)), True, None)
+    fit = weigh(chain, parameters)
     residuals = chain.residuals(fit.state)
     return WindowResiduals(
         windows.time,

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
@@ -18,7 +17,7 @@ from magyc_gtsam.estimators.chain_search import Progress, fit_field_chain, posit
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.factors.field_chain import DELAY, symmetric
 from magyc_gtsam.observability import Observability, assess
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Recording
 
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LEAST_TRUSTED = 0.5  # share of the windows' weight below which the result must not be trusted
@@ -117,10 +116,10 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
             f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated"
         )
     if not observability.observable:
-        x, y, z = _turned(fit)
+        x, y, z = np.ptp(fit.chain.windows.field, axis=1) * 1e6
         reasons.append(
-            f"too little motion (it turned by {x:.0f}°, {y:.0f}°, {z:.0f}° about x, y, z): "
-            f"{observability.weak[0].sentence}"
+            f"too little motion (the field swept {x:.0f}, {y:.0f}, {z:.0f} µT along x, y, z; turning over sweeps "
+            f"some 90 along each): {observability.weak[0].sentence}"
         )
     if rival is not None:
         other = rival.state.parameters[6:9] * 1e6
@@ -131,14 +130,6 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
     if not fit.converged:
         reasons.append(f"no convergence within {fit.iterations} iterations")
     return reasons
-
-
-def _turned(fit: Fit) -> Array:
-    """(3,) range of the attitude about the sensor's axes against its mean, in degrees."""
-    rotation = fit.chain.windows.rotation[:, :, :: max(len(fit.chain.windows) // 200, 1)]
-    attitude = Rotation.from_matrix(np.moveaxis(rotation, 2, 0)).inv()
-    vectors = (attitude.mean().inv() * attitude).as_rotvec(degrees=True)
-    return np.ptp(vectors, axis=0)
 
 
 def _disturbed(fit: Fit) -> list[list[float]]:
