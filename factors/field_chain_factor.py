@@ -87,7 +87,10 @@ class _Marginal:
     def at(self, parameters: Array) -> tuple[float, Array, Array]:
         """Cost, information (13, 13) and gradient (13,) at the best directions for θ."""
         windows = self._chain.windows
-        turned = np.abs(windows.lever).max() * np.abs(parameters[9:12] - windows.bias).max()
+        turned = (
+            np.abs(windows.lever[:, :, windows.linked]).max(initial=0.0)
+            * np.abs(parameters[9:12] - windows.bias).max()
+        )
         slid = np.abs(windows.rotation_rate).max() * abs(parameters[DELAY] - windows.delay)
         if max(turned, slid) > _MOVED:
             self._chain = FieldChain(self._samples.integrate(parameters[9:12], parameters[DELAY]), self._noise)

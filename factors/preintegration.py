@@ -25,7 +25,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array, chain, exponential, increments, matrices, multiply
 
-_ROWS = 21  # per sample: Rᵀ 9, K 9, angular rate 3
+_ROWS = 27  # per sample: Rᵀ 9, K 9, derivative of Rᵀ with respect to the delay 9
 _CHUNK = 32768  # samples whose matrices are held at a time
 
 
@@ -38,7 +38,7 @@ class FieldWindows:
         count: (n,) magnetometer samples.
         field: (3, n) T, mean measured field.
         rotation: (3, 3, n) mean of R_jᵀ, integrated world→sensor.
-        rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s (mean rate times mean rotation).
+        rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s.
         lever: (3, 3, n − 1) s, K̄' − K̄ between neighbours.
         link_time: (n − 1,) s², Σ dt² between neighbours; the link's variance is σ_g² times it.
         linked: (n − 1,) False where a hole in the gyroscope parts two windows.
@@ -61,9 +61,10 @@ class FieldWindows:
 
 
 class _Track(NamedTuple):
-    """The gyroscope integrated at `bias`, at its own stamps: spinors, K (9, G) s and Σ dt² (G,) s²."""
+    """The gyroscope integrated at `bias`: steps (G − 1, 3) rad; at its stamps spinors, K (9, G) s, Σ dt² s²."""
 
     bias: Array
+    increment: Array
     p: np.ndarray
     q: np.ndarray
     lever: Array
@@ -104,26 +105,31 @@ class Preintegration:
     step: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        inside = (self.magnetometer_time >= self.gyroscope_time[0]) & (
-            self.magnetometer_time <= self.gyroscope_time[-1]
-        )
-        if inside.sum() < 3 or len(self.gyroscope_time) < 3:
-            raise MagycError(
-                f"{inside.sum()} magnetometer samples inside the gyroscope's time span "
-                f"({self.gyroscope_time[0]:.3f} to {self.gyroscope_time[-1]:.3f} s), at least 3 are needed"
-            )
-        if not inside.all():
-            object.__setattr__(self, "magnetometer_time", self.magnetometer_time[inside])
-            object.__setattr__(self, "magnetic_field", self.magnetic_field[inside])
+        if len(self.gyroscope_time) < 3:
+            raise MagycError(f"{len(self.gyroscope_time)} gyroscope samples, at least 3 are needed")
         step = np.diff(self.gyroscope_time)
         holes = np.flatnonzero(step > max(10 * float(np.median(step)), self.hole))
+        before, after = self.gyroscope_time[holes], self.gyroscope_time[holes + 1]
+        # Outside the gyroscope's span and inside its holes the attitude is unknown.
+        segment = np.searchsorted(after, self.magnetometer_time, side="right")
+        known = segment == np.searchsorted(before, self.magnetometer_time, side="left")
+        known &= self.magnetometer_time >= self.gyroscope_time[0]
+        known &= self.magnetometer_time <= self.gyroscope_time[-1]
+        if known.sum() < 3:
+            raise MagycError(
+                f"{known.sum()} magnetometer samples inside the gyroscope's time span "
+                f"({self.gyroscope_time[0]:.3f} to {self.gyroscope_time[-1]:.3f} s), at least 3 are needed"
+            )
+        if not known.all():
+            object.__setattr__(self, "magnetometer_time", self.magnetometer_time[known])
+            object.__setattr__(self, "magnetic_field", self.magnetic_field[known])
+            segment = segment[known]
         speed = np.linalg.norm(self.angular_rate, axis=1)
         progress = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length) * step
         progress[holes] = 1.0
         distance = np.interp(
             self.magnetometer_time, self.gyroscope_time, np.concatenate([[0.0], np.cumsum(progress)])
         )
-        segment = np.searchsorted(self.gyroscope_time[holes], self.magnetometer_time, side="right")
         window = np.floor(distance).astype(np.int64) + segment
         starts = np.concatenate([[0], np.flatnonzero(np.diff(window)) + 1])
         object.__setattr__(self, "starts", starts)
@@ -145,23 +151,13 @@ class Preintegration:
             np.add.reduceat(rows, starts[first:last] - starts[first], axis=1, out=means[:, first:last])
             first = last
         means /= count
-        rotation = means[:9].reshape(3, 3, -1)
-        x, y, z = means[18:21] - bias[:, None]
-        # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
-        rotation_rate = np.stack(
-            [
-                y * rotation[2] - z * rotation[1],
-                z * rotation[0] - x * rotation[2],
-                x * rotation[1] - y * rotation[0],
-            ]
-        )
         time = np.add.reduceat(self.magnetometer_time, starts) / count
         return FieldWindows(
             time=time,
             count=count,
             field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
-            rotation=rotation,
-            rotation_rate=rotation_rate,
+            rotation=means[:9].reshape(3, 3, -1),
+            rotation_rate=means[18:].reshape(3, 3, -1),
             lever=np.diff(means[9:18]).reshape(3, 3, -1),
             link_time=np.diff(np.interp(time - delay, self.gyroscope_time, track.variance)),
             linked=self.linked,
@@ -178,7 +174,8 @@ class Preintegration:
     def _track(self, bias: Array) -> _Track:
         n = len(self.gyroscope_time)
         step = self.step
-        p, q = chain(exponential(self._increments(bias)))
+        increment = self._increments(bias)
+        p, q = chain(exponential(increment))
         lever = np.zeros((9, n))
         for first in range(0, n - 1, _CHUNK):
             stop = min(first + _CHUNK, n - 1)
@@ -188,30 +185,41 @@ class Preintegration:
         np.cumsum(lever, axis=1, out=lever)
         variance = np.zeros(n)
         np.cumsum(step**2, out=variance[1:])
-        return _Track(bias, p, q, lever, variance)
+        return _Track(bias, increment, p, q, lever, variance)
 
     def _at(self, track: _Track, rows: slice, delay: float) -> Array:
-        """Rᵀ (9), K (9) and the measured rate (3) at single samples' stamps less the delay: (21, len(rows))."""
+        """Rᵀ, K and dRᵀ/dτ, 9 rows each, at samples' stamps less the delay: (27, len(rows))."""
         gyro = self.gyroscope_time
         when = self.magnetometer_time[rows] - delay
         result = np.empty((_ROWS, len(when)))
         if len(gyro) == len(self.magnetometer_time) and np.array_equal(when, gyro[rows]):
             r = matrices((track.p[rows], track.q[rows]))
             result[9:18] = track.lever[:, rows]
-            result[18:] = self.angular_rate[rows].T
+            rate = self.angular_rate[rows]
         else:
             left = np.clip(np.searchsorted(gyro, when, side="right") - 1, 0, len(gyro) - 2)
             since = when - gyro[left]
             share = since / self.step[left]
             rate, after = self.angular_rate[left], self.angular_rate[left + 1]
+            share = share[:, None]
             if self.interval_mean:
-                rate, change = after, np.zeros_like(after)
+                rate, turned = after, track.increment[left] * share
             else:
-                change = (after - rate) * share[:, None]
-            turned = exponential((rate + 0.5 * change - track.bias) * since[:, None])
+                # Linear rate, and of what makes the whole step differ from that its share.
+                linear = 0.5 * (rate + after) - track.bias
+                rest = track.increment[left] - linear * self.step[left, None]
+                rate = rate + (after - rate) * share
+                turned = (0.5 * (self.angular_rate[left] + rate) - track.bias) * since[:, None] + rest * share
+                rate = rate + rest / self.step[left, None]
+            turned = exponential(turned)
             r = matrices(multiply((track.p[left], track.q[left]), turned))
             lever = track.lever[:, left]
-            result[9:18] = lever + (track.lever[:, left + 1] - lever) * share
-            result[18:] = (rate + change).T
-        result[:9] = r.reshape(3, 3, -1).transpose(1, 0, 2).reshape(9, -1)
+            result[9:18] = lever + (track.lever[:, left + 1] - lever) * share[:, 0]
+        r0, r1, r2 = result[:9].reshape(3, 3, -1)
+        r0[:], r1[:], r2[:] = r[0::3], r[1::3], r[2::3]  # transposed
+        x, y, z = (rate - track.bias).T
+        # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
+        result[18:21] = y * r2 - z * r1
+        result[21:24] = z * r0 - x * r2
+        result[24:27] = x * r1 - y * r0
         return result

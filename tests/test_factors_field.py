@@ -16,10 +16,10 @@ MICROTESLA = 1e-6
 def test_preintegration_is_gtsams():
     rng = np.random.default_rng(0)
     time, rate, bias = np.sort(rng.uniform(0, 1, 50)), rng.normal(size=(50, 3)), np.array([0.1, -0.2, 0.3])
-    link = preintegrate(time, rate, time[3], time[40], bias)
+    link = preintegrate(time, rate, time[3], time[40], bias, interval_mean=True)
     theirs = gtsam.PreintegratedRotation(gtsam.PreintegratedRotationParams())
     for k in range(3, 40):
-        theirs.integrateGyroMeasurement(0.5 * (rate[k] + rate[k + 1]), bias, time[k + 1] - time[k])
+        theirs.integrateGyroMeasurement(rate[k + 1], bias, time[k + 1] - time[k])
     np.testing.assert_allclose(link.rotation, theirs.deltaRij().matrix(), atol=1e-13)
     # GTSAM's derivative is on the right, ΔR Exp(D δ) = Exp(ΔR D δ) ΔR.
     np.testing.assert_allclose(link.lever, link.rotation @ theirs.delRdelBiasOmega(), atol=1e-13)

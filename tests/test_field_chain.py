@@ -435,11 +435,11 @@ def test_levenberg_marquardt_over_the_factor_is_the_smoother(wide, delay):
     soft_iron = symmetric(values.atVector(SOFT))
     soft_iron /= np.cbrt(np.linalg.det(soft_iron))
     sigma = expected.sigma
-    assert (np.abs(soft_iron - expected.soft_iron) < 0.01 * sigma["soft_iron"]).all()
-    assert (np.abs(values.atPoint3(HARD) * MICROTESLA - expected.hard_iron) < 0.01 * sigma["hard_iron"]).all()
-    assert (np.abs(values.atPoint3(BIAS) - expected.gyro_bias) < 0.01 * sigma["gyro_bias"]).all()
+    assert (np.abs(soft_iron - expected.soft_iron) < 0.03 * sigma["soft_iron"]).all()
+    assert (np.abs(values.atPoint3(HARD) * MICROTESLA - expected.hard_iron) < 0.03 * sigma["hard_iron"]).all()
+    assert (np.abs(values.atPoint3(BIAS) - expected.gyro_bias) < 0.03 * sigma["gyro_bias"]).all()
     if free:
-        assert values.atVector(LATE)[0] == pytest.approx(expected.delay, abs=0.01 * expected.delay_sigma)
+        assert values.atVector(LATE)[0] == pytest.approx(expected.delay, abs=0.03 * expected.delay_sigma)
 
     marginals = gtsam.Marginals(graph, values)
     colour = expected.diagnostics["colour"]  # hard iron and bias do not depend on how the scale is fixed

@@ -19,6 +19,7 @@ _PAIRS = 3000  # pairs of samples that are compared
 _TURN = 0.25  # rad of rotation between the samples of a pair: above their noise, yet small
 _LAGS = (0.1, 2.0)  # s between them
 _CLEARLY = 0.5  # share of the squared misfit below which another arrangement is clearly better
+_POOR = 0.2  # share left unexplained from which the given arrangement is in doubt at all
 _EXPLAINS = 0.3  # share of the field's variation that an arrangement must leave unexplained at most
 
 _SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s read as deg/s": 180 / np.pi}
@@ -47,7 +48,29 @@ def arrangements(recording: Recording) -> list[Arrangement]:
     Δm = m × Gθ − h × Gθ − m × b' Δt + c Δt is linear in h, b' = G b and c; all arrangements share one
     normal matrix of the products that occur in it.
     """
-    change, mid, turn, step = _pairs(recording)
+    found = []
+    for unit, factor in _SCALES.items():
+        change, mid, turn, step = _pairs(recording, factor)
+        normal = _normal_matrix(change, mid, turn, step)
+        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+            matrix = np.eye(3)[list(order)] * np.array(signs)[:, None]
+            chosen = np.zeros((25, 10))
+            chosen[:9, 9] = matrix.ravel()  # Δm − m × Gθ …
+            chosen[24, 9] = 1.0
+            chosen[9:18, :3] = np.einsum("jri->rji", _skew(matrix.T)).reshape(9, 3)  # … = [Gθ]× h …
+            chosen[18:24, 3:9] = np.eye(6)  # … − m × b' Δt + c Δt
+            small = chosen.T @ normal @ chosen
+            size = np.sqrt(np.diag(small)) + 1e-300
+            small /= np.outer(size, size)
+            solution = np.linalg.lstsq(small[:9, :9], small[:9, 9], rcond=1e-12)[0]
+            left = (small[9, 9] - small[9, :9] @ solution) * size[9] ** 2
+            unexplained = max(float(left), 0.0) / max(float(normal[24, 24]), 1e-300)
+            found.append(Arrangement(matrix * factor, unit, unexplained))
+    return sorted(found, key=lambda a: a.unexplained)
+
+
+def _normal_matrix(change: Array, mid: Array, turn: Array, step: Array) -> Array:
+    """(25, 25) of the products in the model: G_ij, eᵢ θⱼ, m × Δt, Δt, and Δm itself."""
     scale = float(np.linalg.norm(mid, axis=1).mean())
     change, mid, step = change / scale, mid / scale, step[:, None, None]
     columns = np.concatenate(
@@ -60,24 +83,7 @@ def arrangements(recording: Recording) -> list[Arrangement]:
         ],
         axis=2,
     ).reshape(-1, 25)
-    normal = columns.T @ columns
-    total = max(float(normal[24, 24]), 1e-300)
-    found = []
-    for unit, factor in _SCALES.items():
-        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-            matrix = np.eye(3)[list(order)] * np.array(signs)[:, None] * factor
-            chosen = np.zeros((25, 10))
-            chosen[:9, 9] = matrix.ravel()  # Δm − m × Gθ …
-            chosen[24, 9] = 1.0
-            chosen[9:18, :3] = np.einsum("jri->rji", _skew(matrix.T)).reshape(9, 3)  # … = [Gθ]× h …
-            chosen[18:24, 3:9] = np.eye(6)  # … − m × b' Δt + c Δt
-            small = chosen.T @ normal @ chosen
-            size = np.sqrt(np.diag(small)) + 1e-300
-            small /= np.outer(size, size)
-            solution = np.linalg.lstsq(small[:9, :9], small[:9, 9], rcond=1e-12)[0]
-            left = (small[9, 9] - small[9, :9] @ solution) * size[9] ** 2
-            found.append(Arrangement(matrix, unit, max(float(left), 0.0) / total))
-    return sorted(found, key=lambda a: a.unexplained)
+    return columns.T @ columns
 
 
 def check(recording: Recording) -> None:
@@ -89,7 +95,7 @@ def check(recording: Recording) -> None:
     ranked = arrangements(recording)
     best = ranked[0]
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
-    if best.unexplained > _EXPLAINS or best.unexplained > _CLEARLY * given.unexplained:
+    if given.unexplained < _POOR or best.unexplained > min(_EXPLAINS, _CLEARLY * given.unexplained):
         return
     as_given, otherwise = f"{max(1 - given.unexplained, 0):.0%}", f"{1 - best.unexplained:.0%}"
     if best.unit:
@@ -103,10 +109,13 @@ def check(recording: Recording) -> None:
     )
 
 
-def _pairs(recording: Recording) -> tuple[Array, Array, Array, Array]:
-    """Change and middle of the field (n, 3), rotation vector in between (n, 3), and the time step (n,)."""
+def _pairs(recording: Recording, factor: float) -> tuple[Array, Array, Array, Array]:
+    """Of pairs of samples, the rate being `factor` times what the log says:
+
+    change and middle of the field (n, 3), rotation vector in between (n, 3), and the time step (n,)."""
     time, field = recording.magnetometer
     gyro_time, rate = recording.gyroscope
+    rate = rate * factor
     speed = float(np.percentile(np.linalg.norm(rate, axis=1), 75))
     seconds = np.clip(_TURN / max(speed, 1e-6), *_LAGS)
     lag = int(np.clip(round(float(seconds / np.median(np.diff(time)))), 1, (len(time) - 1) // 2))

@@ -11,7 +11,7 @@ from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise, Reduc
 from magyc_gtsam.factors.rotations import Array
 
 MAX_ITERATIONS = 40
-_SETTLED = 1e-3  # squared length of the last step in sigmas; convergence is quadratic, so less is left
+_SETTLED = 1e-4  # squared length of the last step in sigmas; convergence is quadratic, so less is left
 NEAR = 4.0  # the same between rounds of noise and weights: two sigmas
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %

@@ -15,6 +15,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import Progress, fit_field_chain, positive
 from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, symmetric
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
@@ -49,6 +50,7 @@ def calibrate_smoother(
     Raises:
         MagycError: no gyroscope, too few samples, or sensors whose axes or units disagree.
     """
+    _check_options(noise, delay, window, turn)
     report = progress or (lambda _: None)
     report(0.0)
     fit, rival = fit_field_chain(
@@ -60,6 +62,23 @@ def calibrate_smoother(
     calibration = _calibration(recording, fit, rival, field_strength, configuration)
     report(1.0)
     return calibration
+
+
+def _check_options(noise: Any, delay: Any, window: Any, turn: Any) -> None:
+    def number(name: str, value: Any, low: float, high: float, unit: str) -> None:
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
+            raise MagycError(f"{name}: {value!r} is no number between {low:g} and {high:g} {unit}")
+
+    number("window", window, 0.0, 60.0, "s")
+    if turn is not None:
+        number("turn", turn, 0.0, np.pi, "rad")
+    if delay is not None:
+        number("delay", delay, -1.0, 1.0, "s")
+    if noise is not None:
+        if not isinstance(noise, (tuple, list)) or len(noise) != 2:
+            raise MagycError(f"noise: {noise!r} is no pair (magnetometer T, gyroscope rad/s)")
+        number("noise of the magnetometer", noise[0], 0.0, 1e-3, "T")
+        number("noise of the gyroscope", noise[1], 0.0, 10.0, "rad/s")
 
 
 def _calibration(
