@@ -202,7 +202,7 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("calibrate {logs}/dive.mcap --start 9 --end 5", "--start 9 s is not before --end 5 s"),
         ("calibrate {logs}/dive.mcap -o {logs}/text.csv", "text.csv: is a file, a folder is expected"),
         ("calibrate {logs}/dive.mcap --option smooth=3", "no option 'smooth'; it has"),
-        ("calibrate {logs}/dive.mcap --option turn=much", "--option turn=much: the method cannot use it"),
+        ("calibrate {logs}/dive.mcap --option turn=much", "turn: 'much' is no number between"),
         ("calibrate {logs}/dive.mcap --delay soon", "--delay: 'soon' is neither a number of milliseconds nor"),
         ("calibrate {logs}/dive.mcap --noise nan 1", "--noise: nan"),
         ("calibrate {logs}/dive.mcap --location 1 2", "give --date YYYY-MM-DD too"),
