@@ -179,6 +179,8 @@ class FieldChain:
         on_parameters[1, 0] = on_parameters[3, 1] = on_parameters[4, 2] = y
         on_parameters[2, 0] = on_parameters[4, 1] = on_parameters[5, 2] = z
         on_parameters[6, 0] = on_parameters[7, 1] = on_parameters[8, 2] = scale
+        for k in range(3):
+            on_parameters[9 + k] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_bias[:, :, k], g) * scale
         on_parameters[DELAY] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_rate, g) * scale
 
         # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
@@ -271,7 +273,12 @@ class FieldChain:
 
     def _rotation(self, parameters: Array) -> Array:
         late = parameters[DELAY] - self.windows.delay
-        return self.windows.rotation + late * self.windows.rotation_rate if late else self.windows.rotation
+        moved = parameters[9:12] - self.windows.bias
+        return (
+            self.windows.rotation
+            + late * self.windows.rotation_rate
+            + np.einsum("ijkn,k->ijn", self.windows.rotation_bias, moved)
+        )
 
     def _turn(self, parameters: Array) -> Array:
         """E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""

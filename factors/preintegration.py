@@ -11,8 +11,8 @@ A bias error δ turns R_k into Exp(K_k δ) R_k, K_k = −∫ R dt, so that two w
 
     g' = Exp(−(K̄' − K̄) δ) g,    tangent noise σ_g √(Σ dt²),
 
-K̄ being the mean over the window. Nothing else depends on the bias, and only to first order: when it
-has moved far, integrate again. A delay τ of the magnetometer reads R at t − τ.
+K̄ being the mean over the window, and inside it M g gains mean_j R_jᵀ [g]× (K_j − K̄) δ. Both are first
+order in δ: when the bias has moved far, integrate again. A delay τ of the magnetometer reads R at t − τ.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array, chain, exponential, increments, matrices, multiply
 
-_ROWS = 27  # per sample: Rᵀ 9, K 9, derivative of Rᵀ with respect to the delay 9
+_ROWS = 54  # per sample: Rᵀ 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
 _CHUNK = 32768  # samples whose matrices are held at a time
 
 
@@ -38,6 +38,7 @@ class FieldWindows:
         count: (n,) magnetometer samples.
         field: (3, n) T, mean measured field.
         rotation: (3, 3, n) mean of R_jᵀ, integrated world→sensor.
+        rotation_bias: (3, 3, 3, n) its derivative with respect to the bias (third axis), s.
         rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s.
         lever: (3, 3, n − 1) s, K̄' − K̄ between neighbours.
         link_time: (n − 1,) s², Σ dt² between neighbours; the link's variance is σ_g² times it.
@@ -49,6 +50,7 @@ class FieldWindows:
     count: Array
     field: Array
     rotation: Array
+    rotation_bias: Array
     rotation_rate: Array
     lever: Array
     link_time: Array
@@ -157,7 +159,8 @@ class Preintegration:
             count=count,
             field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
             rotation=means[:9].reshape(3, 3, -1),
-            rotation_rate=means[18:].reshape(3, 3, -1),
+            rotation_bias=means[27:].reshape(3, 3, 3, -1) - turned_lever(means[:9], means[9:18]),
+            rotation_rate=means[18:27].reshape(3, 3, -1),
             lever=np.diff(means[9:18]).reshape(3, 3, -1),
             link_time=np.diff(np.interp(time - delay, self.gyroscope_time, track.variance)),
             linked=self.linked,
@@ -188,7 +191,7 @@ class Preintegration:
         return _Track(bias, increment, p, q, lever, variance)
 
     def _at(self, track: _Track, rows: slice, delay: float) -> Array:
-        """Rᵀ, K and dRᵀ/dτ, 9 rows each, at samples' stamps less the delay: (27, len(rows))."""
+        """Rᵀ, K, dRᵀ/dτ and Rᵀ [·]× K at samples' stamps less the delay: (54, len(rows))."""
         gyro = self.gyroscope_time
         when = self.magnetometer_time[rows] - delay
         result = np.empty((_ROWS, len(when)))
@@ -222,4 +225,17 @@ class Preintegration:
         result[18:21] = y * r2 - z * r1
         result[21:24] = z * r0 - x * r2
         result[24:27] = x * r1 - y * r0
+        turned_lever(result[:9], result[9:18], out=result[27:])
         return result
+
+
+def turned_lever(transposed: Array, lever: Array, out: Array | None = None) -> Array:
+    """Rᵀ [e_k]× K column by column, from the rows of Rᵀ and K (9, n) each: (3, 3, 3, n), rows of Rᵀ first."""
+    r = transposed.reshape(3, 3, -1)
+    x, y, z = lever.reshape(3, 3, -1)  # rows of K
+    result = (np.empty((27, r.shape[2])) if out is None else out).reshape(3, 3, 3, -1)
+    for a in range(3):
+        result[a, 0] = r[a, 2] * y - r[a, 1] * z
+        result[a, 1] = r[a, 0] * z - r[a, 2] * x
+        result[a, 2] = r[a, 1] * x - r[a, 0] * y
+    return result

@@ -112,6 +112,9 @@ class Calibration:
         """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`."""
         return export(target, self.soft_iron, self.hard_iron, self.gyro_bias)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self).from_dict, (self.to_dict(),)
+
     def to_dict(self) -> dict[str, Any]:
         """All fields as JSON types."""
         result: dict[str, Any] = {"format": _FORMAT}

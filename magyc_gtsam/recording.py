@@ -8,7 +8,7 @@ keeps its own stamp and its own bits, and the filled rows are never counted as i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
@@ -267,12 +267,21 @@ class Recording:
             angular_rate_fresh=rate_fresh,
         )
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuilt, (
+            {f.name: getattr(self, f.name) for f in fields(self)} | {"channels": dict(self.channels)},
+        )
+
     def __repr__(self) -> str:
         own = {"magnetometer": self.magnetic_field_fresh, "gyroscope": self.angular_rate_fresh}
         if self.angular_rate is None:
             del own["gyroscope"]
         rates = ", ".join(f"{k} {(m.sum() - 1) / self.duration:.1f} Hz" for k, m in own.items())
         return f"Recording({self.name!r}, {len(self.time)} rows, {self.duration:.1f} s, {rates})"
+
+
+def _rebuilt(values: dict[str, Any]) -> Recording:
+    return Recording(**values)
 
 
 def _frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = False) -> Array:

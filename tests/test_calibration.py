@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import pickle
 
 import numpy as np
 import pytest
@@ -219,3 +220,9 @@ def test_immutable_and_its_own():
         calibration.diagnostics["cost"] = 3.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         calibration.converged = False
+
+
+def test_pickles():
+    one = Calibration(np.eye(3) * 1.1, [1e-6, 2e-6, 3e-6], [0.1, 0.2, 0.3], noise={"magnetic_field": 1e-7})
+    two = pickle.loads(pickle.dumps(one))
+    assert two.to_dict() == one.to_dict()

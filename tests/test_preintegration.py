@@ -327,7 +327,17 @@ def test_chunks_do_not_show(monkeypatch, chunk):
     whole = samples.integrate(np.full(3, 0.01), 0.02)
     assert whole.count.max() > 7
     monkeypatch.setattr(preintegration, "_CHUNK", chunk)
-    for name in ("time", "count", "field", "rotation", "rotation_rate", "lever", "link_time", "linked"):
+    for name in (
+        "time",
+        "count",
+        "field",
+        "rotation",
+        "rotation_bias",
+        "rotation_rate",
+        "lever",
+        "link_time",
+        "linked",
+    ):
         pieces = getattr(samples.integrate(np.full(3, 0.01), 0.02), name)
         np.testing.assert_allclose(pieces, getattr(whole, name), atol=1e-13, err_msg=name)
 
@@ -344,3 +354,24 @@ def test_no_magnetometer_inside_the_gyroscopes_time(shift):
     time, rate = walk()
     with pytest.raises(MagycError, match=r"0 magnetometer samples inside .*\(0.000 to 19.950 s\), at least 3"):
         Preintegration(time + shift, field(400), time, rate)
+
+
+def test_rotation_bias_is_the_derivative_with_respect_to_the_bias():
+    """Against windows integrated at another bias, brought to the frame of the window's mean lever."""
+    time, rate = walk(n=400)
+    samples = Preintegration(time, field(400), time, rate, turn=0.5)
+    here, step = samples.integrate(), 1e-4
+    for axis in range(3):
+        numeric = np.zeros_like(here.rotation)
+        for sign in (1, -1):
+            there = samples.integrate(sign * step * np.eye(3)[axis])
+            lever = np.cumsum(np.concatenate([np.zeros((3, 3, 1)), here.lever], axis=2), axis=2)[:, axis]
+            # The frames differ by the lever of the first window's mean, a constant turn of the world.
+            turn = Rotation.from_rotvec(sign * step * lever.T).as_matrix()
+            numeric += sign * np.einsum("ijn,njk->ikn", there.rotation, turn) / (2 * step)
+        generators = np.stack([Rotation.from_rotvec(e).as_matrix() - np.eye(3) for e in 1e-7 * np.eye(3)]) / 1e-7
+        design = np.einsum("ijn,mjk->iknm", here.rotation, generators).reshape(-1, 3)
+        found = here.rotation_bias[:, :, axis]
+        constant = np.linalg.lstsq(design, (numeric - found).ravel(), rcond=None)[0]
+        predicted = found + (design @ constant).reshape(found.shape)
+        np.testing.assert_allclose(numeric, predicted, atol=0.01 * np.abs(found).max())

@@ -1,6 +1,7 @@
 """Recording: validated once, never changed, every sample with its own stamp and its own bits."""
 
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -346,3 +347,11 @@ def test_nearly_unit_quaternions_are_normalised_and_missing_ones_stay_missing():
 def test_the_gyroscope_of_a_magnetometer_only_recording():
     with pytest.raises(MagycError, match=r"'bare' has no angular rate.*magnetometer-only method"):
         _ = Recording(T, M, name="bare").gyroscope
+
+
+def test_pickles():
+    one = Recording(T, M, W, channels={"rpm": np.arange(len(T))}, name="dive", angular_rate_is="interval-mean")
+    two = pickle.loads(pickle.dumps(one))
+    for name in ("time", "magnetic_field", "angular_rate", "magnetic_field_fresh"):
+        np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
+    assert (two.name, two.angular_rate_is, list(two.channels)) == ("dive", "interval-mean", ["rpm"])

@@ -18,6 +18,7 @@ _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
 _NOISE_STABLE = 0.2  # squared length of a step of the noise levels in their own sigmas
 _GYROSCOPE_RANGE = 3.0
 _MAGNETOMETER_FLOOR = 3.0
+_ROUNDING = 1e-9  # of a cost, where noise-free data leave next to none
 _COLOURED = 3.0  # standard deviations of an autocorrelation from which it counts
 _WEIGHTS_STABLE = 1e-3  # mean change of a robust weight
 
@@ -95,7 +96,7 @@ def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
             break
         ahead = fit.chain.eliminate(trial, fit.weights)
         spent += 1
-        if ahead.cost <= reduced.cost * (1 + 1e-10) and np.isfinite(ahead.cost):
+        if ahead.cost <= reduced.cost * (1 + 1e-10) + _ROUNDING and np.isfinite(ahead.cost):
             state, reduced = trial, ahead
             damping = damping / 10 if damping > 1e-6 else 0.0
         else:

@@ -67,7 +67,8 @@ def fit_field_chain(
         progress(0.8)
         # Shorter windows lose less at the edges of disturbed stretches.
         samples = preintegrate(recording, 0.5 * window, turn)
-        best = _adapted(samples, _rewindowed(samples, best), reject, short_term)
+        finer = _adapted(samples, _rewindowed(samples, best), reject, short_term)
+        best, rival = finer, rival or (best if _apart(best, finer) else None)
     return best, rival
 
 
@@ -104,9 +105,9 @@ def _adapted(samples: Preintegration, fit: Fit, reject: bool, short_term: Noise 
     for _ in range(4):
         fit = adapt(fit, reject, short_term)
         if not _moved(fit):
-            break
+            return _upright(fit)
         fit = _descended(samples, fit)
-    return _upright(fit)
+    return replace(_upright(fit), converged=False)
 
 
 def positive(fit: Fit) -> bool:

@@ -144,7 +144,7 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
         other = rival.state.parameters[6:9] * 1e6
         reasons.append(
             f"two calibrations explain the data almost equally well (the other hard iron is "
-            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion"
+            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion, or choose an undisturbed interval (--start, --end)"
         )
     if not fit.converged:
         reasons.append(f"no convergence within {fit.iterations} iterations")
