@@ -201,9 +201,10 @@ class FieldChain:
             diagonal[1:] += square
             diagonal[:-1] += square
         band[::2, 1] = np.einsum("in,in->n", on_direction[:, 0], on_direction[:, 1])
-        coupling = np.einsum("ian,ibn->abn", before, after)
-        band[:-2:2, 2], band[1:-2:2, 2] = coupling[0, 0], coupling[1, 1]
-        band[:-2:2, 3], band[1:-2:2, 1] = coupling[0, 1], coupling[1, 0]
+        band[:-2:2, 2] = np.einsum("in,in->n", before[:, 0], after[:, 0])
+        band[1:-2:2, 2] = np.einsum("in,in->n", before[:, 1], after[:, 1])
+        band[:-2:2, 3] = np.einsum("in,in->n", before[:, 0], after[:, 1])
+        band[1:-2:2, 1] = np.einsum("in,in->n", before[:, 1], after[:, 0])
 
         right = np.empty((PARAMETERS + 1, n, 2))
         for a in (0, 1):
@@ -296,13 +297,11 @@ def symmetric(vech: Array) -> Array:
 
 def cross(first: Array, second: Array) -> Array:
     """Cross product along the first axis."""
-    return np.stack(
-        [
-            first[1] * second[2] - first[2] * second[1],
-            first[2] * second[0] - first[0] * second[2],
-            first[0] * second[1] - first[1] * second[0],
-        ]
-    )
+    result = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    result[0] = first[1] * second[2] - first[2] * second[1]
+    result[1] = first[2] * second[0] - first[0] * second[2]
+    result[2] = first[0] * second[1] - first[1] * second[0]
+    return result
 
 
 def exponential_matrices(rotation_vector: Array) -> Array:
@@ -310,11 +309,12 @@ def exponential_matrices(rotation_vector: Array) -> Array:
     x, y, z = rotation_vector
     xx, yy, zz = x * x, y * y, z * z
     square = xx + yy + zz
-    angle = np.sqrt(square)
-    small = angle < 1e-4
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 1 - square / 6, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - square / 24, (1 - np.cos(safe)) / (safe * safe))
+    if square.max(initial=0.0) < 1e-3:  # series, to rounding
+        a = 1 - square * (1 / 6 - square * (1 / 120 - square / 5040))
+        b = 0.5 - square * (1 / 24 - square * (1 / 720 - square / 40320))
+    else:
+        angle = np.maximum(np.sqrt(square), 1e-8)
+        a, b = np.sin(angle) / angle, 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2
     bxy, bxz, byz = b * x * y, b * x * z, b * y * z
     ax, ay, az = a * x, a * y, a * z
     result = np.empty((3, 3, len(x)))

@@ -18,15 +18,16 @@ _BLOCK = 16  # rotations chained one after the other before the blocks themselve
 
 def exponential(rotation_vector: Array) -> Spinor:
     """Exp of rotation vectors (n, 3) rad."""
-    angle = np.sqrt(np.einsum("ni,ni->n", rotation_vector, rotation_vector))
+    x, y, z = rotation_vector.T
+    angle = np.sqrt(x * x + y * y + z * z)
     half = np.sin(0.5 * angle) / np.where(angle > 0, angle, 1.0)
     half[angle == 0] = 0.5
     p = np.empty(len(angle), complex)
     q = np.empty(len(angle), complex)
     p.real = np.cos(0.5 * angle)
-    p.imag = rotation_vector[:, 0] * half
-    q.real = rotation_vector[:, 1] * half
-    q.imag = rotation_vector[:, 2] * half
+    p.imag = x * half
+    q.real = y * half
+    q.imag = z * half
     return p, q
 
 
@@ -37,21 +38,22 @@ def increments(time: Array, rate: Array, bias: Array | None = None) -> Array:
     Magnus series, h²/12 ω₀ × ω₁ (coning): fourth order where plain trapezoids lose (ωh)²/12 of every
     oscillation, 1 % of a 0.5 Hz swell at 10 Hz. Derivatives are central differences, none across a hole.
     """
-    step = np.diff(time)[:, None]
-    rate = rate if bias is None else rate - bias
-    result = (0.5 * step) * (rate[1:] + rate[:-1])
-    if len(rate) > 3:
-        slope = np.zeros_like(rate)
+    step = np.diff(time)
+    rate = np.array(rate.T, order="C")  # an axis a row
+    if bias is not None:
+        rate -= bias[:, None]
+    result = (0.5 * step) * (rate[:, 1:] + rate[:, :-1])
+    square = step * step / 12
+    if len(time) > 3:
         before, after = step[:-1], step[1:]
         even = np.maximum(before, after) < 2 * np.minimum(before, after)
-        slope[1:-1] = np.where(even, (rate[2:] - rate[:-2]) / (before + after), 0.0)
-        known = np.zeros((len(rate), 1))
-        known[1:-1] = even
-        result -= step**2 / 12 * (slope[1:] - slope[:-1]) * (known[1:] * known[:-1])
-    x0, y0, z0 = rate[:-1].T
-    x1, y1, z1 = rate[1:].T
-    result += step**2 / 12 * np.stack([y0 * z1 - z0 * y1, z0 * x1 - x0 * z1, x0 * y1 - y0 * x1], axis=1)
-    return result
+        slope = (rate[:, 2:] - rate[:, :-2]) / (before + after)
+        result[:, 1:-1] -= (square[1:-1] * (even[1:] & even[:-1])) * (slope[:, 1:] - slope[:, :-1])
+    (x0, y0, z0), (x1, y1, z1) = rate[:, :-1], rate[:, 1:]
+    result[0] += square * (y0 * z1 - z0 * y1)
+    result[1] += square * (z0 * x1 - x0 * z1)
+    result[2] += square * (x0 * y1 - y0 * x1)
+    return result.T
 
 
 def multiply(first: Spinor, second: Spinor) -> Spinor:
