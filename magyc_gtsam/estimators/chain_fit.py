@@ -18,6 +18,7 @@ _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
 _NOISE_STABLE = 0.2  # squared length of a step of the noise levels in their own sigmas
 _GYROSCOPE_RANGE = 3.0
 _MAGNETOMETER_FLOOR = 3.0
+_UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are linearised again
 _ROUNDING = 1e-9  # of a cost, where noise-free data leave next to none
 _COLOURED = 3.0  # standard deviations of an autocorrelation from which it counts
 _WEIGHTS_STABLE = 1e-3  # mean change of a robust weight
@@ -91,7 +92,10 @@ def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
     while spent < MAX_ITERATIONS and damping < 1e8:
         step, length = _step(reduced, fit.free, damping)
         trial = fit.chain.move(state, reduced, step)
-        if length < settled and damping == 0.0:  # too short to be checked, or to need a new linearisation
+        ahead_of_directions = float(reduced.half[:, PARAMETERS] @ reduced.half[:, PARAMETERS])
+        if length < settled and damping == 0.0 and ahead_of_directions < _UNSETTLED * trial.direction.shape[1]:
+            # Too short to be checked, or to need a new linearisation; its gain is known.
+            reduced = reduced._replace(cost=reduced.cost - 0.5 * (length + ahead_of_directions))
             state, converged = trial, True
             break
         ahead = fit.chain.eliminate(trial, fit.weights)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.estimators import axes, starts
-from magyc_gtsam.estimators.chain_fit import NEAR, Fit, adapt, begin, descend, misfit
+from magyc_gtsam.estimators.chain_fit import NEAR, Fit, adapt, begin, descend, misfit, weigh
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, Weights, symmetric
 from magyc_gtsam.factors.preintegration import Preintegration
@@ -16,12 +16,13 @@ from magyc_gtsam.recording import Recording, Samples
 
 Progress = Callable[[float], None]
 
-_MOVED = 0.01  # rad by which bias or delay may turn a window before the gyroscope is integrated again
+_MOVED = 0.02  # rad by which bias or delay may turn a window before the gyroscope is integrated again
 _TRIPLETS = 3000  # samples at which the short-term noise is taken
 _EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
 _CLOSE = 1.1  # ratio of two minima's misfits from which they count as close
 _APART = 0.05  # distance of two minima's hard irons, in field strengths, from which they differ
 _UNDISTURBED = 0.97  # share of the windows' weight from which their length stays as it is
+_SHORT_WINDOW = 0.5  # s, where stretches are disturbed
 _LEAST_WINDOWS = 8
 
 
@@ -31,7 +32,7 @@ def fit_field_chain(
     noise: tuple[float, float] | None = None,
     robust: bool | None = None,
     delay: float | None = None,
-    window: float = 1.0,
+    window: float = 1.5,
     turn: float | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[Fit, Fit | None]:
@@ -66,9 +67,11 @@ def fit_field_chain(
     if reject and best.weights.window.mean() < _UNDISTURBED:
         progress(0.8)
         # Shorter windows lose less at the edges of disturbed stretches.
-        samples = preintegrate(recording, 0.5 * window, turn)
+        samples = preintegrate(recording, min(0.5 * window, _SHORT_WINDOW), turn)
         finer = _adapted(samples, _rewindowed(samples, best), reject, short_term)
-        best, rival = finer, rival or (best if _apart(best, finer) else None)
+        others = [fit for fit in (rival, best) if fit is not None and _apart(fit, finer)]
+        rival = next((fit for fit in others if _close(weigh(finer.chain, fit.state.parameters), finer)), None)
+        best = finer
     return best, rival
 
 
@@ -95,9 +98,13 @@ def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
     ranked = sorted(possible, key=lambda fit: misfit(fit, noise))
     best = ranked[0]
     rival = next((fit for fit in ranked[1:] if _apart(fit, best)), None)
-    if rival is not None and misfit(rival, noise) > _CLOSE * misfit(best, noise):
-        rival = None
-    return best, rival
+    return best, rival if rival is not None and misfit(rival, noise) < _CLOSE * misfit(best, noise) else None
+
+
+def _close(fit: Fit, best: Fit) -> bool:
+    """Whether another calibration explains the windows of `best` almost as well."""
+    noise = best.chain.noise
+    return misfit(fit, noise) < _CLOSE * misfit(best, noise)
 
 
 def _adapted(samples: Preintegration, fit: Fit, reject: bool, short_term: Noise | None) -> Fit:
@@ -115,7 +122,7 @@ def positive(fit: Fit) -> bool:
     return bool(np.linalg.eigvalsh(symmetric(fit.state.parameters[:6]))[0] > 0)
 
 
-def preintegrate(recording: Recording, window: float = 1.0, turn: float | None = None) -> Preintegration:
+def preintegrate(recording: Recording, window: float = 1.5, turn: float | None = None) -> Preintegration:
     """The recording's samples, cut into windows."""
     magnetometer, gyroscope = recording.magnetometer, recording.gyroscope
     if turn is None:
@@ -123,7 +130,7 @@ def preintegrate(recording: Recording, window: float = 1.0, turn: float | None =
         # the whole log; at these values some 2 % of the weakest parameter's sigma.
         thin = magnetometer.value[:: max(len(magnetometer.value) // 2000, 1)]
         spread = np.linalg.eigvalsh(np.cov(thin.T))
-        turn = float(np.clip(np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.3))
+        turn = float(np.clip(1.4 * np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.4))
     return Preintegration(
         *magnetometer,
         *gyroscope,

@@ -31,7 +31,7 @@ def calibrate_smoother(
     noise: tuple[float, float] | None = None,
     robust: bool | None = None,
     delay: float | None = None,
-    window: float = 1.0,
+    window: float = 1.5,
     turn: float | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
@@ -144,7 +144,8 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
         other = rival.state.parameters[6:9] * 1e6
         reasons.append(
             f"two calibrations explain the data almost equally well (the other hard iron is "
-            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion, or choose an undisturbed interval (--start, --end)"
+            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion, or choose "
+            "an undisturbed interval (--start, --end)"
         )
     if not fit.converged:
         reasons.append(f"no convergence within {fit.iterations} iterations")
