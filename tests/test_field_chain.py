@@ -424,7 +424,7 @@ def test_levenberg_marquardt_over_the_factor_is_the_smoother(wide, delay):
     """From A = I, h = 0 to the estimate and covariance of `calibrate_smoother`."""
     simulation, samples = wide
     recording = simulation.recording
-    expected = calibrate_smoother(recording, noise=NOISE, robust=False, delay=delay, turn=0.2)
+    expected = calibrate_smoother(recording, noise=NOISE, robust=False, delay=delay, turn=0.2, window=1.0)
     free = delay is None
     graph = gtsam.NonlinearFactorGraph()
     graph.add(field_chain_factor(SOFT, HARD, BIAS, samples, NOISE, delay_key=LATE if free else None))

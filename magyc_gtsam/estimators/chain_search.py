@@ -20,6 +20,7 @@ _MOVED = 0.02  # rad by which bias or delay may turn a window before the gyrosco
 _TRIPLETS = 3000  # samples at which the short-term noise is taken
 _EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
 _CLOSE = 1.1  # ratio of two minima's misfits from which they count as close
+_EQUAL = 1.01  # ratio of misfits up to which minima count as equal
 _APART = 0.05  # distance of two minima's hard irons, in field strengths, from which they differ
 _UNDISTURBED = 0.97  # share of the windows' weight from which their length stays as it is
 _SHORT_WINDOW = 0.5  # s, where stretches are disturbed
@@ -96,8 +97,10 @@ def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
     possible = [fit for fit in fits if positive(fit)] or fits
     noise = min((fit.chain.noise for fit in possible), key=lambda noise: noise.magnetometer)
     ranked = sorted(possible, key=lambda fit: misfit(fit, noise))
-    best = ranked[0]
-    rival = next((fit for fit in ranked[1:] if _apart(fit, best)), None)
+    # Where the motion leaves a direction open, all of its minima explain the data: take the roundest.
+    equal = [fit for fit in ranked if misfit(fit, noise) < _EQUAL * misfit(ranked[0], noise)]
+    best = min(equal, key=lambda fit: float(np.linalg.cond(symmetric(fit.state.parameters[:6]))))
+    rival = next((fit for fit in ranked if _apart(fit, best)), None)
     return best, rival if rival is not None and misfit(rival, noise) < _CLOSE * misfit(best, noise) else None
 
 
