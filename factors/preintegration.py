@@ -126,7 +126,8 @@ class Preintegration:
             object.__setattr__(self, "magnetometer_time", self.magnetometer_time[known])
             object.__setattr__(self, "magnetic_field", self.magnetic_field[known])
             segment = segment[known]
-        speed = np.linalg.norm(self.angular_rate, axis=1)
+        x, y, z = self.angular_rate.T
+        speed = np.sqrt(x * x + y * y + z * z)
         progress = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length) * step
         progress[holes] = 1.0
         distance = np.interp(

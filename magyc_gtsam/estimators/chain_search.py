@@ -17,7 +17,7 @@ from magyc_gtsam.recording import Recording, Samples
 Progress = Callable[[float], None]
 
 _MOVED = 0.02  # rad by which bias or delay may turn a window before the gyroscope is integrated again
-_TRIPLETS = 3000  # samples at which the short-term noise is taken
+_TRIPLETS = 1000  # samples at which the short-term noise is taken
 _EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
 _CLOSE = 1.1  # ratio of two minima's misfits from which they count as close
 _EQUAL = 1.01  # ratio of misfits up to which minima count as equal
@@ -131,7 +131,7 @@ def preintegrate(recording: Recording, window: float = 1.5, turn: float | None =
     if turn is None:
         # Rotation inside a window costs information where it is not small against the field's spread over
         # the whole log; at these values some 2 % of the weakest parameter's sigma.
-        thin = magnetometer.value[:: max(len(magnetometer.value) // 2000, 1)]
+        thin = magnetometer.value[:: max(len(magnetometer.value) // 500, 1)]
         spread = np.linalg.eigvalsh(np.cov(thin.T))
         turn = float(np.clip(1.4 * np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.4))
     return Preintegration(

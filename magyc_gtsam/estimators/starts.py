@@ -9,8 +9,8 @@ from magyc_gtsam.factors.preintegration import FieldWindows
 from magyc_gtsam.factors.rotations import Array
 
 _LAG = 3.0  # s between the windows that the linear start compares
-_PAIRS = 300  # pairs of windows that are enough for a start
-_PASSES = 4
+_PAIRS = 200  # pairs of windows that are enough for a start
+_PASSES = 3
 
 
 def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) -> Array:
