@@ -1,0 +1,51 @@
+"""Small versions of the studies that `magyc-gtsam study` runs at full size."""
+
+import numpy as np
+import pytest
+
+from magyc_gtsam import MagycError, simulate
+from magyc_gtsam.study.bound import cramer_rao
+from magyc_gtsam.study.efficiency import BLOCKS, efficiency
+from magyc_gtsam.study.table_one import PUBLISHED, table_one
+
+
+@pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
+def test_the_smoother_is_at_the_bound_and_honest(motion):
+    result = efficiency(motion, 30)
+    for block in BLOCKS:  # 1.10, and two standard deviations of 30 runs of a block of three or more
+        assert result.ratio[block] < 1.10 + 2 / np.sqrt(2 * 30 * 3)
+    half = 2.6 * np.sqrt(2 * 11 / 30)
+    assert 11 - half < result.nees < 11 + half
+    assert result.refused == 0
+
+
+def test_a_fifth_of_the_data_disturbed():
+    result = efficiency("low", 12, disturbed=0.2)
+    for block in BLOCKS:
+        assert result.ratio[block] < 1.3 + 2 / np.sqrt(2 * 12 * 3)
+
+
+def test_the_bound_shrinks_with_the_noise():
+    quiet, loud = (
+        cramer_rao(simulate("wide", 60, seed=1, magnetometer_noise=s * 1e-6, gyroscope_noise=s * 5e-3))
+        for s in (1, 2)
+    )
+    np.testing.assert_allclose(np.diag(loud), 4 * np.diag(quiet), rtol=0.05)
+    assert np.linalg.matrix_rank(quiet / np.sqrt(np.outer(np.diag(quiet), np.diag(quiet))), tol=1e-8) == 11
+
+
+def test_the_bound_needs_no_delay():
+    with pytest.raises(MagycError, match="without delay"):
+        cramer_rao(simulate("wide", 60, delay=0.02))
+
+
+def test_table_one_of_the_paper():
+    rows = {(row.method, row.motion): row for row in table_one(6)}
+    for motion, (heading, _) in PUBLISHED["raw"].items():
+        assert rows["raw", motion].heading[0] == pytest.approx(heading, rel=0.05)
+    for motion in ("wide", "moderate"):
+        heading, spread = PUBLISHED["magyc-bfg"][motion]
+        assert rows["magyc-bfg", motion].heading[1] - 0.1 < heading < rows["magyc-bfg", motion].heading[2] + 0.1
+        assert rows["magyc-bfg", motion].spread[1] - 0.5 < spread < rows["magyc-bfg", motion].spread[2] + 0.5
+    for motion in PUBLISHED["raw"]:
+        assert rows["smoother", motion].systematic[2] < 0.3 < rows["magyc-bfg", motion].systematic[2]
