@@ -25,7 +25,8 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.preintegration import FieldWindows
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices, tangent_basis
+from magyc_gtsam.factors.soft_iron import unvech
 
 PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
 UPPER = np.triu_indices(3)
@@ -135,7 +136,7 @@ class FieldChain:
 
     def start(self, parameters: Array) -> State:
         """A state at θ: each direction read off its own window's field."""
-        body = np.linalg.solve(symmetric(parameters[:6]), self.windows.field - parameters[6:9, None])
+        body = np.linalg.solve(unvech(parameters[:6]), self.windows.field - parameters[6:9, None])
         g = np.einsum("ijn,in->jn", self._rotation(parameters), body)
         return State(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
 
@@ -143,7 +144,7 @@ class FieldChain:
         """Unwhitened residuals of both groups."""
         parameters, g = state
         body = np.einsum("ijn,jn->in", self._rotation(parameters), g)
-        window = symmetric(parameters[:6]) @ body + parameters[6:9, None] - self.windows.field
+        window = unvech(parameters[:6]) @ body + parameters[6:9, None] - self.windows.field
         turn = self._turn(parameters)
         return Residuals(window, g[:, 1:] - np.einsum("ijn,jn->in", turn, g[:, :-1]))
 
@@ -162,7 +163,7 @@ class FieldChain:
         """
         parameters, g = state
         n = g.shape[1]
-        soft = symmetric(parameters[:6])
+        soft = unvech(parameters[:6])
         scale = self.window_scale * np.sqrt(weights.window)
         link_scale = self.link_scale * np.sqrt(weights.link)
         basis = tangent_basis(g)
@@ -285,55 +286,6 @@ class FieldChain:
         """E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
         moved = self.windows.bias - parameters[9:12]
         return exponential_matrices(np.einsum("ijn,j->in", self.windows.lever, moved))
-
-
-def symmetric(vech: Array) -> Array:
-    """(3, 3) symmetric matrix from its upper triangle row by row."""
-    matrix = np.empty((3, 3))
-    matrix[UPPER] = vech
-    matrix.T[UPPER] = vech
-    return matrix
-
-
-def cross(first: Array, second: Array) -> Array:
-    """Cross product along the first axis."""
-    result = np.empty(np.broadcast_shapes(first.shape, second.shape))
-    result[0] = first[1] * second[2] - first[2] * second[1]
-    result[1] = first[2] * second[0] - first[0] * second[2]
-    result[2] = first[0] * second[1] - first[1] * second[0]
-    return result
-
-
-def exponential_matrices(rotation_vector: Array) -> Array:
-    """Rotation matrices (3, 3, n) of rotation vectors (3, n)."""
-    x, y, z = rotation_vector
-    xx, yy, zz = x * x, y * y, z * z
-    square = xx + yy + zz
-    if square.max(initial=0.0) < 1e-3:  # series, to rounding
-        a = 1 - square * (1 / 6 - square * (1 / 120 - square / 5040))
-        b = 0.5 - square * (1 / 24 - square * (1 / 720 - square / 40320))
-    else:
-        angle = np.maximum(np.sqrt(square), 1e-8)
-        a, b = np.sin(angle) / angle, 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2
-    bxy, bxz, byz = b * x * y, b * x * z, b * y * z
-    ax, ay, az = a * x, a * y, a * z
-    result = np.empty((3, 3, len(x)))
-    result[0, 0], result[0, 1], result[0, 2] = 1 - b * (yy + zz), bxy - az, bxz + ay
-    result[1, 0], result[1, 1], result[1, 2] = bxy + az, 1 - b * (xx + zz), byz - ax
-    result[2, 0], result[2, 1], result[2, 2] = bxz - ay, byz + ax, 1 - b * (xx + yy)
-    return result
-
-
-def tangent_basis(direction: Array) -> Array:
-    """Orthonormal tangent bases (3, 2, n) of unit vectors (3, n) (Duff et al. 2017, without branches)."""
-    x, y, z = direction
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1 / (sign + z)
-    b = x * y * a
-    basis = np.empty((3, 2, len(x)))
-    basis[0, 0], basis[1, 0], basis[2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
-    basis[0, 1], basis[1, 1], basis[2, 1] = b, sign + y * y * a, -y
-    return basis
 
 
 def _solve(reduced: Reduced) -> Array:

@@ -215,8 +215,7 @@ class Preintegration:
                 rate = rate + (after - rate) * share
                 turned = (0.5 * (self.angular_rate[left] + rate) - track.bias) * since[:, None] + rest * share
                 rate = rate + rest / self.step[left, None]
-            turned = exponential(turned)
-            r = matrices(multiply((track.p[left], track.q[left]), turned))
+            r = matrices(multiply((track.p[left], track.q[left]), exponential(turned)))
             lever = track.lever[:, left]
             result[9:18] = lever + (track.lever[:, left + 1] - lever) * share[:, 0]
         r0, r1, r2 = result[:9].reshape(3, 3, -1)

@@ -121,3 +121,44 @@ def skew(vector: Array) -> Array:
     result[..., 2, 0] = -vector[..., 1]
     result[..., 2, 1] = vector[..., 0]
     return result
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Cross product along the first axis."""
+    result = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    result[0] = first[1] * second[2] - first[2] * second[1]
+    result[1] = first[2] * second[0] - first[0] * second[2]
+    result[2] = first[0] * second[1] - first[1] * second[0]
+    return result
+
+
+def exponential_matrices(rotation_vector: Array) -> Array:
+    """Rotation matrices (3, 3, n) of rotation vectors (3, n)."""
+    x, y, z = rotation_vector
+    xx, yy, zz = x * x, y * y, z * z
+    square = xx + yy + zz
+    if square.max(initial=0.0) < 1e-3:  # series, to rounding
+        a = 1 - square * (1 / 6 - square * (1 / 120 - square / 5040))
+        b = 0.5 - square * (1 / 24 - square * (1 / 720 - square / 40320))
+    else:
+        angle = np.maximum(np.sqrt(square), 1e-8)
+        a, b = np.sin(angle) / angle, 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2
+    bxy, bxz, byz = b * x * y, b * x * z, b * y * z
+    ax, ay, az = a * x, a * y, a * z
+    result = np.empty((3, 3, len(x)))
+    result[0, 0], result[0, 1], result[0, 2] = 1 - b * (yy + zz), bxy - az, bxz + ay
+    result[1, 0], result[1, 1], result[1, 2] = bxy + az, 1 - b * (xx + zz), byz - ax
+    result[2, 0], result[2, 1], result[2, 2] = bxz - ay, byz + ax, 1 - b * (xx + yy)
+    return result
+
+
+def tangent_basis(direction: Array) -> Array:
+    """Orthonormal tangent bases (3, 2, n) of unit vectors (3, n) (Duff et al. 2017, without branches)."""
+    x, y, z = direction
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    basis = np.empty((3, 2, len(x)))
+    basis[0, 0], basis[1, 0], basis[2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
+    basis[0, 1], basis[1, 1], basis[2, 1] = b, sign + y * y * a, -y
+    return basis

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.estimators.smoother import calibrate_smoother
-from magyc_gtsam.factors import MagycError, vech
+from magyc_gtsam.factors import MagycError, unvech, vech
 from magyc_gtsam.factors.field_chain import (
     DELAY,
     PARAMETERS,
@@ -17,7 +17,6 @@ from magyc_gtsam.factors.field_chain import (
     State,
     Weights,
     exponential_matrices,
-    symmetric,
     tangent_basis,
 )
 from magyc_gtsam.factors.field_chain_factor import field_chain_factor
@@ -341,8 +340,8 @@ def test_tangent_bases_are_orthonormal_also_at_the_poles():
     np.testing.assert_allclose(np.einsum("ian,ibn->nab", frame, frame), np.tile(np.eye(3), (20, 1, 1)), atol=1e-15)
 
 
-def test_symmetric_is_row_by_row():
-    np.testing.assert_array_equal(symmetric(np.arange(6.0)), [[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+def test_unvech_is_row_by_row():
+    np.testing.assert_array_equal(unvech(np.arange(6.0)), [[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
 # --- one factor of a graph ---
@@ -434,7 +433,7 @@ def test_levenberg_marquardt_over_the_factor_is_the_smoother(wide, delay):
     tight.setAbsoluteErrorTol(1e-10)
     values = gtsam.LevenbergMarquardtOptimizer(graph, values_at(start, late=free), tight).optimize()
 
-    soft_iron = symmetric(values.atVector(SOFT))
+    soft_iron = unvech(values.atVector(SOFT))
     soft_iron /= np.cbrt(np.linalg.det(soft_iron))
     sigma = expected.sigma
     assert (np.abs(soft_iron - expected.soft_iron) < 0.02 * sigma["soft_iron"]).all()

@@ -10,8 +10,9 @@ import numpy as np
 from magyc_gtsam.estimators import axes, starts
 from magyc_gtsam.estimators.chain_fit import NEAR, Fit, adapt, begin, descend, misfit, weigh
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, Weights, symmetric
+from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, Weights
 from magyc_gtsam.factors.preintegration import Preintegration
+from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.recording import Recording, Samples
 
 Progress = Callable[[float], None]
@@ -99,7 +100,7 @@ def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
     ranked = sorted(possible, key=lambda fit: misfit(fit, noise))
     # Where the motion leaves a direction open, all of its minima explain the data: take the roundest.
     equal = [fit for fit in ranked if misfit(fit, noise) < _EQUAL * misfit(ranked[0], noise)]
-    best = min(equal, key=lambda fit: float(np.linalg.cond(symmetric(fit.state.parameters[:6]))))
+    best = min(equal, key=lambda fit: float(np.linalg.cond(unvech(fit.state.parameters[:6]))))
     rival = next((fit for fit in ranked if _apart(fit, best)), None)
     return best, rival if rival is not None and misfit(rival, noise) < _CLOSE * misfit(best, noise) else None
 
@@ -122,7 +123,7 @@ def _adapted(samples: Preintegration, fit: Fit, reject: bool, short_term: Noise 
 
 def positive(fit: Fit) -> bool:
     """Whether the soft iron is positive definite."""
-    return bool(np.linalg.eigvalsh(symmetric(fit.state.parameters[:6]))[0] > 0)
+    return bool(np.linalg.eigvalsh(unvech(fit.state.parameters[:6]))[0] > 0)
 
 
 def preintegrate(recording: Recording, window: float = 1.5, turn: float | None = None) -> Preintegration:
@@ -191,7 +192,7 @@ def _upright(fit: Fit) -> Fit:
 
 
 def _strength(fit: Fit) -> float:
-    return float(np.cbrt(abs(np.linalg.det(symmetric(fit.state.parameters[:6])))))
+    return float(np.cbrt(abs(np.linalg.det(unvech(fit.state.parameters[:6])))))
 
 
 def _apart(fit: Fit, other: Fit) -> bool:

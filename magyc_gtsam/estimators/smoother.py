@@ -16,7 +16,8 @@ from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import Progress, fit_field_chain, positive
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import DELAY, symmetric
+from magyc_gtsam.factors.field_chain import DELAY
+from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 
@@ -90,7 +91,7 @@ def _calibration(
 ) -> Calibration:
     colour = fit.colour
     parameters, covariance = fit.state.parameters, fit.covariance * colour
-    soft_iron, unit, reported = fix_scale(symmetric(parameters[:6]), covariance[:12, :12], field_strength)
+    soft_iron, unit, reported = fix_scale(unvech(parameters[:6]), covariance[:12, :12], field_strength)
     observability = assess(reported, soft_iron, unit, recording)
     reasons = _reasons(fit, rival, unit, observability)
     noise = fit.chain.noise

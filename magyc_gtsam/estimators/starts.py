@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.factors.field_chain import PARAMETERS, UPPER, cross
+from magyc_gtsam.factors.field_chain import PARAMETERS, UPPER
 from magyc_gtsam.factors.preintegration import FieldWindows
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.rotations import Array, cross
 
 _LAG = 3.0  # s between the windows that the linear start compares
 _PAIRS = 200  # pairs of windows that are enough for a start
