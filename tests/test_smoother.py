@@ -366,7 +366,7 @@ def test_unknown_options(wide, options, words):
     "options",
     [
         {"window": 0.0}, {"window": -1.0}, {"turn": 0.0}, {"noise": (0.0, 1e-3)}, {"noise": (1e-6, -1.0)},
-        {"noise": 1e-6}, {"delay": np.nan},
+        {"noise": 1e-6}, {"delay": np.nan}, {"robust": "huber"},
     ],
 )  # fmt: skip
 def test_impossible_options(wide, options):

@@ -134,7 +134,7 @@ def preintegrate(recording: Recording, window: float = 1.5, turn: float | None =
         # the whole log; at these values some 2 % of the weakest parameter's sigma.
         thin = magnetometer.value[:: max(len(magnetometer.value) // 500, 1)]
         spread = np.linalg.eigvalsh(np.cov(thin.T))
-        turn = float(np.clip(1.4 * np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.4))
+        turn = float(np.clip(1.7 * np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.4))
     return Preintegration(
         *magnetometer,
         *gyroscope,

@@ -51,7 +51,7 @@ def calibrate_smoother(
     Raises:
         MagycError: no gyroscope, too few samples, or sensors whose axes or units disagree.
     """
-    _check_options(noise, delay, window, turn)
+    _check_options(noise, robust, delay, window, turn)
     report = progress or (lambda _: None)
     report(0.0)
     fit, rival = fit_field_chain(
@@ -65,11 +65,16 @@ def calibrate_smoother(
     return calibration
 
 
-def _check_options(noise: Any, delay: Any, window: Any, turn: Any) -> None:
+def _check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any) -> None:
     def number(name: str, value: Any, low: float, high: float, unit: str) -> None:
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
             raise MagycError(f"{name}: {value!r} is no number between {low:g} and {high:g} {unit}")
 
+    if robust not in (None, True, False):
+        raise MagycError(
+            f"robust: {robust!r} is neither True nor False; this method has one rejection of its own, the kernels "
+            "of magyc_gtsam.factors.KERNELS are for graphs"
+        )
     number("window", window, 0.0, 60.0, "s")
     if turn is not None:
         number("turn", turn, 0.0, np.pi, "rad")
