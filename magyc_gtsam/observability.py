@@ -23,7 +23,7 @@ class Weakness:
         what: which parameter or axis, in the user's words.
         sigma: standard deviation along that direction, in `unit`.
         limit: the deviation from which the result must not be trusted, in `unit`.
-        unit: "µT", "%" or "mrad/s".
+        unit: "µT" (or "counts"), "%" or "mrad/s".
         remedy: the motion that would determine it.
     """
 
@@ -68,7 +68,7 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
     """Name the weak directions of a calibration and the motion that would fix them.
 
     Args:
-        covariance: (12, 12) of vech(soft_iron), hard_iron T, gyro_bias rad/s.
+        covariance: (12, 12) of vech(soft_iron), hard_iron T, gyro_bias rad/s; (9, 9) without the bias.
         soft_iron: (3, 3).
         field_strength: T.
         recording: the data it came from; says which way is up and about which axes it turned.
@@ -78,9 +78,11 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
         one passes the limit.
     """
     up = _vertical(recording)
-    limit = float(np.clip(field_strength, *EARTH_FIELD))
+    shown, unit_shown = recording.field_shown
+    in_tesla = recording.magnetic_field_unit == "T"
+    limit = float(np.clip(field_strength, *EARTH_FIELD)) if in_tesla else field_strength
     groups = (
-        ("hard iron along", covariance[6:9, 6:9], 1e6, HARD_IRON_LIMIT * limit * 1e6, "µT"),
+        ("hard iron along", covariance[6:9, 6:9], shown, HARD_IRON_LIMIT * limit * shown, unit_shown),
         ("soft iron along", covariance[:6, :6], 1e2, SOFT_IRON_LIMIT * 1e2, "%"),
         ("gyroscope bias about", covariance[9:, 9:], 1e3, GYRO_BIAS_LIMIT * 1e3, "mrad/s"),
     )
@@ -173,5 +175,5 @@ def _heading_sigma(
     rows, columns = np.triu_indices(3)
     mirrored = np.where(rows == columns, 0.0, gain[:, columns] * u[:, rows])
     jacobian = np.concatenate([gain[:, rows] * u[:, columns] + mirrored, gain], axis=1)
-    variance = np.einsum("na,ab,nb->n", jacobian, covariance[:9, :9], jacobian)
+    variance = np.einsum("na,na->n", jacobian @ covariance[:9, :9], jacobian)
     return float(np.rad2deg(np.sqrt(max(float(variance.max()), 0.0))))

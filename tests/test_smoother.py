@@ -417,4 +417,4 @@ def test_window_residuals_show_what_the_calibration_misses(wide):
     good, bad = (window_residuals(wide.recording, c) for c in (calibration, off))
     assert np.square(bad.magnetic_field).sum() > 2 * np.square(good.magnetic_field).sum()
     with pytest.raises(MagycError, match="no gyroscope bias"):
-        window_residuals(wide.recording, replace(calibration, gyro_bias=None))
+        window_residuals(wide.recording, replace(calibration, gyro_bias=None, covariance=None))

@@ -11,11 +11,11 @@ from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise, Reduc
 from magyc_gtsam.factors.rotations import Array
 
 MAX_ITERATIONS = 40
-_SETTLED = 1e-4  # squared length of the last step in sigmas; convergence is quadratic, so less is left
+_SETTLED = 5e-3  # squared length of the last step in sigmas, of which at most a fiftieth was seen to be left
 NEAR = 4.0  # the same between rounds of noise and weights: two sigmas
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
-_NOISE_STABLE = 0.5  # squared length of a step of the noise levels in their own sigmas
+_NOISE_STABLE = 10.0  # squared length of the last step of the noise levels in their own sigmas, likewise
 _GYROSCOPE_RANGE = 3.0
 _MAGNETOMETER_FLOOR = 3.0
 _UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are linearised again
@@ -32,7 +32,7 @@ class Fit:
         chain, state, weights, reduced: the minimum and its linearisation.
         free: (13,) bool, parameters that were estimated.
         iterations: eliminations spent.
-        converged: the last step was below a thousandth of a sigma and the noise levels stood still.
+        converged: the last steps of the parameters and of the noise levels were small against their sigmas.
     """
 
     chain: FieldChain
