@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, cast
@@ -15,9 +15,11 @@ import yaml
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.export import export
+from magyc_gtsam.factors.corrections import corrected_field, corrected_rate, shifted
+from magyc_gtsam.factors.effects import Signals, Term, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.observability import Observability
-from magyc_gtsam.recording import Array
+from magyc_gtsam.recording import Array, Recording
 
 _FORMAT = "magyc-gtsam calibration 1"
 
@@ -30,8 +32,8 @@ class Calibration:
         soft_iron: (3, 3), det 1 unless a field strength was given.
         hard_iron: (3,) T.
         gyro_bias: (3,) rad/s, None where the method does not estimate it.
-        covariance: (12, 12) of vech(soft_iron) row by row, hard_iron, gyro_bias; None where the
-            method has none. Rank 11 where the scale was fixed by det soft_iron = 1.
+        covariance: (12, 12) of vech(soft_iron) row by row, hard_iron, gyro_bias, or (9, 9) where gyro_bias is
+            None; None where the method has none. Its rank is less by one where det soft_iron = 1 fixed the scale.
         delay: s by which the magnetometer lags the gyroscope; 0 if fixed or not estimated.
         delay_sigma: s, standard deviation of `delay`; None if fixed or not estimated.
         terms: extra effects beyond the twelve parameters; empty for the base model.
@@ -51,7 +53,7 @@ class Calibration:
     covariance: Array | None = None
     delay: float = 0.0
     delay_sigma: float | None = None
-    terms: tuple[Any, ...] = ()
+    terms: tuple[Term, ...] = ()
     converged: bool = True
     message: str = ""
     method: str = ""
@@ -63,7 +65,8 @@ class Calibration:
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        shapes = {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,), "covariance": (12, 12)}
+        freedoms = 9 if self.gyro_bias is None else 12
+        shapes = {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,), "covariance": (freedoms, freedoms)}
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is None and name in ("gyro_bias", "covariance"):
@@ -84,21 +87,47 @@ class Calibration:
                 raise MagycError(f"calibration: {name} must be names with values, got {value!r}")
             put(self, name, MappingProxyType(dict(value)))
 
-    def apply(self, magnetic_field: ArrayLike) -> Array:
-        """Calibrated field soft_iron⁻¹ (m − hard_iron): (N, 3) or (3,) T in, the same shape out."""
-        m = _vectors("magnetic_field", magnetic_field)
-        inverse = np.linalg.inv(self.soft_iron)
-        return cast(Array, (m - self.hard_iron) @ inverse.T)
+    def apply(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
+        """Calibrated field soft_iron⁻¹ (m − hard_iron), its terms taken out: (N, 3) or (3,) T in and out.
 
-    def apply_gyroscope(self, angular_rate: ArrayLike) -> Array:
-        """Calibrated angular rate w − gyro_bias: (N, 3) or (3,) rad/s in, the same shape out."""
+        Args:
+            magnetic_field: the field, or a whole recording, which has whatever the terms need.
+            signals: what terms need where only the field is given, row by row: time (N,) s, angular_rate and
+                acceleration (N, 3), channels {name: (N,) or (N, k)}. With a time, a `timing` term is undone too.
+
+        Raises:
+            MagycError: a wrong shape, or a term needs a signal that is not there.
+        """
+        given = _signals(magnetic_field, "magnetic_field", signals)
+        m = _vectors("magnetic_field", given.pop("magnetic_field"))
+        if not self.terms:
+            return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
+        rows = np.atleast_2d(m)
+        at = _as_signals(len(rows), given)
+        if at.rate is not None and self.gyro_bias is not None:
+            at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
+        field = corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at)
+        if given.get("time") is not None:
+            field = shifted(at.time, field, self.terms)
+        return field.T.reshape(m.shape)
+
+    def apply_gyroscope(self, angular_rate: ArrayLike | Recording, **signals: Any) -> Array:
+        """Calibrated angular rate w − gyro_bias, its terms taken out: (N, 3) or (3,) rad/s in and out.
+
+        A recording and `signals` as in `apply`.
+        """
         if self.gyro_bias is None:
             raise MagycError(f"method {self.method!r} estimates no gyroscope bias, so there is none to apply")
-        return _vectors("angular_rate", angular_rate) - self.gyro_bias
+        given = _signals(angular_rate, "angular_rate", signals)
+        w = _vectors("angular_rate", given.pop("angular_rate"))
+        if not self.terms:
+            return w - self.gyro_bias
+        rows = np.atleast_2d(w)
+        return corrected_rate(rows.T, self.gyro_bias, self.terms, _as_signals(len(rows), given)).T.reshape(w.shape)
 
     @property
     def sigma(self) -> Mapping[str, Array]:
-        """Standard deviations: soft_iron (3, 3), hard_iron (3,) and gyro_bias (3,); empty without covariance."""
+        """Standard deviations: soft_iron (3, 3), hard_iron (3,), gyro_bias (3,) if any; empty without covariance."""
         if self.covariance is None:
             return {}
         deviation = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
@@ -106,10 +135,13 @@ class Calibration:
         upper = np.triu_indices(3)
         soft_iron[upper] = deviation[:6]
         soft_iron.T[upper] = deviation[:6]
-        return {"soft_iron": soft_iron, "hard_iron": deviation[6:9], "gyro_bias": deviation[9:]}
+        sigma = {"soft_iron": soft_iron, "hard_iron": deviation[6:9]}
+        return sigma if self.gyro_bias is None else sigma | {"gyro_bias": deviation[9:]}
 
     def export(self, target: str) -> str:
         """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`."""
+        if self.configuration.get("magnetic_field_unit") == "counts":
+            raise MagycError("the calibration is of raw counts, which no instrument takes; calibrate in tesla")
         return export(target, self.soft_iron, self.hard_iron, self.gyro_bias)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -127,7 +159,7 @@ class Calibration:
             elif isinstance(value, Observability):
                 value = value.to_dict()
             elif f.name == "terms":
-                value = list(value)
+                value = [term.to_dict() for term in value]
             result[f.name] = value
         return result
 
@@ -143,7 +175,7 @@ class Calibration:
         values = {k: v for k, v in data.items() if k in known}
         if values.get("observability") is not None:
             values["observability"] = Observability.from_dict(values["observability"])
-        values["terms"] = tuple(values.get("terms") or ())
+        values["terms"] = tuple(Term.from_dict(term) for term in values.get("terms") or ())
         return cls(**values)
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -187,6 +219,30 @@ def _dump(suffix: str, data: dict[str, Any]) -> str:
     if suffix in (".yaml", ".yml"):
         return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
     raise MagycError(f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}")
+
+
+def _signals(value: ArrayLike | Recording, name: str, signals: Mapping[str, Any]) -> dict[str, Any]:
+    """`name` and the other signals, from a recording or as given."""
+    known = ("time", "magnetic_field", "angular_rate", "acceleration", "channels")
+    if isinstance(value, Recording):
+        return {k: getattr(value, k) for k in known} | dict(signals)
+    unknown = sorted(signals.keys() - set(known))
+    if unknown:
+        raise MagycError(f"apply: no signal {', '.join(map(repr, unknown))}; there are {', '.join(known)}")
+    return {**signals, name: value}
+
+
+def _as_signals(rows: int, given: Mapping[str, Any]) -> Signals:
+    def columns(name: str) -> Array | None:
+        return None if given.get(name) is None else np.atleast_2d(_vectors(name, given[name])).T
+
+    time = given.get("time")
+    return Signals(
+        np.full(rows, np.nan) if time is None else np.asarray(time, dtype=np.float64),
+        rate=columns("angular_rate"),
+        acceleration=columns("acceleration"),
+        channels=channels_by_kind(given.get("channels") or {}),
+    )
 
 
 def _vectors(name: str, value: ArrayLike) -> Array:

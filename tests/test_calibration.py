@@ -36,11 +36,13 @@ OBSERVABILITIES = st.builds(
 def calibrations(draw):
     soft_iron = np.diag(draw(hnp.arrays(float, 3, elements=st.floats(0.5, 2.0))))
     soft_iron += draw(hnp.arrays(float, (3, 3), elements=st.floats(-0.1, 0.1)))
+    bias = draw(st.none() | hnp.arrays(float, 3, elements=FINITE))
+    freedoms = 9 if bias is None else 12
     return Calibration(
         soft_iron,
         draw(hnp.arrays(float, 3, elements=FINITE)),
-        draw(st.none() | hnp.arrays(float, 3, elements=FINITE)),
-        draw(st.none() | hnp.arrays(float, (12, 12), elements=FINITE)),
+        bias,
+        draw(st.none() | hnp.arrays(float, (freedoms, freedoms), elements=FINITE)),
         delay=draw(FINITE),
         delay_sigma=draw(st.none() | FINITE),
         converged=draw(st.booleans()),
@@ -197,8 +199,9 @@ def test_save_refuses_other_suffixes(tmp_path, name):
         ({"hard_iron": HARD_IRON[None]}, r"hard_iron must be \(3,\)"),
         ({"hard_iron": [np.nan, 0, 0]}, "hard_iron must be .* finite"),
         ({"gyro_bias": [1, 2]}, r"gyro_bias must be \(3,\)"),
-        ({"covariance": np.eye(9)}, r"covariance must be \(12, 12\)"),
-        ({"covariance": np.diag([np.inf] * 12)}, "covariance must be .* finite"),
+        ({"covariance": np.eye(9), "gyro_bias": BIAS}, r"covariance must be \(12, 12\)"),
+        ({"covariance": np.eye(12)}, r"covariance must be \(9, 9\)"),
+        ({"covariance": np.diag([np.inf] * 9)}, "covariance must be .* finite"),
     ],
 )
 def test_refused_values(change, words):

@@ -13,15 +13,15 @@ def fix_scale(scaled: Array, covariance: Array, field_strength: float | None = N
 
     Args:
         scaled: (3, 3) B in T.
-        covariance: (12, 12) of vech(B) T, hard iron T, gyroscope bias rad/s.
+        covariance: (12, 12) of vech(B) T, hard iron T, gyroscope bias rad/s; (9, 9) without the bias.
         field_strength: T; None takes ∛det B, so that the soft iron has determinant 1.
 
     Returns:
-        Soft iron (3, 3), field strength T, and the covariance (12, 12) of vech(soft iron), hard iron and
-        gyroscope bias; of rank 11 where the determinant was fixed.
+        Soft iron (3, 3), field strength T, and the covariance, of the given size, of vech(soft iron), hard iron
+        and gyroscope bias; of a rank less by one where the determinant was fixed.
     """
     strength = float(np.cbrt(abs(np.linalg.det(scaled)))) if field_strength is None else field_strength
-    jacobian = np.eye(12)
+    jacobian = np.eye(len(covariance))
     jacobian[:6, :6] /= strength
     if field_strength is None:  # the strength moves with B: d∛det B = ∛det B / 3 · tr(B⁻¹ dB)
         slope = strength / 3 * np.linalg.inv(scaled)[UPPER] * np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
