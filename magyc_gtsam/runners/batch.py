@@ -99,7 +99,7 @@ def optimize(
     keys = graph.keyVector()
     missing = [key for key in keys if not initial.exists(key)]
     if missing:
-        raise MagycError(f"no initial value for {', '.join(_called(key, names) for key in missing)}")
+        raise MagycError(f"no initial value for {', '.join(called(key, names) for key in missing)}")
 
     best = initial
     errors: list[float] = []
@@ -115,7 +115,11 @@ def optimize(
         if not np.isfinite(errors[0]):
             return result(Status.FAILED, f"the error is {errors[0]} at the initial values")
         optimizer_type, parameters_type = _OPTIMIZERS[method]
-        optimizer = optimizer_type(graph, initial, parameters_type())
+        parameters = parameters_type()
+        # Levenberg–Marquardt ends its search for a damping by them too, early by default.
+        parameters.setRelativeErrorTol(relative_tolerance)
+        parameters.setAbsoluteErrorTol(absolute_tolerance)
+        optimizer = optimizer_type(graph, initial, parameters)
         decrease = np.inf
         while decrease > tolerance():
             if len(errors) > max_iterations:
@@ -134,7 +138,7 @@ def optimize(
                 progress(len(errors) - 1, errors[-1])
         # A minimum, or merely no step? The full Gauss–Newton step knows; solving for it also finds
         # variables that nothing determines, which damping hides.
-        promised = _predicted_decrease(graph, best)
+        promised = predicted_decrease(graph, best)
         if decrease <= 0 and promised > tolerance():
             return result(
                 Status.STALLED,
@@ -148,16 +152,27 @@ def optimize(
     except NonFiniteError as problem:
         return result(Status.FAILED, str(problem))
     except RuntimeError as problem:
-        key = re.search(r"Indeterminate linear system.*?(\d+)", str(problem), re.DOTALL)
+        key = undetermined(problem)
         if key is None:
             raise
         return result(
             Status.INDETERMINATE,
-            f"{_called(int(key[1]), names)} is not determined by the data; move more, or add a prior",
+            f"{called(key, names)} is not determined by the data; move more, or add a prior",
         )
 
 
-def _predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
+def undetermined(problem: RuntimeError) -> int | None:
+    """The key that GTSAM could not eliminate; None where the error is another."""
+    key = re.search(r"Indeterminate linear system.*?(\d+)", str(problem), re.DOTALL)
+    return None if key is None else int(key[1])
+
+
+def called(key: int, names: Mapping[int, str] | None) -> str:
+    """A key's name in messages: the caller's, or GTSAM's."""
+    return (names or {}).get(key) or str(gtsam.DefaultKeyFormatter(key))
+
+
+def predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
     """By how much the full Gauss–Newton step would lower the error if the graph were linear."""
     linear = graph.linearize(values)
     step = linear.optimize()
@@ -176,7 +191,3 @@ def _last(errors: list[float]) -> str:
     if len(errors) < 2:
         return ""
     return f": the last changed the error by {errors[-1] - errors[-2]:.1g} to {errors[-1]:.6g}"
-
-
-def _called(key: int, names: Mapping[int, str] | None) -> str:
-    return (names or {}).get(key) or str(gtsam.DefaultKeyFormatter(key))

@@ -1,0 +1,110 @@
+"""`magyc-gtsam calibrate --sensor accelerometer`: a log in; parameters and a page out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import typer
+
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.reading import Reading
+from magyc_gtsam.cli.results import dated_folder, write_configuration
+from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.estimators.accelerometer import AccelerometerCalibration
+    from magyc_gtsam.recording import Recording
+
+
+def calibrate_accelerometer(
+    reading: Reading,
+    method: str,
+    options: dict[str, Any],
+    output: Path | None,
+    arguments: Sequence[str],
+    quiet: bool,
+    json: bool,
+) -> int:
+    """Write calibration.yaml, configuration.yaml and report.html of the accelerometer; returns the exit code.
+
+    Args:
+        reading: the log.
+        method: "autocal", or the default of the command.
+        options: of `estimators.accelerometer.calibrate_accelerometer`.
+        output: folder; None makes a dated one.
+        arguments: of the command line, for configuration.yaml.
+        quiet, json: as given.
+    """
+    folder = output or dated_folder(reading.log)
+    with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
+        recording = reading.recording(stage("reading"))
+        work = stage("calibrating")
+        from magyc_gtsam.factors.errors import MagycError
+        from magyc_gtsam.report.accelerometer import write_accelerometer_report
+
+        if method not in ("autocal", "smoother"):
+            raise MagycError(f"--method: {method!r} calibrates no accelerometer; leave it out, it is 'autocal'")
+        calibration = _calibrate(recording, options, MagycError)
+        work(1.0)
+        page = stage("drawing the page")
+        calibration.save(part / "calibration.yaml")
+        write_configuration(part, reading, recording, cast(Any, calibration), options, arguments)
+        write_accelerometer_report(part / "report.html", recording, calibration)
+        page(1.0)
+    if json:
+        _show_json(folder, calibration)
+    elif not quiet:
+        _show(folder, reading.log, recording, calibration)
+    if calibration.converged:
+        return 0
+    typer.echo(f"magyc-gtsam: the result must not be trusted: {calibration.message}", err=True)
+    return 1
+
+
+def _calibrate(
+    recording: Recording, options: dict[str, Any], problem: type[Exception]
+) -> AccelerometerCalibration:
+    from magyc_gtsam.estimators import accelerometer
+
+    function = accelerometer.calibrate_accelerometer
+    unknown = sorted(options.keys() - (function.__kwdefaults__ or {}).keys())
+    if unknown:
+        raise problem(
+            f"--sensor accelerometer has no option {', '.join(map(repr, unknown))}; --option takes gravity=m/s², "
+            "noise=m/s² and kernel=cauchy, huber, l1 or geman-mcclure"
+        )
+    try:
+        return function(recording, **options)
+    except TypeError as error:
+        raise problem(f"--option: the accelerometer's calibration cannot use it ({error})") from None
+
+
+def _show(folder: Path, log: Path, recording: Recording, calibration: AccelerometerCalibration) -> None:
+    from magyc_gtsam.report.accelerometer import parameter_rows
+
+    show(f"{log.name}: {recording.duration:.1f} s, accelerometer, {calibration.method}", "")
+    rows = parameter_rows(calibration)
+    show_table(("", "x", "y", "z"), [[name, *values] for name, values in rows if len(values) == 3])
+    show("", *(f"{name}: {values[0]}" for name, values in rows if len(values) == 1))
+    show(
+        f"motion, and weighed down: {calibration.diagnostics['outliers']} of "
+        f"{calibration.diagnostics['samples']} samples",
+        *(f"note: {note}" for note in recording.notes),
+        "",
+        f"results: {folder}",
+        f"page: {folder / 'report.html'}",
+    )
+
+
+def _show_json(folder: Path, calibration: AccelerometerCalibration) -> None:
+    import json
+
+    result = {
+        "trusted": calibration.converged,
+        "folder": str(folder),
+        "files": {file.name: str(file) for file in sorted(folder.iterdir())},
+        "calibration": calibration.to_dict(),
+    }
+    typer.echo(json.dumps(result, indent=2))
