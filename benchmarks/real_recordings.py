@@ -11,9 +11,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
+from magyc_gtsam.study.heading import heading_error
 
 INTERVALS = {  # s, the parts that move; the magnet is attached from 41.5 to 92 s
     "broad_01_slow_rotation": (34, 160),
@@ -22,17 +22,6 @@ INTERVALS = {  # s, the parts that move; the magnet is attached from 41.5 to 92 
     "nexus5_augmented_reality": (None, None),
     "nexus5_calibration_d1": (None, None),
 }
-
-
-def heading_deviation(recording: mg.Recording, calibration: mg.Calibration, delay: float) -> float:
-    """Standard deviation, in degrees, of the heading of the calibrated field turned into the world."""
-    time, field = recording.magnetometer
-    known = np.isfinite(recording.attitude).all(axis=1)
-    late = np.clip(recording.time[known] + delay, time[0], time[-1])
-    calibrated = calibration.apply(np.stack([np.interp(late, time, axis) for axis in field.T], axis=1))
-    world = Rotation.from_quat(recording.attitude[known]).apply(calibrated)
-    direction = np.exp(1j * np.arctan2(world[:, 0], world[:, 1]))
-    return float(np.rad2deg(np.angle(direction / direction.mean()).std()))
 
 
 def main() -> None:
@@ -47,7 +36,7 @@ def main() -> None:
         hard, bias = calibration.hard_iron * 1e6, calibration.gyro_bias * 1e3
         heading = ""
         if recording.attitude is not None:
-            before, after = (heading_deviation(recording, c, calibration.delay) for c in (raw, calibration))
+            before, after = (heading_error(recording, c, calibration.delay).deviation for c in (raw, calibration))
             heading = f"heading {before:.2f}° raw, {after:.2f}° calibrated"
         print(
             f"{name:30s} hard iron {hard[0]:6.1f} {hard[1]:6.1f} {hard[2]:6.1f}  bias {bias[0]:5.1f} {bias[1]:5.1f} "

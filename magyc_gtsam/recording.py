@@ -58,6 +58,8 @@ class Recording:
         name: what to call it in reports.
         angular_rate_is: "instant" (values AT `time`; see `factors.rotations.increments`) or
             "interval-mean" (mean rate since the previous row, as delta angles are).
+        magnetic_field_unit: "T", or "counts" where nobody knows what one is; then the field is what the log
+            holds, and all that follows from it is in counts too.
         magnetic_field_fresh: (N,) bool, rows that hold a sample of the magnetometer's own. Default:
             all rows that do not repeat the row before them exactly (sample-and-hold).
         angular_rate_fresh: (N,) bool, likewise for the gyroscope. Default: all rows, unless the
@@ -76,6 +78,7 @@ class Recording:
     channels: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     name: str = field(default="", kw_only=True)
     angular_rate_is: Literal["instant", "interval-mean"] = field(default="instant", kw_only=True)
+    magnetic_field_unit: Literal["T", "counts"] = field(default="T", kw_only=True)
     magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     notes: tuple[str, ...] = field(default=(), kw_only=True)
@@ -89,7 +92,10 @@ class Recording:
         n = len(time)
         put(self, "time", time)
         put(self, "magnetic_field", _frozen("magnetic_field", self.magnetic_field, (n, 3)))
-        _check_field_unit(self.magnetic_field)
+        if self.magnetic_field_unit not in ("T", "counts"):
+            raise MagycError(f"magnetic_field_unit: {self.magnetic_field_unit!r} is neither 'T' nor 'counts'")
+        if self.magnetic_field_unit == "T":
+            _check_field_unit(self.magnetic_field)
         if self.angular_rate is not None:
             put(self, "angular_rate", _frozen("angular_rate", self.angular_rate, (n, 3)))
             _check_rate_unit(time, self.angular_rate)
@@ -155,6 +161,11 @@ class Recording:
         return Samples(self.time[fresh], values[fresh])
 
     @property
+    def field_shown(self) -> tuple[float, str]:
+        """What to multiply a field with before it is shown, and its unit then: µT, or counts as they are."""
+        return (1e6, "µT") if self.magnetic_field_unit == "T" else (1.0, "counts")
+
+    @property
     def duration(self) -> float:
         """Seconds from the first row to the last."""
         return float(self.time[-1] - self.time[0])
@@ -210,6 +221,7 @@ class Recording:
         name: str = "",
         notes: tuple[str, ...] = (),
         angular_rate_is: Literal["instant", "interval-mean"] = "instant",
+        magnetic_field_unit: Literal["T", "counts"] = "T",
     ) -> Recording:
         """Bring sensors with clocks or rates of their own, each (time, values), to one table.
 
@@ -263,6 +275,7 @@ class Recording:
             name=name,
             notes=notes,
             angular_rate_is=angular_rate_is,
+            magnetic_field_unit=magnetic_field_unit,
             magnetic_field_fresh=mag_fresh,
             angular_rate_fresh=rate_fresh,
         )

@@ -12,6 +12,7 @@ import typer
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.calibrate import verdict
 from magyc_gtsam.cli.files import replacing
+from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.reading import Reading, epoch
 from magyc_gtsam.cli.terminal import show, stages
 
@@ -19,25 +20,13 @@ if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
 
 
+@with_groups
 def run(
     calibration_file: given.CalibrationFile,
-    log: given.Log,
+    reading: Reading,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="OUT.mcap or OUT.csv.", show_default=False)
     ],
-    start: given.Start = None,
-    end: given.End = None,
-    magnetic_field: given.MagneticField = None,
-    angular_rate: given.AngularRate = None,
-    acceleration: given.Acceleration = None,
-    attitude: given.Attitude = None,
-    magnetic_unit: given.MagneticUnit = None,
-    angular_unit: given.AngularUnit = None,
-    acceleration_unit: given.AccelerationUnit = None,
-    stamps: given.Stamps = "header",
-    angular_rate_is: given.AngularRateIs = None,
-    gyroscope_axes: given.GyroscopeAxes = None,
-    read: given.Read = None,
     quiet: given.Quiet = False,
 ) -> int:
     """Apply a calibration to a log.
@@ -50,14 +39,9 @@ def run(
 
     if output.suffix.lower() not in (".mcap", ".csv"):
         raise MagycError(f"--output: {output} is neither .mcap nor .csv")
-    if output.exists() and log.exists() and output.samefile(log):
+    if output.exists() and reading.log.exists() and output.samefile(reading.log):
         raise MagycError(f"--output: {output} is the log itself; name another file")
     calibration = Calibration.load(calibration_file)
-    reading = Reading(
-        log, magnetic_field, angular_rate, acceleration, attitude,
-        magnetic_unit, angular_unit, acceleration_unit,
-        start, end, stamps, angular_rate_is, gyroscope_axes, read,
-    )  # fmt: skip
     with replacing(output) as part, stages(shown=not quiet) as stage:
         recording = reading.recording(stage("reading"))
         rate = recording.angular_rate

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.accelerometer import calibrate_accelerometer
 from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.reading import Reading, parse_pairs
 from magyc_gtsam.cli.results import dated_folder, write_configuration, write_exports, write_page
+from magyc_gtsam.cli.scale import Scale
 from magyc_gtsam.cli.terminal import show, show_calibration, stages
 
 if TYPE_CHECKING:
@@ -20,38 +23,19 @@ if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
 
 
+@with_groups
 def run(
     context: typer.Context,
-    log: given.Log,
+    reading: Reading,
+    scale: Scale,
     method: Annotated[str, typer.Option(help="One of magyc_gtsam.methods().")] = "smoother",
+    sensor: Annotated[
+        Literal["magnetometer", "accelerometer"],
+        typer.Option(help="What to calibrate; the accelerometer by gravity, with --option gravity=9.81."),
+    ] = "magnetometer",
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-<date>-<time>."),
-    ] = None,
-    start: given.Start = None,
-    end: given.End = None,
-    magnetic_field: given.MagneticField = None,
-    angular_rate: given.AngularRate = None,
-    acceleration: given.Acceleration = None,
-    attitude: given.Attitude = None,
-    magnetic_unit: given.MagneticUnit = None,
-    angular_unit: given.AngularUnit = None,
-    acceleration_unit: given.AccelerationUnit = None,
-    stamps: given.Stamps = "header",
-    angular_rate_is: given.AngularRateIs = None,
-    gyroscope_axes: given.GyroscopeAxes = None,
-    read: given.Read = None,
-    field_strength: Annotated[
-        float | None,
-        typer.Option(metavar="µT", help="True strength of the field; sets the scale. Default: det soft iron = 1."),
-    ] = None,
-    location: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="LAT LON", help="Degrees; the strength by the World Magnetic Model, with --date."),
-    ] = None,
-    altitude: Annotated[float, typer.Option(metavar="METRES", help="Above the sea, with --location.")] = 0.0,
-    date: Annotated[
-        str | None, typer.Option(metavar="YYYY-MM-DD", help="Day of the recording, with --location.")
     ] = None,
     noise: Annotated[
         tuple[float, float] | None,
@@ -83,15 +67,10 @@ def run(
     Writes calibration.yaml, configuration.yaml, report.html and the parameters to paste.
     Exit code 1: done, but the result must not be trusted; the reason is printed.
     """
-    reading = Reading(
-        log, magnetic_field, angular_rate, acceleration, attitude,
-        magnetic_unit, angular_unit, acceleration_unit,
-        start, end, stamps, angular_rate_is, gyroscope_axes, read,
-    )  # fmt: skip
-    options = _method_options(
-        strength_option(field_strength, location, altitude, date), noise, delay, robust, window, option
-    )
-    folder = output or dated_folder(log)
+    options = _method_options(scale.tesla(), noise, delay, robust, window, option)
+    if sensor == "accelerometer":
+        return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
+    folder = output or dated_folder(reading.log)
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording = reading.recording(stage("reading"))
         calibration = _calibrate(recording, method, stage("calibrating"), options, option)
@@ -104,7 +83,7 @@ def run(
     if json:
         _show_json(folder, calibration)
     elif not quiet:
-        show(f"{log.name}: {recording.duration:.1f} s, {calibration.method}", "")
+        show(f"{reading.log.name}: {recording.duration:.1f} s, {calibration.method}", "")
         show_calibration(calibration)
         show(
             *(f"note: {note}" for note in recording.notes),
@@ -113,25 +92,6 @@ def run(
             f"page: {folder / 'report.html'}",
         )
     return verdict(calibration)
-
-
-def strength_option(
-    field_strength: float | None, location: tuple[float, float] | None, altitude: float, date: str | None
-) -> float | None:
-    """T; from the options µT, or place and day."""
-    from magyc_gtsam.factors.errors import MagycError
-
-    if location is None:
-        if date is not None:
-            raise MagycError("--date: says nothing without a place; give --location LAT LON too")
-        return None if field_strength is None else field_strength * 1e-6
-    if field_strength is not None:
-        raise MagycError("--field-strength and --location: both set the strength of the field; give one of them")
-    if date is None:
-        raise MagycError("--location: the field changes by the year; give --date YYYY-MM-DD too")
-    from magyc_gtsam.world_field import world_magnetic_field
-
-    return world_magnetic_field(*location, date, altitude).strength
 
 
 def verdict(calibration: Calibration) -> int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.terminal import show, show_table, show_weak, stages
@@ -34,21 +35,9 @@ class Prospect:
     weak: tuple[str, ...] = ()
 
 
+@with_groups
 def run(
-    log: given.Log,
-    start: given.Start = None,
-    end: given.End = None,
-    magnetic_field: given.MagneticField = None,
-    angular_rate: given.AngularRate = None,
-    acceleration: given.Acceleration = None,
-    attitude: given.Attitude = None,
-    magnetic_unit: given.MagneticUnit = None,
-    angular_unit: given.AngularUnit = None,
-    acceleration_unit: given.AccelerationUnit = None,
-    stamps: given.Stamps = "header",
-    angular_rate_is: given.AngularRateIs = None,
-    gyroscope_axes: given.GyroscopeAxes = None,
-    read: given.Read = None,
+    reading: Reading,
     json: given.Json = False,
 ) -> int:
     """Say what a log holds, and whether it can be calibrated.
@@ -57,14 +46,9 @@ def run(
     """
     from magyc_gtsam.io import info
 
-    reading = Reading(
-        log, magnetic_field, angular_rate, acceleration, attitude,
-        magnetic_unit, angular_unit, acceleration_unit,
-        start, end, stamps, angular_rate_is, gyroscope_axes, read,
-    )  # fmt: skip
     with stages(shown=not json) as stage:
         stage("reading")
-        described = info(log)
+        described = info(reading.log)
         prospect = _prospect(reading, stage("calibrating"))
     if json:
         _show_json(described, prospect)

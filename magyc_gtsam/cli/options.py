@@ -29,12 +29,13 @@ AngularRate = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise
 Acceleration = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise, of the accelerometer.")]
 Attitude = Annotated[
     str | None,
-    typer.Option(metavar="TOPIC", help="Likewise, of a reference attitude (shown on the page only)."),
+    typer.Option(metavar="TOPIC", help="Likewise, of a reference attitude."),
 ]
 MagneticUnit = Annotated[
     str | None,
     typer.Option(
-        metavar="UNIT", help="What the log's field is in: T, mT, uT, nT, gauss, mgauss, or tesla per count."
+        metavar="UNIT",
+        help="What the log's field is in: T, mT, uT, nT, gauss, mgauss, tesla per count, or (to compare) counts.",
     ),
 ]
 AngularUnit = Annotated[

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+from magyc_gtsam.cli import options as given
 
 if TYPE_CHECKING:
     from magyc_gtsam.recording import Array, Recording
@@ -17,25 +18,29 @@ _EPOCH = re.compile(r"time 0 is .*?(\d+)\.(\d{9}) s")
 
 @dataclass(frozen=True)
 class Reading:
-    """How a log is to be read; see `magyc_gtsam.cli.options`."""
+    """How a log is to be read: the options of every command that has a LOG."""
 
-    log: Path
-    magnetic_field: str | None = None
-    angular_rate: str | None = None
-    acceleration: str | None = None
-    attitude: str | None = None
-    magnetic_unit: str | None = None
-    angular_unit: str | None = None
-    acceleration_unit: str | None = None
-    start: float | None = None
-    end: float | None = None
-    stamps: Literal["header", "log"] = "header"
-    angular_rate_is: Literal["instant", "interval-mean"] | None = None
-    gyroscope_axes: str | None = None
-    read: Sequence[str] | None = None
+    log: given.Log
+    magnetic_field: given.MagneticField = None
+    angular_rate: given.AngularRate = None
+    acceleration: given.Acceleration = None
+    attitude: given.Attitude = None
+    magnetic_unit: given.MagneticUnit = None
+    angular_unit: given.AngularUnit = None
+    acceleration_unit: given.AccelerationUnit = None
+    start: given.Start = None
+    end: given.End = None
+    stamps: given.Stamps = "header"
+    angular_rate_is: given.AngularRateIs = None
+    gyroscope_axes: given.GyroscopeAxes = None
+    read: given.Read = None
 
-    def recording(self, progress: Callable[[float], None] | None = None) -> Recording:
+    def recording(self, progress: Callable[[float], None] | None = None, *, counts: bool = False) -> Recording:
         """Read the log.
+
+        Args:
+            progress: called with the fraction done.
+            counts: whether a field in raw counts is of use.
 
         Raises:
             MagycError: as `magyc_gtsam.read`, and for axes or options that mean nothing.
@@ -46,11 +51,16 @@ class Reading:
         for own in ("log", "angular_rate_is", "gyroscope_axes", "read"):
             del arguments[own]
         for unit in ("magnetic_unit", "angular_unit", "acceleration_unit"):
-            arguments[unit] = _unit(arguments[unit])
+            arguments[unit] = parse_unit(arguments[unit])
         if self.start is not None and self.end is not None and not self.start < self.end:
             raise MagycError(f"--start {self.start:g} s is not before --end {self.end:g} s")
         axes = None if self.gyroscope_axes is None else parse_axes(self.gyroscope_axes)
         recording: Recording = read(self.log, **arguments, **parse_pairs("--read", self.read), progress=progress)
+        if recording.magnetic_field_unit == "counts" and not counts:
+            raise MagycError(
+                "--magnetic-unit counts: a calibration needs the field in tesla; give tesla per count, or see "
+                "what the methods make of the counts (magyc-gtsam compare)"
+            )
         if axes is not None:
             recording = _turned(recording, axes)
         return recording if self.angular_rate_is is None else _restated(recording, self.angular_rate_is)
@@ -105,7 +115,8 @@ def epoch(recording: Recording) -> int:
     return int(found[1]) * 1_000_000_000 + int(found[2]) if found else 0
 
 
-def _unit(text: str | None) -> str | float | None:
+def parse_unit(text: str | None) -> str | float | None:
+    """A unit's name, or the number that stands for one."""
     try:
         return None if text is None else float(text)
     except ValueError:

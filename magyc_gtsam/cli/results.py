@@ -24,9 +24,9 @@ EXPORTS = {
 }
 
 
-def dated_folder(log: Path) -> Path:
-    """`results/<log>-<date>-<time>`, with a number where that exists."""
-    name = f"{log.stem}-{datetime.now():%Y%m%d-%H%M%S}"
+def dated_folder(log: Path, what: str = "") -> Path:
+    """`results/<log><what>-<date>-<time>`, with a number where that exists."""
+    name = f"{log.stem}{what}-{datetime.now():%Y%m%d-%H%M%S}"
     folder = Path("results") / name
     count = 1
     while folder.exists():
@@ -66,13 +66,21 @@ def write_configuration(
     arguments: Sequence[str],
 ) -> None:
     """`configuration.yaml`: versions, the log, how it was read, and the options of the method."""
-    import yaml
+    chosen = {
+        "method": calibration.method,
+        "options": options,
+        "configuration": dict(calibration.configuration),
+    }
+    write_yaml(folder / "configuration.yaml", run_description(reading, recording, arguments) | chosen)
 
+
+def run_description(reading: Reading, recording: Recording, arguments: Sequence[str]) -> dict[str, Any]:
+    """The command, its versions, the log with its checksum and how it was read; JSON types."""
     from magyc_gtsam import __version__
 
     with open(reading.log, "rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    configuration = {
+    return {
         "magyc_gtsam": __version__,
         "command": shlex.join(["magyc-gtsam", *arguments]),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -80,13 +88,15 @@ def write_configuration(
         "interval": [float(recording.time[0]), float(recording.time[-1])],
         "reading": reading.to_dict(),
         "notes": list(recording.notes),
-        "method": calibration.method,
-        "options": options,
-        "configuration": dict(calibration.configuration),
         "versions": {
             "python": platform.python_version(),
             **{name: version(name) for name in ("gtsam", "numpy", "scipy")},
         },
     }
-    text = yaml.safe_dump(configuration, sort_keys=False, allow_unicode=True, width=110)
-    (folder / "configuration.yaml").write_text(text, encoding="utf-8")
+
+
+def write_yaml(path: Path, values: dict[str, Any]) -> None:
+    """Values of JSON types as YAML, in their order."""
+    import yaml
+
+    path.write_text(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110), encoding="utf-8")

@@ -53,7 +53,7 @@ def read(
             they share (text), or the message (PX4, ArduPilot) of each sensor; not needed where one only
             could be meant.
         magnetic_unit: what the log's magnetometer is in, where that is not tesla or the header does not say:
-            "T", "mT", "uT", "nT", "gauss", "mgauss", or tesla per count.
+            "T", "mT", "uT", "nT", "gauss", "mgauss", tesla per count, or "counts" where that is not known.
         angular_unit: likewise, "rad/s", "deg/s", "mrad/s".
         acceleration_unit: likewise, "m/s^2", "g".
         start, end: s since the first row.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import SENSORS, Request
+from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
 
 Array = NDArray[np.float64]
@@ -99,6 +100,7 @@ def assemble(
         name=name,
         notes=tuple(said),
         angular_rate_is=angular_rate_is,
+        magnetic_field_unit="counts" if is_counts("magnetic_field", request.units.get("magnetic_field")) else "T",
     )
     return recording if start is None and end is None else recording.between(start, end)
 

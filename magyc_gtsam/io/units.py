@@ -6,6 +6,7 @@ import math
 
 from magyc_gtsam.factors.errors import MagycError
 
+COUNTS = "counts"  # of a magnetometer whose tesla per count nobody knows
 _STANDARD_GRAVITY = 9.80665  # m/s², what "1 g" means on a data sheet
 
 # Spellings in lower case: no two units of one quantity differ by their case alone.
@@ -37,7 +38,7 @@ _UNITS: dict[str, dict[str, float]] = {
     },
 }
 _SHOWN = {
-    "magnetic_field": "T, mT, uT, nT, gauss, mgauss",
+    "magnetic_field": "T, mT, uT, nT, gauss, mgauss, counts",
     "angular_rate": "rad/s, deg/s, mrad/s",
     "acceleration": "m/s^2, g, mg",
     "time": "s, ms, us, ns",
@@ -46,6 +47,8 @@ _SHOWN = {
 
 def factor(quantity: str, unit: str | float | None) -> float:
     """SI units per `unit` (nanoseconds for "time"); None is SI already, a number is a factor of its own.
+
+    Counts of a magnetometer are left as they are: see `Recording.magnetic_field_unit`.
 
     Raises:
         MagycError: the unit is not known.
@@ -56,6 +59,8 @@ def factor(quantity: str, unit: str | float | None) -> float:
         if not (math.isfinite(unit) and unit > 0):
             raise MagycError(f"unit of {quantity}: {unit!r} is not a positive factor to SI units")
         return float(unit)
+    if is_counts(quantity, unit):
+        return 1.0
     found = lookup(quantity, unit)
     if found is None:
         raise MagycError(f"unit of {quantity}: {unit!r} is not known; known are {_SHOWN[quantity]}")
@@ -65,3 +70,8 @@ def factor(quantity: str, unit: str | float | None) -> float:
 def lookup(quantity: str, unit: str) -> float | None:
     """As `factor`, but None where the unit is not known."""
     return _UNITS[quantity].get(unit.strip().lower())
+
+
+def is_counts(quantity: str, unit: str | float | None) -> bool:
+    """Whether `unit` says that the magnetometer's numbers are raw counts."""
+    return quantity == "magnetic_field" and isinstance(unit, str) and unit.strip().lower() == COUNTS

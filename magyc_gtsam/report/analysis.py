@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
 
 DISTURBED_WEIGHT = 0.5  # a window whose robust weight is below counts as disturbed
@@ -104,7 +105,7 @@ def field_history(recording: Recording, calibration: Calibration) -> FieldHistor
     up, up_from = _up(attitude, acceleration)
     error = None
     if attitude is not None:
-        error = np.column_stack([_heading_error(field, attitude) for field in (raw, aligned)])
+        error = np.degrees(np.column_stack([heading_error(field, attitude) for field in (raw, aligned)]))
     since = time - recording.time[0]
     return FieldHistory(since, raw, calibrated, aligned, strength, up, up_from, error)
 
@@ -122,17 +123,6 @@ def _up(attitude: Array | None, acceleration: Array | None) -> tuple[Array | Non
         norm = np.linalg.norm(acceleration, axis=1, keepdims=True)
         return acceleration / np.where(norm > 0, norm, np.nan), "accelerometer"
     return None, ""
-
-
-def _heading_error(field: Array, attitude: Array) -> Array:
-    """Direction of the horizontal field in the world frame, deg about its mean: 0 for a perfect compass."""
-    error = np.full(len(field), np.nan)
-    known = np.isfinite(attitude).all(axis=1)
-    world = Rotation.from_quat(attitude[known]).apply(field[known])
-    direction = world[:, 0] + 1j * world[:, 1]
-    direction /= np.maximum(np.abs(direction), 1e-12)
-    error[known] = np.degrees(np.angle(direction * np.conj(direction.mean())))
-    return error
 
 
 def inclination(field: Array, up: Array) -> Array:

@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from magyc_gtsam.recording import Array, Mask
 from magyc_gtsam.report.analysis import (
@@ -27,7 +28,7 @@ from magyc_gtsam.report.analysis import (
 RAW = "#d9730d"  # orange and blue keep apart for colour-blind eyes and on light and dark ground
 CALIBRATED = "#2b8cdb"
 DISTURBED = "#b04a9b"
-_INK = "#010203"  # stands for the page's own text colour
+INK = "#010203"  # stands for the page's own text colour
 _MICRO = 1e6
 _FLAT = 0.1  # share of the axis below which the calibrated curve gets a scale of its own
 _STYLE = {
@@ -44,7 +45,7 @@ _STYLE = {
     "svg.fonttype": "none",
     "svg.hashsalt": "magyc-gtsam",
 } | dict.fromkeys(
-    ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "grid.color"), _INK
+    ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "grid.color"), INK
 )
 
 Parameters = ParamSpec("Parameters")
@@ -79,7 +80,7 @@ def _svg(figure: Figure) -> str:
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
-    return svg.replace(_INK, "currentColor")
+    return svg.replace(INK, "currentColor")
 
 
 @drawn(3.6, 3.7)
@@ -124,7 +125,11 @@ def coverage_map(figure: Figure, coverage: Coverage) -> None:
     axes.set(ylim=(0, 1), yticks=_lambert(np.array([0.0])), yticklabels=[])
     axes.set_xticks(np.radians([0, 90, 180, 270]), ["+x", "+y", "−x", "−y"])
     axes.tick_params(pad=0)
-    figure.colorbar(mesh, ax=axes, label="Time spent (s)", location="bottom", shrink=0.8, aspect=30, format="%g")
+    bar = figure.colorbar(
+        mesh, ax=axes, label="Time spent (s)", location="bottom", shrink=0.8, aspect=30, format="%g",
+        ticks=LogLocator(subs=(1, 2, 5)),
+    )  # fmt: skip
+    bar.minorticks_off()  # which overlap where the times span little
 
 
 def _lambert(sine: Array) -> Array:
@@ -136,20 +141,20 @@ def _lambert(sine: Array) -> Array:
 def field_strength(figure: Figure, history: FieldHistory) -> None:
     """Strength of the field over time, raw and calibrated."""
     raw, calibrated = (np.linalg.norm(field, axis=1) * _MICRO for field in (history.raw, history.calibrated))
-    _before_after(figure, history.time, raw, calibrated, "Strength (µT)", history.strength * _MICRO)
+    before_after(figure, history.time, raw, calibrated, "Strength (µT)", history.strength * _MICRO)
 
 
 @drawn(5.2, 3.2)
 def field_inclination(figure: Figure, history: FieldHistory, up: Array) -> None:
     """Angle of the field below the horizontal over time, raw and calibrated."""
     raw, calibrated = inclination(history.raw, up), inclination(history.aligned, up)
-    _before_after(figure, history.time, raw, calibrated, "Dip (°)", float(np.nanmedian(calibrated)))
+    before_after(figure, history.time, raw, calibrated, "Dip (°)", float(np.nanmedian(calibrated)))
 
 
 @drawn(5.2, 3.2)
 def heading_error(figure: Figure, time: Array, error: Array) -> None:
     """Error of the magnetic heading against the reference over time, raw and calibrated."""
-    _before_after(figure, time, error[:, 0], error[:, 1], "Error (°)", 0.0)
+    before_after(figure, time, error[:, 0], error[:, 1], "Error (°)", 0.0)
 
 
 @drawn(5.2, 3.6)
@@ -164,7 +169,7 @@ def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
         grid[1].fill_between(turn.heading, -turn.sigma, turn.sigma, color=CALIBRATED, alpha=0.4, linewidth=0)
         grid[1].set_ylabel("Calibrated\n±1σ (°)")
     for axes in grid:
-        axes.axhline(0, color=_INK, linewidth=1, linestyle="--")
+        axes.axhline(0, color=INK, linewidth=1, linestyle="--")
     figure.align_ylabels()
     grid[-1].set(xlabel="Heading (°)", xticks=range(0, 361, 60), xlim=(0, 360))
 
@@ -174,7 +179,7 @@ def residuals(
     figure: Figure, time: Array, whitened: Array, kept: Mask, disturbed: list[tuple[float, float]]
 ) -> None:
     """Whitened residuals (n, 3) over time, one row per sensor axis, those not kept (n,) in another colour."""
-    unit, label = _clock(time)
+    unit, label = clock(time)
     limit, step = (10, 5) if (np.abs(whitened) > 4).any() else (4, 3)
     panels = figure.subplots(3, 1, sharex=True)
     for axes, column, name in zip(panels, whitened.T, "xyz", strict=True):
@@ -185,7 +190,7 @@ def residuals(
             style = {"markersize": 3, "alpha": 0.6, "rasterized": True}
             axes.plot(time[rows] / unit, clipped[rows], ".", color=colour, **style)
         for level in (-3, 3):
-            axes.axhline(level, color=_INK, linewidth=0.8, linestyle=":")
+            axes.axhline(level, color=INK, linewidth=0.8, linestyle=":")
         axes.set(ylabel=f"{name} (σ)", ylim=(-1.08 * limit, 1.08 * limit), yticks=(-step, 0, step))
     figure.align_ylabels()
     panels[-1].set_xlabel(label)
@@ -198,13 +203,13 @@ def residual_histogram(figure: Figure, whitened: Array) -> None:
     bins = np.linspace(-5, 5, 51).tolist()
     axes.hist(np.clip(whitened.ravel(), -5, 5), bins=bins, density=True, color=CALIBRATED)
     x = np.linspace(-5, 5, 201)
-    axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=_INK)
+    axes.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color=INK)
     axes.set(xlabel="Residual (σ)", ylabel="Share per σ", xlim=(-5.1, 5.1))
 
 
-def _before_after(figure: Figure, time: Array, raw: Array, calibrated: Array, label: str, ideal: float) -> None:
+def before_after(figure: Figure, time: Array, raw: Array, calibrated: Array, label: str, ideal: float) -> None:
     """Means as lines, ranges as bands, `ideal` dashed; in two rows where one scale would hide one of them."""
-    unit, clock = _clock(time)
+    unit, time_label = clock(time)
     low, high = np.nanpercentile(calibrated, [1, 99])
     both = np.append(raw, calibrated)
     apart = high - low < _FLAT * (np.nanmax(both) - np.nanmin(both))
@@ -214,12 +219,12 @@ def _before_after(figure: Figure, time: Array, raw: Array, calibrated: Array, la
         axes.fill_between(middle / unit, lowest, highest, color=colour, alpha=0.25, linewidth=0)
         axes.plot(middle / unit, mean, color=colour)
         axes.set_ylabel(label)
-    rows[-1].axhline(ideal, color=_INK, linewidth=1, linestyle="--")
-    rows[-1].set(xlabel=clock, xlim=(time[0] / unit, time[-1] / unit))
+    rows[-1].axhline(ideal, color=INK, linewidth=1, linestyle="--")
+    rows[-1].set(xlabel=time_label, xlim=(time[0] / unit, time[-1] / unit))
     figure.align_ylabels()
 
 
-def _clock(time: Array) -> tuple[float, str]:
+def clock(time: Array) -> tuple[float, str]:
     """Seconds per unit of a time axis, and its label."""
     span = float(time[-1] - time[0])
     if span <= 1200:

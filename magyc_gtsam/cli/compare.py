@@ -1,0 +1,101 @@
+"""`magyc-gtsam compare`: every method on one log, side by side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.options import spelled
+from magyc_gtsam.cli.reading import Reading
+from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
+from magyc_gtsam.cli.scale import Scale
+from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.study.comparison import Comparison
+
+
+@with_groups
+def run(
+    context: typer.Context,
+    reading: Reading,
+    scale: Scale,
+    methods: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,C", help="Of magyc_gtsam.methods(). Default: all that the log allows."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-compare-<date>-<time>."),
+    ] = None,
+    quiet: given.Quiet = False,
+    json: given.Json = False,
+) -> int:
+    """Calibrate a log with every method that it allows, and compare.
+
+    Writes comparison.csv, comparison.json, configuration.yaml and report.html. A method that fails says why
+    and never stops the others. Exit code 1: done, but no method gave a result to trust.
+    """
+    from magyc_gtsam.report.compare_page import render_comparison
+    from magyc_gtsam.report.compare_words import csv_text, to_dict
+    from magyc_gtsam.study.comparison import checked_methods, compare
+
+    field_strength = scale.tesla()
+    names = checked_methods(None if methods is None else [name.strip() for name in methods.split(",")])
+    folder = output or dated_folder(reading.log, "-compare")
+    with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
+        recording = reading.recording(stage("reading"), counts=True)
+        bars = {}
+
+        def progress(method: str, share: float) -> None:
+            if method not in bars:
+                bars[method] = stage(method)
+            bars[method](share)
+
+        comparison = compare(recording, names, field_strength=field_strength, progress=progress)
+        page = stage("drawing the page")
+        (part / "comparison.csv").write_text(csv_text(comparison), encoding="utf-8")
+        (part / "comparison.json").write_text(_json(to_dict(comparison)), encoding="utf-8")
+        asked = {"methods": list(names), "field_strength": field_strength}
+        write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
+        (part / "report.html").write_text(render_comparison(comparison), encoding="utf-8")
+        page(1.0)
+    if json:
+        typer.echo(_json(to_dict(comparison) | {"folder": str(folder)}), nl=False)
+    elif not quiet:
+        _show(comparison, reading.log.name, folder)
+    if comparison.trusted:
+        return 0
+    typer.echo("magyc-gtsam: no method gave a result that can be trusted; the table says why", err=True)
+    return 1
+
+
+def _json(value: object) -> str:
+    import json
+
+    return json.dumps(value, indent=2) + "\n"
+
+
+def _show(comparison: Comparison, name: str, folder: Path) -> None:
+    from magyc_gtsam.report import compare_words as words
+
+    recording = comparison.recording
+    show(f"{name}: {recording.duration:.1f} s, {len(comparison.inlier):,} magnetometer samples", "")
+    show_table(words.result_header(comparison), words.result_rows(comparison))
+    show("", *words.footnotes(comparison), "")
+    rows = words.parameter_rows(comparison)
+    if rows:
+        show_table(words.parameter_header(), rows)
+        show("")
+    show(*(spelled(remark) for remark in words.remarks(comparison)))
+    show(
+        *(f"note: {note}" for note in recording.notes),
+        "",
+        f"results: {folder}",
+        f"page: {folder / 'report.html'}",
+    )

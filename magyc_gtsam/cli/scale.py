@@ -1,0 +1,48 @@
+"""From the options of a command to the strength of the field, which sets the scale of the soft iron."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What is known of the true field's strength: itself, or place and day for the World Magnetic Model."""
+
+    field_strength: Annotated[
+        float | None,
+        typer.Option(metavar="µT", help="True strength of the field; sets the scale. Default: det soft iron = 1."),
+    ] = None
+    location: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="LAT LON", help="Degrees; the strength by the World Magnetic Model, with --date."),
+    ] = None
+    altitude: Annotated[float, typer.Option(metavar="METRES", help="Above the sea, with --location.")] = 0.0
+    date: Annotated[
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="Day of the recording, with --location.")
+    ] = None
+
+    def tesla(self) -> float | None:
+        """The strength; None where nothing was said of it.
+
+        Raises:
+            MagycError: options that contradict each other, or say nothing alone.
+        """
+        from magyc_gtsam.factors.errors import MagycError
+
+        if self.location is None:
+            if self.date is not None:
+                raise MagycError("--date: says nothing without a place; give --location LAT LON too")
+            return None if self.field_strength is None else self.field_strength * 1e-6
+        if self.field_strength is not None:
+            raise MagycError(
+                "--field-strength and --location: both set the strength of the field; give one of them"
+            )
+        if self.date is None:
+            raise MagycError("--location: the field changes by the year; give --date YYYY-MM-DD too")
+        from magyc_gtsam.world_field import world_magnetic_field
+
+        return world_magnetic_field(*self.location, self.date, self.altitude).strength

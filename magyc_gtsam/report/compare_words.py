@@ -1,0 +1,238 @@
+"""The comparison's numbers: as rows for a file, and as the words of a table for the terminal and the page."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.observability import HARD_IRON_LIMIT
+from magyc_gtsam.recording import Array
+from magyc_gtsam.report.words import uncertain
+from magyc_gtsam.study.comparison import Comparison, Outcome, Status
+
+_HUGE = 1e5  # in the unit shown, from where digits behind the point say nothing
+_WORSE = 1.05  # spread after over spread before, from which a calibration made it worse
+_UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
+
+
+def records(comparison: Comparison) -> list[dict[str, Any]]:
+    """One flat record per row, "raw" first; units in the names, None where a method has no such number."""
+    unit = comparison.recording.magnetic_field_unit
+    rows = []
+    for outcome in (comparison.raw, *comparison.outcomes):
+        calibration, heading = outcome.calibration, outcome.heading
+        row: dict[str, Any] = {
+            "method": outcome.method,
+            "status": "" if outcome is comparison.raw else str(outcome.status),
+            "reason": outcome.reason,
+            "note": outcome.note,
+            "run_time_s": outcome.seconds,
+            f"field_spread_{unit}": outcome.spread,
+            f"field_spread_inliers_{unit}": outcome.inlier_spread,
+            f"field_strength_{unit}": outcome.strength,
+            "heading_spread_deg": None if heading is None else heading.deviation,
+        }
+        sigma = {} if calibration is None else calibration.sigma
+        upper = np.triu_indices(3)
+        for name, value, deviation, axes in (
+            (
+                "soft_iron",
+                None if calibration is None else calibration.soft_iron[upper],
+                sigma["soft_iron"][upper] if sigma else None,
+                _UPPER,
+            ),
+            (
+                "hard_iron",
+                None if calibration is None else calibration.hard_iron,
+                sigma.get("hard_iron"),
+                [f"{axis}_{unit}" for axis in "xyz"],
+            ),
+            (
+                "gyro_bias",
+                None if calibration is None else calibration.gyro_bias,
+                sigma.get("gyro_bias"),
+                [f"{axis}_rad/s" for axis in "xyz"],
+            ),
+        ):
+            row |= {f"{name}_{axis}": _number(value, i) for i, axis in enumerate(axes)}
+            row |= {f"{name}_{axis}_sigma": _number(deviation, i) for i, axis in enumerate(axes)}
+        estimated = calibration is not None and calibration.delay_sigma is not None
+        row["delay_s"] = calibration.delay if calibration is not None and estimated else None
+        row["delay_s_sigma"] = calibration.delay_sigma if calibration is not None else None
+        rows.append(row)
+    return rows
+
+
+def csv_text(comparison: Comparison) -> str:
+    """`records` as a text table; cells without a number are empty."""
+    rows = records(comparison)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, rows[0].keys())
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def to_dict(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as JSON types, whole calibrations included."""
+    outcomes = [
+        record | {"calibration": None if outcome.calibration is None else outcome.calibration.to_dict()}
+        for record, outcome in zip(records(comparison), (comparison.raw, *comparison.outcomes), strict=True)
+    ]
+    return {
+        "recording": comparison.recording.name,
+        "magnetic_field_unit": comparison.recording.magnetic_field_unit,
+        "samples": len(comparison.inlier),
+        "inliers": int(comparison.inlier.sum()),
+        "inliers_from": comparison.inlier_from,
+        "delay_s": comparison.delay,
+        "delay_from": comparison.delay_from,
+        "notes": list(comparison.recording.notes),
+        "outcomes": outcomes,
+    }
+
+
+def result_header(comparison: Comparison) -> list[str]:
+    """Names of the columns of `result_rows`."""
+    _, unit = comparison.recording.field_shown
+    header = ["method", "status", *(f"hard iron {axis} ({unit})" for axis in "xyz"), f"field spread ({unit})"]
+    if not comparison.inlier.all():
+        header.append("of inliers")
+    if comparison.raw.heading is not None:
+        header.append("heading spread (°)")
+    return [*header, "run time"]
+
+
+def result_rows(comparison: Comparison) -> list[list[str]]:
+    """Per row: method, status, hard iron ± σ, spread of the field, of the heading, run time; "raw" first."""
+    scale, _ = comparison.recording.field_shown
+    rows = []
+    for outcome in (comparison.raw, *comparison.outcomes):
+        raw = outcome is comparison.raw
+        row = [outcome.method, "" if raw else str(outcome.status)]
+        row += [""] * 3 if raw else _triple(outcome, "hard_iron", scale)
+        row.append(_text(outcome.spread, scale))
+        if not comparison.inlier.all():
+            row.append(_text(outcome.inlier_spread, scale))
+        if comparison.raw.heading is not None:
+            row.append("" if outcome.heading is None else f"{outcome.heading.deviation:.2f}")
+        rows.append([*row, duration(outcome.seconds)])
+    return rows
+
+
+def parameter_header() -> list[str]:
+    """Names of the columns of `parameter_rows`."""
+    soft_iron = [f"soft iron {name}" for name in _UPPER]
+    return ["method", *soft_iron, *(f"gyro bias {axis} (mrad/s)" for axis in "xyz"), "delay (ms)"]
+
+
+def parameter_rows(comparison: Comparison) -> list[list[str]]:
+    """Soft iron, gyroscope bias and delay, each ± σ, of the methods that gave parameters."""
+    rows = []
+    upper = np.triu_indices(3)
+    for outcome in comparison.calibrated:
+        calibration = outcome.calibration
+        if calibration is None:
+            continue
+        sigma = calibration.sigma.get("soft_iron", np.full((3, 3), np.nan))
+        soft_iron = [uncertain(v, s) for v, s in zip(calibration.soft_iron[upper], sigma[upper], strict=True)]
+        delay = (
+            ""
+            if calibration.delay_sigma is None
+            else uncertain(calibration.delay * 1e3, calibration.delay_sigma * 1e3)
+        )
+        rows.append([outcome.method, *soft_iron, *_triple(outcome, "gyro_bias", 1e3), delay])
+    return rows
+
+
+def cautions(comparison: Comparison, outcome: Outcome) -> list[str]:
+    """Why to doubt a method's result, its own verdict first; capitals and stops are left to the reader."""
+    said = [] if outcome.status is Status.TRUSTED else [outcome.reason]
+    before, after = comparison.raw.inlier_spread, outcome.inlier_spread
+    if before is not None and after is not None and after > _WORSE * before:
+        said.append("the strength of the calibrated field varies more than that of the raw field")
+    reference = comparison.reference
+    if outcome.status is not Status.TRUSTED or reference is None or reference.strength is None:
+        return said
+    if outcome.calibration is not None and reference.calibration is not None:
+        scale, unit = comparison.recording.field_shown
+        apart = float(np.linalg.norm(outcome.calibration.hard_iron - reference.calibration.hard_iron))
+        limit = HARD_IRON_LIMIT * reference.strength
+        if apart > limit:
+            said.append(
+                f"its hard iron is {apart * scale:.1f} {unit} from that of {reference.method} (more than the "
+                f"{limit * scale:.1f} that make three degrees of heading)"
+            )
+    return said
+
+
+def remarks(comparison: Comparison) -> list[str]:
+    """A sentence for each method that is to be doubted or gave nothing, and for what only some got to see."""
+    sentences = []
+    for outcome in comparison.outcomes:
+        said = cautions(comparison, outcome)
+        if said:
+            status = "doubtful" if outcome.status is Status.TRUSTED else str(outcome.status)
+            sentences.append(f"{outcome.method} {status}: {'; '.join(said)}")
+    notes = dict.fromkeys(o.note for o in comparison.outcomes if o.note)
+    shared = {note: ", ".join(o.method for o in comparison.outcomes if o.note == note) for note in notes}
+    return sentences + [f"{names}: {note}" for note, names in shared.items()]
+
+
+def footnotes(comparison: Comparison) -> list[str]:
+    """What the numbers of all methods have in common."""
+    sentences = ["Field spread: standard deviation of the calibrated field's strength."]
+    if not comparison.inlier.all():
+        out = int((~comparison.inlier).sum())
+        sentences.append(
+            f"{out:,} of {len(comparison.inlier):,} samples lie off the ellipsoid of {comparison.inlier_from}; "
+            "the others are the inliers."
+        )
+    if comparison.raw.heading is not None:
+        way = "later" if comparison.delay > 0 else "earlier"
+        late = f", the field taken {abs(comparison.delay) * 1e3:.1f} ms {way}, as {comparison.delay_from} found it"
+        sentences.append(
+            "Heading spread: standard deviation of the magnetic heading against the reference attitude"
+            f"{late if comparison.delay_from else ''}."
+        )
+    if comparison.recording.magnetic_field_unit == "counts":
+        sentences.append(
+            "The field is in raw counts as the log holds them; what one count is in tesla is not known."
+        )
+    return sentences
+
+
+def duration(seconds: float | None) -> str:
+    """A run time to two digits: "12 ms", "3.4 s"."""
+    if seconds is None:
+        return ""
+    return (
+        f"{seconds * 1e3:.2g} ms"
+        if seconds < 0.0995
+        else f"{seconds:.2f} s"
+        if seconds < 10
+        else f"{seconds:.0f} s"
+    )
+
+
+def _triple(outcome: Outcome, name: str, scale: float) -> list[str]:
+    value = None if outcome.calibration is None else getattr(outcome.calibration, name)
+    if outcome.calibration is None or value is None:
+        return [""] * 3
+    sigma = outcome.calibration.sigma.get(name, np.full(3, np.nan))
+    return [
+        uncertain(v * scale, s * scale) if s > 0 else _text(v, scale) for v, s in zip(value, sigma, strict=True)
+    ]
+
+
+def _number(values: Array | None, index: int) -> float | None:
+    return None if values is None else float(values[index])
+
+
+def _text(value: float | None, scale: float) -> str:
+    if value is None:
+        return ""
+    return f"{value * scale:.2f}" if abs(value * scale) < _HUGE else f"{value * scale:.1e}"

@@ -1,0 +1,235 @@
+"""Every method on one recording: what each makes of it, at what cost, and why some cannot."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators import Method, calibrate, methods
+from magyc_gtsam.estimators.autocal import inliers
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Mask, Recording
+from magyc_gtsam.study.heading import HeadingError, heading_error
+
+Progress = Callable[[str, float], None]
+
+MOST_SAMPLES = 50_000  # of the methods that take samples in any order; more cost time and win next to nothing
+ROBUST = ("autocal", "smoother")  # which tell disturbed samples from others
+REFERENCES = ("smoother", "autocal")  # the most accurate with and without a gyroscope
+UNCALIBRATED = Calibration(np.eye(3), np.zeros(3), method="raw")
+_NEEDS = {  # what a method may need, whether a recording has it, and how to say that it has not
+    "angular_rate": (lambda r: r.angular_rate is not None, "a gyroscope"),
+    "attitude": (lambda r: r.attitude is not None and bool(np.isfinite(r.attitude).any()), "a reference attitude"),
+    "acceleration": (lambda r: r.acceleration is not None, "an accelerometer"),
+}
+
+
+class Status(StrEnum):
+    """What became of a method."""
+
+    TRUSTED = "trusted"
+    UNTRUSTED = "not trusted"
+    FAILED = "failed"
+    IMPOSSIBLE = "not possible"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One method on the recording.
+
+    Attributes:
+        method: its name in `methods()`; "raw" for the recording as it is.
+        status: what became of it.
+        reason: why it is not trusted, failed or is not possible; else what the method says of its end.
+        note: what was done to the data for this method only, "" for nothing.
+        calibration: None where there is none.
+        seconds: run time, wall clock; None where it did not run.
+        spread: T (or counts), standard deviation of the strength of the samples calibrated, all of them.
+        inlier_spread: likewise, of those in `Comparison.inlier`.
+        strength: T (or counts), its mean.
+        heading: against the reference attitude; None without one.
+    """
+
+    method: str
+    status: Status
+    reason: str
+    note: str = ""
+    calibration: Calibration | None = None
+    seconds: float | None = None
+    spread: float | None = None
+    inlier_spread: float | None = None
+    strength: float | None = None
+    heading: HeadingError | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What `compare` returns.
+
+    Attributes:
+        recording: the data.
+        raw: the recording as it is, judged like the methods.
+        outcomes: one for each method, in the order of `methods()` or as asked for.
+        delay: s by which the field was taken later wherever it is held against the reference attitude, one for
+            all methods: most do not estimate it, and it would count as their heading error.
+        delay_from: the method that estimated it; "" for none.
+        inlier: (n,) of the magnetometer's own samples, whether they lie on the ellipsoid of one robust method.
+        inlier_from: that method; "" where none can be trusted, and all count as inliers.
+    """
+
+    recording: Recording
+    raw: Outcome
+    outcomes: tuple[Outcome, ...]
+    delay: float
+    delay_from: str
+    inlier: Mask
+    inlier_from: str
+
+    @property
+    def calibrated(self) -> tuple[Outcome, ...]:
+        """The methods that gave parameters, trusted or not."""
+        return tuple(o for o in self.outcomes if o.calibration is not None)
+
+    @property
+    def reference(self) -> Outcome | None:
+        """The result to hold the others against: the first of REFERENCES that can be trusted."""
+        by_name = {o.method: o for o in self.trusted}
+        return next((by_name[name] for name in REFERENCES if name in by_name), None)
+
+    @property
+    def trusted(self) -> tuple[Outcome, ...]:
+        """The methods whose result can be trusted."""
+        return tuple(o for o in self.outcomes if o.status is Status.TRUSTED)
+
+
+def compare(
+    recording: Recording,
+    names: Sequence[str] | None = None,
+    *,
+    field_strength: float | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Calibrate a recording with every method that it allows.
+
+    A method that fails, in whatever way, says so in its outcome and never stops the others.
+
+    Args:
+        recording: the data.
+        names: of `methods()`; None for all.
+        field_strength: T, sets the scale of every soft iron. None: det 1.
+        progress: called with the method's name and the share that it has done.
+
+    Raises:
+        MagycError: a name that is no method, or is given twice.
+    """
+    known = methods()
+    ran = [_run(recording, name, known[name], field_strength, progress) for name in checked_methods(names)]
+    delay, delay_from = _delay(ran)
+    inlier, inlier_from = _inliers(recording, ran)
+    raw = Outcome("raw", Status.UNTRUSTED, "", calibration=UNCALIBRATED)
+    judged = [_judged(recording, outcome, delay, inlier) for outcome in (raw, *ran)]
+    return Comparison(recording, judged[0], tuple(judged[1:]), delay, delay_from, inlier, inlier_from)
+
+
+def checked_methods(names: Sequence[str] | None) -> tuple[str, ...]:
+    """The names, each of one of `methods()` and given once; None gives them all.
+
+    Raises:
+        MagycError: a name that is no method, or is given twice.
+    """
+    known = methods()
+    if names is None:
+        return tuple(known)
+    for place, name in enumerate(names):
+        if name not in known:
+            raise MagycError(f"methods: {name!r} is none of {', '.join(known)}")
+        if name in names[:place]:
+            raise MagycError(f"methods: {name!r} is given twice")
+    return tuple(names)
+
+
+def _run(
+    recording: Recording, name: str, method: Method, field_strength: float | None, progress: Progress | None
+) -> Outcome:
+    missing = [lacking for need in method.needs if (lacking := _lacking(recording, need))]
+    if missing:
+        return Outcome(name, Status.IMPOSSIBLE, f"needs {' and '.join(missing)}")
+    used, note = (recording, "") if method.needs else _thinned(recording)
+
+    def report(share: float) -> None:
+        if progress is not None:
+            progress(name, share)
+
+    report(0.0)
+    start = time.perf_counter()
+    try:
+        result = calibrate(used, name, field_strength=field_strength, progress=report)
+    except MagycError as error:
+        return Outcome(name, Status.FAILED, str(error), note, seconds=time.perf_counter() - start)
+    except Exception as error:  # noqa: BLE001 - a method's own defect is its outcome, not the end of the others
+        reason = f"{type(error).__name__}: {error}"
+        return Outcome(name, Status.FAILED, reason, note, seconds=time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    status = Status.TRUSTED if _trusted(result) else Status.UNTRUSTED
+    return Outcome(name, status, result.message, note, result, seconds)
+
+
+def _lacking(recording: Recording, need: str) -> str | None:
+    has, words = _NEEDS.get(need, (None, need))
+    if has is not None and not has(recording):
+        return words
+    return "the field in tesla" if recording.magnetic_field_unit == "counts" else None
+
+
+def _thinned(recording: Recording) -> tuple[Recording, str]:
+    """The magnetometer's own samples, every k-th where there are too many."""
+    count = int(recording.magnetic_field_fresh.sum())
+    every = -(-count // MOST_SAMPLES)
+    if every == 1:
+        return recording, ""
+    rows = np.flatnonzero(recording.magnetic_field_fresh)[::every]
+    return recording.rows(rows), f"{len(rows):,} of {count:,} samples, evenly spaced"
+
+
+def _trusted(calibration: Calibration) -> bool:
+    observability = calibration.observability
+    return calibration.converged and (observability is None or observability.observable)
+
+
+def _delay(ran: Sequence[Outcome]) -> tuple[float, str]:
+    """Of the first method that estimated it and can be trusted."""
+    for outcome in ran:
+        calibration = outcome.calibration
+        if outcome.status is Status.TRUSTED and calibration is not None and calibration.delay_sigma is not None:
+            return calibration.delay, outcome.method
+    return 0.0, ""
+
+
+def _inliers(recording: Recording, ran: Sequence[Outcome]) -> tuple[Mask, str]:
+    """By the ellipsoid of the first method of ROBUST that can be trusted."""
+    trusted = {o.method: o.calibration for o in ran if o.status is Status.TRUSTED}
+    for name in ROBUST:
+        calibration = trusted.get(name)
+        if calibration is not None:
+            return inliers(recording, calibration), name
+    return np.ones(len(recording.magnetometer.time), dtype=bool), ""
+
+
+def _judged(recording: Recording, outcome: Outcome, delay: float, inlier: Mask) -> Outcome:
+    """With the spread of the field and the heading's error."""
+    if outcome.calibration is None:
+        return outcome
+    norm = np.linalg.norm(outcome.calibration.apply(recording.magnetometer.value), axis=1)
+    reference = _lacking(recording, "attitude") is None
+    return replace(
+        outcome,
+        spread=float(norm.std()),
+        inlier_spread=float(norm[inlier].std()) if inlier.any() else None,
+        strength=float(norm.mean()),
+        heading=heading_error(recording, outcome.calibration, delay) if reference else None,
+    )

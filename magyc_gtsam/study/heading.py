@@ -1,0 +1,47 @@
+"""How well the magnetic heading of a calibrated field agrees with a reference attitude."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam import metrics
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Array, Recording
+
+
+class HeadingError(NamedTuple):
+    """Magnetic less reference heading about its mean: time (n,) s since the first row, error (n,) deg."""
+
+    time: Array
+    error: Array
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation, deg; 0 of a perfect compass."""
+        return float(self.error.std())
+
+
+def heading_error(recording: Recording, calibration: Calibration, delay: float | None = None) -> HeadingError:
+    """Direction of the horizontal calibrated field in the reference's world axes, which should stand still.
+
+    Args:
+        recording: with attitude, whose world z axis is vertical.
+        calibration: of its magnetometer.
+        delay: s by which the magnetometer lags: the field of an instant is what it says so much later. None
+            takes the calibration's own.
+
+    Raises:
+        MagycError: no reference attitude.
+    """
+    attitude = recording.attitude
+    known = np.zeros(0, dtype=bool) if attitude is None else np.isfinite(attitude).all(axis=1)
+    if attitude is None or not known.any():
+        raise MagycError(f"recording {recording.name!r} has no reference attitude")
+    time, field = recording.magnetometer
+    late = np.clip(recording.time[known] + (calibration.delay if delay is None else delay), time[0], time[-1])
+    calibrated = calibration.apply(np.stack([np.interp(late, time, axis) for axis in field.T], axis=1))
+    error = metrics.heading_error(calibrated, attitude[known])
+    return HeadingError(recording.time[known] - recording.time[0], np.rad2deg(error))

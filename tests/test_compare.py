@@ -1,0 +1,409 @@
+"""`compare`: every method on one recording, its files, its page and its exit codes."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+import magyc_gtsam as mg
+from magyc_gtsam import cli, estimators
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.report import compare_words
+from magyc_gtsam.report.compare_page import render_comparison
+from magyc_gtsam.study import comparison as module
+from magyc_gtsam.study.comparison import UNCALIBRATED, Comparison, Status, compare
+from magyc_gtsam.study.heading import heading_error
+
+COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
+HOSTILE = "<script>document.title = 'taken'</script>"
+QUICK = ("smoother", "magfactor3", "sar-ls", "ellipsoid", "autocal")
+
+
+def crash(recording: mg.Recording, *, progress: Any = None) -> mg.Calibration:
+    """A method with a defect."""
+    raise ZeroDivisionError("a defect of the method")
+
+
+def doubt(recording: mg.Recording, *, progress: Any = None) -> mg.Calibration:
+    """A method that does not trust its own result."""
+    return mg.Calibration(np.eye(3), np.array([1e-6, 0, 0]), converged=False, message="no luck")
+
+
+@pytest.fixture(scope="module")
+def dive() -> mg.Simulation:
+    return mg.simulate("dive", 240, seed=3, delay=0.05)
+
+
+@pytest.fixture(scope="module")
+def compared(dive: mg.Simulation) -> Comparison:
+    return compare(dive.recording, QUICK)
+
+
+@pytest.fixture
+def two_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two methods in the registry that crash and doubt."""
+    for name in ("crash", "doubt"):
+        method = estimators.Method(name, "none", (), f"{__name__}:{name}")
+        monkeypatch.setitem(estimators._METHODS, name, method)
+
+
+def outcome(comparison: Comparison, name: str) -> module.Outcome:
+    return next(o for o in comparison.outcomes if o.method == name)
+
+
+def test_each_row_is_what_calibrate_gives(dive: mg.Simulation, compared: Comparison) -> None:
+    assert [o.method for o in compared.outcomes] == list(QUICK)
+    for o in compared.outcomes:
+        alone = mg.calibrate(dive.recording, o.method)
+        assert o.calibration is not None
+        np.testing.assert_array_equal(o.calibration.hard_iron, alone.hard_iron)
+        assert (o.status is Status.TRUSTED) == alone.converged
+        assert o.reason == alone.message
+        norm = np.linalg.norm(alone.apply(dive.recording.magnetic_field), axis=1)
+        assert o.spread == pytest.approx(norm.std())
+        assert o.seconds is not None
+        assert o.seconds > 0
+    assert compared.raw.spread == pytest.approx(np.linalg.norm(dive.recording.magnetic_field, axis=1).std())
+
+
+def test_one_delay_for_all_headings(dive: mg.Simulation, compared: Comparison) -> None:
+    assert compared.delay_from == "smoother"
+    assert compared.delay == pytest.approx(0.05, abs=0.03)
+    for o in compared.outcomes:
+        assert o.heading is not None
+        assert o.calibration is not None
+        again = heading_error(dive.recording, o.calibration, compared.delay)
+        np.testing.assert_array_equal(o.heading.error, again.error)
+    truth = heading_error(dive.recording, dive.truth)
+    smoother, raw = outcome(compared, "smoother").heading, compared.raw.heading
+    assert smoother is not None
+    assert raw is not None
+    assert smoother.deviation == pytest.approx(truth.deviation, rel=0.15)
+    assert raw.deviation > 5 * truth.deviation
+
+
+def test_heading_of_a_known_error() -> None:
+    """A hard iron across a level turn: arcsin(h/H) at most, and nothing after it is gone."""
+    time = np.arange(1000) / 10
+    turn = np.linspace(0, 4 * np.pi, 1000)
+    half = np.stack([0 * turn, 0 * turn, np.sin(turn / 2), np.cos(turn / 2)], axis=1)
+    field = np.stack([20e-6 * np.cos(turn), -20e-6 * np.sin(turn), 40e-6 + 0 * turn], axis=1)
+    recording = mg.Recording(time, field + [2e-6, 0, 0], attitude=half)
+    error = heading_error(recording, UNCALIBRATED)
+    assert np.abs(error.error).max() == pytest.approx(np.rad2deg(np.arcsin(0.1)), rel=0.02)
+    clean = heading_error(recording, mg.Calibration(np.eye(3), [2e-6, 0, 0]))
+    assert clean.deviation < 1e-6
+    with pytest.raises(mg.MagycError, match="no reference attitude"):
+        heading_error(mg.Recording(time, field), UNCALIBRATED)
+
+
+def test_all_registered_methods_are_there_and_what_is_missing_is_said(dive: mg.Simulation) -> None:
+    bare = replace(dive.recording, angular_rate=None, attitude=None, acceleration=None)
+    result = compare(bare.between(0, 60))
+    assert [o.method for o in result.outcomes] == list(mg.methods())
+    for o in result.outcomes:
+        needs = mg.methods()[o.method].needs
+        assert (o.status is Status.IMPOSSIBLE) == bool(needs)
+        if "angular_rate" in needs:
+            assert "a gyroscope" in o.reason
+        if "attitude" in needs:
+            assert "a reference attitude" in o.reason
+    assert result.raw.heading is None
+
+
+def test_a_log_that_allows_nothing_has_a_page(dive: mg.Simulation) -> None:
+    result = compare(replace(dive.recording, angular_rate=None), ("smoother", "sar-ls"))
+    assert result.calibrated == result.trusted == ()
+    page = render_comparison(result)
+    assert "This log allows none of the methods" in page
+    assert "smoother is not possible: needs a gyroscope" in page
+
+
+def test_a_method_that_fails_stops_nobody(dive: mg.Simulation, two_more: None) -> None:
+    seen: list[tuple[str, float]] = []
+    result = compare(
+        dive.recording, ("crash", "doubt", "smoother"), progress=lambda name, share: seen.append((name, share))
+    )
+    assert [o.status for o in result.outcomes] == [Status.FAILED, Status.UNTRUSTED, Status.TRUSTED]
+    assert outcome(result, "crash").reason == "ZeroDivisionError: a defect of the method"
+    assert outcome(result, "doubt").reason == "no luck"
+    assert ("smoother", 1.0) in seen
+    assert "crash failed: ZeroDivisionError: a defect of the method" in compare_words.remarks(result)
+
+
+def test_interrupting_stops_all(dive: mg.Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*arguments: Any, **options: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "calibrate", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        compare(dive.recording, ("sar-ls",))
+
+
+def test_names_are_checked() -> None:
+    recording = mg.simulate("wide", 30).recording
+    with pytest.raises(mg.MagycError, match="'magic' is none of smoother"):
+        compare(recording, ("magic",))
+    with pytest.raises(mg.MagycError, match="'sar-ls' is given twice"):
+        compare(recording, ("sar-ls", "sar-ls"))
+
+
+def test_long_recordings_are_thinned_for_methods_without_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST_SAMPLES", 1000)
+    recording = mg.simulate("wide", 240, seed=1).recording
+    result = compare(recording, ("ellipsoid", "sar-ls"))
+    assert outcome(result, "ellipsoid").note == "800 of 2,400 samples, evenly spaced"
+    assert outcome(result, "sar-ls").note == ""
+    assert "ellipsoid: 800 of 2,400 samples, evenly spaced" in compare_words.remarks(result)
+    alone = mg.calibrate(recording.rows(slice(None, None, 3)), "ellipsoid")
+    ellipsoid = outcome(result, "ellipsoid").calibration
+    assert ellipsoid is not None
+    np.testing.assert_array_equal(ellipsoid.hard_iron, alone.hard_iron)
+
+
+def test_outliers_are_told_apart() -> None:
+    recording = mg.simulate("wide", 240, seed=3).recording
+    field = recording.magnetic_field.copy()
+    wrong = np.random.default_rng(1).choice(len(field), 60, replace=False)
+    field[wrong] += 40e-6
+    result = compare(replace(recording, magnetic_field=field), ("ellipsoid", "autocal"))
+    assert result.inlier_from == "autocal"
+    fresh = result.recording.magnetic_field_fresh
+    assert fresh.all()
+    assert (~result.inlier[wrong]).mean() > 0.95
+    assert result.inlier[np.setdiff1d(np.arange(len(field)), wrong)].mean() > 0.99
+    autocal = outcome(result, "autocal")
+    assert autocal.inlier_spread is not None
+    assert autocal.spread is not None
+    assert autocal.inlier_spread < 0.3 * autocal.spread
+    assert "of inliers" in compare_words.result_header(result)
+    assert any("samples lie off the ellipsoid of autocal" in s for s in compare_words.footnotes(result))
+
+
+def test_doubts_that_a_method_has_not_itself(dive: mg.Simulation, compared: Comparison) -> None:
+    """The dive's soft iron moves the hard iron of those that have none, and their spread does not show it."""
+    assert compared.reference is outcome(compared, "smoother")
+    apart = compare_words.cautions(compared, outcome(compared, "magfactor3"))
+    assert any("from that of smoother" in caution for caution in apart)
+    assert compare_words.cautions(compared, outcome(compared, "smoother")) == []
+    worse = replace(outcome(compared, "smoother"), inlier_spread=1.0)
+    assert any("varies more" in caution for caution in compare_words.cautions(compared, worse))
+
+
+def test_the_files_agree_with_the_calibrations(compared: Comparison) -> None:
+    rows = list(csv.DictReader(io.StringIO(compare_words.csv_text(compared))))
+    data = json.loads(json.dumps(compare_words.to_dict(compared)))
+    assert [row["method"] for row in rows] == ["raw", *QUICK]
+    assert [o["method"] for o in data["outcomes"]] == ["raw", *QUICK]
+    smoother = outcome(compared, "smoother").calibration
+    assert smoother is not None
+    row = rows[1]
+    assert float(row["hard_iron_y_T"]) == smoother.hard_iron[1]
+    assert float(row["hard_iron_y_T_sigma"]) == smoother.sigma["hard_iron"][1]
+    assert float(row["soft_iron_xz"]) == smoother.soft_iron[0, 2]
+    assert float(row["gyro_bias_z_rad/s"]) == smoother.gyro_bias[2]
+    assert float(row["delay_s"]) == smoother.delay
+    assert row["status"] == "trusted"
+    magfactor3 = rows[2]
+    assert magfactor3["hard_iron_x_T_sigma"] == magfactor3["gyro_bias_x_rad/s"] == magfactor3["delay_s"] == ""
+    again = mg.Calibration.from_dict(data["outcomes"][1]["calibration"])
+    np.testing.assert_array_equal(again.hard_iron, smoother.hard_iron)
+
+
+def test_counts_stay_counts() -> None:
+    """Unit-free methods only; the same numbers as in tesla but for the unit, and nowhere a µT."""
+    simulation = mg.simulate("wide", 60, seed=2)
+    per_count = 2.5e-7
+    plain = replace(simulation.recording, angular_rate=None, attitude=None, acceleration=None)
+    counts = replace(plain, magnetic_field=plain.magnetic_field / per_count, magnetic_field_unit="counts")
+    result, in_tesla = compare(counts), compare(plain)
+    ran = [o for o in result.outcomes if o.status is not Status.IMPOSSIBLE]
+    assert ran
+    for o in ran:
+        twin = outcome(in_tesla, o.method)
+        assert (o.method, o.status) == (twin.method, twin.status)
+        if o.status is Status.TRUSTED:
+            assert o.calibration is not None
+            assert twin.calibration is not None
+            assert o.calibration.configuration["magnetic_field_unit"] == "counts"
+            np.testing.assert_allclose(o.calibration.soft_iron, twin.calibration.soft_iron, rtol=1e-3, atol=1e-4)
+            np.testing.assert_allclose(o.calibration.hard_iron * per_count, twin.calibration.hard_iron, atol=1e-8)
+    few = tuple(o for o in result.outcomes if o.method in ("smoother", "ellipsoid"))
+    assert "µT" not in render_comparison(replace(result, outcomes=few))
+    assert "µT" not in json.dumps(compare_words.to_dict(result), ensure_ascii=False)
+    assert "hard_iron_x_counts" in compare_words.csv_text(result)
+    assert "_T" not in compare_words.csv_text(result).splitlines()[0]
+    for o in result.trusted:
+        assert o.calibration is not None
+        with pytest.raises(mg.MagycError, match="raw counts"):
+            o.calibration.export("px4")
+
+
+def test_counts_with_a_gyroscope_do_not_reach_methods_in_tesla() -> None:
+    recording = mg.simulate("wide", 60, seed=2).recording
+    counts = replace(recording, magnetic_field=recording.magnetic_field * 1e7, magnetic_field_unit="counts")
+    with pytest.raises(mg.MagycError, match="needs the field in tesla"):
+        mg.calibrate(counts)
+    with pytest.raises(mg.MagycError, match="field_strength: needs the field in tesla"):
+        mg.calibrate(counts, "ellipsoid", field_strength=50e-6)
+    result = compare(counts, ("smoother", "sar-ls"))
+    assert {o.reason for o in result.outcomes} == {"needs the field in tesla"}
+    with pytest.raises(mg.MagycError, match="neither 'T' nor 'counts'"):
+        replace(recording, magnetic_field_unit="gauss")
+
+
+@pytest.fixture
+def here(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> Iterator[Callable[..., tuple[int, str, str]]]:
+    """The command line in this process: exit code, output and errors; `main` silences the libraries for good."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = cli.main([str(a) for a in arguments])
+        shown = capsys.readouterr()
+        return code, shown.out, shown.err
+
+    with warnings.catch_warnings():
+        yield call
+    logging.disable(logging.NOTSET)
+
+
+def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """The installed command."""
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=120
+    )
+
+
+def test_command(dive: mg.Simulation, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "dive.mcap", dive.recording)
+    asked = ("--methods", "smoother, sar-ls,ellipsoid", "--start", 10, "--field-strength", 50)
+    result = run("compare", tmp_path / "dive.mcap", *asked, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == ""
+    (folder,) = (tmp_path / "results").iterdir()
+    assert folder.name.startswith("dive-compare-")
+    assert {f.name for f in folder.iterdir()} == {
+        "comparison.csv",
+        "comparison.json",
+        "configuration.yaml",
+        "report.html",
+    }
+    for text in (
+        "raw",
+        "smoother",
+        "sar-ls",
+        "ellipsoid",
+        "hard iron x (µT)",
+        "heading spread (°)",
+        "gyro bias x",
+    ):
+        assert text in result.stdout
+    configuration = yaml.safe_load((folder / "configuration.yaml").read_text(encoding="utf-8"))
+    assert configuration["methods"] == ["smoother", "sar-ls", "ellipsoid"]
+    assert configuration["field_strength"] == pytest.approx(50e-6)
+    assert configuration["interval"][0] == pytest.approx(10.0)
+    data = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
+    assert data["outcomes"][1]["calibration"]["field_strength"] == pytest.approx(50e-6)
+
+
+def test_command_on_raw_counts(here: Callable[..., tuple[int, str, str]]) -> None:
+    field = mg.simulate("wide", 60, seed=2).recording.magnetic_field
+    np.savetxt("raw.txt", np.round(field * 4e6), fmt="%d")
+    read = ("raw.txt", "--read", "columns=mx,my,mz", "--read", "rate=10", "--magnetic-unit", "counts")
+    code, output, _ = here("compare", *read, "--methods", "autocal,smoother", "--json")
+    assert code in (0, 1)
+    data = json.loads(output)
+    assert data["magnetic_field_unit"] == "counts"
+    assert data["outcomes"][2]["status"] == "not possible"
+    assert "magnetic_field was read in counts, as asked" in data["notes"]
+    code, _, error = here("calibrate", *read)
+    assert code == 2
+    assert "--magnetic-unit counts: a calibration needs the field in tesla" in error
+
+
+def test_exit_codes(here: Callable[..., tuple[int, str, str]]) -> None:
+    write_mcap("still.mcap", mg.simulate("survey", 30).recording)
+    code, _, error = here("compare", "still.mcap", "--methods", "smoother,sar-ls", "--quiet")
+    assert code == 1
+    assert "no method gave a result that can be trusted" in error
+    for arguments, text in (
+        (("--methods", "magic"), "'magic' is none of"),
+        (("--start", "20", "--end", "10"), "is not before"),
+        (("--date", "2024-01-01"), "says nothing without a place"),
+    ):
+        code, output, error = here("compare", "still.mcap", *arguments, "-o", "out")
+        assert (code, output) == (2, "")
+        assert text in error
+        assert error.count("\n") == 1
+        assert not Path("out").exists()
+    assert here("compare", "no.mcap")[0] == 2
+
+
+def test_page(compared: Comparison, two_more: None, tmp_path: Path) -> None:
+    """In a browser without a network: all figures drawn, nothing fetched, no sideways scroll, names escaped."""
+    api = pytest.importorskip("playwright.sync_api")
+    found = [
+        os.environ.get("MAGYC_CHROMIUM"),
+        *map(shutil.which, ("chromium", "chromium-browser", "google-chrome")),
+    ]
+    chromium = next((path for path in found if path), None)
+    if chromium is None:
+        pytest.skip("no Chromium found; name one in MAGYC_CHROMIUM")
+    few = [outcome(compared, name) for name in ("smoother", "magfactor3")]
+    bad = compare(compared.recording, ("crash", "doubt")).outcomes
+    recording = replace(compared.recording, name=HOSTILE, notes=(HOSTILE,))
+    file = tmp_path / "report.html"
+    page_of = replace(compared, recording=recording, outcomes=(*few, *bad))
+    file.write_text(render_comparison(page_of), encoding="utf-8")
+    wrong: list[str] = []
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
+        for width, scheme in ((1280, "light"), (390, "dark")):
+            page = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme).new_page()
+            page.on("request", lambda r: r.url.startswith(("file://", "data:")) or wrong.append(r.url))
+            page.on("console", lambda m: m.type in ("error", "warning") and wrong.append(m.text))
+            page.goto(file.as_uri())
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert page.evaluate(
+                "[...document.querySelectorAll('figure svg')].every(f => f.getBoundingClientRect().height > 100)"
+            )
+        good = len(page_of.trusted)
+        assert page.locator("#verdict h1").inner_text() == f"{good} of 4 methods gave a result to trust"
+        assert page.title().startswith("Comparison on <script>")
+        assert page.locator("section.method").count() == 3
+        assert page.locator("section.method figure svg").count() == 3 * 5
+        assert page.locator("#overview figure svg").count() == 3
+        assert "crash failed: ZeroDivisionError: a defect of the method" in page.inner_text("main")
+        assert "No luck" in page.inner_text("#method-doubt")
+        assert "from that of smoother" in page.inner_text("#method-magfactor3")
+        browser.close()
+    assert not wrong
+
+
+@pytest.mark.real
+def test_raw_counts_of_a_real_magnetometer(shared_data: Path) -> None:
+    recording = mg.read(shared_data / "magnetometer_only.txt", columns="mx,my,mz", rate=10, magnetic_unit="counts")
+    result = compare(recording, ("ellipsoid", "autocal", "smoother"))
+    for name in ("ellipsoid", "autocal"):
+        o = outcome(result, name)
+        assert o.status is Status.TRUSTED, o.reason
+        assert o.calibration is not None
+        np.testing.assert_allclose(o.calibration.hard_iron, [-68.1, 82.8, -133.4], atol=1.0)
+    assert outcome(result, "smoother").status is Status.IMPOSSIBLE
