@@ -1,0 +1,63 @@
+"""Calibration that changes slowly: nodes at intervals, joined by random walks.
+
+A battery ages, a payload is moved, a sensor warms: the variance of the change grows with time, stated as a
+standard deviation after one hour (per √hour). The factors are GTSAM's own `BetweenFactor`s, so that no
+Python runs inside the optimiser.
+
+Nodes also keep iSAM2 fast where the calibration is constant: iSAM2 looks at every factor of every variable
+that an update touches, so that one pair of keys under n factors costs n per update (docs/slam.md).
+"""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import Array
+from magyc_gtsam.factors.pose import MICROTESLA
+
+_HOUR = 3600.0
+
+
+def soft_iron_walk(first: int, second: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorVector:
+    """Random walk between two soft irons (6-vectors).
+
+    Args:
+        first, second: keys.
+        elapsed: s between the two nodes.
+        sigma: change per √hour of each entry, one or six; 1e-3 is a tenth of a percent in an hour.
+    """
+    return gtsam.BetweenFactorVector(first, second, np.zeros(6), _grown(sigma, 6, elapsed))
+
+
+def hard_iron_walk(
+    first: int, second: int, elapsed: float, sigma: ArrayLike, *, field_unit: float = MICROTESLA
+) -> gtsam.BetweenFactorPoint3:
+    """Random walk between two hard irons (3-vectors or `Point3`, `field_unit`); `sigma` in T per √hour."""
+    return gtsam.BetweenFactorPoint3(
+        first, second, np.zeros(3), _grown(np.asarray(sigma, dtype=float) / field_unit, 3, elapsed)
+    )
+
+
+def gyro_bias_walk(first: int, second: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorPoint3:
+    """Random walk between two gyroscope biases (3-vectors or `Point3`); `sigma` in rad/s per √hour.
+
+    A graph whose bias is an `imuBias.ConstantBias` has its own (`CombinedImuFactor`,
+    `BetweenFactorConstantBias`) and needs no other.
+    """
+    return gtsam.BetweenFactorPoint3(first, second, np.zeros(3), _grown(sigma, 3, elapsed))
+
+
+def _grown(sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:
+    """Standard deviation after `elapsed` s of a walk of `sigma` per √hour."""
+    deviation: Array = np.broadcast_to(np.asarray(sigma, dtype=float), (size,)) * np.sqrt(
+        max(elapsed, 0.0) / _HOUR
+    )
+    if not (np.isfinite(deviation).all() and (deviation > 0).all()):
+        raise MagycError(
+            f"random walk of {sigma!r} per √hour over {elapsed} s; both must be finite and above 0 "
+            "(a calibration that does not change needs one node, or a walk too small to matter)"
+        )
+    return gtsam.noiseModel.Diagonal.Sigmas(deviation)

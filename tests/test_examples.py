@@ -1,0 +1,47 @@
+"""The examples run, stay short, and show what they say."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+@pytest.fixture
+def example(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    yield importlib.import_module
+    for file in EXAMPLES.glob("*.py"):
+        sys.modules.pop(file.stem, None)
+
+
+@pytest.mark.parametrize("name", ["isam2_survey", "batch_dive", "next_mission", "vehicle"])
+def test_examples_are_short(name):
+    assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) < 100
+
+
+def test_isam2_survey(example):
+    main = example("isam2_survey").main
+    without, calibrated = main(duration=200.0, magnetometer=False), main(duration=200.0)
+    assert calibrated["heading, degrees"] < 0.4
+    assert without["heading, degrees"] > 5 * calibrated["heading, degrees"]
+    assert calibrated["hard iron, µT"] < 4 * calibrated["its sigma, µT"] < 2
+
+
+def test_batch_dive(example):
+    main = example("batch_dive").main
+    weighed, trusted = main(), main(robust=None)
+    assert weighed["heading, degrees"] < 0.4
+    assert weighed["hard iron, µT"] < 3.5 * weighed["its sigma, µT"] < 1.5
+    assert weighed["gyroscope bias, mrad/s"] < 1
+    assert trusted["hard iron, µT"] > 5 * weighed["hard iron, µT"]
+
+
+def test_next_mission(example):
+    main = example("next_mission").main
+    carried, alone = main(), main(carried=False)
+    assert carried["heading, degrees"] < 0.6
+    assert carried["hard iron, µT"] < 0.5
+    assert alone["hard iron, µT"] > 5 * carried["hard iron, µT"]
