@@ -84,6 +84,8 @@ class Preintegration:
         length: s, longest window.
         turn: rad, largest rotation inside a window; infinitely small gives one window per sample.
         hole: s, a gyroscope step longer than this parts the chain.
+        begun: windows, and the share of the one at hand, that lie before the first gyroscope sample; for
+            the continuation of a longer log.
 
     Attributes:
         starts: (n,) index of each window's first magnetometer sample.
@@ -102,6 +104,7 @@ class Preintegration:
     length: float = 1.0
     turn: float = 0.2
     hole: float = 0.5
+    begun: float = 0.0
     starts: np.ndarray = field(init=False)
     linked: np.ndarray = field(init=False)
     step: Array = field(init=False)
@@ -131,7 +134,7 @@ class Preintegration:
         progress = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length) * step
         progress[holes] = 1.0
         distance = np.interp(
-            self.magnetometer_time, self.gyroscope_time, np.concatenate([[0.0], np.cumsum(progress)])
+            self.magnetometer_time, self.gyroscope_time, np.cumsum(np.concatenate([[self.begun], progress]))
         )
         window = np.floor(distance).astype(np.int64) + segment
         starts = np.concatenate([[0], np.flatnonzero(np.diff(window)) + 1])

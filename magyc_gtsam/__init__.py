@@ -7,11 +7,15 @@ from typing import Any
 
 # Name → module. Imported at first use, so that `magyc-gtsam --help` does not wait for gtsam.
 _PUBLIC = {
+    "AccelerometerCalibration": "magyc_gtsam.estimators.accelerometer",
     "Calibration": "magyc_gtsam.calibration",
     "MagycError": "magyc_gtsam.factors.errors",
+    "OnlineCalibrator": "magyc_gtsam.online",
     "Recording": "magyc_gtsam.recording",
     "Simulation": "magyc_gtsam.simulation",
     "calibrate": "magyc_gtsam.estimators",
+    "calibrate_accelerometer": "magyc_gtsam.estimators.accelerometer",
+    "find_gap": "magyc_gtsam.gap",
     "methods": "magyc_gtsam.estimators",
     "read": "magyc_gtsam.io",
     "simulate": "magyc_gtsam.simulation",

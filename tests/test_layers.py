@@ -29,7 +29,7 @@ def test_layers(tmp_path: Path) -> None:
         text=True,
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    assert "1 kept, 0 broken" in result.stdout
+    assert "2 kept, 0 broken" in result.stdout
 
 
 @pytest.mark.parametrize("file", sorted((ROOT / "factors").glob("*.py")), ids=lambda file: file.stem)

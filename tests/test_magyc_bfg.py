@@ -5,8 +5,17 @@ import numpy as np
 import pytest
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.magyc_bfg import GAUSS, KEYS, _covariance, calibrate_magyc_bfg, derivative_windows
-from magyc_gtsam.factors import MagycError, gyro_derivative_factor, norm_prior, unvech, vech
+from magyc_gtsam.estimators.derivative_windows import GAUSS, derivative_windows
+from magyc_gtsam.estimators.magyc_bfg import calibrate_magyc_bfg
+from magyc_gtsam.estimators.magyc_state import KEYS, MagycState
+from magyc_gtsam.factors import (
+    CompressedGyroDerivative,
+    MagycError,
+    gyro_derivative_factor,
+    norm_prior,
+    unvech,
+    vech,
+)
 from magyc_gtsam.factors.gyro_derivative import gyro_derivative_error
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.runners import optimize
@@ -194,7 +203,7 @@ def test_its_weakness_is_that_of_numeric_differences(wide):
     mapping = np.array([(physical(x + e) - physical(x - e)) / 2e-6 for e in 1e-6 * np.eye(12)]).T
     scale = np.diag(1 / np.repeat([1, GAUSS, 1], [6, 3, 3]))
     np.testing.assert_allclose(
-        scale @ _covariance(samples, l, d, b) @ scale,
+        scale @ MagycState(l, d, b).covariance(CompressedGyroDerivative.from_samples(*samples)) @ scale,
         scale @ mapping @ blocks @ mapping.T @ scale,
         rtol=0.02,
         atol=1e-8,

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -241,47 +238,6 @@ def test_page_of_a_mirrored_sensor_says_which_target_cannot_hold_it() -> None:
     page = render(simulated(), replace(good(), soft_iron=np.diag([1.0, 1.0, -1.0]) @ SOFT_IRON))
     assert "mirrors an axis, which PX4" in page
     assert "$VNWRG,23," in page
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    """Headless Chromium."""
-    api = pytest.importorskip("playwright.sync_api")
-    found = [os.environ.get("MAGYC_CHROMIUM")]
-    found += [shutil.which(name) for name in ("chromium", "chromium-browser", "google-chrome")]
-    path = next((candidate for candidate in found if candidate), None)
-    if path is None:
-        pytest.skip("no Chromium found; name one in MAGYC_CHROMIUM")
-    with api.sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
-        yield chromium
-        chromium.close()
-
-
-@pytest.fixture
-def opened(browser: Any, request: pytest.FixtureRequest) -> Iterator[Any]:
-    """A function that opens a file and gives the page; fails on requests beyond it and on errors."""
-    wrong: list[str] = []
-    contexts = []
-
-    def open_page(path: Path, width: int = 1280, scheme: str = "light") -> Any:
-        context = browser.new_context(
-            viewport={"width": width, "height": 900},
-            color_scheme=scheme,
-            permissions=["clipboard-read", "clipboard-write"],
-        )
-        contexts.append(context)
-        page = context.new_page()
-        page.on("request", lambda r: r.url.startswith(("file://", "data:")) or wrong.append(f"request {r.url}"))
-        page.on("console", lambda m: m.type in ("error", "warning") and wrong.append(f"console {m.text}"))
-        page.on("pageerror", lambda e: wrong.append(f"error {e}"))
-        page.goto(path.as_uri())
-        return page
-
-    yield open_page
-    for context in contexts:
-        context.close()
-    assert not wrong
 
 
 def drawn_figures(page: Any) -> int:

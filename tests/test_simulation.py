@@ -175,7 +175,10 @@ def test_disturb_leaves_held_rows_held():
     ("arguments", "words"),
     [
         ({"motion": "wild"}, ["'wild'", "wide", "survey"]),
-        ({"motion": "wide", "effects": ("spikes",)}, ["effects", "'spikes'"]),
+        ({"motion": "wide", "effects": ("wobble",)}, ["effects", "'wobble'", "spikes"]),
+        ({"motion": "wide", "effects": (("tone", 0.0),)}, ["factor 0", "'tone'"]),
+        ({"motion": "wide", "effects": ("tone", "tone")}, ["'tone'", "twice"]),
+        ({"motion": "wide", "channels": ("pressure",)}, ["'pressure'", "depth"]),
         ({"motion": "wide", "duration": 0.2}, ["0.2 s at 10 Hz gives 2 samples", "at least 3"]),
     ],
 )

@@ -40,7 +40,7 @@ def test_the_bound_needs_no_delay():
 
 
 def test_table_one_of_the_paper():
-    rows = {(row.method, row.motion): row for row in table_one(6)}
+    rows = {(row.method, row.motion): row for row in table_one(6, methods=("magyc-bfg", "smoother"))}
     for motion, (heading, _) in PUBLISHED["raw"].items():
         assert rows["raw", motion].heading[0] == pytest.approx(heading, rel=0.05)
     for motion in ("wide", "moderate"):

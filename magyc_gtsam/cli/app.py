@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from magyc_gtsam import __version__
-from magyc_gtsam.cli import apply, calibrate, export, info, simulate, study
+from magyc_gtsam.cli import apply, calibrate, compare, export, gap, info, online, simulate, study
 from magyc_gtsam.cli.options import spelled
 
 WRONG, INTERRUPTED, UNREAD = 2, 130, 141  # the last two as shells count signals 2 and 13
@@ -29,8 +29,11 @@ app = typer.Typer(
 )
 for name, command in (
     ("calibrate", calibrate),
+    ("online", online),
     ("apply", apply),
     ("info", info),
+    ("compare", compare),
+    ("gap", gap),
     ("simulate", simulate),
     ("export", export),
     ("study", study),

@@ -8,13 +8,16 @@ from typing import Annotated, Any
 import typer
 
 from magyc_gtsam.cli.files import replacing
+from magyc_gtsam.cli.results import write_yaml
 from magyc_gtsam.cli.terminal import show
 
 
 def run(
     motion: Annotated[
         str,
-        typer.Argument(metavar="MOTION", help="wide, moderate, low, tiny, dive or survey.", show_default=False),
+        typer.Argument(
+            metavar="MOTION", help="wide, moderate, low, tiny, multi, dive or survey.", show_default=False
+        ),
     ],
     output: Annotated[
         Path,
@@ -41,6 +44,14 @@ def run(
     magnetometer_noise: Annotated[float, typer.Option(metavar="µT", help="Deviation per sample and axis.")] = 1.0,
     gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Likewise.")] = 5.0,
     delay: Annotated[float, typer.Option(metavar="MS", help="By which the magnetometer lags.")] = 0.0,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[=FACTOR]",
+            help="Of the gap workflow, with a factor on its published strength; may be repeated. "
+            "FILE.effects.yaml then goes beside.",
+        ),
+    ] = None,
 ) -> int:
     """Simulate a recording with its truth.
 
@@ -50,6 +61,7 @@ def run(
 
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.io import write_mcap
+    from magyc_gtsam.json_types import json_types
     from magyc_gtsam.simulation import FIELD, simulate
 
     if output.suffix.lower() != ".mcap":
@@ -70,10 +82,26 @@ def run(
         sensor["hard_iron"] = np.multiply(hard_iron, 1e-6)
     if gyroscope_bias is not None:
         sensor["gyro_bias"] = np.multiply(gyroscope_bias, 1e-3)
-    simulation = simulate(motion, duration, rate, seed, **sensor)
+    simulation = simulate(motion, duration, rate, seed, [_factor(text) for text in effect or ()], **sensor)
     truth = output.with_suffix(".truth.yaml")
     with replacing(output) as part, replacing(truth) as truth_part:
         write_mcap(part, simulation.recording)
         simulation.truth.save(truth_part)
     show(f"{output}: {simulation.recording.duration:.1f} s at {rate:g} Hz", f"{truth}: the truth behind it")
+    if simulation.effects:
+        hidden = output.with_suffix(".effects.yaml")
+        with replacing(hidden) as part:
+            write_yaml(part, {"effects": json_types(simulation.effects)})
+        show(f"{hidden}: {', '.join(e.name for e in simulation.effects)}")
     return 0
+
+
+def _factor(text: str) -> tuple[str, float]:
+    """(name, factor) of "name" or "name=factor"."""
+    from magyc_gtsam.factors.errors import MagycError
+
+    name, equals, factor = text.partition("=")
+    try:
+        return name, float(factor) if equals else 1.0
+    except ValueError:
+        raise MagycError(f"--effect: {factor!r} of {name!r} is no number") from None

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from magyc_gtsam.cli.terminal import show_table, stages
+from magyc_gtsam.cli.terminal import show, show_table, stages
 
 
 class Study(StrEnum):
@@ -15,6 +16,11 @@ class Study(StrEnum):
 
     EFFICIENCY = "efficiency"
     TABLE_ONE = "table-one"
+    SETTLING = "settling"
+    AUTOCAL = "autocal"
+    REVIEW = "review"
+    GAP = "gap"
+    GAP_STRENGTHS = "gap-strengths"
 
 
 def run(
@@ -22,7 +28,11 @@ def run(
         Study,
         typer.Argument(
             metavar="STUDY",
-            help="efficiency (error over the Cramér–Rao bound, NEES) or table-one (Table I of the MAGYC paper).",
+            help="efficiency (error over the Cramér–Rao bound, NEES), table-one (Table I of the MAGYC paper), settling "
+            "(share of the data after which magyc-ifg stands still) or "
+            "review (Table 2 of the review of magnetometer-only methods; it takes 250 runs), gap (blind test of "
+            "the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out) or autocal "
+            "(Fig. 5 and 6 of the Autocal paper, and one-sided data).",
             show_default=False,
         ),
     ],
@@ -31,11 +41,40 @@ def run(
         float, typer.Option(min=0.0, max=1.0, help="efficiency: share of seconds with up to 50 µT added.")
     ] = 0.0,
     gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Deviation per sample.")] = 5.0,
+    motion: Annotated[
+        list[str] | None, typer.Option(help="gap: may be repeated; default wide, moderate and multi.")
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="gap: none, single, pair, withheld, foreign; may be repeated; default all."),
+    ] = None,
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="LOG", help="gap: real recording to put effects into; may be repeated."),
+    ] = None,
+    edition: Annotated[int, typer.Option(min=0, help="gap: of the seeds.")] = 1,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="gap: an interrupted test goes on there.")
+    ] = Path("results/blindtest"),
 ) -> int:
     """Run a study on simulated recordings and print its table."""
     noise = gyroscope_noise * 1e-3
     if study is Study.EFFICIENCY:
         _efficiency(runs, disturbed, noise)
+    elif study is Study.SETTLING:
+        _settling(runs, noise)
+    elif study is Study.REVIEW:
+        _review(runs)
+    elif study is Study.GAP:
+        from magyc_gtsam.cli.study_gap import blind_test
+
+        return blind_test(output, runs, motion, sets, log or (), edition)
+    elif study is Study.GAP_STRENGTHS:
+        from magyc_gtsam.cli.study_gap import strengths
+
+        strengths(runs)
+    elif study is Study.AUTOCAL:
+        _autocal(runs)
     else:
         _table_one(runs, noise)
     return 0
@@ -73,7 +112,10 @@ def _table_one(runs: int, gyroscope_noise: float) -> None:
     from magyc_gtsam.study.table_one import PUBLISHED, table_one
 
     def spread(values: tuple[float, float, float]) -> str:
-        return f"{values[0]:.2f} ({values[1]:.2f} to {values[2]:.2f})"
+        return "–" if values[0] != values[0] else f"{values[0]:.2f} ({values[1]:.2f} to {values[2]:.2f})"
+
+    def printed(method: str, value: float | None) -> str:
+        return ("N/A" if method in PUBLISHED else "") if value is None else f"{value:.3f}"
 
     with stages() as stage:
         result = table_one(runs, gyroscope_noise=gyroscope_noise, progress=stage(f"{runs} runs"))
@@ -84,10 +126,75 @@ def _table_one(runs: int, gyroscope_noise: float) -> None:
             [
                 f"{row.method}, {row.motion}",
                 spread(row.heading),
-                "" if heading is None else f"{heading:.3f}",
+                printed(row.method, heading),
                 spread(row.spread),
-                "" if field is None else f"{field:.3f}",
+                printed(row.method, field),
                 spread(row.systematic),
+                f"{row.failed}" if row.failed else "",
             ]
         )
-    show_table(["median (5 to 95 %)", "heading °", "paper", "field mG", "paper", "systematic °"], rows)
+    show_table(["median (5 to 95 %)", "heading °", "paper", "field mG", "paper", "systematic °", "failed"], rows)
+
+
+def _settling(runs: int, gyroscope_noise: float) -> None:
+    from magyc_gtsam.study.settling import settling
+
+    with stages() as stage:
+        result = settling(runs, gyroscope_noise=gyroscope_noise, progress=stage(f"{runs} runs"))
+    rows = [[row.motion, f"{row.share[0]:.0%}", "{1:.0%} to {2:.0%}".format(*row.share)] for row in result]
+    show_table(["magyc-ifg settles after", "median", "5 to 95 %"], rows)
+
+
+def _review(runs: int) -> None:
+    from magyc_gtsam.study.review import PUBLISHED, STRICT, review
+
+    with stages() as stage:
+        result, bound = review(runs, progress=stage(f"{runs} runs"))
+    reference = result[0].scores.time
+    rows = []
+    for row in result:
+        accuracy, robustness, speed = PUBLISHED[row.method]
+        rows.append(
+            [
+                row.method,
+                f"{row.scores.accuracy:.3g}",
+                f"{accuracy:.3g}",
+                f"{row.scores.robustness:.1%}",
+                f"{robustness:.1f}%",
+                f"{row.strict.robustness:.1%}",
+                f"{row.refused}",
+                f"{row.scores.time / reference:.2g}",
+                f"{PUBLISHED[result[0].method][2] / speed:.2g}",
+            ]
+        )
+    rows.append(["bound", f"{bound:.3g}", *[""] * 7])
+    show_table(
+        [
+            "",
+            "1/ρ",
+            "paper",
+            "robust",
+            "paper",
+            f"δ = {STRICT:g}",
+            "refused",
+            f"time / {result[0].method}",
+            "paper",
+        ],
+        rows,
+    )
+
+
+def _autocal(runs: int) -> None:
+    from magyc_gtsam.study.autocal import STUDIES, Score
+
+    def cell(score: Score) -> str:
+        error = "–" if score.failed == 1 and not score.median < 10 else f"{100 * score.median:.2f}"
+        return error if not score.failed else f"{error} ({score.failed:.0%})"
+
+    with stages() as stage:
+        tables = {title: study(runs, stage(title)) for title, study in STUDIES.items()}
+    for title, table in tables.items():
+        show("", f"{title}: median error in %, in brackets the share of runs that are off by more than 10 %", "")
+        names = next(iter(table.values()))
+        rows = [[name, *(cell(scores[name]) for scores in table.values())] for name in names]
+        show_table(["", *(f"{condition:g}" for condition in table)], rows)

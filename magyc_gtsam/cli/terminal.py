@@ -25,9 +25,9 @@ def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
-    console = _console(stderr=True)
+    screen = console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Bars(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as bars:
+    with Bars(*columns, console=screen, transient=True, disable=not (shown and screen.is_terminal)) as bars:
 
         def stage(name: str) -> Progress:
             for task in bars.tasks:
@@ -40,9 +40,9 @@ def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
 
 def show(*sentences: str) -> None:
     """Sentences on standard output, each on a line of its own and never cut."""
-    console = _console()
+    output = console()
     for sentence in sentences:
-        console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+        output.print(sentence, markup=False, highlight=False, soft_wrap=True)
 
 
 def show_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -54,7 +54,7 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    _console().print(table, markup=False, highlight=False)
+    console().print(table, markup=False, highlight=False)
 
 
 def show_calibration(calibration: Calibration) -> None:
@@ -85,7 +85,8 @@ def show_weak(sentences: Sequence[str]) -> None:
         show(f"  weak: {len(sentences) - _WORST} more")
 
 
-def _console(stderr: bool = False) -> Console:
+def console(stderr: bool = False) -> Console:
+    """A console that outlives its reader, and that cuts nothing in a pipe."""
     from rich.console import Console
 
     class Patient(Console):
@@ -94,5 +95,5 @@ def _console(stderr: bool = False) -> Console:
             self.quiet = True
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    console = Patient(stderr=stderr)
-    return console if console.is_terminal else Patient(stderr=stderr, width=_WIDE)
+    found = Patient(stderr=stderr)
+    return found if found.is_terminal else Patient(stderr=stderr, width=_WIDE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
@@ -42,6 +42,96 @@ _METHODS = {
         ("angular_rate",),
         "magyc_gtsam.estimators.magyc_bfg:calibrate_magyc_bfg",
     ),
+    "magyc-ifg": Method(
+        "incremental factor graph (iSAM2 with Dogleg) on the same residual, one window at a time",
+        "Rodríguez-Martínez and Troni, MAGYC, section III-C",
+        ("angular_rate",),
+        "magyc_gtsam.estimators.magyc_ifg:calibrate_magyc_ifg",
+    ),
+    "magfactor3": Method(
+        "least squares on GTSAM's MagFactor3: known attitude, unknown hard iron and one scale for all axes",
+        "GTSAM, MagFactor3; compared in MAGYC, section IV",
+        ("attitude",),
+        "magyc_gtsam.estimators.magfactor3:calibrate_magfactor3",
+    ),
+    "sar-ls": Method(
+        "least squares on a field that turns with the gyroscope: hard iron only",
+        "Troni and Whitcomb 2019, section IV-A",
+        ("angular_rate",),
+        "magyc_gtsam.estimators.sar_ls:calibrate_sar_ls",
+    ),
+    "sar-kf": Method(
+        "Kalman filter on a field that turns with the gyroscope: hard iron only",
+        "Troni and Whitcomb 2019, section IV-B",
+        ("angular_rate",),
+        "magyc_gtsam.estimators.sar_kf:calibrate_sar_kf",
+    ),
+    "ellipsoid": Method(
+        "algebraic least-squares ellipsoid fit; one outlier can spoil it",
+        "Foster and Elkaim 2008",
+        (),
+        "magyc_gtsam.estimators.ellipsoid:calibrate_ellipsoid",
+    ),
+    "kok-schon": Method(
+        "algebraic least-squares ellipsoid fit as a semidefinite program, so that it is an ellipsoid",
+        "Kok and Schön 2016, section V",
+        (),
+        "magyc_gtsam.estimators.kok_schon:calibrate_kok_schon",
+    ),
+    "l1-ellipsoid": Method(
+        "algebraic L1 ellipsoid fit as a semidefinite program; bears outliers",
+        "Calafiore 2002; Autocal, section II-C",
+        (),
+        "magyc_gtsam.estimators.l1_ellipsoid:calibrate_l1_ellipsoid",
+    ),
+    "autocal": Method(
+        "robust geometric ellipsoid fit from an L1 start, with covariance; bears disturbances",
+        "Hong, Kang and Kim, Autocal, 2020",
+        (),
+        "magyc_gtsam.estimators.autocal:calibrate_autocal",
+    ),
+    "twostep": Method(
+        "ellipsoid by centred least squares, then Gauss–Newton on the centre's information; with covariance",
+        "Alonso and Shuster 2002",
+        (),
+        "magyc_gtsam.estimators.twostep:calibrate_twostep",
+    ),
+    "crassidis": Method(
+        "ellipsoid by an extended Kalman filter, sample by sample; with covariance",
+        "Crassidis, Lai and Harman 2005",
+        (),
+        "magyc_gtsam.estimators.crassidis:calibrate_crassidis",
+    ),
+    "dorveaux": Method(
+        "ellipsoid moved to the sphere by repeated linear least squares",
+        "Dorveaux, Vissière, Martin and Petit 2009",
+        (),
+        "magyc_gtsam.estimators.dorveaux:calibrate_dorveaux",
+    ),
+    "vasconcelos": Method(
+        "maximum-likelihood ellipsoid by Newton's method, from an algebraic start",
+        "Vasconcelos, Elkaim, Silvestre, Oliveira and Cardeira 2011",
+        (),
+        "magyc_gtsam.estimators.vasconcelos:calibrate_vasconcelos",
+    ),
+    "ali-pso": Method(
+        "ellipsoid by particle swarm, seeded",
+        "Ali, Siddharth, Syed and El-Sheimy 2012",
+        (),
+        "magyc_gtsam.estimators.ali_pso:calibrate_ali_pso",
+    ),
+    "wu-shi": Method(
+        "maximum likelihood of ellipsoid and field directions, Newton's method on the Lagrangian",
+        "Wu and Shi 2015",
+        (),
+        "magyc_gtsam.estimators.wu_shi:calibrate_wu_shi",
+    ),
+    "magical": Method(
+        "MAG.I.C.AL: ellipsoid and field directions by alternating least squares",
+        "Papafotis and Sotiriadis 2019",
+        (),
+        "magyc_gtsam.estimators.magical:calibrate_magical",
+    ),
 }
 
 
@@ -77,6 +167,15 @@ def calibrate(
         raise MagycError(f"method: {method!r} is none of {', '.join(_METHODS)}")
     if field_strength is not None and not 1e-6 < field_strength < 1e-3:
         raise MagycError(f"field_strength: {field_strength:g} T is no field of the Earth (20e-6 to 70e-6 T)")
+    if (recording.magnetic_field == recording.magnetic_field[0]).all():
+        raise MagycError("magnetic_field: all rows are the same; the sensor is stuck, or was not turned")
+    counts = recording.magnetic_field_unit == "counts"
+    if counts and (_METHODS[method].needs or field_strength is not None):
+        what = "field_strength" if field_strength is not None else f"method {method!r}"
+        raise MagycError(
+            f"{what}: needs the field in tesla, and this recording holds raw counts; give tesla per count "
+            "(magnetic_unit=), or take a method that needs the magnetometer alone"
+        )
     module, name = _METHODS[method].function.split(":")
     function = getattr(importlib.import_module(module), name)
     shared = {"field_strength": field_strength, "noise": noise, "robust": robust}
@@ -88,4 +187,6 @@ def calibrate(
             f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
         )
     result: Calibration = function(recording, progress=progress, **given)
+    if counts:
+        result = replace(result, configuration={**result.configuration, "magnetic_field_unit": "counts"})
     return result

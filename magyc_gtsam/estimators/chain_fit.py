@@ -136,7 +136,7 @@ def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
 
 def misfit(fit: Fit, noise: Noise) -> float:
     """Sum of squares at `noise`, each window and link counting up to its rejection threshold."""
-    chain = FieldChain(fit.chain.windows, noise)
+    chain = replace(fit.chain, noise=noise)
     window, link = chain.squares(chain.residuals(fit.state))
     return float(np.minimum(window, _WINDOW_OUTLIER).sum() + np.minimum(link, _LINK_OUTLIER).sum())
 
@@ -158,7 +158,7 @@ def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 20) ->
         fit = replace(fit, weights=weights)
         noise, gain = (fit.chain.noise, 0.0) if short_term is None else improved_noise(fit, short_term)
         stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
-        chain = FieldChain(fit.chain.windows, noise)
+        chain = replace(fit.chain, noise=noise)
         fit = replace(fit, chain=chain, reduced=chain.eliminate(fit.state, weights), iterations=fit.iterations + 1)
         # The noise levels' gradient holds at a minimum only, so descend in every round.
         fit = descend(fit, _SETTLED if stable else NEAR)
@@ -171,8 +171,8 @@ def _reweigh(fit: Fit) -> Weights:
     """Weights min(1, (c²/χ²)²): one for all that the noise explains, then redescending."""
     window, link = fit.chain.squares(fit.chain.residuals(fit.state))
     return Weights(
-        np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-300)) ** 2),
-        np.minimum(1.0, (_LINK_OUTLIER / np.maximum(link, 1e-300)) ** 2),
+        np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-100)) ** 2),
+        np.minimum(1.0, (_LINK_OUTLIER / np.maximum(link, 1e-100)) ** 2),
     )
 
 

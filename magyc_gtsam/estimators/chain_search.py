@@ -12,6 +12,7 @@ from magyc_gtsam.estimators.chain_fit import NEAR, Fit, adapt, begin, descend, m
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, FieldChain, Noise, State, Weights
 from magyc_gtsam.factors.preintegration import Preintegration
+from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.recording import Recording, Samples
 
@@ -36,9 +37,13 @@ def fit_field_chain(
     delay: float | None = None,
     window: float = 1.5,
     turn: float | None = None,
+    start: Array | None = None,
     progress: Progress = lambda _: None,
 ) -> tuple[Fit, Fit | None]:
-    """The chain at its lowest minimum, and the best different minimum if one is close (arguments as above)."""
+    """The chain at its lowest minimum, and the best different minimum if one is close (arguments as above).
+
+    With `start`, θ near the minimum, no other start is tried.
+    """
     samples = preintegrate(recording, window, turn)
     free = np.ones(PARAMETERS, dtype=bool)
     free[DELAY] = delay is None
@@ -53,11 +58,14 @@ def fit_field_chain(
     reject = robust is not False
     chain = FieldChain(windows, level)
     progress(0.2)
-    best = _descended(samples, begin(chain, starts.from_gyroscope(windows), free))
-    explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
-    progress(0.4)
-    best, rival = _adapted(samples, best, reject, short_term), None
-    if not explained or level.magnetometer > 0.1 * _strength(best):
+    if start is None:
+        best = _descended(samples, begin(chain, starts.from_gyroscope(windows), free))
+        explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
+        progress(0.4)
+        best, rival = _adapted(samples, best, reject, short_term), None
+    else:
+        best, rival = refit_field_chain(samples, begin(chain, start, free), reject, short_term), None
+    if start is None and (not explained or level.magnetometer > 0.1 * _strength(best)):
         # The misfit is more than the sensors' noise: the axes may disagree, or the minimum be a false one.
         axes.check(recording)
         fits = [best]
@@ -69,12 +77,22 @@ def fit_field_chain(
     if reject and best.weights.window.mean() < _UNDISTURBED:
         progress(0.8)
         # Shorter windows lose less at the edges of disturbed stretches.
-        samples = preintegrate(recording, min(0.5 * window, _SHORT_WINDOW), turn)
+        samples = preintegrate(recording, shortened(window), turn)
         finer = _adapted(samples, _rewindowed(samples, best), reject, short_term)
         others = [fit for fit in (rival, best) if fit is not None and _apart(fit, finer)]
         rival = next((fit for fit in others if _close(weigh(finer.chain, fit.state.parameters), finer)), None)
         best = finer
     return best, rival
+
+
+def shortened(window: float) -> float:
+    """s, the longest window where stretches are disturbed."""
+    return min(0.5 * window, _SHORT_WINDOW)
+
+
+def refit_field_chain(samples: Preintegration, fit: Fit, reject: bool, short_term: Noise | None) -> Fit:
+    """The minimum next to that of a chain over the samples' windows."""
+    return _adapted(samples, _descended(samples, fit), reject, short_term)
 
 
 def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
@@ -134,7 +152,7 @@ def preintegrate(recording: Recording, window: float = 1.5, turn: float | None =
         # the whole log; at these values some 2 % of the weakest parameter's sigma.
         thin = magnetometer.value[:: max(len(magnetometer.value) // 500, 1)]
         spread = np.linalg.eigvalsh(np.cov(thin.T))
-        turn = float(np.clip(1.7 * np.sqrt(spread[0] / max(spread.sum(), 1e-30)), 0.15, 0.4))
+        turn = float(np.clip(1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30)), 0.15, 0.4))
     return Preintegration(
         *magnetometer,
         *gyroscope,
@@ -165,7 +183,7 @@ def _descended(samples: Preintegration, fit: Fit) -> Fit:
         if not _moved(fit):
             break
         parameters = fit.state.parameters
-        chain = FieldChain(samples.integrate(parameters[9:12], parameters[DELAY]), fit.chain.noise)
+        chain = replace(fit.chain, windows=samples.integrate(parameters[9:12], parameters[DELAY]))
         state = chain.start(parameters)
         fit = replace(fit, chain=chain, state=state, reduced=chain.eliminate(state, fit.weights))
         fit = descend(fit, settled=NEAR)

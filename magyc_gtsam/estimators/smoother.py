@@ -51,7 +51,7 @@ def calibrate_smoother(
     Raises:
         MagycError: no gyroscope, too few samples, or sensors whose axes or units disagree.
     """
-    _check_options(noise, robust, delay, window, turn)
+    check_options(noise, robust, delay, window, turn)
     report = progress or (lambda _: None)
     report(0.0)
     fit, rival = fit_field_chain(
@@ -60,12 +60,12 @@ def calibrate_smoother(
     configuration: dict[str, Any] = {"window": window, "turn": turn, "robust": robust is not False, "delay": delay}
     if noise is not None:
         configuration["noise"] = list(noise)
-    calibration = _calibration(recording, fit, rival, field_strength, configuration)
+    calibration = calibration_of(recording, fit, rival, field_strength, configuration)
     report(1.0)
     return calibration
 
 
-def _check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any) -> None:
+def check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any) -> None:
     def number(name: str, value: Any, low: float, high: float, unit: str) -> None:
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
             raise MagycError(f"{name}: {value!r} is no number between {low:g} and {high:g} {unit}")
@@ -87,14 +87,19 @@ def _check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any) 
         number("noise of the gyroscope", noise[1], 0.0, 10.0, "rad/s")
 
 
-def _calibration(
+def calibration_of(
     recording: Recording,
     fit: Fit,
     rival: Fit | None,
     field_strength: float | None,
     configuration: dict[str, Any],
+    colour: float | None = None,
 ) -> Calibration:
-    colour = fit.colour
+    """The result of a fit, its covariance and why it must not be trusted, if so.
+
+    `colour` stands for the fit's own where that holds only the end of a longer chain.
+    """
+    colour = fit.colour if colour is None else colour
     parameters, covariance = fit.state.parameters, fit.covariance * colour
     soft_iron, unit, reported = fix_scale(unvech(parameters[:6]), covariance[:12, :12], field_strength)
     observability = assess(reported, soft_iron, unit, recording)

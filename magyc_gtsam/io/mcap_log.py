@@ -5,54 +5,29 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import zstandard
 from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
 from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.mcap_channels import LARGEST, channels_of
+from magyc_gtsam.io.mcap_topics import DAMAGE, FOUND_BY_TYPE, NO_SCHEMA, Topic, checked, choose, unknown
 from magyc_gtsam.io.mcap_writer import METADATA
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import LAYOUTS, decode, short_type
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
 
-# What a chunk that was damaged on disk raises: checksum, zstd, lz4 (a bare RuntimeError), records cut short.
-_DAMAGE = (CRCValidationError, zstandard.ZstdError, RuntimeError, EndOfFile, struct.error)
-_NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
-# The type that each sensor is published as; of other types in LAYOUTS the caller must name the topic.
-_FOUND_BY_TYPE = {
-    "magnetic_field": "sensor_msgs/MagneticField",
-    "angular_rate": "sensor_msgs/Imu",
-    "attitude": "geometry_msgs/QuaternionStamped",
-}
-
-
-@dataclass
-class _Topic:
-    """The messages of one topic, in the order of the file."""
-
-    name: str
-    encoding: str
-    schema: Schema
-    log_time: list[int] = field(default_factory=list)
-    data: list[bytes] = field(default_factory=list)
-
-    @property
-    def type(self) -> str:
-        return short_type(self.schema.name)
-
 
 @dataclass(frozen=True)
 class _Log:
-    topics: dict[str, _Topic]
+    topics: dict[str, Topic]
     metadata: dict[str, str]
     notes: tuple[str, ...]
 
@@ -120,15 +95,15 @@ def _load(path: Path, report: Callable[[float], None]) -> _Log:
             channels[record.id] = record
         elif isinstance(record, Metadata) and record.name == METADATA:
             metadata.update(record.metadata)
-    merged: dict[str, _Topic] = {}
+    merged: dict[str, Topic] = {}
     for identifier, (log_time, data) in messages.items():
         # Only now: where a chunk is damaged its channels stand in the summary alone, at the end of the file.
         channel = channels.get(identifier)
         if channel is None:
             notes.append(f"{len(data)} messages of a channel without a record ({identifier}) were left out")
             continue
-        schema = schemas.get(channel.schema_id, _NO_SCHEMA)
-        topic = merged.setdefault(channel.topic, _Topic(channel.topic, channel.message_encoding, schema))
+        schema = schemas.get(channel.schema_id, NO_SCHEMA)
+        topic = merged.setdefault(channel.topic, Topic(channel.topic, channel.message_encoding, schema))
         # Two publishers of one topic are two channels in the file, but one topic to everyone else.
         if topic.schema.name == schema.name:
             topic.log_time.extend(log_time)
@@ -143,7 +118,7 @@ def _load(path: Path, report: Callable[[float], None]) -> _Log:
 
 def _type(identifier: int, channels: dict[int, Channel], schemas: dict[int, Schema]) -> str:
     channel = channels.get(identifier)
-    return short_type(schemas.get(channel.schema_id, _NO_SCHEMA).name) if channel else ""
+    return short_type(schemas.get(channel.schema_id, NO_SCHEMA).name) if channel else ""
 
 
 def _records(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[McapRecord]:
@@ -158,7 +133,7 @@ def _records(path: Path, notes: list[str], report: Callable[[float], None]) -> I
                     report(file.tell() / size)
                     try:
                         yield from breakup_chunk(record, validate_crc=True)
-                    except _DAMAGE as error:
+                    except DAMAGE as error:
                         notes.append(f"a chunk is damaged and was left out ({error or type(error).__name__})")
                 else:
                     whole |= isinstance(record, Footer)
@@ -173,12 +148,12 @@ def _records(path: Path, notes: list[str], report: Callable[[float], None]) -> I
     report(1.0)
 
 
-def _sensors(topics: dict[str, _Topic], request: Request, notes: list[str]) -> tuple[dict[str, Stream], set[str]]:
+def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tuple[dict[str, Stream], set[str]]:
     """The streams of the sensors, and the topics they are from."""
-    chosen = {sensor: _choose(topics, sensor, request, notes) for sensor in _FOUND_BY_TYPE}
+    chosen = {sensor: choose(topics, sensor, request, notes) for sensor in FOUND_BY_TYPE}
     acceleration = request.named("acceleration")
     chosen["acceleration"] = (
-        _checked(topics, "acceleration", acceleration) if acceleration else chosen["angular_rate"]
+        checked(topics, "acceleration", acceleration) if acceleration else chosen["angular_rate"]
     )
     result, used = {}, set()
     decoded = {}
@@ -191,7 +166,7 @@ def _sensors(topics: dict[str, _Topic], request: Request, notes: list[str]) -> t
         layout = LAYOUTS[topic.type]
         if sensor not in layout.parts:
             continue  # the gyroscope's topic need not have an accelerometer
-        if layout.unknown and (numbers[:, layout.unknown[sensor]] == -1).all():
+        if unknown(layout, sensor, numbers):
             if request.sensors.get(sensor):
                 raise MagycError(f"{topic.name}: says that it has no {sensor} (covariance[0] is -1)")
             notes.append(f"{topic.name}: says that it has no {sensor} (covariance[0] is -1)")
@@ -215,43 +190,7 @@ def _sensors(topics: dict[str, _Topic], request: Request, notes: list[str]) -> t
     return result, used
 
 
-def _choose(topics: dict[str, _Topic], sensor: str, request: Request, notes: list[str]) -> _Topic | None:
-    name = request.named(sensor)
-    if name is not None:
-        return _checked(topics, sensor, name)
-    found = [t for t in topics.values() if t.type == _FOUND_BY_TYPE[sensor]]
-    listed = ", ".join(f"{t.name} ({len(t.data)} messages)" for t in found)
-    if len(found) == 1:
-        return _checked(topics, sensor, found[0].name)
-    if len(found) > 1 and sensor == "attitude":
-        notes.append(f"attitude left out: {listed} could be meant; name one (attitude=)")
-    elif len(found) > 1:
-        raise MagycError(f"{sensor}: {len(found)} topics could be meant: {listed}; name one ({sensor}=)")
-    elif sensor == "magnetic_field":
-        others = ", ".join(f"{t.name} ({t.schema.name})" for t in topics.values())
-        raise MagycError(
-            f"no topic of type {_FOUND_BY_TYPE[sensor]}; the file has {others}; "
-            "record the magnetometer too, or name its topic (magnetic_field=) where it has another type"
-        )
-    elif sensor == "angular_rate":
-        notes.append(f"no gyroscope: the file has no topic of type {_FOUND_BY_TYPE[sensor]}")
-    return None
-
-
-def _checked(topics: dict[str, _Topic], sensor: str, name: str) -> _Topic:
-    topic = topics.get(name) or topics.get(f"/{name}")
-    if topic is None:
-        listed = ", ".join(f"{t.name} ({t.schema.name})" for t in topics.values())
-        raise MagycError(f"{sensor}: no topic {name!r}; the file has {listed}")
-    fitting = [k for k, v in LAYOUTS.items() if sensor in v.parts]
-    if topic.type not in fitting:
-        raise MagycError(f"{sensor}: {name} is of type {topic.schema.name}; one of {', '.join(fitting)} is needed")
-    if topic.encoding not in ("cdr", "ros1"):
-        raise MagycError(f"{sensor}: {name} is encoded as {topic.encoding}; cdr (ROS 2) and ros1 can be read")
-    return topic
-
-
-def _channels(topics: dict[str, _Topic], used: set[str], request: Request, notes: list[str]) -> dict[str, Stream]:
+def _channels(topics: dict[str, Topic], used: set[str], request: Request, notes: list[str]) -> dict[str, Stream]:
     result: dict[str, Stream] = {}
     wanted = request.channels
     for topic in topics.values():

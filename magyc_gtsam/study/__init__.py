@@ -1,1 +1,1 @@
-"""Monte-Carlo studies: the bound, the papers' tables, and how close the methods come."""
+"""Studies: the bound, the papers' tables and how close the methods come, simulated; all methods on one recording."""

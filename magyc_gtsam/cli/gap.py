@@ -1,0 +1,177 @@
+"""`magyc-gtsam gap`: where do model and measurement disagree, what is missing, and does adding it help?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.reading import Reading
+from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
+from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.gap.result import Gap
+    from magyc_gtsam.report.gap_words import Validation
+
+_SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
+
+
+def _plan(motion: str | None) -> None:
+    """The isolability table of a motion, and nothing else."""
+    if motion is None:
+        return
+    from magyc_gtsam.simulation import simulate
+    from magyc_gtsam.simulation.environment import CHANNELS
+
+    recording = simulate(motion, channels=CHANNELS).recording
+    from magyc_gtsam.gap.isolability import isolability
+    from magyc_gtsam.report.gap_words import PLAN, plan_rows
+
+    table = isolability(recording)
+    show(f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 10 mG, gyroscope 5 mrad/s)", "")
+    show_table(PLAN, plan_rows(table))
+    raise typer.Exit
+
+
+@with_groups
+def run(
+    context: typer.Context,
+    reading: Reading,
+    simulated: Annotated[
+        Path | None,
+        typer.Option(metavar="SIM", help="Recording of your own simulator on a similar motion, to judge as well."),
+    ] = None,
+    validate: Annotated[
+        Path | None,
+        typer.Option(metavar="OTHER_LOG", help="Another log of the same instrument, to judge the result on."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(metavar="CALIBRATION", help="calibration.yaml to start from. Default: calibrated first."),
+    ] = None,
+    candidates: Annotated[
+        str | None, typer.Option(metavar="A,B,C", help="Effects to look for. Default: the whole catalogue.")
+    ] = None,
+    plan: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MOTION",
+            is_eager=True,
+            callback=_plan,
+            help="Only show which effects a motion could name, and from which strength: wide, moderate, low, "
+            "tiny, multi, dive or survey. Needs no LOG.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-gap-<date>-<time>."),
+    ] = None,
+    quiet: given.Quiet = False,
+    json: given.Json = False,
+) -> int:
+    """Find where model and measurement disagree, name what is missing, add it, and see the gap shrink.
+
+    Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html.
+    Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open.
+    """
+    from magyc_gtsam import Calibration, find_gap
+    from magyc_gtsam.report.gap_page import render_gap
+    from magyc_gtsam.report.gap_words import closed
+
+    start = None if calibration is None else Calibration.load(calibration)
+    names = None if candidates is None else [name.strip() for name in candidates.split(",")]
+    folder = output or dated_folder(reading.log, "-gap")
+    with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
+        recording = reading.recording(stage("reading"))
+        other = None if simulated is None else Reading(simulated).recording(stage(f"reading {simulated.name}"))
+        gap = find_gap(
+            recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
+        )
+        validation = None if validate is None else _validation(reading, validate, gap, stage("validating"))
+        page = stage("drawing the page")
+        (part / "gap.json").write_text(_json(_values(gap, validation)), encoding="utf-8")
+        gap.calibration.save(part / "calibration.yaml")
+        asked = {
+            "candidates": names,
+            "simulated": None if simulated is None else str(simulated),
+            "validate": None if validate is None else str(validate),
+            "calibration": None if calibration is None else str(calibration),
+        }
+        write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
+        (part / "report.html").write_text(render_gap(recording, gap, validation), encoding="utf-8")
+        page(1.0)
+    if json:
+        typer.echo(_json(_values(gap, validation) | {"folder": str(folder)}), nl=False)
+    elif not quiet:
+        show(f"{reading.log.name}: {recording.duration:.1f} s", "")
+        _show(gap, validation)
+        show(
+            *(f"note: {note}" for note in recording.notes),
+            "",
+            f"results: {folder}",
+            f"page: {folder / 'report.html'}",
+        )
+    if closed(gap):
+        return 0
+    typer.echo(f"magyc-gtsam: the gap is left open: {gap.sentence}", err=True)
+    return 1
+
+
+def _validation(reading: Reading, log: Path, gap: Gap, progress: Any) -> Validation:
+    from magyc_gtsam.gap.validation import agreement
+    from magyc_gtsam.report.gap_words import Validation
+
+    recording = replace(reading, log=log, start=None, end=None).recording()
+    progress(0.2)
+    before = agreement(recording, gap.base)
+    progress(0.6)
+    if gap.after is gap.before:
+        return Validation(log.name, before, before)
+    after = agreement(recording, gap.calibration)
+    # What noise leaves is for the better model to say: the other calls its misfit noise.
+    before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+    return Validation(log.name, before, after)
+
+
+def _values(gap: Gap, validation: Validation | None) -> dict[str, Any]:
+    from magyc_gtsam.json_types import json_types
+
+    values: dict[str, Any] = json_types(gap)
+    return values | {"validation": json_types(validation)}
+
+
+def _json(values: dict[str, Any]) -> str:
+    import json
+
+    return json.dumps(values, indent=2, ensure_ascii=False) + "\n"
+
+
+def _show(gap: Gap, validation: Validation | None) -> None:
+    from magyc_gtsam.report import gap_words as words
+
+    show(f"{words.title(gap)}: {gap.sentence}")
+    show(*(f"  {e.sentence}" for e in gap.effects if e.sentence not in gap.sentence), "")
+    rows = words.hypothesis_rows(gap.hypotheses)
+    show_table(words.HYPOTHESES, rows[:_SHOWN])
+    if len(rows) > _SHOWN:
+        show(f"  and {len(rows) - _SHOWN} more, in gap.json")
+    show("")
+    if gap.effects:
+        show(*words.confusion_sentences(gap), "")
+    show(*(f"not tested: {c.label}: {c.reason}" for c in gap.untested))
+    show_table(words.METRICS, words.metric_rows(gap.before, gap.after))
+    if validation is not None:
+        show("", f"on {validation.name}:")
+        show_table(words.METRICS, words.metric_rows(validation.before, validation.after))
+    rejected = [a.sentence for a in gap.assumptions if a.rejected]
+    if gap.assumptions:
+        show("", f"your simulator: {len(rejected)} of {len(gap.assumptions)} assumptions rejected")
+        show(*(f"  {sentence}" for sentence in rejected))
+    if gap.next_manoeuvre is not None:
+        show("", f"next: {gap.next_manoeuvre.sentence}")

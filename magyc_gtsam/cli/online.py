@@ -1,0 +1,135 @@
+"""`magyc-gtsam online`: calibrate while the vehicle moves, from a log that is still being written or from a pipe."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.reading import parse_axes, parse_pairs, parse_unit
+from magyc_gtsam.cli.scale import Scale
+
+if TYPE_CHECKING:
+    from magyc_gtsam.io.live import LiveSource
+    from magyc_gtsam.io.request import Request
+    from magyc_gtsam.online import OnlineCalibrator
+
+_METHOD = "smoother"
+_PATIENCE = 60.0  # s without growth after which a file is taken to be complete
+
+
+@with_groups
+def run(
+    log: Annotated[
+        str,
+        typer.Argument(
+            metavar="LOG",
+            help="MCAP file, which may still be written; or - for JSON lines on standard input: "
+            '{"time": s, "magnetic_field": [x, y, z], "angular_rate": [x, y, z]}.',
+            show_default=False,
+        ),
+    ],
+    scale: Scale,
+    method: Annotated[str | None, typer.Option(help="smoother (the default) or magyc-ifg.")] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="The calibration, .yaml or .json.")
+    ] = Path("online-calibration.yaml"),
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="State to go on from where it exists, and to be saved for the next run."
+        ),
+    ] = None,
+    every: Annotated[
+        float,
+        typer.Option(metavar="SECONDS", min=0.1, help="Write calibration and state, and report, this often."),
+    ] = 10.0,
+    idle: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            min=0.0,
+            help="End after so long without growth. Default: 60 for a file; standard input is waited for.",
+        ),
+    ] = None,
+    magnetic_field: given.MagneticField = None,
+    angular_rate: given.AngularRate = None,
+    magnetic_unit: given.MagneticUnit = None,
+    angular_unit: given.AngularUnit = None,
+    stamps: given.Stamps = "header",
+    angular_rate_is: given.AngularRateIs = None,
+    gyroscope_axes: given.GyroscopeAxes = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
+    ] = None,
+    quiet: given.Quiet = False,
+    json: Annotated[bool, typer.Option("--json", help="A line of JSON per report on standard output.")] = False,
+) -> int:
+    """Calibrate while the vehicle moves.
+
+    Ends at the end of the file or the input, after --idle seconds without growth, or by Ctrl-C; the calibration
+    is written then and on the way. Exit code 0: it has converged; 1: it must not be trusted yet, the reason is
+    printed; 130: interrupted before there was one.
+    """
+    from magyc_gtsam.cli.online_session import Session
+    from magyc_gtsam.cli.online_view import view
+    from magyc_gtsam.io.request import Request
+
+    if output.suffix not in (".yaml", ".yml", ".json"):
+        raise typer.BadParameter(f"{output} is neither .yaml nor .json", param_hint="--output")
+    axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
+    request = Request(
+        sensors={"magnetic_field": magnetic_field, "angular_rate": angular_rate},
+        units={"magnetic_field": parse_unit(magnetic_unit), "angular_rate": parse_unit(angular_unit)},
+        stamps=stamps,
+    )
+    options = {"field_strength": scale.tesla(), "angular_rate_is": angular_rate_is}
+    options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
+    online = _calibrator(state, method, options)
+    source = _source(log, request)
+    if idle is None and log != "-":
+        idle = _PATIENCE
+    with view(source, online, quiet=quiet, json=json) as shown:
+        session = Session(
+            source, online, output=output, state=state, every=every, idle=idle, axes=axes, view=shown
+        )
+        session.run()
+    return shown.conclude(session)
+
+
+def _calibrator(state: Path | None, method: str | None, options: dict[str, Any]) -> OnlineCalibrator:
+    """A new one, or the one that was saved."""
+    from magyc_gtsam import MagycError, OnlineCalibrator
+
+    if state is None or not state.exists():
+        try:
+            return OnlineCalibrator(method or _METHOD, **options)
+        except TypeError as error:
+            raise MagycError(f"--option: the method cannot use it ({error})") from None
+    online = OnlineCalibrator.load(state)
+    if method not in (None, online.method) or any(online.options.get(k) != v for k, v in options.items()):
+        made = " ".join(f"--option {k}={v}" for k, v in online.options.items())
+        raise MagycError(
+            f"--state {state}: continues a run with --method {online.method} {made}".rstrip()
+            + "; leave method and options out, or name another file"
+        )
+    return online
+
+
+def _source(log: str, request: Request) -> LiveSource:
+    from magyc_gtsam.factors.errors import MagycError
+
+    if log == "-":
+        from magyc_gtsam.io.json_lines import JsonLines
+
+        return JsonLines(0, request)
+    path = Path(log)
+    if path.is_dir():
+        raise MagycError(f"{path}: is a directory; name the MCAP file in it that is being written")
+    from magyc_gtsam.io.mcap_follow import McapFollower
+
+    return McapFollower(path, request)

@@ -1,0 +1,258 @@
+"""What `magyc-gtsam online` shows: a live view on a terminal, plain lines in a pipe, JSON lines for programs."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from magyc_gtsam.cli.calibrate import verdict
+from magyc_gtsam.cli.online_session import End, Session
+from magyc_gtsam.cli.terminal import console, show, show_calibration
+from magyc_gtsam.report.words import parameter_rows, trusted, uncertain
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.io.live import LiveSource
+    from magyc_gtsam.online import Change, OnlineCalibrator
+
+_REFRESH = 0.5  # s between two looks at the estimate, and no more than a tenth of the time for them
+_SHARE = 10.0
+_NOTES = 10  # shown; of more, their number
+_INTERRUPTED = 130
+_BAR = 24  # characters
+
+
+class Quiet:
+    """Shows what was left out, and at the end what must not be trusted."""
+
+    def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
+        self.source, self.online = source, online
+        self._said = 0
+
+    def refresh(self) -> None:
+        """Nothing moves."""
+
+    def report(self) -> None:
+        """Nothing is said."""
+
+    def say(self, note: str) -> None:
+        """On standard error; many of one kind would bury the rest."""
+        self._said += 1
+        if self._said <= _NOTES:
+            self.complain(note)
+
+    def complain(self, text: str) -> None:
+        """One line on standard error."""
+        typer.echo(f"magyc-gtsam: {text}", err=True)
+
+    def conclude(self, session: Session) -> int:
+        """Say how it ended. The exit code: 0 converged, 1 not, 2 nothing to calibrate, 130 interrupted before."""
+        if self._said > _NOTES:
+            self.complain(f"{self._said - _NOTES} more notes like these")
+        if session.skipped:
+            every = "" if session.taken else "all "
+            again = "" if session.taken else "; if this is another log with another clock, begin a new --state"
+            self.complain(f"{every}{session.skipped} samples were in the saved state already{again}")
+        calibration = self.online.calibration
+        if calibration is None:
+            return self._without(session)
+        self.result(session, calibration)
+        if trusted(calibration) and not self.online.converged:
+            self.complain(f"the result must not be trusted: {self.online.progress.sentence}")
+            return 1
+        return verdict(calibration)
+
+    def _without(self, session: Session) -> int:
+        """There is no calibration."""
+        if session.end is End.INTERRUPTED:
+            self.complain("interrupted before there was a calibration")
+            return _INTERRUPTED
+        if self.source.waiting_for:
+            from magyc_gtsam.factors.errors import MagycError
+
+            raise MagycError(f"{self.source.name}: {self.source.waiting_for}")
+        self.complain(f"no calibration: {self.online.progress.sentence}")
+        return 1
+
+    def result(self, session: Session, calibration: Calibration) -> None:
+        """The result, as the files hold it."""
+
+
+class Plain(Quiet):
+    """A line per report, and the result at the end."""
+
+    def report(self) -> None:
+        """As `View.report`."""
+        show(line(self.online, self.source))
+
+    def result(self, session: Session, calibration: Calibration) -> None:
+        """As `Quiet.result`."""
+        progress = self.online.progress
+        show(f"{self.source.name}: {progress.duration:.1f} s, {calibration.method}; {session.end}", "")
+        show_calibration(_since(calibration, first_stamp(self.online)))
+        show(*(change_sentence(change, self.online) for change in self.online.changes))
+        show("", f"calibration: {session.output}")
+        if session.state is not None:
+            show(f"state: {session.state}")
+
+
+class Live(Plain):
+    """The view of a terminal, drawn in place."""
+
+    def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
+        from rich.live import Live as Screen
+
+        super().__init__(source, online)
+        self._console = console()
+        self._screen = Screen(console=self._console, auto_refresh=False, transient=True)
+        self._next, self._written = 0.0, ""
+        self._screen.start()
+
+    def refresh(self) -> None:
+        """As `View.refresh`; a look at the estimate can cost a fit, so it is not taken too often."""
+        began = time.monotonic()
+        if began < self._next:
+            return
+        self._screen.update(panel(self.online, self.source, self._written), refresh=True)
+        ended = time.monotonic()
+        self._next = ended + max(_REFRESH, _SHARE * (ended - began))
+
+    def report(self) -> None:
+        """As `View.report`."""
+        if self.online.calibration is not None:
+            self._written = f"written {time.strftime('%H:%M:%S')}"
+
+    def complain(self, text: str) -> None:
+        """As `Quiet.complain`, above the view."""
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+    def stop(self) -> None:
+        """Give the terminal back."""
+        self._screen.stop()
+
+
+class Json(Quiet):
+    """A line of JSON per report; the last one says `"final": true`."""
+
+    def report(self) -> None:
+        """As `View.report`."""
+        typer.echo(json.dumps(self._values()))
+
+    def conclude(self, session: Session) -> int:
+        """As `Quiet.conclude`."""
+        code = super().conclude(session)
+        final = {"final": True, "end": str(session.end), "exit_code": code, "output": str(session.output)}
+        typer.echo(json.dumps(self._values() | final))
+        return code
+
+    def _values(self) -> dict[str, Any]:
+        progress, calibration = self.online.progress, self.online.calibration
+        return {
+            "time": progress.time,
+            "duration": progress.duration,
+            "windows": progress.windows,
+            "left_out": progress.left_out,
+            "coverage": progress.coverage,
+            "converged": progress.converged,
+            "sentence": progress.sentence,
+            "changes": [
+                {
+                    "time": change.time,
+                    "time_sigma": change.time_sigma,
+                    "step": change.step.tolist(),
+                    "step_sigma": change.step_sigma.tolist(),
+                }
+                for change in self.online.changes
+            ],
+            "calibration": None if calibration is None else calibration.to_dict(),
+        }
+
+
+@contextmanager
+def view(source: LiveSource, online: OnlineCalibrator, *, quiet: bool, json: bool) -> Iterator[Quiet]:
+    """The view that fits the options and the terminal."""
+    if json:
+        yield Json(source, online)
+    elif quiet:
+        yield Quiet(source, online)
+    elif not console().is_terminal:
+        yield Plain(source, online)
+    else:
+        live = Live(source, online)
+        try:
+            yield live
+        finally:
+            live.stop()
+
+
+def line(online: OnlineCalibrator, source: LiveSource) -> str:
+    """How it is, in one line."""
+    progress, calibration = online.progress, online.calibration
+    parts = [f"{progress.duration:8.1f} s"]
+    if calibration is not None:
+        parts += [f"hard iron {hard_iron_text(calibration)} µT", f"coverage {progress.coverage:.0%}"]
+    if online.changes:
+        parts.append(f"{len(online.changes)} change{'s' if len(online.changes) > 1 else ''}")
+    parts.append(source.waiting_for if progress.time is None and source.waiting_for else progress.sentence)
+    return " | ".join(parts)
+
+
+def hard_iron_text(calibration: Calibration) -> str:
+    """Three components in µT with their deviations, where there are any."""
+    sigma = calibration.sigma.get("hard_iron", [0.0] * 3)
+    return ", ".join(uncertain(h * 1e6, s * 1e6) for h, s in zip(calibration.hard_iron, sigma, strict=True))
+
+
+def change_sentence(change: Change, online: OnlineCalibrator) -> str:
+    """When the hard iron changed, counted from the first sample, and by how much."""
+    step = ", ".join(uncertain(v * 1e6, s * 1e6) for v, s in zip(change.step, change.step_sigma, strict=True))
+    return f"hard iron changed at {uncertain(change.time - first_stamp(online), change.time_sigma)} s by {step} µT"
+
+
+def first_stamp(online: OnlineCalibrator) -> float:
+    """s on the log's clock, from which what is shown counts."""
+    progress = online.progress
+    return 0.0 if progress.time is None else progress.time - progress.duration
+
+
+def _since(calibration: Calibration, first: float) -> Calibration:
+    """With the disturbed stretches counted from `first`."""
+    disturbed = [[start - first, end - first] for start, end in calibration.diagnostics.get("disturbed") or []]
+    return replace(calibration, diagnostics={**calibration.diagnostics, "disturbed": disturbed})
+
+
+def panel(online: OnlineCalibrator, source: LiveSource, written: str) -> RenderableType:
+    """The live view: head, parameters, coverage, verdict, what is weak, and changes."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    progress, calibration = online.progress, online.calibration
+    head = [source.name, online.method, f"{progress.duration:.1f} s", f"{progress.windows} windows"]
+    if progress.left_out:
+        head.append(f"{progress.left_out} left out")
+    parts: list[RenderableType] = [Text(" · ".join(part for part in (*head, written) if part), style="bold")]
+    if calibration is not None:
+        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+        for name in ("", "x", "y", "z"):
+            table.add_column(name, justify="left" if not name else "right", no_wrap=True)
+        for name, values in parameter_rows(calibration):
+            table.add_row(name, *values)
+        parts.append(table)
+    full = round(_BAR * progress.coverage)
+    parts.append(Text(f"directions seen  {'█' * full}{'░' * (_BAR - full)} {progress.coverage:.0%}"))
+    sentence = source.waiting_for if progress.time is None and source.waiting_for else progress.sentence
+    style = "green" if progress.converged else "yellow"
+    parts.append(Text(sentence if progress.converged else f"not yet: {sentence}", style=style))
+    parts += [Text(f"  weak: {weakness.sentence}") for weakness in progress.weak[:3]]
+    parts += [Text(change_sentence(change, online), style="magenta") for change in online.changes[-3:]]
+    parts.append(Text("Ctrl-C ends; nothing is lost", style="dim"))
+    return Group(*parts)

@@ -1,0 +1,97 @@
+"""`magyc-gtsam study gap`: the blind test of the gap workflow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.recording import Recording
+
+WORKERS = 2
+
+
+def blind_test(
+    folder: Path,
+    runs: int,
+    motions: Sequence[str] | None,
+    sets: Sequence[str] | None,
+    logs: Sequence[Path],
+    edition: int,
+) -> int:
+    """Generate, seal, diagnose and score; what is done already is not done again.
+
+    Returns:
+        0 where all gates are passed, else 1.
+    """
+    from magyc_gtsam.blindtest.gates import gates, missing
+    from magyc_gtsam.blindtest.heading import heading_errors
+    from magyc_gtsam.blindtest.pictures import write_pictures
+    from magyc_gtsam.blindtest.running import run
+    from magyc_gtsam.blindtest.scenarios import MOTIONS, SETS, real_scenarios, scenarios
+    from magyc_gtsam.blindtest.scoring import score
+    from magyc_gtsam.blindtest.tables import GATE_HEADER, gate_rows, outcome_header, outcome_rows, write_tables
+    from magyc_gtsam.factors.errors import MagycError
+
+    code = 0
+    tests: dict[str, tuple[list, dict[str, Recording]]] = {}
+    unknown = sorted(set(sets or ()) - set(SETS[:-1]))
+    if unknown:
+        raise MagycError(f"--set: {unknown[0]!r} is none of {', '.join(SETS[:-1])}")
+    if not logs or motions or sets:
+        for motion in motions or MOTIONS:
+            tests[motion] = scenarios(motion, runs, edition, sets or SETS[:-1]), {}
+    if logs:
+        recordings = _recordings(logs)
+        tests["real"] = real_scenarios(list(recordings), max(1, round(runs / 50)), edition), recordings
+    for name, (scenario_list, recordings) in tests.items():
+        place = folder / name
+        with stages() as stage:
+            run(
+                place,
+                scenario_list,
+                recordings,
+                WORKERS,
+                sealing=stage(f"{name}: sealing {len(scenario_list)} recordings"),
+                diagnosing=stage(f"{name}: diagnosing"),
+            )
+            outcomes = score(place, heading_errors, stage(f"{name}: scoring"))
+        show("", f"{name}: {len(outcomes)} recordings", "")
+        measured = gates(outcomes)
+        show_table(GATE_HEADER, gate_rows(measured))
+        short = missing(outcomes)
+        if short:
+            show("", "named in less than 90 % of the runs at published strength:")
+            show(*(f"  {effect}: {hit} of {total}" for effect, (hit, total) in short.items()))
+        show("")
+        show_table(outcome_header(outcomes), outcome_rows(outcomes))
+        files = write_tables(place, outcomes, f"Blind test, {name}, edition {edition}")
+        files += write_pictures(place, outcomes)
+        show("", *(f"{file}" for file in files))
+        code |= not all(gate.passed for gate in measured)
+    return int(code)
+
+
+def strengths(runs: int) -> None:
+    """The published strengths, and how far they stand out."""
+    from magyc_gtsam.blindtest.scenarios import MOTIONS
+    from magyc_gtsam.blindtest.visibility import table
+    from magyc_gtsam.simulation.effects import STRENGTHS
+
+    with stages() as stage:
+        measured = table(runs, MOTIONS, stage(f"{runs} recordings per effect and motion"))
+    rows = [
+        [name, strength.shown, *(f"{measured[name][m]:.0f}" for m in MOTIONS), strength.reason]
+        for name, strength in STRENGTHS.items()
+    ]
+    show_table(["effect", "strength × 1", *(f"σ, {m}" for m in MOTIONS), "because"], rows)
+
+
+def _recordings(logs: Sequence[Path]) -> dict[str, Recording]:
+    from magyc_gtsam.io import read
+
+    with stages() as stage:
+        return {log.stem: read(log, progress=stage(f"reading {log.name}")) for log in logs}

@@ -1,0 +1,134 @@
+"""Motions of a vehicle: Euler angles and their analytic derivatives, drawn at random.
+
+The world frame is north-east-down, the attitude turns sensor→world. "wide", "moderate", "low" and "tiny" are
+those of the MAGYC paper (section V).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam.recording import Array
+
+# Amplitude of roll, pitch and heading in degrees; the rate of each is drawn from RATES in rad/s.
+AMPLITUDES = {"wide": (5, 45, 360), "moderate": (5, 5, 360), "low": (5, 45, 90), "tiny": (5, 5, 90)}
+RATES = ((0.05, 0.08), (0.1, 0.3), (0.2, 0.4))
+
+Angles = tuple[Array, Array]  # (N, 3) roll, pitch, heading in rad, and their time derivatives in rad/s
+Path = Callable[[Array], Angles]
+Motion = Callable[[np.random.Generator], Path]
+
+
+def kinematics(angle: Array, derivative: Array) -> tuple[Rotation, Array]:
+    """Attitude sensor→world and angular rate in the sensor frame (N, 3) from Euler angles and their rates."""
+    roll, pitch, _ = angle.T
+    roll_rate, pitch_rate, heading_rate = derivative.T
+    angular_rate = np.stack(
+        [
+            roll_rate - heading_rate * np.sin(pitch),
+            pitch_rate * np.cos(roll) + heading_rate * np.sin(roll) * np.cos(pitch),
+            -pitch_rate * np.sin(roll) + heading_rate * np.cos(roll) * np.cos(pitch),
+        ],
+        axis=1,
+    )
+    return Rotation.from_euler("ZYX", angle[:, ::-1]), angular_rate
+
+
+def _sinusoids(motion: str) -> Motion:
+    """angle = A sin(w/A t + φ), so that w is the largest rate of each axis."""
+
+    def draw(random: np.random.Generator) -> Path:
+        amplitude = np.deg2rad(AMPLITUDES[motion])
+        frequency = random.uniform(*np.transpose(RATES)) / amplitude
+        phase = random.uniform(-np.pi, np.pi, 3)
+
+        def angles(time: Array) -> Angles:
+            argument = time[:, None] * frequency + phase
+            return amplitude * np.sin(argument), amplitude * frequency * np.cos(argument)
+
+        return angles
+
+    return draw
+
+
+# Of "multi", per angle: amplitudes in degrees of its waves, and the range of their periods in seconds.
+_WAVES = {
+    "roll": ((7.0, 4.0, 1.5), ((9, 14), (5, 8), (3, 4))),
+    "pitch": ((18.0, 8.0, 2.0), ((40, 70), (15, 25), (4, 7))),
+    "heading": ((300.0, 60.0, 3.0), ((100, 160), (30, 50), (4, 7))),
+}
+
+
+def _multi(random: np.random.Generator) -> Path:
+    """Three waves per angle whose frequencies share no common multiple: a vehicle that turns in a swell."""
+    amplitude = np.deg2rad([waves for waves, _ in _WAVES.values()])  # (3, waves)
+    period = np.array([random.uniform(*np.transpose(ranges)) for _, ranges in _WAVES.values()])
+    frequency = 2 * np.pi / period
+    phase = random.uniform(-np.pi, np.pi, amplitude.shape)
+
+    def angles(time: Array) -> Angles:
+        argument = time[:, None, None] * frequency + phase
+        return (amplitude * np.sin(argument)).sum(axis=2), (amplitude * frequency * np.cos(argument)).sum(axis=2)
+
+    return angles
+
+
+def _waypoints(draw_points: Callable[[np.random.Generator], tuple[Array, Array]]) -> Motion:
+    """A smooth path through waypoints (time, angles in degrees) with a little swell on top."""
+
+    def draw(random: np.random.Generator) -> Path:
+        path = PchipInterpolator(*draw_points(random), extrapolate=True)
+        slope = path.derivative()
+        swell = np.deg2rad([1.2, 0.8, 1.0])
+        frequency = 2 * np.pi * random.uniform(0.08, 0.2, 3)
+        phase = random.uniform(-np.pi, np.pi, 3)
+
+        def angles(time: Array) -> Angles:
+            argument = time[:, None] * frequency + phase
+            angle = np.deg2rad(path(time)) + swell * np.sin(argument)
+            return angle, np.deg2rad(slope(time)) + swell * frequency * np.cos(argument)
+
+        return angles
+
+    return draw
+
+
+def _dive(random: np.random.Generator) -> tuple[Array, Array]:
+    """Full turns one way and the other, each at another roll and pitch; a turn takes some 40 s."""
+    tilts = [(0, 0), (0, 20), (0, -20), (12, 0), (-12, 0), (0, 35), (0, -35)]
+    time, points = [0.0], [(0.0, 0.0, 0.0)]
+    heading, way = 0.0, 1
+    for roll, pitch in tilts * 250:  # twenty and more hours of it; `duration` says where to stop
+        time.append(time[-1] + random.uniform(6, 10))
+        points.append((roll, pitch, heading))
+        heading += 360 * way
+        way = -way
+        time.append(time[-1] + random.uniform(35, 45))
+        points.append((roll, pitch, heading))
+    return np.array(time), np.array(points)
+
+
+def _survey(random: np.random.Generator) -> tuple[Array, Array]:
+    """Legs of 90 s joined by half turns of 20 s, right and left in turn."""
+    time, points = [0.0], [(0.0, 0.0, 30.0)]
+    way = 1
+    for _ in range(700):
+        _, _, heading = points[-1]
+        time.append(time[-1] + random.uniform(80, 100))
+        points.append((random.normal(0, 1), random.normal(-2, 1), heading))
+        time.append(time[-1] + 20.0)
+        points.append((random.normal(0, 1), random.normal(-2, 1), heading + 180 * way))
+        way = -way
+    return np.array(time), np.array(points)
+
+
+MOTIONS: dict[str, Motion] = {
+    **{name: _sinusoids(name) for name in AMPLITUDES},
+    "multi": _multi,
+    "dive": _waypoints(_dive),
+    "survey": _waypoints(_survey),
+}

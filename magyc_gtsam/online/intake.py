@@ -1,0 +1,140 @@
+"""What comes in, checked: each sensor's own samples, ascending, finite, without repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.online.values import Progress
+from magyc_gtsam.recording import Array, Samples
+
+_LATE = 1.0  # s by which a stamp may lie before the last one and be left out; more is a clock set back
+_FIELD_LIMIT = 3e-3  # T
+_RATE_LIMIT = 70.0  # rad/s
+_NAMES = ("magnetic_field", "angular_rate")
+_WIDTH = (_FIELD_LIMIT, _RATE_LIMIT)
+
+
+class Intake:
+    """Takes rows of both sensors apart into two clean streams; keeps the last sample of each."""
+
+    def __init__(self) -> None:
+        self._last = {name: (-np.inf, np.full(3, np.nan)) for name in _NAMES}
+        self._left_out = 0
+        self._first = np.nan
+
+    def take(
+        self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None
+    ) -> tuple[Samples, Samples]:
+        """The new samples of magnetometer and gyroscope.
+
+        Raises:
+            MagycError: wrong shapes or units, or a clock that was set back; the intake is then as before.
+        """
+        stamps = _array("time", time, 0)
+        rows = {
+            name: _array(name, value, 1)
+            for name, value in zip(_NAMES, (magnetic_field, angular_rate), strict=True)
+            if value is not None
+        }
+        taken, last, left_out = {}, dict(self._last), self._left_out
+        for name, limit in zip(_NAMES, _WIDTH, strict=True):
+            if name not in rows:
+                taken[name] = Samples(np.empty(0), np.empty((0, 3)))
+                continue
+            value = rows[name]
+            if len(value) != len(stamps):
+                raise MagycError(f"{name}: {len(value)} rows for {len(stamps)} stamps")
+            absent = np.isnan(value).all(axis=1)
+            good = np.isfinite(stamps) & np.isfinite(value).all(axis=1)
+            left_out += int((~good & ~absent).sum())
+            when, value = stamps[good], value[good]
+            beyond = np.abs(value).max(axis=1, initial=0.0) > limit
+            if beyond.sum() > 0.5 * len(beyond) and not np.isfinite(last[name][0]):  # a unit; later it is a spike
+                row = int(beyond.argmax())
+                raise MagycError(
+                    f"{name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} "
+                    f"{'T' if name == 'magnetic_field' else 'rad/s'}; convert it, or say the unit "
+                    f"({'--magnetic-unit' if name == 'magnetic_field' else '--angular-unit'})"
+                )
+            left_out += int(beyond.sum())
+            when, value = when[~beyond], value[~beyond]
+            before = np.maximum.accumulate(np.concatenate([[last[name][0]], when]))[:-1]
+            if len(when) and (before - when).max() > _LATE:
+                row = int((before - when).argmax())
+                raise MagycError(
+                    f"{name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s, at most {_LATE:g} s late is "
+                    "left out; was a clock set? save the calibration and begin a new one"
+                )
+            late = when <= before
+            left_out += int(late.sum())
+            when, value = when[~late], value[~late]
+            if len(when):
+                if name == "magnetic_field":
+                    fresh = (np.diff(np.vstack([last[name][1], value]), axis=0) != 0).any(axis=1)
+                else:
+                    fresh = np.ones(len(when), dtype=bool)
+                last[name] = (float(when[-1]), value[-1].copy())
+                when, value = when[fresh], value[fresh]
+            taken[name] = Samples(when, value)
+        self._last, self._left_out = last, left_out
+        if np.isnan(self._first):
+            firsts = [s.time[0] for s in taken.values() if len(s.time)]
+            self._first = float(min(firsts)) if firsts else np.nan
+        return taken["magnetic_field"], taken["angular_rate"]
+
+    @property
+    def until(self) -> tuple[float, float]:
+        """s, stamps of the last sample of magnetometer and gyroscope; −inf before the first."""
+        (magnetometer, _), (gyroscope, _) = (self._last[name] for name in _NAMES)
+        return magnetometer, gyroscope
+
+    def counted(self, progress: Progress) -> Progress:
+        """The engine's progress with what only the intake knows."""
+        last = max(time for time, _ in self._last.values())
+        if not np.isfinite(last):
+            return replace(progress, left_out=self._left_out)
+        return replace(progress, time=last, duration=last - self._first, left_out=self._left_out)
+
+    def state(self) -> Mapping[str, Array]:
+        """For `restore`."""
+        return {
+            "last": np.array([[time, *value] for time, value in self._last.values()]),
+            "count": np.array([self._first, self._left_out]),
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        self._last = {
+            name: (float(row[0]), row[1:].copy()) for name, row in zip(_NAMES, state["last"], strict=True)
+        }
+        self._first, self._left_out = float(state["count"][0]), int(state["count"][1])
+
+
+def vector(name: str, value: ArrayLike | None) -> Array:
+    """A copy (3,) of one sample, NaN for None."""
+    if value is None:
+        return np.full(3, np.nan)
+    array = np.array(value, dtype=np.float64)
+    if array.shape != (3,):
+        raise MagycError(f"{name}: shape {array.shape} for one stamp, expected (3,)")
+    return array
+
+
+def _array(name: str, value: ArrayLike, vectors: int) -> Array:
+    """(N,) or (N, 3) of what may be one sample."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MagycError(f"{name}: not an array of numbers ({error})") from None
+    if array.ndim == vectors:
+        array = array[None]
+    if array.ndim != vectors + 1 or (vectors and array.shape[1] != 3):
+        raise MagycError(
+            f"{name}: shape {array.shape}, expected {'(N, 3) or (3,)' if vectors else '(N,) or a number'}"
+        )
+    return array

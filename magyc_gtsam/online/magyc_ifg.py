@@ -1,0 +1,201 @@
+"""MAGYC-IFG online: windows of one second are formed as samples come in, each makes one step of the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.derivative_windows import (
+    LEAST_WINDOWS,
+    check_length,
+    form_windows,
+    window_index,
+)
+from magyc_gtsam.estimators.magyc_graph import MagycGraph
+from magyc_gtsam.estimators.magyc_ifg import check_estimate
+from magyc_gtsam.estimators.magyc_state import Prior, calibration_of
+from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
+from magyc_gtsam.online.buffers import Rows
+from magyc_gtsam.online.coverage import coverage
+from magyc_gtsam.online.values import Change, Progress
+from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.runners.incremental import Method
+
+_WAITING = 60.0  # s, samples of one sensor kept while the other is silent
+_VISITED = 512  # samples remembered of the whole mission
+_STILL = 0.5  # of the limits, how far the estimate may be from the mean of the last fifth to have settled
+
+
+class IncrementalMagyc:
+    """The engine of `OnlineCalibrator(method="magyc-ifg")`.
+
+    Args:
+        field_strength, robust, optimizer, prior, window, compressed, estimate, residual_sigma, prior_sigma: as
+            `calibrate_magyc_ifg`. With `compressed=False` time and memory grow with the mission.
+
+    Raises:
+        MagycError: an option that is wrong.
+    """
+
+    def __init__(
+        self,
+        *,
+        field_strength: float | None = None,
+        robust: str | None = None,
+        optimizer: Method = "dogleg",
+        prior: Prior = "norm",
+        window: float = 1.0,
+        compressed: bool = True,
+        estimate: Literal["mean", "current"] = "mean",
+        residual_sigma: float = 1e-3,
+        prior_sigma: float = 1e-2,
+    ) -> None:
+        check_length(window)
+        check_estimate(estimate)
+        self._configuration: dict[str, Any] = {
+            "optimizer": optimizer,
+            "prior": prior,
+            "window": window,
+            "compressed": compressed,
+            "estimate": estimate,
+            "robust": robust,
+            "residual_sigma": residual_sigma,
+            "prior_sigma": prior_sigma,
+            "field_strength": field_strength,
+        }
+        self._graph = MagycGraph(
+            compressed=compressed,
+            optimizer=optimizer,
+            prior=prior,
+            residual_sigma=residual_sigma,
+            prior_sigma=prior_sigma,
+            robust=robust,
+        )
+        self._window, self._estimate, self._field_strength = window, estimate, field_strength
+        self._waiting = (Rows(4), Rows(4))  # samples of windows still open: time, value
+        self._begun, self._last = np.full(2, np.nan), np.full(2, -np.inf)  # first and last stamp of either sensor
+        self._closed = -np.inf  # number of the first window still open
+        self._visited = np.empty((0, 4))  # magnetometer samples from all over the mission: time, field
+        self._every, self._windows = 1, 0  # of so many windows the first sample is among them
+        self._cached: Calibration | None = None
+        self._fresh = False
+
+    def update(self, magnetometer: Samples, gyroscope: Samples) -> None:
+        """See `Engine.update`."""
+        self._fresh = False
+        for index, (rows, new) in enumerate(zip(self._waiting, (magnetometer, gyroscope), strict=True)):
+            if len(new.time):
+                rows.append(np.column_stack(new))
+                self._last[index] = new.time[-1]
+                if np.isnan(self._begun[index]):
+                    self._begun[index] = new.time[0]
+        start = float(self._begun.max())  # NaN until both have begun
+        # A window is complete when both sensors are past it, or one has been silent for too long.
+        complete = max(float(self._last.min()), float(self._last.max()) - _WAITING)
+        if np.isnan(start):
+            for rows in self._waiting:
+                rows.cut(int(np.searchsorted(rows.rows[:, 0], complete)))
+            return
+        closed = float(window_index(complete, start, self._window))
+        if closed <= self._closed:
+            return
+        self._closed = closed
+        done: list[Samples] = []
+        for rows in self._waiting:
+            count = int(np.searchsorted(window_index(rows.rows[:, 0], start, self._window), closed))
+            done.append(Samples(rows.rows[:count, 0].copy(), rows.rows[:count, 1:].copy()))
+            rows.cut(count)
+        self._remember(done[0], start)
+        for sample in zip(*form_windows(done[0], done[1], start, self._window).in_gauss(), strict=True):
+            self._graph.add(*sample)
+
+    def _remember(self, magnetometer: Samples, start: float) -> None:
+        """Add the first sample of every so many windows to those that stand for the mission."""
+        _, first = np.unique(window_index(magnetometer.time, start, self._window), return_index=True)
+        for row in np.column_stack(magnetometer)[first]:
+            if self._windows % self._every == 0:
+                self._visited = np.vstack([self._visited, row])
+            if len(self._visited) > _VISITED:
+                self._visited, self._every = self._visited[::2], 2 * self._every
+            self._windows += 1
+
+    def calibration(self) -> Calibration | None:
+        """See `Engine.calibration`."""
+        if not self._fresh:
+            self._cached, self._fresh = self._calibration(), True
+        return self._cached
+
+    def _calibration(self) -> Calibration | None:
+        graph = self._graph
+        parameters = graph.mean() if self._estimate == "mean" else graph.current()
+        if parameters is None or len(self._visited) < LEAST_WINDOWS:
+            return None
+        updated = graph.result.updated
+        return calibration_of(
+            parameters,
+            graph.state.covariance(graph.residuals) if updated else None,
+            Recording(self._visited[:, 0], self._visited[:, 1:]),
+            method="magyc-ifg",
+            message=graph.message,
+            converged=updated,
+            field_strength=self._field_strength,
+            diagnostics={"status": str(graph.result.status), "windows": len(graph)},
+            configuration=self._configuration,
+        )
+
+    def converged(self) -> bool:
+        """See `Engine.converged`: observable, and no longer away from the mean over the last fifth."""
+        calibration = self.calibration()
+        return calibration is not None and calibration.converged and self._settled()
+
+    def _settled(self) -> bool:
+        current, mean = self._graph.current(), self._graph.mean()
+        if current is None or mean is None:
+            return False
+        strength = float(np.median(np.linalg.norm(self._visited[:, 1:] - current[6:9], axis=1)))
+        limits = np.repeat([SOFT_IRON_LIMIT, HARD_IRON_LIMIT * strength, GYRO_BIAS_LIMIT], [6, 3, 3])
+        return bool((np.abs(current - mean) <= _STILL * limits).all())
+
+    def progress(self) -> Progress:
+        """See `Engine.progress`."""
+        calibration = self.calibration()
+        if calibration is None:
+            return Progress(None, 0.0, len(self._graph), False, f"collecting: {self._graph.message}")
+        converged = self.converged()
+        if converged:
+            sentence = "converged"
+        elif calibration.converged:
+            sentence = "the estimate still moves: go on turning"
+        else:
+            sentence = calibration.message
+        weak = calibration.observability.weak if calibration.observability else ()
+        visited = coverage(calibration, self._visited[:, 1:])
+        return Progress(None, 0.0, len(self._graph), converged, sentence, weak, visited)
+
+    def changes(self) -> tuple[Change, ...]:
+        """See `Engine.changes`; this method looks for none."""
+        return ()
+
+    def state(self) -> Mapping[str, Array]:
+        """See `Engine.state`."""
+        return {
+            "magnetometer": self._waiting[0].rows.copy(),
+            "gyroscope": self._waiting[1].rows.copy(),
+            "stamps": np.array([self._begun, self._last]),
+            "closed": np.array(self._closed),
+            "visited": self._visited,
+            "counts": np.array([self._every, self._windows]),
+            **{f"graph/{name}": value for name, value in self._graph.saved().items()},
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """See `Engine.restore`."""
+        for rows, name in zip(self._waiting, ("magnetometer", "gyroscope"), strict=True):
+            rows.append(state[name])
+        (self._begun, self._last), self._closed = state["stamps"].copy(), float(state["closed"])
+        self._visited = state["visited"]
+        self._every, self._windows = (int(count) for count in state["counts"])
+        self._graph.restore({k.removeprefix("graph/"): v for k, v in state.items() if k.startswith("graph/")})

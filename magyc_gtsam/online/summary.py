@@ -1,0 +1,174 @@
+"""The past in fifteen numbers and their information: a chain of windows, eliminated but for θ and its last direction.
+
+A `Summary` is a quadratic cost on θ (13) and the tangent (2) of the last window's direction. The direction is kept as
+that window's mean field direction in the sensor frame, M g, which does not depend on the world frame in which the
+gyroscope was integrated; so the chain continues from it in a frame of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpbtrf, dtbtrs
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State, Weights
+from magyc_gtsam.factors.preintegration import FieldWindows
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.soft_iron import unvech
+
+_UNMEASURED = 1e-3  # scale of the first window's field, which the summary holds already
+HARD_IRON = slice(6, 9)
+BIAS = slice(9, 12)
+
+
+class Summary(NamedTuple):
+    """½ xᵀ information x + gradientᵀ x, x = (θ − parameters, tangent of the last direction).
+
+    parameters (13,); body (3,) and tangent (3, 2): the last window's M g and M times its tangent basis;
+    information (15, 15); gradient (15,).
+    """
+
+    parameters: Array
+    body: Array
+    tangent: Array
+    information: Array
+    gradient: Array
+
+    def forget(self, rows: slice) -> Summary:
+        """Nothing is known of these parameters any more; what they say of the others is marginalised."""
+        return self.widen(rows, np.inf)
+
+    def widen(self, rows: slice, sigma: float) -> Summary:
+        """These three parameters have since walked by `sigma` each."""
+        if sigma == 0.0:
+            return self
+        cross, block = self.information[:, rows], self.information[rows, rows]
+        # Λ' = Λ − Λ_w (Λ_ww + Q⁻¹)⁻¹ Λ_w; scaled, for fields are 1e-6 and rates 1e-3.
+        scale = 1 / np.sqrt(np.maximum(np.diag(block), 1e-300))
+        inner = block * scale * scale[:, None] + np.diag(scale**2 / sigma**2 + 1e-14)
+        gain = (cross * scale) @ np.linalg.inv(inner) * scale
+        return self._replace(
+            information=_symmetric(self.information - gain @ cross.T),
+            gradient=self.gradient - gain @ self.gradient[rows],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuedChain(FieldChain):
+    """A field chain whose first window is the last one of `past`, the summary of all before it."""
+
+    past: Summary | None = None
+    origin: tuple[Array, Array] = field(
+        init=False
+    )  # the past's last direction and its tangents in this chain's frame
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.past is not None:
+            self.window_scale[0] *= _UNMEASURED
+            mean = self._rotation(self.past.parameters)[:, :, 0]
+            solved = np.linalg.solve(mean, np.column_stack([self.past.body, self.past.tangent]))
+            object.__setattr__(self, "origin", (solved[:, 0], solved[:, 1:]))
+
+    @property
+    def window_sigma(self) -> Array:
+        """(n,) T, standard deviation of a window's mean, the first one's too."""
+        sigma = 1 / self.window_scale
+        if self.past is not None:
+            sigma[0] *= _UNMEASURED
+        return sigma
+
+    def eliminate(self, state: State, weights: Weights) -> Reduced:
+        """As `FieldChain.eliminate`, with the past's information on θ and on the first direction."""
+        reduced = super().eliminate(state, weights)
+        if self.past is None:
+            return reduced
+        away = self._away(state)
+        onto = np.eye(PARAMETERS + 2)
+        onto[PARAMETERS:, PARAMETERS:] = self.origin[1].T @ reduced.basis[:, :, 0]
+        information = onto.T @ self.past.information @ onto
+        slope = self.past.information @ away
+        gradient = onto.T @ (self.past.gradient + slope)
+        half = reduced.half
+        free = reduced.information + half[:, :PARAMETERS].T @ half[:, :PARAMETERS] + information[:13, :13]
+        pull = reduced.gradient + half[:, :PARAMETERS].T @ half[:, PARAMETERS] + gradient[:13]
+        band, right = reduced.band.copy(order="F"), reduced.right.copy()
+        band[0, 0] += information[13, 13]
+        band[1, 0] += information[14, 13]
+        band[0, 1] += information[14, 14]
+        right[:PARAMETERS, :2] += information[:13, 13:]
+        right[PARAMETERS, :2] += gradient[13:]
+        factor, failed = dpbtrf(band, lower=1)
+        if failed:
+            raise MagycError(f"the chain after {self.windows.time[0]:.1f} s has no finite direction")
+        half, _ = dtbtrs(factor, right.T, uplo="L")
+        reduction = half.T @ half
+        return reduced._replace(
+            cost=reduced.cost + float(self.past.gradient @ away + 0.5 * away @ slope),
+            information=_symmetric(free - reduction[:PARAMETERS, :PARAMETERS]),
+            gradient=pull - reduction[:PARAMETERS, PARAMETERS],
+            band=band,
+            factor=factor,
+            right=right,
+            half=half,
+        )
+
+    def seen(self, parameters: Array) -> Array:
+        """(3, 3, n) T, what the windows read per unit of a field fixed in the world."""
+        return np.einsum("ij,jkn->ikn", unvech(parameters[:6]), self._rotation(parameters))
+
+    def past_cost(self, state: State) -> float:
+        """The past's share of the cost at `state`, relative to the point of its summary."""
+        if self.past is None:
+            return 0.0
+        away = self._away(state)
+        return float(self.past.gradient @ away + 0.5 * away @ self.past.information @ away)
+
+    def condense(self, state: State, weights: Weights, last: int) -> Summary:
+        """The windows up to `last` (and the past) as the past of those that follow."""
+        part = replace(self, windows=take(self.windows, 0, last + 1))
+        state = State(state.parameters, state.direction[:, : last + 1])
+        state, reduced = part.settle(state, Weights(weights.window[: last + 1], weights.link[:last]))
+        # The last direction comes last in the elimination: its corner of the factor is its Schur complement.
+        corner = np.array([[reduced.factor[0, -2], 0.0], [reduced.factor[1, -2], reduced.factor[0, -1]]])
+        kept = np.concatenate([reduced.half[-2:, :PARAMETERS], corner.T], axis=1)  # (2, 15)
+        pull = reduced.half[-2:, PARAMETERS]
+        information, gradient = kept.T @ kept, kept.T @ pull
+        information[:13, :13] += reduced.information
+        gradient[:13] += reduced.gradient
+        mean = part._rotation(state.parameters)[:, :, -1]
+        return Summary(
+            state.parameters, mean @ state.direction[:, -1], mean @ reduced.basis[:, :, -1], information, gradient
+        )
+
+    def _away(self, state: State) -> Array:
+        """x of `state` (15,), seen from the summary's point."""
+        assert self.past is not None
+        direction, tangent = self.origin
+        return np.concatenate(
+            [state.parameters - self.past.parameters, tangent.T @ (state.direction[:, 0] - direction)]
+        )
+
+
+def take(windows: FieldWindows, first: int, stop: int) -> FieldWindows:
+    """The windows from `first` up to `stop`, in the same world frame."""
+    rows, links = slice(first, stop), slice(first, stop - 1)
+    return replace(
+        windows,
+        time=windows.time[rows],
+        count=windows.count[rows],
+        field=windows.field[:, rows],
+        rotation=windows.rotation[:, :, rows],
+        rotation_bias=windows.rotation_bias[:, :, :, rows],
+        rotation_rate=windows.rotation_rate[:, :, rows],
+        lever=windows.lever[:, :, links],
+        link_time=windows.link_time[links],
+        linked=windows.linked[links],
+    )
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,254 @@
+"""Incremental optimisation of any GTSAM graph as it grows: iSAM2, with Dogleg (RISE) or Gauss–Newton.
+
+GTSAM's `ISAM2` is left half updated when an update throws (a variable that nothing determines yet, a
+residual that is NaN) and must not be used afterwards. Here an update takes place whole or not at all, and
+the result says why. Factors keep the handle under which they were added, whatever iSAM2 does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import NonFiniteError
+from magyc_gtsam.runners.batch import Status, called, predicted_decrease, undetermined
+
+Method = Literal["dogleg", "gauss-newton"]
+
+_OPTIMIZERS = {"dogleg": gtsam.ISAM2DoglegParams, "gauss-newton": gtsam.ISAM2GaussNewtonParams}
+_FACTORIZATIONS = {"cholesky": "CHOLESKY", "qr": "QR"}
+_WORTHLESS = 1e-6  # decrease of the error, which counts half squared sigmas, that is not worth a step
+
+
+@dataclass(frozen=True, eq=False)
+class IncrementalResult:
+    """What one `Incremental.update` did.
+
+    Attributes:
+        status: CONVERGED where the last step moved no variable by more than the tolerance, MAX_ITERATIONS
+            where one still moves (the next update goes on), STALLED where no step lowers the error though
+            it is no minimum; else the update did not take place.
+        message: the same in words, with the numbers behind it and a remedy.
+        factors: handles of the factors added, in their order.
+        step: largest change of a variable in the last step, in its own units; NaN without a step.
+    """
+
+    status: Status
+    message: str
+    factors: tuple[int, ...] = ()
+    step: float = float("nan")
+
+    @property
+    def updated(self) -> bool:
+        """Whether the update took place."""
+        return self.status in (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED)
+
+
+class Incremental:
+    """A graph that grows, and its estimate after every update.
+
+    Args:
+        method: "dogleg" (RISE: a trust region keeps poor early data from throwing the estimate away) or
+            "gauss-newton".
+        relinearize_threshold: change of a variable, in its own units, from which the factors on it are
+            linearised again. 0 does so at every step, so that the estimate is a batch's, at a cost that
+            grows with the number of factors on it.
+        radius: first trust region of "dogleg", in the units of the variables.
+        tolerance: on a step, for `Status.CONVERGED`.
+        factorization: "cholesky", or "qr" for badly scaled information.
+        names: what to call keys in messages.
+
+    Raises:
+        MagycError: an option that is wrong.
+    """
+
+    def __init__(
+        self,
+        method: Method = "dogleg",
+        *,
+        relinearize_threshold: float = 0.0,
+        radius: float = 1.0,
+        tolerance: float = 1e-7,
+        factorization: Literal["cholesky", "qr"] = "cholesky",
+        names: Mapping[int, str] | None = None,
+    ) -> None:
+        for what, given, known in (
+            ("optimizer", method, _OPTIMIZERS),
+            ("factorization", factorization, _FACTORIZATIONS),
+        ):
+            if given not in known:
+                raise MagycError(f"{what} {given!r} unknown; there are {', '.join(known)}")
+        if not (np.isfinite(relinearize_threshold) and relinearize_threshold >= 0):
+            raise MagycError(f"relinearize_threshold {relinearize_threshold}; it must be finite and not negative")
+        for what, value in (("radius", radius), ("tolerance", tolerance)):
+            if not (np.isfinite(value) and value > 0):
+                raise MagycError(f"{what} {value}; it must be finite and above 0")
+        optimizer = _OPTIMIZERS[method]()
+        if method == "dogleg":
+            optimizer.setInitialDelta(radius)
+        self._parameters = gtsam.ISAM2Params()
+        self._parameters.setOptimizationParams(optimizer)
+        self._parameters.setRelinearizeThreshold(relinearize_threshold)
+        self._parameters.relinearizeSkip = 1
+        self._parameters.setFactorization(_FACTORIZATIONS[factorization])
+        self._parameters.findUnusedFactorSlots = True  # else replaced factors leave their places behind
+        self._tolerance = tolerance
+        self._names = names
+        self._isam = gtsam.ISAM2(self._parameters)
+        self._values = gtsam.Values()
+        self._factors: dict[int, Any] = {}
+        self._slots: dict[int, int] = {}
+        self._next_handle = 0
+
+    @property
+    def values(self) -> gtsam.Values:
+        """The estimate after the last update that took place; a copy."""
+        return gtsam.Values(self._values)
+
+    @property
+    def factors(self) -> Mapping[int, Any]:
+        """The factors in the graph by their handles; a copy."""
+        return dict(self._factors)
+
+    def error(self) -> float:
+        """GTSAM's error at the estimate: half the sum of squared whitened residuals, or of their kernels."""
+        return float(self._graph().error(self._values))
+
+    def covariance(self, key: int) -> np.ndarray:
+        """Marginal covariance of one variable, linearised where iSAM2 last did.
+
+        Raises:
+            MagycError: the key is not in the graph.
+        """
+        if not self._values.exists(key):
+            raise MagycError(f"{called(key, self._names)} is not in the graph")
+        return np.asarray(self._isam.marginalCovariance(key))
+
+    def update(
+        self,
+        factors: gtsam.NonlinearFactorGraph | Iterable[Any] = (),
+        initial: gtsam.Values | None = None,
+        *,
+        remove: Iterable[int] = (),
+        steps: int = 1,
+    ) -> IncrementalResult:
+        """Add factors, remove others and improve the estimate: all of it or, with the reason, nothing.
+
+        To replace a factor (a compressed one by its successor), add one and remove the other in one update.
+
+        Args:
+            factors: to be added; their noise models may be robust.
+            initial: of the variables that are new; others in it are not looked at.
+            remove: handles of earlier factors.
+            steps: most steps to make; it ends where one moves nothing by more than the tolerance.
+
+        Raises:
+            MagycError: a handle that is not known, a new variable without initial value, or a factor whose
+                error function has a wrong shape. Numerical trouble is no exception but a status.
+        """
+        if steps < 1:
+            raise MagycError(f"steps {steps}; at least 1 is needed")
+        added = _as_graph(factors)
+        removed = list(dict.fromkeys(remove))
+        unknown = [handle for handle in removed if handle not in self._factors]
+        if unknown:
+            raise MagycError(f"no factor {unknown[0]} in the graph; handles are what `update` returned")
+        new = self._new_variables(added, initial)
+
+        estimate = self.values
+        estimate.insert(new)
+        whole = False
+        try:
+            slots = [self._slots[handle] for handle in removed]
+            found = self._isam.update(added, new, slots).getNewFactorsIndices()
+            step = self._step(estimate)
+            for _ in range(steps - 1):
+                if not step > self._tolerance:  # nor goes on from NaN
+                    break
+                self._isam.update()
+                step = self._step(estimate)
+            whole = bool(np.isfinite(step))
+        except (KeyboardInterrupt, NonFiniteError, RuntimeError) as problem:
+            return self._not_updated(problem)
+        finally:
+            if not whole:
+                self._rebuild()
+        if not whole:
+            return IncrementalResult(Status.FAILED, f"the step became {step}; nothing was updated")
+
+        for handle in removed:
+            del self._factors[handle], self._slots[handle]
+        handles = tuple(range(self._next_handle, self._next_handle + added.size()))
+        self._next_handle += len(handles)
+        self._factors.update({handle: added.at(i) for i, handle in enumerate(handles)})
+        self._slots.update(zip(handles, found, strict=True))
+        self._values = estimate
+        return self._verdict(handles, step)
+
+    def _new_variables(self, factors: gtsam.NonlinearFactorGraph, initial: gtsam.Values | None) -> gtsam.Values:
+        new = gtsam.Values()
+        keys = [key for key in factors.keyVector() if not self._values.exists(key)]
+        missing = [key for key in keys if initial is None or not initial.exists(key)]
+        if missing:
+            raise MagycError(f"no initial value for {', '.join(called(key, self._names) for key in missing)}")
+        if initial is not None:
+            new.insert(initial)
+            for key in set(initial.keys()) - set(keys):
+                new.erase(key)
+        return new
+
+    def _step(self, estimate: gtsam.Values) -> float:
+        """Make a step; `estimate` is brought up to it. By how much it moved a variable at most."""
+        after = self._isam.calculateEstimate()
+        for key in set(estimate.keys()) - set(after.keys()):  # variables that lost their last factor
+            estimate.erase(key)
+        change = estimate.localCoordinates(after).vector()
+        estimate.update(after)
+        return float(np.abs(change).max(initial=0.0))
+
+    def _verdict(self, handles: tuple[int, ...], step: float) -> IncrementalResult:
+        if step > self._tolerance:
+            return IncrementalResult(Status.MAX_ITERATIONS, f"still moving, by {step:.1g}", handles, step)
+        # A minimum, or a trust region that shrank to nothing?
+        promised = predicted_decrease(self._graph(), self._values)
+        if promised > _WORTHLESS:
+            message = f"no step lowers the error, though {promised:.2g} of {self.error():.3g} are to be won"
+            return IncrementalResult(Status.STALLED, message, handles, step)
+        message = f"converged: the last step moved nothing by more than {step:.1g}"
+        return IncrementalResult(Status.CONVERGED, message, handles, step)
+
+    def _not_updated(self, problem: BaseException) -> IncrementalResult:
+        """The status of an update that threw; what is not the numbers' fault goes on to the caller."""
+        if isinstance(problem, KeyboardInterrupt):
+            return IncrementalResult(Status.INTERRUPTED, "interrupted; nothing was updated")
+        if isinstance(problem, NonFiniteError):
+            return IncrementalResult(Status.FAILED, f"{problem}; nothing was updated")
+        key = undetermined(problem) if isinstance(problem, RuntimeError) else None
+        if key is None:
+            raise problem
+        message = f"{called(key, self._names)} is not determined; add data, or a prior; nothing was updated"
+        return IncrementalResult(Status.INDETERMINATE, message)
+
+    def _graph(self) -> gtsam.NonlinearFactorGraph:
+        return _as_graph(self._factors.values())
+
+    def _rebuild(self) -> None:
+        """A new iSAM2 of the factors held, at the last estimate: one that threw cannot be used."""
+        self._isam = gtsam.ISAM2(self._parameters)
+        if self._factors:
+            slots = self._isam.update(self._graph(), self._values).getNewFactorsIndices()
+            self._slots = dict(zip(self._factors, slots, strict=True))
+
+
+def _as_graph(factors: gtsam.NonlinearFactorGraph | Iterable[Any]) -> gtsam.NonlinearFactorGraph:
+    if isinstance(factors, gtsam.NonlinearFactorGraph):
+        return factors
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    return graph

@@ -1,0 +1,34 @@
+"""Simulated recordings with their truth, and the effects that the sensor model does not have.
+
+The diagnosing code (`magyc_gtsam.gap`) must not import this package: it would read the answers.
+"""
+
+from __future__ import annotations
+
+from magyc_gtsam.motion import AMPLITUDES, MOTIONS, RATES
+from magyc_gtsam.simulation.disturbance import disturb
+from magyc_gtsam.simulation.injection import inject
+from magyc_gtsam.simulation.sensor import (
+    FIELD,
+    GYRO_BIAS,
+    HARD_IRON,
+    MILLIGAUSS,
+    SOFT_IRON,
+    Simulation,
+    simulate,
+)
+
+__all__ = [
+    "AMPLITUDES",
+    "FIELD",
+    "GYRO_BIAS",
+    "HARD_IRON",
+    "MILLIGAUSS",
+    "MOTIONS",
+    "RATES",
+    "SOFT_IRON",
+    "Simulation",
+    "disturb",
+    "inject",
+    "simulate",
+]

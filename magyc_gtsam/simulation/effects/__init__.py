@@ -1,0 +1,43 @@
+"""The effects, by the part of the signal's way in which they act, and their published strengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.simulation.effects import electronics, field, foreign, gyroscope, iron, reading
+from magyc_gtsam.simulation.effects.strengths import FOREIGN_STRENGTHS, NAMED_STRENGTHS, STRENGTHS, Strength
+from magyc_gtsam.simulation.scene import Chosen, Effect
+
+NAMED: tuple[str, ...] = tuple(NAMED_STRENGTHS)
+FOREIGN: tuple[str, ...] = tuple(FOREIGN_STRENGTHS)
+EFFECTS: dict[str, Effect] = {
+    **iron.EFFECTS,
+    **field.EFFECTS,
+    **electronics.EFFECTS,
+    **reading.EFFECTS,
+    **gyroscope.EFFECTS,
+    **foreign.EFFECTS,
+}
+
+__all__ = ["EFFECTS", "FOREIGN", "NAMED", "STRENGTHS", "Strength", "chosen"]
+
+
+def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen]:
+    """The effects asked for, with their sizes.
+
+    Raises:
+        MagycError: a name that is not known, twice the same, or a factor that is not more than 0.
+    """
+    result: list[Chosen] = []
+    for item in effects:
+        name, factor = (item, 1.0) if isinstance(item, str) else (item[0], float(item[1]))
+        if name not in EFFECTS:
+            raise MagycError(f"effects: {name!r} is none of {', '.join(EFFECTS)}")
+        if name in (c.name for c in result):
+            raise MagycError(f"effects: {name!r} is asked for twice; give it once with its factor")
+        if not 0 < factor < float("inf"):
+            raise MagycError(f"effects: factor {factor:g} of {name!r}, it must be more than 0")
+        strength = STRENGTHS[name]
+        result.append(Chosen(name, EFFECTS[name], factor, factor * strength.size, strength.unit, seed))
+    return result

@@ -1,0 +1,42 @@
+"""The magnetometer's core and electronics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation.scene import MILLIGAUSS, Effect, Scene, Stage, lagged
+
+Result = tuple[Array, dict[str, Any]]
+
+_LARGE = 500 * MILLIGAUSS
+
+
+def _timing(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A two-pole anti-alias filter; `size` is its delay at low frequencies."""
+    return lagged(lagged(field, scene.step, size / 2), scene.step, size / 2), {}
+
+
+def _saturation(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A core that goes into saturation softly, like a hyperbolic tangent, the same on all axes."""
+    full = (1 - size) * float(np.abs(field).max())
+    knee = 0.85 * full
+    beyond = np.clip(np.abs(field) - knee, 0, None)
+    soft = np.minimum(np.abs(field), knee) + (full - knee) * np.tanh(beyond / (full - knee))
+    return np.sign(field) * soft, {"full_scale": full}
+
+
+def _cubic(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """An odd response that is cubic for small fields and flattens."""
+    share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
+    part = field / _LARGE
+    return field + size * share * 1.2 * part**3 / (1 + 0.2 * part**2), {"share": share}
+
+
+EFFECTS = {
+    "timing": Effect(Stage.ELECTRONICS, _timing),
+    "saturation": Effect(Stage.ELECTRONICS, _saturation),
+    "cubic": Effect(Stage.ELECTRONICS, _cubic),
+}

@@ -1,0 +1,60 @@
+"""The Earth's field on its way to the sensor: where the vehicle is, what it passes, plates, the mounting."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction, lagged, standardised
+
+Result = tuple[Array, dict[str, Any]]
+
+
+def _gradient(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A source deep below: the strength grows with the inverse cube of the distance to it."""
+    sign = random.choice([-1.0, 1.0])
+    depth = scene.environment.depth
+    below = 300.0 - (depth - depth.mean())
+    stronger = standardised(below**-3.0) * size * sign
+    return field * (1 + stronger)[:, None], {"sign": sign}
+
+
+def _anomaly(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A dipole at the sea bed that is passed once, 8 m away, on the vehicle's own path."""
+    at = scene.time[0] + random.uniform(0.25, 0.75) * (scene.time[-1] - scene.time[0])
+    position = scene.environment.position
+    nearest = np.array([np.interp(at, scene.time, axis) for axis in position.T])
+    course = np.array([np.interp(at + 1.0, scene.time, axis) for axis in position.T]) - nearest
+    aside = np.cross(course, direction(random))
+    away = position - (nearest + 8.0 * aside / max(float(np.linalg.norm(aside)), 1e-12))
+    distance = np.linalg.norm(away, axis=1, keepdims=True)
+    moment = direction(random)
+    dipole = (3 * (away @ moment)[:, None] * away / distance**2 - moment) / distance**3
+    dipole *= size / np.linalg.norm(dipole, axis=1).max()
+    return field + dipole, {"time": float(at), "moment": moment}
+
+
+def _eddy_plane(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A plate: the flux through it changes as the vehicle turns, its currents oppose that and die in 30 ms."""
+    normal = direction(random)
+    way = normal + 0.1 * direction(random)
+    way /= np.linalg.norm(way)
+    change = -np.cross(scene.angular_rate, field) @ normal
+    return field - size * lagged(change, scene.step, 0.03)[:, None] * way, {"normal": normal}
+
+
+def _misalignment(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """The magnetometer is turned against the gyroscope."""
+    turned = size * direction(random)
+    return Rotation.from_rotvec(turned).apply(field), {"rotation_vector": turned}
+
+
+EFFECTS = {
+    "field-gradient": Effect(Stage.WORLD, _gradient, ("depth",), attitude=True),
+    "local-anomaly": Effect(Stage.WORLD, _anomaly, attitude=True),
+    "eddy-plane": Effect(Stage.BODY, _eddy_plane),
+    "misalignment": Effect(Stage.BODY, _misalignment),
+}

@@ -1,0 +1,82 @@
+"""Effects that no catalogue has: a diagnosis must call them unknown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation.scene import MILLIGAUSS, Effect, Scene, Stage, direction, lagged, standardised
+
+Result = tuple[Array, dict[str, Any]]
+
+
+def _servo(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A camera's magnet that pans against the heading between end stops at ±50°, and sweeps on its own."""
+    assert scene.attitude is not None
+    heading = scene.attitude.as_euler("ZYX")[:, 0]
+    middle = random.uniform(-np.pi, np.pi)
+    asked = np.angle(np.exp(1j * (middle - heading))) + 0.3 * np.sin(2 * np.pi * scene.time / 23.0)
+    pan = lagged(np.clip(asked, -np.deg2rad(50), np.deg2rad(50)), scene.step, 0.8)
+    first, second = np.linalg.qr(random.standard_normal((3, 2)))[0].T
+    return field + size * (np.cos(2 * pan)[:, None] * first + np.sin(2 * pan)[:, None] * second), {}
+
+
+def _loose(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A battery that slides to the lower side, once the roll has passed a threshold."""
+    assert scene.attitude is not None
+    roll = scene.attitude.as_euler("ZYX")[:, 2]
+    tilt = (roll - np.median(roll)) / max(float(np.ptp(roll)), 1e-9)
+    side = np.where(tilt > 0.15, 1.0, np.where(tilt < -0.15, -1.0, 0.0))
+    last = np.maximum.accumulate(np.where(side != 0, np.arange(len(side)), 0))
+    way = direction(random)
+    return field + size * lagged(side[last], scene.step, 0.5)[:, None] * way, {"direction": way}
+
+
+def _product(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Each axis feels the product of the two others."""
+    share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
+    part = field / (500 * MILLIGAUSS)
+    return field + size * share * np.roll(part, 1, axis=1) * np.roll(part, 2, axis=1), {"share": share}
+
+
+def _rate_product(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Each axis feels the product of the rates about the two others."""
+    share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
+    return rate + size * share * np.roll(rate, 1, axis=1) * np.roll(rate, 2, axis=1), {"share": share}
+
+
+def _deadband(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Magnetisation that lags in one direction, in the faster half of the turns only."""
+    speed = np.linalg.norm(scene.angular_rate, axis=1)
+    band = np.quantile(speed, 0.5)
+    fast = np.clip(1 - band / np.maximum(speed, 1e-9), 0, None)
+    first, second = direction(random), direction(random)
+    change = -np.cross(scene.angular_rate, field) @ first
+    return field - size * (fast * change)[:, None] * second, {"band": float(band)}
+
+
+def _vibration(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Vibration of the thrusters, with the current's square, is rectified into a bias."""
+    way = direction(random)
+    shaken = standardised(lagged(scene.environment.current**2, scene.step, 0.4))
+    return rate + size * shaken[:, None] * way, {"direction": way}
+
+
+def _sensitivity(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Each axis gains or loses sensitivity with temperature."""
+    share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
+    warm = standardised(lagged(scene.environment.temperature, scene.step, 15.0))
+    return field * (1 + size * warm[:, None] * share), {"share": share}
+
+
+EFFECTS = {
+    "servo-magnet": Effect(Stage.IRON, _servo, attitude=True),
+    "loose-magnet": Effect(Stage.IRON, _loose, attitude=True),
+    "axis-product": Effect(Stage.ELECTRONICS, _product),
+    "rate-product": Effect(Stage.GYROSCOPE, _rate_product),
+    "deadband-lag": Effect(Stage.BODY, _deadband),
+    "vibration-bias": Effect(Stage.GYROSCOPE, _vibration, ("current",)),
+    "sensitivity-temperature": Effect(Stage.ELECTRONICS, _sensitivity, ("temperature",)),
+}

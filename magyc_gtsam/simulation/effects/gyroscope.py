@@ -1,0 +1,51 @@
+"""Errors of the gyroscope beyond a constant bias."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation.environment import GRAVITY
+from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction, lagged, standardised
+
+Result = tuple[Array, dict[str, Any]]
+
+
+def _scale(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Scale errors, and axes that are not square to each other by half as much; no rotation."""
+    matrix = random.standard_normal((3, 3)) * (0.5 + 0.5 * np.eye(3))
+    matrix = matrix + matrix.T
+    matrix *= size * np.sqrt(3) / np.linalg.norm(matrix)
+    return rate + rate @ matrix.T, {"matrix": matrix}
+
+
+def _quadratic(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A scale error that grows with the rate's magnitude on each axis, less and less."""
+    share = random.uniform(0.6, 1.0, 3) * random.choice([-1.0, 1.0], 3)
+    return rate + size * share * rate * np.abs(rate) / (1 + 0.3 * np.abs(rate)), {"share": share}
+
+
+def _temperature(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A bias that follows the chip's own temperature, 8 s behind the thermometer."""
+    way = direction(random)
+    warm = standardised(lagged(scene.environment.temperature, scene.step, 8.0))
+    return rate + size * warm[:, None] * way, {"direction": way}
+
+
+def _acceleration(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Specific force bends the proof mass."""
+    matrix = random.standard_normal((3, 3))
+    matrix *= size * np.sqrt(3) / np.linalg.norm(matrix)
+    assert scene.attitude is not None
+    force = scene.attitude.inv().apply(scene.environment.acceleration - [0.0, 0.0, GRAVITY])
+    return rate + force / GRAVITY @ matrix.T, {"matrix": matrix}
+
+
+EFFECTS = {
+    "gyro-scale": Effect(Stage.GYROSCOPE, _scale),
+    "gyro-quadratic": Effect(Stage.GYROSCOPE, _quadratic),
+    "temperature-gyro": Effect(Stage.GYROSCOPE, _temperature, ("temperature",)),
+    "g-sensitivity": Effect(Stage.GYROSCOPE, _acceleration, ("acceleration",), attitude=True),
+}

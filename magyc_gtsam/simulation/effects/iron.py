@@ -1,0 +1,71 @@
+"""Iron and currents on the vehicle: fields that are added in the sensor frame."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction, lagged, standardised
+
+Result = tuple[Array, dict[str, Any]]
+
+
+def _motor_current(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """The field of the supply's cable; shields and housing delay it by 60 ms."""
+    way = direction(random)
+    current = lagged(scene.environment.current, scene.step, 0.06)
+    return field + size * standardised(current)[:, None] * way, {"direction": way}
+
+
+def _temperature(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A magnet that weakens as it warms, 25 s behind the thermometer, a little more than in proportion."""
+    way = direction(random)
+    warm = standardised(lagged(scene.environment.temperature, scene.step, 25.0))
+    return field + size * (warm + 0.06 * warm**2)[:, None] * way, {"direction": way}
+
+
+def _step(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Something slips, within a third of a second."""
+    way = direction(random)
+    at = scene.time[0] + random.uniform(0.25, 0.75) * (scene.time[-1] - scene.time[0])
+    moved = 0.5 * (1 + np.tanh((scene.time - at) / 0.15))
+    return field + size * moved[:, None] * way, {"direction": way, "time": float(at)}
+
+
+def _drift(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """A random walk of knots every 20 s, smooth in between."""
+    knots = np.arange(scene.time[0], scene.time[-1] + 40.0, 20.0)
+    walk = np.cumsum(random.standard_normal((len(knots), 3)), axis=0)
+    drift = PchipInterpolator(knots, walk)(scene.time)
+    drift -= drift.mean(axis=0)
+    drift *= size / np.sqrt((drift**2).sum(axis=1).mean())
+    return field + drift, {"reached": drift[-1] - drift[0]}
+
+
+def _hysteresis(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Prandtl and Ishlinskii: a bar of steel is a sum of play operators, each with its own coercive field."""
+    bar = direction(random)
+    way = bar + 0.3 * direction(random)
+    way /= np.linalg.norm(way)
+    along = (field - field.mean(axis=0)) @ bar
+    coercive = np.array([0.04, 0.09, 0.16, 0.25]) * np.ptp(along)
+    weight = size / (len(coercive) * coercive)
+    played = np.empty((len(along), len(coercive)))
+    state = np.full(len(coercive), along[0])
+    for row, value in enumerate(along.tolist()):
+        state = np.clip(state, value - coercive, value + coercive)
+        played[row] = state
+    loop = (played - along[:, None]) @ weight
+    return field + loop[:, None] * way, {"bar": bar, "direction": way}
+
+
+EFFECTS = {
+    "motor-current": Effect(Stage.IRON, _motor_current, ("current",)),
+    "temperature-hard-iron": Effect(Stage.IRON, _temperature, ("temperature",)),
+    "hard-iron-step": Effect(Stage.IRON, _step),
+    "hard-iron-drift": Effect(Stage.IRON, _drift),
+    "hysteresis": Effect(Stage.IRON, _hysteresis),
+}

@@ -1,0 +1,81 @@
+"""What sampling, bus and logger do to the magnetometer's numbers, and the gyroscope's axes."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction
+
+Result = tuple[Array, dict[str, Any]]
+
+
+def _coloured(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """AR(2): a damped resonance at 0.05 to 0.2 Hz, as of a swinging mount."""
+    step = float(np.median(np.diff(scene.row_time)))
+    frequency, decay = random.uniform(0.05, 0.2), random.uniform(1.5, 4.0)
+    radius = np.exp(-step / decay)
+    poles = [1.0, -2 * radius * np.cos(2 * np.pi * frequency * step), radius**2]
+    settling = int(10 * decay / step)
+    noise = lfilter([1.0], poles, random.standard_normal((len(reading) + settling, 3)), axis=0)[settling:]
+    return reading + size * noise / noise.std(), {"frequency": frequency, "decay": decay}
+
+
+def _spikes(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """One sample in a hundred is off by a field of random direction; every third time the next one as well."""
+    hit = random.random(len(reading)) < 0.0077
+    hit[1:] |= hit[:-1] & (random.random(len(reading) - 1) < 0.3)
+    height = size * random.gamma(4.0, 0.25, len(reading)) * hit
+    way = random.standard_normal(reading.shape)
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    return reading + height[:, None] * way, {"samples": int(hit.sum())}
+
+
+def _tone(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Mains folded by the sampling: an ellipse at a frequency that wanders as the grid's does."""
+    step = float(np.median(np.diff(scene.row_time)))
+    frequency = random.uniform(0.08, 0.42) / step
+    phase = 2 * np.pi * frequency * (scene.row_time - scene.row_time[0])
+    phase += np.cumsum(random.standard_normal(len(reading))) * np.sqrt(step) * 0.02
+    major, minor = direction(random), 0.4 * direction(random)
+    return reading + size * (np.cos(phase)[:, None] * major + np.sin(phase)[:, None] * minor), {
+        "frequency": frequency
+    }
+
+
+def _quantised(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """Counts, from an origin that is not quite zero."""
+    origin = random.uniform(-0.5, 0.5, 3) * size
+    return np.round((reading - origin) / size) * size + origin, {}
+
+
+def _held(shown: np.ndarray, scene: Scene, size: float, random: np.random.Generator) -> tuple[np.ndarray, dict]:
+    """The magnetometer measures every 1 + size log periods on a clock of its own; rows show the last value."""
+    step = float(np.median(np.diff(scene.row_time)))
+    own = (1 + size) * step
+    tick = np.floor((scene.row_time - scene.row_time[0] + random.uniform(0, own)) / own)
+    _, first, again = np.unique(tick, return_index=True, return_inverse=True)
+    start = scene.row_time[0] + tick * own - (scene.row_time[0] + tick[0] * own - scene.row_time[0])
+    measured = np.clip(np.searchsorted(scene.time, start, side="right") - 1, 0, scene.rows[first][again])
+    return np.minimum(measured, shown), {"period": own}
+
+
+def _axes(angular_rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
+    """The gyroscope's axes are named otherwise: one of the 47 signed permutations that are not the identity."""
+    choices = [(order, sign) for order in permutations(range(3)) for sign in product((1.0, -1.0), repeat=3)][1:]
+    order, sign = choices[int(random.integers(len(choices)))]
+    return angular_rate[:, list(order)] * sign, {"order": list(order), "sign": list(sign)}
+
+
+EFFECTS = {
+    "coloured-noise": Effect(Stage.READING, _coloured),
+    "spikes": Effect(Stage.READING, _spikes),
+    "tone": Effect(Stage.READING, _tone),
+    "quantisation": Effect(Stage.QUANTISED, _quantised),
+    "sample-hold": Effect(Stage.SAMPLING, _held),
+    "axis-order": Effect(Stage.AXES, _axes),
+}

@@ -1,0 +1,156 @@
+"""`simulate`: the field and sensors of the MAGYC paper (section V) on a vehicle that moves, effects included.
+
+All values are those AT their time stamps: the body rates come from the analytic derivative of the Euler
+angles, not from differences.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.motion import MOTIONS, kinematics
+from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.simulation.effects import chosen
+from magyc_gtsam.simulation.environment import CHANNELS, GRAVITY, measured
+from magyc_gtsam.simulation.scene import MILLIGAUSS, Applied, Chain, Scene, Stage
+
+FIELD = np.array([227.207, 51.796, 411.731]) * MILLIGAUSS
+SOFT_IRON = np.array([[1.10, 0.10, 0.04], [0.10, 0.88, 0.02], [0.04, 0.02, 1.22]])
+HARD_IRON = np.array([20.0, 120.0, 90.0]) * MILLIGAUSS
+GYRO_BIAS = np.array([4.0, -5.0, 2.0]) * 1e-3
+_GRID = 100.0  # Hz, at least, on which effects with a memory of their own are computed
+_ACCELEROMETER_NOISE = 0.03  # m/s²
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """What `simulate` returns: `recording` as the instrument would log it, and the `truth` behind it.
+
+    `field` (3,) T is the world's field, north, east, down; `effects` are those that were applied, with
+    their sizes and what was drawn.
+    """
+
+    recording: Recording
+    truth: Calibration
+    field: Array
+    effects: tuple[Applied, ...] = ()
+
+
+def simulate(
+    motion: str,
+    duration: float = 600.0,
+    rate: float = 10.0,
+    seed: int = 0,
+    effects: Sequence[str | tuple[str, float]] = (),
+    *,
+    field: ArrayLike = FIELD,
+    soft_iron: ArrayLike = SOFT_IRON,
+    hard_iron: ArrayLike = HARD_IRON,
+    gyro_bias: ArrayLike = GYRO_BIAS,
+    magnetometer_noise: float = 10 * MILLIGAUSS,
+    gyroscope_noise: float = 5e-3,
+    delay: float = 0.0,
+    channels: Sequence[str] | None = None,
+) -> Simulation:
+    """Simulate an instrument on a vehicle.
+
+    Args:
+        motion: "wide", "moderate", "low", "tiny" (sinusoids of the paper with random rates and
+            phases), "multi" (several frequencies on every angle), "dive" (a calibration dive: turns at
+            several roll and pitch attitudes) or "survey" (lawn-mower legs, nearly level).
+        duration, rate: s and Hz; duration·rate samples.
+        seed: of motion, noise, surroundings and effects.
+        effects: beyond the sensor model: names of `simulation.effects.STRENGTHS`, or (name, factor) with a
+            factor on the published strength.
+        field: (3,) T, world (north, east, down).
+        soft_iron, hard_iron, gyro_bias: (3, 3), (3,) T, (3,) rad/s: m = soft_iron u + hard_iron.
+        magnetometer_noise, gyroscope_noise: standard deviation per sample and axis, T and rad/s.
+        delay: s by which the magnetometer lags the gyroscope.
+        channels: to record beside: "current" A, "temperature" °C, "depth" m, "position" (n, 3) m. Default:
+            those that the effects need. With any of these the accelerometer feels the sea and has noise.
+
+    Returns:
+        The recording, with attitude and acceleration, and the truth (soft iron with det 1; its scale
+        moved into `field_strength`).
+
+    Raises:
+        MagycError: unknown motion, effect or channel, or too few samples.
+    """
+    if motion not in MOTIONS:
+        raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
+    wanted = chosen(effects, seed)
+    recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])
+    samples = round(duration * rate)
+    if samples < 3:
+        raise MagycError(f"duration {duration:g} s at {rate:g} Hz gives {samples} samples, at least 3 are needed")
+    random = np.random.default_rng(seed)
+    finer = max(1, int(np.ceil(_GRID / rate))) if wanted or recorded else 1
+    time = np.arange(samples * finer) / (rate * finer)
+    rows = np.arange(samples) * finer
+    angles = MOTIONS[motion](random)
+    attitude, angular_rate = kinematics(*angles(time))
+    then, _ = kinematics(*angles(time - delay))
+    field, soft_iron, hard_iron, gyro_bias = (
+        np.asarray(v, dtype=float) for v in (field, soft_iron, hard_iron, gyro_bias)
+    )
+    noise = random.standard_normal((2, samples, 3)) * np.reshape([magnetometer_noise, gyroscope_noise], (2, 1, 1))
+    scene = Scene(time, attitude, angular_rate, field, rows, seed)
+    chain = Chain(wanted, scene)
+
+    world = chain.pass_through(Stage.WORLD, np.tile(field, (len(time), 1)))
+    body = chain.pass_through(Stage.BODY, then.inv().apply(world))
+    iron = chain.pass_through(Stage.IRON, body @ soft_iron.T + hard_iron)
+    seen = chain.pass_through(Stage.ELECTRONICS, iron)
+    shown = chain.pass_through(Stage.SAMPLING, rows)
+    _, first, again = np.unique(shown, return_index=True, return_inverse=True)
+    reading = chain.pass_through(Stage.READING, seen[shown] + noise[0])
+    magnetic_field = chain.pass_through(Stage.QUANTISED, reading[first[again]])
+    felt = chain.pass_through(Stage.GYROSCOPE, angular_rate)
+    angular_rate = chain.pass_through(Stage.AXES, felt[rows] + gyro_bias + noise[1])
+
+    recording = Recording(
+        time[rows],
+        magnetic_field,
+        angular_rate,
+        acceleration=_acceleration(scene, seed, dynamic=bool(wanted or recorded)),
+        attitude=attitude[rows].as_quat(),
+        channels={name: measured(scene.environment, name, rows, seed) for name in recorded},
+        name="-".join([motion, str(seed), *(w.name for w in wanted)]),
+    )
+    scale = float(np.cbrt(np.linalg.det(soft_iron)))
+    truth = Calibration(
+        soft_iron / scale,
+        hard_iron,
+        gyro_bias,
+        delay=delay,
+        method="truth",
+        noise={"magnetic_field": magnetometer_noise, "angular_rate": gyroscope_noise},
+        field_strength=scale * float(np.linalg.norm(field)),
+    )
+    return Simulation(recording, truth, field, tuple(chain.applied))
+
+
+def _channels(asked: Sequence[str] | None, needed: Sequence[str]) -> tuple[str, ...]:
+    names = needed if asked is None else asked
+    unknown = sorted(set(names) - {*CHANNELS, "acceleration"})
+    if unknown:
+        raise MagycError(f"channels: {unknown[0]!r} is none of {', '.join(CHANNELS)}")
+    return tuple(name for name in CHANNELS if name in names)
+
+
+def _acceleration(scene: Scene, seed: int, dynamic: bool) -> Array:
+    """(rows, 3) m/s²: specific force at the logged rows."""
+    assert scene.attitude is not None
+    attitude = scene.attitude[scene.rows]
+    if not dynamic:
+        return np.asarray(attitude.inv().apply([0.0, 0.0, -GRAVITY]))
+    random = np.random.default_rng([seed, crc32(b"accelerometer")])
+    force = scene.environment.acceleration[scene.rows] - [0.0, 0.0, GRAVITY]
+    return np.asarray(attitude.inv().apply(force) + _ACCELEROMETER_NOISE * random.standard_normal(force.shape))

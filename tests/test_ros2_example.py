@@ -1,0 +1,190 @@
+"""The ROS 2 example without ROS: its logic on simulated messages, and its topics on a stand-in for rclpy."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.simulation import simulate
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "ros2_online_node.py"
+START = 1_620_000_000
+
+
+@pytest.fixture(scope="module")
+def example() -> ModuleType:
+    assert "rclpy" not in sys.modules
+    specification = importlib.util.spec_from_file_location("ros2_online_node", EXAMPLE)
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    assert "rclpy" not in sys.modules
+    return module
+
+
+@pytest.fixture(scope="module")
+def simulation() -> mg.Simulation:
+    return simulate("wide", duration=120, rate=10, seed=1)
+
+
+def messages(simulation: mg.Simulation) -> list[tuple[str, Any]]:
+    """(topic, message) in order, both sensors at every stamp."""
+    result: list[tuple[str, Any]] = []
+    at = simulation.recording
+    assert at.angular_rate is not None
+    for time, field, rate in zip(at.time, at.magnetic_field, at.angular_rate, strict=True):
+        nanoseconds = round(time * 1e9)
+        stamp = SimpleNamespace(sec=START + nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        header = SimpleNamespace(stamp=stamp)
+        x, y, z = map(float, field)
+        vector = SimpleNamespace(x=x, y=y, z=z)
+        result.append(("imu/mag", SimpleNamespace(header=header, magnetic_field=vector)))
+        x, y, z = map(float, rate)
+        imu = SimpleNamespace(
+            header=header,
+            angular_velocity=SimpleNamespace(x=x, y=y, z=z),
+            angular_velocity_covariance=[0.0] * 9,
+        )
+        result.append(("imu/data_raw", imu))
+    return result
+
+
+def feed(node: Any, part: list[tuple[str, Any]]) -> list[np.ndarray]:
+    calibrated = []
+    for topic, message in part:
+        if topic == "imu/data_raw":
+            node.on_imu(message)
+        elif (field := node.on_field(message)) is not None:
+            calibrated.append(field)
+    return calibrated
+
+
+def test_it_calibrates_says_what_is_missing_and_goes_on_after_a_kill(
+    example: ModuleType, simulation: mg.Simulation, tmp_path: Path
+) -> None:
+    said: list[str] = []
+    arguments = (tmp_path / "cal.yaml", tmp_path / "state", "magyc-ifg", said.append)
+    node = example.OnlineNode(*arguments)
+    everything = messages(simulation)
+    assert feed(node, everything[:60]) == []
+    status = node.on_timer()
+    assert not status["converged"]
+    assert said == [status["sentence"]]
+    feed(node, everything[60:1600])
+    node.on_timer()
+    del node  # killed: nothing is called at the end
+
+    node = example.OnlineNode(*arguments)
+    feed(node, everything[1600:2000])
+    status = node.on_timer()
+    assert status["converged"]
+    assert json.loads(json.dumps(status)) == status
+    assert said[-1] == "converged"
+    calibrated = feed(node, everything[2000:])
+    assert len(calibrated) == 200
+    spread = np.linalg.norm(calibrated, axis=1).std()
+    assert spread < 0.5 * np.linalg.norm(simulation.recording.magnetic_field, axis=1).std()
+
+    node.on_timer()
+    found = mg.Calibration.load(tmp_path / "cal.yaml")
+    whole = mg.OnlineCalibrator("magyc-ifg")
+    at = simulation.recording
+    stamps = [m.header.stamp.sec + m.header.stamp.nanosec * 1e-9 for topic, m in everything if topic == "imu/mag"]
+    whole.update(stamps, at.magnetic_field, at.angular_rate)
+    np.testing.assert_array_equal(found.hard_iron, whole.calibration.hard_iron)
+
+
+def test_an_imu_without_rate_and_a_clock_that_is_set_back_are_survived(
+    example: ModuleType, simulation: mg.Simulation, tmp_path: Path
+) -> None:
+    said: list[str] = []
+    node = example.OnlineNode(tmp_path / "cal.yaml", None, "magyc-ifg", said.append)
+    everything = messages(simulation)
+    feed(node, everything[:400])
+    everything[401][1].angular_velocity_covariance[0] = -1
+    before = node.online.taken_until[1]
+    node.on_imu(everything[401][1])
+    assert node.online.taken_until[1] == before
+    feed(node, everything[:40])
+    assert 1 <= len(said) <= 2  # once per sensor, not per message
+    assert "time goes back" in said[0]
+    feed(node, everything[402:])
+    assert node.on_timer()["hard_iron"] is not None
+
+
+class Ros:
+    """As much of rclpy as the example touches: parameters, topics, a timer, and a spin that plays messages."""
+
+    def __init__(self, parameters: dict[str, Any], played: list[tuple[str, Any]]) -> None:
+        self.parameters, self.played = parameters, played
+        self.subscriptions: dict[str, Callable[[Any], None]] = {}
+        self.published: dict[str, list[Any]] = {}
+        self.timers: list[Callable[[], None]] = []
+        self.ended: list[str] = []
+
+    def create_node(self, name: str) -> Ros:
+        return self
+
+    def declare_parameter(self, name: str, default: Any) -> SimpleNamespace:
+        return SimpleNamespace(value=self.parameters.get(name, default))
+
+    def get_logger(self) -> SimpleNamespace:
+        return SimpleNamespace(info=lambda text: None)
+
+    def create_publisher(self, kind: Any, topic: str, qos: Any) -> SimpleNamespace:
+        return SimpleNamespace(publish=self.published.setdefault(topic, []).append)
+
+    def create_subscription(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any) -> None:
+        self.subscriptions[topic] = callback
+
+    def create_timer(self, period: float, callback: Callable[[], None]) -> None:
+        self.timers.append(callback)
+
+    def spin(self, node: Any) -> None:
+        for number, (topic, message) in enumerate(self.played):
+            self.subscriptions[topic](message)
+            if number % 200 == 199:
+                for timer in self.timers:
+                    timer()
+        raise KeyboardInterrupt
+
+    def destroy_node(self) -> None:
+        self.ended.append("node")
+
+    def init(self) -> None:
+        pass
+
+    def try_shutdown(self) -> None:
+        self.ended.append("ros")
+
+
+def test_the_topics(
+    example: ModuleType, simulation: mg.Simulation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ros = Ros({"output": str(tmp_path / "cal.json"), "method": "magyc-ifg"}, messages(simulation))
+    for name, content in {
+        "rclpy": ros,
+        "rclpy.qos": SimpleNamespace(qos_profile_sensor_data=10),
+        "sensor_msgs": SimpleNamespace(),
+        "sensor_msgs.msg": SimpleNamespace(Imu=object, MagneticField=object),
+        "std_msgs": SimpleNamespace(),
+        "std_msgs.msg": SimpleNamespace(String=SimpleNamespace),
+    }.items():
+        monkeypatch.setitem(sys.modules, name, content)
+    example.main()
+    assert ros.ended == ["node", "ros"]
+    statuses = [json.loads(message.data) for message in ros.published["magnetometer_calibration"]]
+    assert statuses[-1]["converged"]
+    assert not statuses[0]["converged"]
+    assert len(ros.published["imu/mag_calibrated"]) > 100
+    assert mg.Calibration.load(tmp_path / "cal.json").method == "magyc-ifg"
