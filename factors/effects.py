@@ -1,0 +1,324 @@
+"""The extra effects of the gap workflow as terms: what each adds to a sensor's reading, and one in a calibration.
+
+A form is linear in its value but for a rotation of axes: reading = base model + Σ value_k · column_k, with the
+columns a function of the signals at hand (time, field, rate, other channels) and of a setting that was searched
+over (the time of a step, the frequency of a tone). The same forms serve the score tests, the joint refit, the
+GTSAM factor (`effect_chain_factor`) and `Calibration.apply`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices
+
+STANDARD_GRAVITY = 9.80665  # m/s² in a g
+
+Setting = Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What the forms read, sample by sample along the last axis; what is unknown is None.
+
+    Attributes:
+        time: (n,) s, as in the recording.
+        field: (3, n) T, soft iron times the true field: the reading less hard iron and noise.
+        field_rate: (3, n) T/s, its time derivative.
+        hard_iron: (3,) T.
+        rate: (3, n) rad/s, true angular rate.
+        to_sensor: (3, 3, n) rotation of a world frame into the sensor's.
+        acceleration: (3, n) m/s².
+        channels: {"current" | "temperature" | "position": (k, n)}.
+    """
+
+    time: Array
+    field: Array | None = None
+    field_rate: Array | None = None
+    hard_iron: Array | None = None
+    rate: Array | None = None
+    to_sensor: Array | None = None
+    acceleration: Array | None = None
+    channels: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+
+    def need(self, name: str) -> Array:
+        """A signal, or the channel of that name.
+
+        Raises:
+            MagycError: it is not there.
+        """
+        value = getattr(self, name, None) if name not in CHANNELS else self.channels.get(name)
+        if value is None or (name == "time" and np.isnan(value).any()):
+            raise MagycError(
+                f"{name}: this effect needs it, and the data at hand do not have it; pass a recording"
+            )
+        array: Array = value
+        return array
+
+
+CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "current": ("current", "amp", "motor", "throttle"),
+        "temperature": ("temp",),
+        "position": ("position", "depth", "altitude", "height"),
+    }
+)
+"""What a channel must be called, in part, to count as one of a kind."""
+
+
+def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
+    """{kind: (k, n)} from {name: (n,) or (n, k)}, the names in alphabetical order."""
+    result = {}
+    for kind, words in CHANNELS.items():
+        found = [channels[name] for name in sorted(channels) if any(word in name.lower() for word in words)]
+        if found:
+            result[kind] = np.concatenate(
+                [np.asarray(value, dtype=float).reshape(len(value), -1).T for value in found]
+            )
+    return result
+
+
+class Form(NamedTuple):
+    """What an effect adds to a reading: the sensor, the signals it needs, and its columns (k, 3, n) per unit."""
+
+    side: str  # "magnetometer" or "gyroscope"
+    needs: tuple[str, ...]
+    columns: Callable[[Signals, Setting], Array]
+    rotates: bool = False  # the value is a rotation vector that turns the rate, to all orders
+    fast: bool = False  # changes within a window: to be evaluated sample by sample
+
+    def evaluate(self, signals: Signals, value: Array, setting: Setting) -> Array:
+        """(3, n) what it adds, in T or rad/s."""
+        if self.rotates:
+            turn = exponential_matrices(np.asarray(value, dtype=float)[:, None])[:, :, 0]
+            return (turn - np.eye(3)) @ signals.need("rate")
+        result: Array = np.tensordot(np.asarray(value, dtype=float), self.columns(signals, setting), axes=1)
+        return result
+
+
+def _per_axis(profile: Array) -> Array:
+    """Columns e_i · profile_j for profiles (p, n): (3p, 3, n)."""
+    p, n = profile.shape
+    result = np.zeros((p, 3, 3, n))
+    for i in range(3):
+        result[:, i, i] = profile
+    return result.reshape(3 * p, 3, n)
+
+
+def _beyond_reference(channel: Array, setting: Setting) -> Array:
+    """A channel (k, n) less its references, the settings `reference_0`, `reference_1`, …"""
+    return channel - np.array([[setting.get(f"reference_{i}", 0.0)] for i in range(len(channel))])
+
+
+def _motor_current(s: Signals, setting: Setting) -> Array:
+    return _per_axis(s.need("current"))
+
+
+def _temperature(s: Signals, setting: Setting) -> Array:
+    """Of what lies `lag` s behind the thermometer, as a battery does: a first-order response."""
+    warm = _beyond_reference(s.need("temperature"), setting)
+    return _per_axis(_lagged(s.need("time"), warm, setting.get("lag", 0.0)))
+
+
+def _lagged(time: Array, rows: Array, lag: float) -> Array:
+    """(k, n) rows through a first-order filter, in balance at the start."""
+    if lag <= 0:
+        return rows
+    decay = np.exp(-np.diff(time) / lag)
+    result = rows.copy()
+    for k, share in enumerate(decay):  # a state that remembers: sequential by nature
+        result[:, k + 1] = rows[:, k + 1] + (result[:, k] - rows[:, k + 1]) * share
+    return result
+
+
+def _step(s: Signals, setting: Setting) -> Array:
+    """From `time` on; to `until`, where what was attached is taken off again."""
+    time = s.need("time")
+    on = (time > setting["time"]) & (time <= setting.get("until", np.inf))
+    return _per_axis(on.astype(float)[None])
+
+
+def _drift(s: Signals, setting: Setting) -> Array:
+    """Cosines of half periods over [start, end] (the modes of a random walk), `order` of them; 0 is linear."""
+    share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
+    order = int(setting["order"])
+    if order == 0:
+        return _per_axis(share[None] - 0.5)
+    return _per_axis(np.cos(np.pi * np.arange(1, order + 1)[:, None] * np.clip(share, 0.0, 1.0)))
+
+
+def _misalignment(s: Signals, setting: Setting) -> Array:
+    rate = s.need("rate")
+    return np.stack([cross(axis[:, None], rate) for axis in np.eye(3)])
+
+
+def _timing(s: Signals, setting: Setting) -> Array:
+    return -s.need("field_rate")[None]
+
+
+def _eddy_plane(s: Signals, setting: Setting) -> Array:
+    """E = value normalᵀ: the change of the field across a plate drives currents, whose field may lie otherwise.
+
+    `full` takes any E (9 values, row by row): several plates, or a bent one.
+    """
+    if setting.get("full"):
+        return _per_axis(s.need("field_rate"))
+    normal = np.array([setting["x"], setting["y"], setting["z"]])
+    return -np.eye(3)[:, :, None] * (normal @ s.need("field_rate"))
+
+
+def _gyro_scale(s: Signals, setting: Setting) -> Array:
+    """The six symmetric matrices; `diagonal` keeps the three scales."""
+    x, y, z = s.need("rate")
+    zero = np.zeros_like(x)
+    columns = [(x, zero, zero), (zero, y, zero), (zero, zero, z)]
+    if not setting.get("diagonal"):
+        columns += [(y, x, zero), (z, zero, x), (zero, z, y)]
+    return np.array(columns)
+
+
+def _gyro_quadratic(s: Signals, setting: Setting) -> Array:
+    rate = s.need("rate")
+    return np.eye(3)[:, :, None] * (rate * np.abs(rate))
+
+
+def _g_sensitivity(s: Signals, setting: Setting) -> Array:
+    return _per_axis(s.need("acceleration") / STANDARD_GRAVITY)
+
+
+def _field_gradient(s: Signals, setting: Setting) -> Array:
+    return _beyond_reference(s.need("position"), setting)[:, None] * s.need("field")
+
+
+def _local_anomaly(s: Signals, setting: Setting) -> Array:
+    """A bump fixed in the world, Gaussian in time; `passing` adds its derivative, as of a dipole passed by."""
+    since = (s.need("time") - setting["time"]) / setting["width"]
+    bump = np.exp(-0.5 * since**2)
+    axes = np.swapaxes(s.need("to_sensor"), 0, 1)  # column j of the rotation: world axis j in the sensor
+    if setting.get("passing"):
+        return np.concatenate([axes * bump, axes * (bump * since)])
+    return axes * bump
+
+
+def _saturation(s: Signals, setting: Setting) -> Array:
+    reading = s.need("field") + s.need("hard_iron")[:, None]
+    return -(np.sign(reading) * np.maximum(np.abs(reading) - setting["level"], 0.0))[None]
+
+
+def _cubic(s: Signals, setting: Setting) -> Array:
+    """Per axis, of the reading in units of 50 µT, so that the value is T at 50 µT."""
+    reading = (s.need("field") + s.need("hard_iron")[:, None]) / 50e-6
+    return np.eye(3)[:, :, None] * reading**3
+
+
+def _hysteresis(s: Signals, setting: Setting) -> Array:
+    """Duhem (Dahl) loop of width `width` T: dz/dy = 1 − sgn(ẏ) z, y in units of the width.
+
+    y is the field along (x, y, z), its loop's field may lie otherwise; without a direction, each axis by itself.
+    """
+    field = s.need("field")
+    if field.shape[1] < 2:
+        raise MagycError("hysteresis: it depends on what came before, so it needs the whole recording")
+    along = np.eye(3) if "x" not in setting else np.array([[setting["x"], setting["y"], setting["z"]]])
+    y = along @ field / setting["width"]
+    step = np.diff(y)
+    decay, sign = np.exp(-np.abs(step)), np.sign(step)
+    gain = sign * (1 - decay)
+    z = np.zeros_like(y)
+    for k in range(step.shape[1]):  # a state that remembers: sequential by nature
+        z[:, k + 1] = gain[:, k] + z[:, k] * decay[:, k]
+    return np.eye(3)[:, :, None] * z
+
+
+def _tone(s: Signals, setting: Setting) -> Array:
+    phase = 2 * np.pi * setting["frequency"] * s.need("time")
+    return _per_axis(np.stack([np.cos(phase), np.sin(phase)]))
+
+
+FORMS: Mapping[str, Form] = MappingProxyType(
+    {
+        "motor-current": Form("magnetometer", ("current",), _motor_current),
+        "temperature-hard-iron": Form("magnetometer", ("time", "temperature"), _temperature),
+        "hard-iron-step": Form("magnetometer", ("time",), _step),
+        "hard-iron-drift": Form("magnetometer", ("time",), _drift),
+        "misalignment": Form("gyroscope", ("rate",), _misalignment, rotates=True),
+        "timing": Form("magnetometer", ("field_rate",), _timing),
+        "eddy-plane": Form("magnetometer", ("field_rate",), _eddy_plane),
+        "gyro-scale": Form("gyroscope", ("rate",), _gyro_scale),
+        "gyro-quadratic": Form("gyroscope", ("rate",), _gyro_quadratic),
+        "temperature-gyro": Form("gyroscope", ("time", "temperature"), _temperature),
+        "g-sensitivity": Form("gyroscope", ("acceleration",), _g_sensitivity),
+        "field-gradient": Form("magnetometer", ("position", "field"), _field_gradient),
+        "local-anomaly": Form("magnetometer", ("time", "to_sensor"), _local_anomaly),
+        "saturation": Form("magnetometer", ("field", "hard_iron"), _saturation),
+        "cubic": Form("magnetometer", ("field", "hard_iron"), _cubic),
+        "hysteresis": Form("magnetometer", ("field",), _hysteresis),
+        "tone": Form("magnetometer", ("time",), _tone, fast=True),
+    }
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Term:
+    """One effect in a calibration.
+
+    Attributes:
+        name: of the catalogue (`FORMS` holds those that change a reading; noise effects change none).
+        value: (k,) in SI units (T, rad/s, s, … per unit of the channel).
+        covariance: (k, k) of the value.
+        setting: what was searched over, and references of channels.
+    """
+
+    name: str
+    value: Array
+    covariance: Array
+    setting: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        value = np.array(self.value, dtype=float)
+        covariance = np.array(self.covariance, dtype=float)
+        if value.ndim != 1 or covariance.shape != (len(value), len(value)):
+            raise MagycError(
+                f"term {self.name!r}: value {value.shape} and covariance {covariance.shape} do not fit together"
+            )
+        if not (np.isfinite(value).all() and np.isfinite(covariance).all()):
+            raise MagycError(f"term {self.name!r}: value and covariance must be finite")
+        value.flags.writeable = covariance.flags.writeable = False
+        object.__setattr__(self, "value", value)
+        object.__setattr__(self, "covariance", covariance)
+        object.__setattr__(self, "setting", MappingProxyType({k: float(v) for k, v in self.setting.items()}))
+
+    @property
+    def side(self) -> str | None:
+        """ "magnetometer" or "gyroscope"; None for an effect that changes the noise only."""
+        return FORMS[self.name].side if self.name in FORMS else None
+
+    @property
+    def sigma(self) -> Array:
+        """(k,) standard deviations."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def evaluate(self, signals: Signals) -> Array:
+        """(3, n) what it adds to the reading of its side, T or rad/s."""
+        return FORMS[self.name].evaluate(signals, self.value, self.setting)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types."""
+        return {
+            "name": self.name,
+            "value": self.value.tolist(),
+            "covariance": self.covariance.tolist(),
+            "setting": dict(self.setting),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Term:
+        """The inverse of `to_dict`."""
+        return cls(data["name"], data["value"], data["covariance"], data.get("setting") or {})

@@ -1,0 +1,108 @@
+"""The diagnosing process: `python -P diagnosis.py FOLDER NUMBER…`; sees recordings, never the truth.
+
+It is run as a file, not as a part of its package: importing the simulator or the blind test fails, and so does
+opening anything under `FOLDER/sealed`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+FORBIDDEN = ("magyc_gtsam.blindtest", "magyc_gtsam.simulation")
+
+
+class Blindfold:
+    """Refuses the imports that would give the answers away."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """None for what is allowed, so that the ordinary finders go on."""
+        if any(name == f or name.startswith(f + ".") for f in FORBIDDEN):
+            raise ImportError(f"the diagnosing process must not import {name}")
+        return None
+
+
+def blindfold(sealed: Path) -> None:
+    """From here on nothing under `sealed` can be opened, and nothing in `FORBIDDEN` be imported."""
+    loaded = [name for name in sys.modules if name.startswith(FORBIDDEN)]
+    if loaded:
+        raise ImportError(f"the diagnosing process has {loaded[0]} already")
+    sys.meta_path.insert(0, Blindfold())
+    hidden = os.path.realpath(sealed)
+
+    def audit(event: str, arguments: tuple[Any, ...]) -> None:
+        if event in ("open", "os.listdir", "os.scandir") and isinstance(arguments[0], str | bytes | os.PathLike):
+            path = os.path.realpath(os.fsdecode(arguments[0]))
+            if path == hidden or path.startswith(hidden + os.sep):
+                raise PermissionError(f"the diagnosing process must not open {path}")
+
+    sys.addaudithook(audit)
+
+
+def load(path: Path) -> Any:
+    """The `Recording` in an .npz of the generator."""
+    import numpy as np
+
+    from magyc_gtsam.recording import Recording
+
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    channels = {k.removeprefix("channel "): arrays.pop(k) for k in list(arrays) if k.startswith("channel ")}
+    arrays["angular_rate_is"] = str(arrays["angular_rate_is"])
+    return Recording(**arrays, channels=channels, name=path.stem)
+
+
+def slim(result: dict[str, Any]) -> dict[str, Any]:
+    """Without the long curves, which a scorer does not need."""
+    for metrics in (result["before"], result["after"]):
+        metrics["maps"] = [{"over": m["over"], "worst": max(m["level"], default=0.0)} for m in metrics["maps"]]
+        for curve in ("time", "error", "sigma"):
+            metrics["open_loop"].pop(curve, None)
+    return result
+
+
+def diagnose(path: Path) -> dict[str, Any]:
+    """What `find_gap` says about one recording, or why it refused."""
+    import magyc_gtsam as mg
+    from magyc_gtsam.json_types import json_types
+
+    began, used = time.perf_counter(), time.process_time()
+    answer: dict[str, Any]
+    try:
+        answer = slim(json_types(mg.find_gap(load(path))))
+    except mg.MagycError as refusal:
+        answer = {"verdict": "refused", "sentence": str(refusal), "effects": []}
+    except Exception:  # noqa: BLE001 - a crash is an outcome, and the scorer counts it
+        answer = {"verdict": "crashed", "sentence": traceback.format_exc(), "effects": []}
+    answer["seconds"] = time.perf_counter() - began
+    answer["cpu_seconds"] = time.process_time() - used
+    return answer
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Diagnose the numbers given; a line on standard output for each that is done."""
+    folder = Path(arguments[0])
+    blindfold(folder / "sealed")
+    for number in arguments[1:]:
+        target = folder / "results" / f"{number}.json"
+        if not target.exists():
+            answer = diagnose(folder / "recordings" / f"{number}.npz")
+            part = target.with_suffix(".part")
+            part.write_text(json.dumps(answer), encoding="utf-8")
+            os.replace(part, target)
+        print(number, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,131 @@
+"""Recordings with something hidden in them, and the truth about it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.blindtest.scenarios import Scenario
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators import calibrate
+from magyc_gtsam.json_types import json_types
+from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.simulation import MILLIGAUSS, inject, simulate
+from magyc_gtsam.simulation.environment import CHANNELS
+from magyc_gtsam.simulation.scene import Applied
+
+_NOISE = (10 * MILLIGAUSS, 5e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Hidden:
+    """A recording as the diagnosis sees it, and what only the scorer may know.
+
+    Attributes:
+        recording: with all channels (but those withheld) and without attitude.
+        truth: of the base model.
+        applied: the effects.
+        attitude: (N, 4) the reference that the diagnosis does not get; None where there is none.
+    """
+
+    recording: Recording
+    truth: Calibration
+    applied: tuple[Applied, ...]
+    attitude: Array | None
+
+
+def generate(scenario: Scenario, real: Recording | None = None) -> Hidden:
+    """The recording of a scenario.
+
+    Args:
+        scenario: what to hide.
+        real: the recording to hide it in, of the set "real".
+    """
+    if real is not None:
+        calibration = _calibration(real)
+        recording, applied = inject(real, calibration, scenario.effects, scenario.seed, CHANNELS)
+        return Hidden(_blinded(recording, scenario), calibration, applied, real.attitude)
+    simulation = simulate(
+        scenario.motion,
+        scenario.duration,
+        seed=scenario.seed,
+        effects=scenario.effects,
+        channels=CHANNELS,
+        **sensors(scenario.seed),
+    )
+    attitude = simulation.recording.attitude
+    return Hidden(_blinded(simulation.recording, scenario), simulation.truth, simulation.effects, attitude)
+
+
+def noise_free(scenario: Scenario) -> Recording:
+    """The same simulated recording, effects included but for noise of any kind: what heading is judged on."""
+    sensor = sensors(scenario.seed) | {"magnetometer_noise": 0.0, "gyroscope_noise": 0.0}
+    physical = tuple(e for e in scenario.effects if e[0] not in ("coloured-noise", "spikes"))
+    return simulate(
+        scenario.motion, scenario.duration, seed=scenario.seed, effects=physical, channels=CHANNELS, **sensor
+    ).recording
+
+
+def sensors(seed: int) -> dict[str, Any]:
+    """A place on Earth and an instrument, drawn by `seed`: arguments of `simulate`."""
+    random = np.random.default_rng([seed, 1])
+    dip, declination = np.radians(random.uniform(50, 68)), np.radians(random.uniform(-20, 20))
+    north = np.cos(dip) * np.array([np.cos(declination), np.sin(declination), 0.0])
+    bent = random.uniform(-0.12, 0.12, (3, 3))
+    quality = random.uniform(0.8, 1.25, 2)
+    return {
+        "field": random.uniform(420, 520) * MILLIGAUSS * (north + [0.0, 0.0, np.sin(dip)]),
+        "soft_iron": np.eye(3) + 0.5 * (bent + bent.T),
+        "hard_iron": random.uniform(-150, 150, 3) * MILLIGAUSS,
+        "gyro_bias": random.normal(0, 5e-3, 3),
+        "magnetometer_noise": _NOISE[0] * quality[0],
+        "gyroscope_noise": _NOISE[1] * quality[1],
+    }
+
+
+def truth_of(scenario: Scenario, hidden: Hidden) -> dict[str, Any]:
+    """What is sealed, as JSON types."""
+    return {
+        "scenario": asdict(scenario),
+        "effects": [json_types(applied) for applied in hidden.applied],
+        "truth": hidden.truth.to_dict(),
+    }
+
+
+def write(path: Path, recording: Recording) -> None:
+    """The recording as arrays, for the diagnosing process; see `diagnosis.load`."""
+    arrays: dict[str, Any] = {
+        "time": recording.time,
+        "magnetic_field": recording.magnetic_field,
+        "angular_rate": recording.angular_rate,
+        "magnetic_field_fresh": recording.magnetic_field_fresh,
+        "angular_rate_fresh": recording.angular_rate_fresh,
+        "angular_rate_is": np.array(recording.angular_rate_is),
+    }
+    if recording.acceleration is not None:
+        arrays["acceleration"] = recording.acceleration
+    arrays |= {f"channel {k}": v for k, v in recording.channels.items()}
+    part = path.with_suffix(".part")
+    with open(part, "wb") as file:
+        np.savez(file, **arrays)
+    part.replace(path)
+
+
+@lru_cache
+def _calibration(real: Recording) -> Calibration:
+    return calibrate(real)
+
+
+def _blinded(recording: Recording, scenario: Scenario) -> Recording:
+    return replace(
+        recording,
+        attitude=None,
+        acceleration=None if "acceleration" in scenario.withheld else recording.acceleration,
+        channels={k: v for k, v in recording.channels.items() if k not in scenario.withheld},
+        name="recording",
+        notes=(),
+    )

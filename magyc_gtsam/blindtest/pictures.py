@@ -1,0 +1,51 @@
+"""Confusion matrices as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from magyc_gtsam.blindtest.scoring import Outcome, confusion
+
+
+def write_pictures(folder: Path, outcomes: Sequence[Outcome]) -> list[Path]:
+    """`confusion-<factor>.svg` of effects that are hidden alone or not at all, for each strength."""
+    files = []
+    alone = [o for o in outcomes if o.scenario.set in ("none", "single", "foreign")]
+    for factor in sorted({o.scenario.factor for o in alone}, reverse=True):
+        own = [o for o in alone if o.scenario.factor == factor]
+        target = folder / f"confusion-x{factor:g}.svg"
+        draw(target, own, f"Said (across) of what was hidden (down), strength × {factor:g}")
+        files.append(target)
+    return files
+
+
+def draw(target: Path, outcomes: Sequence[Outcome], title: str) -> None:
+    """The shares of each row, with its counts written in."""
+    from matplotlib.figure import Figure
+
+    rows, columns, counts = confusion(outcomes)
+    share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    figure = Figure(figsize=(2.6 + 0.34 * len(columns), 2.2 + 0.26 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    axes.imshow(share, cmap="Blues", vmin=0, vmax=1.1, aspect="auto")
+    axes.set_xticks(range(len(columns)), columns, rotation=90, fontsize=8)
+    axes.set_yticks(range(len(rows)), rows, fontsize=8)
+    for row, column in np.argwhere(counts > 0).tolist():
+        dark = share[row, column] > 0.55
+        axes.text(
+            column,
+            row,
+            str(counts[row, column]),
+            ha="center",
+            va="center",
+            fontsize=7,
+            color="white" if dark else "black",
+        )
+    axes.set_title(title, fontsize=9, loc="left")
+    axes.tick_params(length=0)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    figure.savefig(target, metadata={"Date": None})

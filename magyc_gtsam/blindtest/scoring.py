@@ -1,0 +1,190 @@
+"""Opens the seals and judges: outcomes, confusion, gates with their confidence intervals."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.blindtest.scenarios import Scenario
+from magyc_gtsam.blindtest.sealing import MANIFEST, RESULTS, opened
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.simulation.effects import FOREIGN, NAMED
+
+RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOMES = (
+    "right",
+    "in its set",
+    "partial",
+    "one too many",
+    "wrong",
+    "unknown",
+    "silent",
+    "refused",
+    "crashed",
+)
+SEVERAL = "several names"
+# A warming magnet is a slow drift to whoever has no thermometer.
+_FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",)}
+# What a free-running magnetometer shows is old by half a log period in the mean: saying so beside is no error.
+_CONSEQUENCE = {"sample-hold": ("timing",)}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was hidden in one recording and what was said about it.
+
+    Attributes:
+        number: of the recording.
+        scenario: what was hidden.
+        verdict: of the diagnosis, "refused" or "crashed".
+        named: names, each with its ambiguity set.
+        kind: one of `OUTCOMES`; "wrong" as soon as one name with its set misses the truth, "one too many" where
+            the truth is named again by a name whose set holds it.
+        sentence: the diagnosis in words.
+        excess: variance of the open-loop error beyond its floor, before and after, over the floor's.
+        heading: systematic heading error in degrees before and after; None where it was not computed.
+        seconds: processor time.
+    """
+
+    number: str
+    scenario: Scenario
+    verdict: str
+    named: tuple[tuple[str, tuple[str, ...]], ...]
+    kind: str
+    sentence: str
+    excess: tuple[float, float] | None
+    heading: tuple[float, float] | None
+    seconds: float
+
+    @property
+    def said(self) -> str:
+        """The names, or the verdict where there is none."""
+        if self.verdict in (UNKNOWN, REFUSED, CRASHED) or not self.named:
+            return self.kind
+        return " + ".join(name for name, _ in self.named)
+
+
+Heading = Callable[[Scenario, dict[str, Any]], tuple[float, float] | None]
+
+
+def score(
+    folder: Path,
+    heading: Heading = lambda *_: None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[Outcome]:
+    """The outcomes of all recordings that have been diagnosed, in the order of the scenarios.
+
+    Args:
+        folder: of the blind test.
+        heading: heading error before and after of a scenario and its result; see `heading.heading_errors`.
+        progress: called with the fraction done.
+
+    Raises:
+        MagycError: no blind test there, or one whose seals are broken.
+    """
+    target = folder / MANIFEST
+    if not target.exists():
+        raise MagycError(f"{folder}: holds no blind test ({MANIFEST} is missing)")
+    manifest = json.loads(target.read_text(encoding="utf-8"))
+    pairs = []
+    for number in manifest["sha256"]:
+        result = folder / RESULTS / f"{number}.json"
+        if result.exists():
+            truth = opened(folder, number, manifest)
+            pairs.append((number, _scenario(truth), json.loads(result.read_text(encoding="utf-8"))))
+    already = {
+        s.motion: {e["name"] for e in result["effects"]}
+        for _, s, result in pairs
+        if s.set == "real" and not s.effects
+    }
+    outcomes = []
+    for done, (number, scenario, result) in enumerate(pairs):
+        outcomes.append(_outcome(number, scenario, result, already.get(scenario.motion, set()), heading))
+        progress((done + 1) / len(pairs))
+    return sorted(outcomes, key=lambda o: o.scenario.id)
+
+
+def _scenario(truth: dict[str, Any]) -> Scenario:
+    values = truth["scenario"]
+    values["effects"] = tuple((name, factor) for name, factor in values["effects"])
+    values["withheld"] = tuple(values["withheld"])
+    return Scenario(**values)
+
+
+def _outcome(
+    number: str, scenario: Scenario, result: dict[str, Any], already: set[str], heading: Heading
+) -> Outcome:
+    named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
+    if scenario.set == "real" and scenario.effects:
+        named = tuple(n for n in named if n[0] not in already - set(scenario.names))
+    verdict = result["verdict"]
+    excess = None
+    if "before" in result:
+        loops = [result[when]["open_loop"] for when in ("before", "after")]
+        floor = loops[0]["floor"] ** 2
+        first, last = (max(loop["rms"] ** 2 - loop["floor"] ** 2, 0.0) / floor for loop in loops)
+        excess = first, last
+    accepted = bool(named) and verdict not in (UNKNOWN, REFUSED, CRASHED)
+    return Outcome(
+        number,
+        scenario,
+        verdict,
+        named,
+        judged(scenario, verdict, named),
+        result.get("sentence", ""),
+        excess,
+        heading(scenario, result) if accepted else None,
+        float(result["cpu_seconds"]),
+    )
+
+
+def judged(scenario: Scenario, verdict: str, named: Sequence[tuple[str, tuple[str, ...]]]) -> str:
+    """The kind of an outcome; see `Outcome.kind`."""
+    if verdict in (UNKNOWN, REFUSED, CRASHED):
+        return verdict
+    if not named:
+        return SILENT
+    if scenario.set in ("none", "foreign"):
+        return WRONG
+    truth = list(scenario.names)
+    if scenario.set == "withheld":
+        truth = [fair for name in truth for fair in _FAIR_WITHOUT_CHANNEL.get(name, ())]
+    beside = {also for name in truth for also in _CONSEQUENCE.get(name, ())} - set(truth)
+    named = [n for n in named if n[0] not in beside]
+    exact, extra = True, False
+    left = list(truth)
+    for name, rivals in sorted(named, key=lambda n: n[0] not in truth):
+        hit = name if name in left else next((r for r in rivals if r in left), None)
+        if hit is not None:
+            exact &= hit == name
+            left.remove(hit)
+        elif name in truth or any(r in truth for r in rivals):
+            extra = True
+        else:
+            return WRONG
+    if extra:
+        return EXTRA
+    if left and scenario.set != "withheld":
+        return PARTIAL
+    return RIGHT if exact else IN_SET
+
+
+def confusion(outcomes: Sequence[Outcome]) -> tuple[list[str], list[str], np.ndarray]:
+    """Rows (what was hidden), columns (what was said), counts."""
+    order = {name: i for i, name in enumerate((*NAMED, *FOREIGN))}
+
+    def place(name: str) -> tuple[int, str]:
+        return order.get(name, len(order)), name
+
+    pairs = [(o.scenario.label, SEVERAL if len(o.named) > 1 and " + " in o.said else o.said) for o in outcomes]
+    rows = sorted({hidden for hidden, _ in pairs}, key=place)
+    last = [word for word in (SEVERAL, UNKNOWN, SILENT, REFUSED, CRASHED) if word in {said for _, said in pairs}]
+    columns = [*sorted({said for _, said in pairs} - set(last), key=place), *last]
+    counts = np.zeros((len(rows), len(columns)), dtype=int)
+    for hidden, said in pairs:
+        counts[rows.index(hidden), columns.index(said)] += 1
+    return rows, columns, counts

@@ -1,0 +1,93 @@
+"""Truth under seal: written and hashed before any diagnosis, opened by the scorer only.
+
+A folder of a blind test holds `recordings/<number>.npz` for the diagnosis, `sealed/<number>.json` with the truth,
+and `manifest.json` with the sha256 of each. Numbers are a shuffle of the scenarios, so that a recording's
+number says nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.blindtest.generator import generate, truth_of, write
+from magyc_gtsam.blindtest.scenarios import Scenario, fingerprint
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Recording
+
+RECORDINGS, SEALED, RESULTS, MANIFEST = "recordings", "sealed", "results", "manifest.json"
+
+
+def seal(
+    folder: Path,
+    scenario_list: Sequence[Scenario],
+    real: Mapping[str, Recording] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Write recordings, truths and manifest; what is sealed already is left as it is.
+
+    Args:
+        folder: of the test.
+        scenario_list: what to hide.
+        real: real recordings by the name that scenarios use.
+        progress: called with the fraction done.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        MagycError: the folder holds another test.
+    """
+    print_of = fingerprint(scenario_list)
+    target = folder / MANIFEST
+    if target.exists():
+        manifest: dict[str, Any] = json.loads(target.read_text(encoding="utf-8"))
+        if manifest["scenarios"] != print_of:
+            raise MagycError(f"{folder}: holds another blind test; name a new folder, or the same test's options")
+        return manifest
+    for part in (RECORDINGS, SEALED, RESULTS):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    order = np.random.default_rng(int(print_of[:12], 16)).permutation(len(scenario_list))
+    entries = {}
+    for done, index in enumerate(order.tolist()):
+        scenario, number = scenario_list[index], f"{done:05d}"
+        hidden = generate(scenario, (real or {}).get(scenario.motion) if scenario.set == "real" else None)
+        recording_file, truth_file = folder / RECORDINGS / f"{number}.npz", folder / SEALED / f"{number}.json"
+        write(recording_file, hidden.recording)
+        truth_file.write_text(json.dumps(truth_of(scenario, hidden)), encoding="utf-8")
+        entries[number] = {"recording": digest(recording_file), "truth": digest(truth_file)}
+        progress((done + 1) / len(order))
+    manifest = {"scenarios": print_of, "count": len(entries), "sha256": entries}
+    unfinished = target.with_suffix(".part")
+    unfinished.write_text(json.dumps(manifest, indent=1), encoding="utf-8")
+    os.replace(unfinished, target)
+    return manifest
+
+
+def opened(folder: Path, number: str, manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The truth of one recording.
+
+    Raises:
+        MagycError: truth or recording are not what was sealed.
+    """
+    files = {
+        "truth": folder / SEALED / f"{number}.json",
+        "recording": folder / RECORDINGS / f"{number}.npz",
+    }
+    for kind, file in files.items():
+        if not file.exists() or digest(file) != manifest["sha256"][number][kind]:
+            raise MagycError(f"{file}: is not what was sealed; the test is void, run it again in a new folder")
+    truth: dict[str, Any] = json.loads(files["truth"].read_text(encoding="utf-8"))
+    return truth
+
+
+def digest(file: Path) -> str:
+    """sha256 of a file."""
+    with open(file, "rb") as opened_file:
+        return hashlib.file_digest(opened_file, "sha256").hexdigest()

@@ -1,0 +1,45 @@
+"""The catalogue: one file a family, one `EffectTerm` an effect that adds to a reading.
+
+Effects that change the noise (`gap.noise_effects`) or the columns themselves (`gap.discrete`) have no regressors
+and are tested there; `NAMES` lists all in the catalogue's order.
+"""
+
+from __future__ import annotations
+
+from magyc_gtsam.gap.effects import alignment, gyroscope, iron, response, world
+from magyc_gtsam.gap.effects.term import EffectTerm
+
+TERMS: dict[str, EffectTerm] = {
+    term.name: term
+    for term in (
+        iron.MOTOR_CURRENT,
+        iron.TEMPERATURE,
+        iron.STEP,
+        iron.DRIFT,
+        alignment.MISALIGNMENT,
+        alignment.TIMING,
+        alignment.EDDY_PLANE,
+        gyroscope.SCALE,
+        gyroscope.QUADRATIC,
+        gyroscope.TEMPERATURE,
+        gyroscope.G_SENSITIVITY,
+        world.GRADIENT,
+        world.ANOMALY,
+        response.SATURATION,
+        response.CUBIC,
+        response.HYSTERESIS,
+    )
+}
+
+LABELS: dict[str, str] = {name: term.label for name, term in TERMS.items()} | {
+    "coloured-noise": "noise that hangs together in time",
+    "spikes": "single wrong samples",
+    "tone": "steady tone (mains or switching supply)",
+    "quantisation": "coarse steps of the magnetometer",
+    "sample-hold": "magnetometer values that are held",
+    "axis-order": "axes of the two sensors exchanged or turned round",
+}
+
+NAMES: tuple[str, ...] = tuple(LABELS)
+
+__all__ = ["LABELS", "NAMES", "TERMS", "EffectTerm"]

@@ -1,0 +1,101 @@
+"""How the two sensors stand to each other: in angle, in time, and through eddy currents in the hull."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.effects import Setting
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.twin import Twin
+
+
+def directions() -> list[dict[str, float]]:
+    """Thirteen: axes, face and space diagonals of a cube."""
+    grid = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 3)[14:]
+    unit = grid / np.linalg.norm(grid, axis=1)[:, None]
+    return [dict(zip(AXES, map(float, normal), strict=True)) for normal in unit]
+
+
+def directions_nearby(setting: Setting) -> list[dict[str, float]]:
+    """The direction of a setting, and rings of 9° and 17° about it."""
+    centre = np.array([setting[a] for a in AXES])
+    first = np.cross(centre, np.eye(3)[np.argmin(np.abs(centre))])
+    first /= np.linalg.norm(first)
+    second = np.cross(centre, first)
+    tilts = [(0.0, 0.0)] + [(t * np.cos(a), t * np.sin(a)) for t in (0.15, 0.3) for a in np.arange(8) * np.pi / 4]
+    near = np.array([centre + a * first + b * second for a, b in tilts])
+    near /= np.linalg.norm(near, axis=1)[:, None]
+    return [dict(zip(AXES, map(float, normal), strict=True)) for normal in near]
+
+
+def _plates(twin: Twin) -> list[dict[str, float]]:
+    return [*directions(), {"full": 1.0}]
+
+
+def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    return [] if setting.get("full") else directions_nearby(setting)
+
+
+def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
+    angle = np.rad2deg(np.linalg.norm(value) * 1e-3)
+    return f"the magnetometer is mounted {angle:.2f}° askew of the gyroscope, about {vector(value)} mrad"
+
+
+def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
+    late = "lags" if value[0] >= 0 else "runs ahead of"
+    return f"the magnetometer {late} the gyroscope by {measured(abs(value[0]), sigma[0])} ms"
+
+
+def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
+    if setting.get("full"):
+        return f"eddy currents in the hull hold the field back, by up to {np.abs(value).max():.2g} ms"
+    normal = [setting[a] for a in AXES]
+    size = float(np.linalg.norm(value))
+    return (
+        f"eddy currents in a plate across {vector(normal)} hold the field back by "
+        f"{measured(size, float(np.linalg.norm(sigma)) / 3**0.5)} ms"
+    )
+
+
+MISALIGNMENT = EffectTerm(
+    name="misalignment",
+    label="magnetometer and gyroscope axes askew",
+    unit="mrad",
+    scale=1e3,
+    matters=5e-3,
+    prior=1.0,
+    equivalents=("rotated soft iron", "antisymmetric gyroscope matrix"),
+    rivals=("gyro-scale", "cubic"),
+    parameters=AXES,
+    say=_say_misalignment,
+    motion="turn about all three axes: pitch and roll by 45° or more",
+)
+TIMING = EffectTerm(
+    name="timing",
+    label="late magnetometer",
+    unit="ms",
+    scale=1e3,
+    matters=5e-3,
+    prior=1.0,
+    equivalents=("time offset", "first-order lag", "isotropic eddy currents"),
+    rivals=("hysteresis", "g-sensitivity", "eddy-plane"),
+    parameters=("delay",),
+    say=_say_timing,
+    motion="turn fast one way and the other, about more than one axis",
+)
+EDDY_PLANE = EffectTerm(
+    name="eddy-plane",
+    label="eddy currents in a plate",
+    unit="ms",
+    scale=1e3,
+    matters=8e-3,
+    prior=1.0,
+    equivalents=(),
+    rivals=("timing", "hysteresis"),
+    parameters=AXES,
+    say=_say_eddy,
+    motion="turn fast about all three axes, not about the vertical only",
+    settings=_plates,
+    refined=_plates_nearby,
+)

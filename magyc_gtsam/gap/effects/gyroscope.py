@@ -1,0 +1,85 @@
+"""What a gyroscope does beyond a constant bias."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.effects import Setting
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+
+_SHEAR = ("xx", "yy", "zz", "xy", "xz", "yz")
+
+
+def _say_scale(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the gyroscope's scale is off by {vector(value[:3] / 10)} % along x, y, z"
+
+
+def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the gyroscope's scale grows with the rate, by {vector(value / 10)} % per rad/s along x, y, z"
+
+
+def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the gyroscope's bias moves with temperature, by {vector(value[:3])} mrad/s per unit of the channel"
+
+
+def _say_g(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the gyroscope feels acceleration: up to {np.abs(value).max():.2g} mrad/s per g"
+
+
+SCALE = EffectTerm(
+    name="gyro-scale",
+    label="gyroscope scale and non-orthogonality",
+    unit="10⁻³",
+    scale=1e3,
+    matters=4e-3,
+    prior=1.0,
+    equivalents=("symmetric gyroscope matrix",),
+    rivals=("misalignment", "gyro-quadratic"),
+    parameters=_SHEAR,
+    say=_say_scale,
+    motion="turn about all three axes, by several full turns each, slowly and fast",
+    settings=lambda twin: [{"diagonal": 1.0}, {}],
+)
+QUADRATIC = EffectTerm(
+    name="gyro-quadratic",
+    label="gyroscope scale that grows with the rate",
+    unit="10⁻³ s/rad",
+    scale=1e3,
+    matters=0.02,
+    prior=1.0,
+    equivalents=(),
+    rivals=("gyro-scale",),
+    parameters=AXES,
+    say=_say_quadratic,
+    motion="turn slowly and fast about each axis: the same turn at several rates",
+)
+TEMPERATURE = EffectTerm(
+    name="temperature-gyro",
+    label="gyroscope bias that moves with temperature",
+    unit="mrad/s per unit",
+    scale=1e3,
+    matters=0.5e-3,
+    prior=1.0,
+    equivalents=(),
+    rivals=("temperature-hard-iron",),
+    parameters=AXES,
+    say=_say_temperature,
+    motion="let the temperature rise and fall during the recording",
+    settings=lagged,
+    refined=lagged_nearby,
+)
+G_SENSITIVITY = EffectTerm(
+    name="g-sensitivity",
+    label="gyroscope that feels acceleration",
+    unit="mrad/s/g",
+    scale=1e3,
+    matters=5e-3,
+    prior=1.0,
+    equivalents=(),
+    rivals=("timing", "gyro-scale"),
+    parameters=tuple(f"{a}{b}" for b in AXES for a in AXES),
+    say=_say_g,
+    motion="hold the vehicle in several attitudes, rolled and pitched by 45° or more, and turn in each",
+)

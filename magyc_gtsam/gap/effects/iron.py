@@ -1,0 +1,144 @@
+"""Hard iron that changes: with a current, with temperature, in a step, or slowly with time."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+
+from magyc_gtsam.factors.effects import Setting
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.twin import Twin
+
+_STEPS = 100  # times at which a step is looked for
+_LAGS = (0.0, 20.0, 60.0, 180.0)  # s by which what warms up lies behind the thermometer
+_ENDS = 16  # times at which something may be attached or taken off
+_MARGIN = 4  # windows at both ends where a step would be no more than noise
+
+
+def references(twin: Twin, kind: str) -> dict[str, float]:
+    """The means of a channel, so that the hard iron stays that of the mean."""
+    channel = twin.windows.channels.get(kind)
+    return {} if channel is None else {f"reference_{i}": float(row.mean()) for i, row in enumerate(channel)}
+
+
+def lagged(twin: Twin) -> list[dict[str, float]]:
+    """Temperatures at the thermometer and behind it."""
+    duration = float(twin.time[-1] - twin.time[0])
+    return [references(twin, "temperature") | {"lag": lag} for lag in _LAGS if lag < 0.5 * duration]
+
+
+def lagged_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    """Lags between those of `lagged`."""
+    return [dict(setting) | {"lag": max(setting["lag"], 10.0) * share} for share in (0.0, 0.5, 0.7, 1.0, 1.4, 2.0)]
+
+
+def _edges(twin: Twin, count: int) -> Array:
+    edges = 0.5 * (twin.time[1:] + twin.time[:-1])[_MARGIN:-_MARGIN]
+    return edges[np.unique(np.linspace(0, len(edges) - 1, min(count, len(edges))).astype(int))]
+
+
+def _step_times(twin: Twin) -> list[dict[str, float]]:
+    """Single steps, and things attached and taken off again: two steps that neither alone would explain."""
+    single = [{"time": float(t)} for t in _edges(twin, _STEPS)]
+    coarse = _edges(twin, _ENDS)
+    return single + [{"time": float(a), "until": float(b)} for a, b in combinations(coarse, 2)]
+
+
+def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    edges = _edges(twin, twin.n)
+    width = 1.1 * (edges[-1] - edges[0]) / min(_ENDS if "until" in setting else _STEPS, len(edges))
+    result = [dict(setting)]
+    for end in ("time", "until"):
+        if end in setting:
+            near = edges[np.abs(edges - setting[end]) <= width]
+            result += [dict(setting) | {end: float(t)} for t in near]
+    return [s for s in result if s["time"] < s.get("until", np.inf)]
+
+
+def _drifts(twin: Twin) -> list[dict[str, float]]:
+    start, end = float(twin.time[0]), float(twin.time[-1])
+    return [{"order": float(order), "start": start, "end": end} for order in (0, 2, 4, 6)]
+
+
+def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
+    strength = np.linalg.norm(value[:3])
+    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value[:3])} µT"
+
+
+def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the hard iron moves with temperature, by {vector(value[:3])} µT per unit of the temperature channel"
+
+
+def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
+    return (
+        f"the hard iron jumped by {vector(value)} µT at {setting['time']:.1f} s: something was moved or switched"
+    )
+
+
+def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
+    if setting["order"] == 0:
+        return f"the hard iron drifted by {vector(value[:3])} µT over the recording"
+    spread = np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2)
+    return f"the hard iron wandered slowly, by {vector(spread)} µT (standard deviation) over the recording"
+
+
+MOTOR_CURRENT = EffectTerm(
+    name="motor-current",
+    label="magnetic field of a current",
+    unit="µT per unit",
+    scale=1e6,
+    matters=0.3e-6,
+    prior=1e-3,
+    equivalents=(),
+    rivals=("hard-iron-step", "hard-iron-drift"),
+    parameters=AXES,
+    say=_say_current,
+    motion="switch the load on and off several times at rest and under way, not in step with the turns",
+)
+TEMPERATURE = EffectTerm(
+    name="temperature-hard-iron",
+    label="hard iron that moves with temperature",
+    unit="µT per unit",
+    scale=1e6,
+    matters=0.3e-6,
+    prior=1e-3,
+    equivalents=(),
+    rivals=("hard-iron-drift", "hard-iron-step"),
+    parameters=AXES,
+    say=_say_temperature,
+    motion="let the temperature rise AND fall during the recording, so that it is no clock",
+    settings=lagged,
+    refined=lagged_nearby,
+)
+STEP = EffectTerm(
+    name="hard-iron-step",
+    label="jump of the hard iron",
+    unit="µT",
+    scale=1e6,
+    matters=0.3e-6,
+    prior=1e-3,
+    equivalents=(),
+    rivals=("hard-iron-drift", "temperature-hard-iron", "motor-current", "local-anomaly"),
+    parameters=AXES,
+    say=_say_step,
+    motion="turn a full circle before and after the moment in question, at the same place",
+    settings=_step_times,
+    refined=_step_nearby,
+    most=2,
+)
+DRIFT = EffectTerm(
+    name="hard-iron-drift",
+    label="slow drift of the hard iron",
+    unit="µT",
+    scale=1e6,
+    matters=0.3e-6,
+    prior=1e-3,
+    equivalents=(),
+    rivals=("temperature-hard-iron", "hard-iron-step"),
+    parameters=AXES,
+    say=_say_drift,
+    motion="record longer, and log the temperature",
+    settings=_drifts,
+)

@@ -1,0 +1,98 @@
+"""A magnetometer that does not answer in proportion: it clips, bends, or remembers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.effects import Setting
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects.alignment import directions, directions_nearby
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.twin import Twin
+
+_WIDTHS = (0.03, 0.15, 0.6)  # of a loop, in spans of the field
+
+
+def _reading(twin: Twin) -> Array:
+    signals = twin.windows
+    return np.abs(signals.need("field") + signals.need("hard_iron")[:, None])
+
+
+def _levels(twin: Twin) -> list[dict[str, float]]:
+    largest = float(_reading(twin).max())
+    return [{"level": largest * share} for share in (0.6, 0.7, 0.78, 0.84, 0.89, 0.93, 0.96, 0.98)]
+
+
+def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    return [{"level": setting["level"] * share} for share in np.linspace(0.93, 1.07, 15)]
+
+
+def _loops(twin: Twin) -> list[dict[str, float]]:
+    """Each axis by itself, and along thirteen directions, of several widths."""
+    span = float(np.ptp(twin.windows.need("field"), axis=1).max())
+    return [where | {"width": span * share} for share in _WIDTHS for where in ({}, *directions())]
+
+
+def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    widths = [setting["width"] * share for share in (0.5, 0.7, 1.0, 1.4, 2.0)]
+    where = [{}] if "x" not in setting else directions_nearby(setting)
+    return [place | {"width": width} for width in widths for place in where]
+
+
+def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the magnetometer clips at about {setting['level'] * 1e6:.0f} µT: raise its range, or move the magnet away"
+
+
+def _say_cubic(value: Array, sigma: Array, setting: Setting) -> str:
+    return f"the magnetometer is not linear: {vector(value)} µT off at a reading of 50 µT on x, y, z"
+
+
+def _say_hysteresis(value: Array, sigma: Array, setting: Setting) -> str:
+    return (
+        f"iron near the magnetometer remembers the last direction (hysteresis), by {vector(value)} µT on x, y, z"
+    )
+
+
+SATURATION = EffectTerm(
+    name="saturation",
+    label="magnetometer that clips",
+    unit="of what is beyond the level",
+    scale=1.0,
+    matters=0.3,
+    prior=10.0,
+    equivalents=(),
+    rivals=("cubic",),
+    parameters=("share",),
+    say=_say_saturation,
+    motion="turn over, so that each axis sees its largest field in both directions",
+    settings=_levels,
+    refined=_levels_nearby,
+)
+CUBIC = EffectTerm(
+    name="cubic",
+    label="magnetometer that is not linear",
+    unit="µT at 50 µT",
+    scale=1e6,
+    matters=0.5e-6,
+    prior=1e-3,
+    equivalents=(),
+    rivals=("saturation", "misalignment", "gyro-scale"),
+    parameters=AXES,
+    say=_say_cubic,
+    motion="turn over about two axes, so that each axis sees the whole field",
+)
+HYSTERESIS = EffectTerm(
+    name="hysteresis",
+    label="iron that remembers (hysteresis)",
+    unit="µT",
+    scale=1e6,
+    matters=0.3e-6,
+    prior=1e-3,
+    equivalents=(),
+    rivals=("timing", "eddy-plane"),
+    parameters=AXES,
+    say=_say_hysteresis,
+    motion="turn through the same headings slowly and fast, both ways",
+    settings=_loops,
+    refined=_loops_nearby,
+)

@@ -1,0 +1,118 @@
+"""`EffectTerm`: one interface for every effect that adds to a sensor's reading.
+
+It drives the score test (`regressors`), the variable and factor of the joint refit (`residual`, `prior`), and the
+twin. The formulas are those of `factors.effects`, so that what was tested is what is applied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.factors.effects import CHANNELS, FORMS, Form, Setting, Signals
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.twin import Columns, Twin
+
+Settings = Callable[[Twin], list[dict[str, float]]]
+Say = Callable[[Array, Array, Setting], str]
+AXES = ("x", "y", "z")
+
+
+def plain(twin: Twin) -> list[dict[str, float]]:
+    """Nothing to search over."""
+    return [{}]
+
+
+@dataclass(frozen=True)
+class EffectTerm:
+    """One effect of the catalogue.
+
+    Attributes:
+        name: row of the catalogue and of `factors.effects.FORMS`.
+        label: in words.
+        unit, scale: shown value = SI value · scale, in `unit`.
+        matters: the smallest value that matters, SI.
+        prior: standard deviation of the value before anything was measured, SI; wide enough not to matter.
+        equivalents: other names for the same signature to first order.
+        rivals: names it is known to be confused with.
+        parameters: what each value is; repeated over what it stands for.
+        say: sentence for a navigator from value, sigma (shown units) and setting.
+        motion: what would tell it from its rivals, in words for the helmsman.
+        settings: grid of what must be searched over.
+        refined: settings beside a found one, closer than the grid; empty where there is no grid.
+        block: s, longest block of the held-out veto for a setting.
+        most: how many of it one model may hold.
+    """
+
+    name: str
+    label: str
+    unit: str
+    scale: float
+    matters: float
+    prior: float
+    equivalents: tuple[str, ...]
+    rivals: tuple[str, ...]
+    parameters: tuple[str, ...]
+    say: Say
+    motion: str
+    settings: Settings = plain
+    refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
+    block: Callable[[Setting], float] = lambda setting: 10.0
+    most: int = 1
+
+    @property
+    def form(self) -> Form:
+        """Its formula."""
+        return FORMS[self.name]
+
+    @property
+    def side(self) -> str:
+        """ "magnetometer" or "gyroscope"."""
+        return self.form.side
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What the recording must hold beside the two sensors."""
+        return tuple(n for n in self.form.needs if n in CHANNELS or n == "acceleration")
+
+    def missing(self, twin: Twin) -> tuple[str, ...]:
+        """The channels that this recording lacks (or that stand still in it)."""
+        at = twin.windows
+        return tuple(
+            c for c in self.channels if (at.acceleration is None if c == "acceleration" else c not in at.channels)
+        )
+
+    def regressors(self, twin: Twin, setting: Setting) -> Columns:
+        """Columns per unit of value, on windows and links."""
+        return twin.columns(self.name, setting)
+
+    def residual(self, signals: Signals, value: Array, setting: Setting) -> Array:
+        """(3, n) what it adds to the reading, T or rad/s."""
+        return self.form.evaluate(signals, value, setting)
+
+    def names(self, count: int) -> tuple[str, ...]:
+        """(count,) what each value is."""
+        base = self.parameters
+        if count <= len(base):
+            return base[:count]
+        return tuple(f"{base[i % len(base)]} {i // len(base) + 1}" for i in range(count))
+
+
+def measured(value: float, sigma: float) -> str:
+    """ "12.3 ± 0.4", with as many digits as the sigma deserves."""
+    if not np.isfinite(sigma) or sigma <= 0:
+        return f"{value:.3g}"
+    digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6)) if sigma < 10 else 0
+    if sigma >= 2 * 10.0 ** (-digits + 1) and digits > 0:
+        digits -= 1
+    return f"{value:.{digits}f} ± {sigma:.{digits}f}"
+
+
+def vector(value: Sequence[float] | Array) -> str:
+    """ "(1.2, −0.3, 4.0)"."""
+    array = np.asarray(value, dtype=float)
+    largest = float(np.abs(array).max(initial=0.0))
+    digits = int(np.clip(2 - np.floor(np.log10(largest)), 0, 4)) if largest > 0 else 1
+    return "(" + ", ".join(f"{v:.{digits}f}".replace("-", "−") for v in array) + ")"

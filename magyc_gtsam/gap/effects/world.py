@@ -1,0 +1,84 @@
+"""A field that is not the same everywhere: it grows with depth or position, or something magnetic was passed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.effects import Setting
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects.iron import references
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.twin import Twin
+
+_WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
+_SPACING = 1.2  # of the centres, in widths
+_CENTRES = 170  # at most, of each width
+
+
+def _bumps(twin: Twin) -> list[dict[str, float]]:
+    start, end = float(twin.time[0]), float(twin.time[-1])
+    settings = []
+    for width in _WIDTHS:
+        if width > 0.15 * (end - start):
+            continue
+        count = min(int((end - start) / (_SPACING * width)), _CENTRES)
+        settings += [{"time": float(t), "width": width} for t in np.linspace(start + width, end - width, count)]
+    return settings
+
+
+def _bumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    time, width = setting["time"], setting["width"]
+    return [
+        {"time": time + shift * width, "width": width * stretch, "passing": passing}
+        for passing in (0.0, 1.0)
+        for stretch in (0.5, 0.7, 1.0, 1.4, 2.0)
+        for shift in (-1.0, -0.6, -0.3, 0.0, 0.3, 0.6, 1.0)
+    ]
+
+
+def _say_gradient(value: Array, sigma: Array, setting: Setting) -> str:
+    return (
+        f"the field's strength changes by {measured(value[0], sigma[0])} % per unit of depth or position"
+        if len(value) == 1
+        else f"the field's strength changes with position, by {vector(value)} % per unit"
+    )
+
+
+def _say_anomaly(value: Array, sigma: Array, setting: Setting) -> str:
+    return (
+        f"something magnetic in the surroundings was passed at {setting['time']:.0f} s "
+        f"(± {setting['width']:.0f} s, {np.linalg.norm(value[:3]):.2g} µT)"
+    )
+
+
+GRADIENT = EffectTerm(
+    name="field-gradient",
+    label="field strength that changes with depth or position",
+    unit="% per unit",
+    scale=1e2,
+    matters=5e-4,
+    prior=1.0,
+    equivalents=(),
+    rivals=("eddy-plane",),
+    parameters=("gradient",),
+    say=_say_gradient,
+    motion="go up and down (or there and back) several times, turning at each depth",
+    settings=lambda twin: [references(twin, "position")],
+)
+ANOMALY = EffectTerm(
+    name="local-anomaly",
+    label="magnetic object passed by",
+    unit="µT",
+    scale=1e6,
+    matters=0.5e-6,
+    prior=1e-3,
+    equivalents=(),
+    rivals=("hard-iron-step",),
+    parameters=tuple(f"world {a}" for a in AXES),
+    say=_say_anomaly,
+    motion="pass the same place again on another heading",
+    settings=_bumps,
+    refined=_bumps_nearby,
+    block=lambda setting: float(np.clip(0.5 * setting["width"], 1.0, 10.0)),
+    most=2,
+)

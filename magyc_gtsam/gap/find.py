@@ -1,0 +1,156 @@
+"""`find_gap`: where a recording and the model disagree, by which effect, and what is left once it is added."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
+from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
+from magyc_gtsam.gap.discrete import rearranged, unheld
+from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.metrics import measure
+from magyc_gtsam.gap.naming import Found
+from magyc_gtsam.gap.problem import Active, Model, Problem
+from magyc_gtsam.gap.refit import Refit, as_calibration, refit
+from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, moved, verdict
+from magyc_gtsam.gap.result import Gap, Untested
+from magyc_gtsam.gap.score import DRAWS
+from magyc_gtsam.gap.search import Search, look, search
+from magyc_gtsam.gap.simulated import compare
+from magyc_gtsam.recording import Recording
+
+_WINDOW = 1.0  # s
+
+
+def find_gap(
+    recording: Recording,
+    calibration: Calibration | None = None,
+    simulated: Recording | None = None,
+    candidates: Sequence[str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Gap:
+    """Find where model and measurement disagree, name the effect, add it, and show what is left.
+
+    Args:
+        recording: with magnetometer and gyroscope; other channels (current, temperature, depth, position) and
+            the acceleration let more effects be tested.
+        calibration: the model to begin with, its delay and terms included; None begins with the twelve parameters
+            and no delay.
+        simulated: a recording of the user's own simulator on the same or a similar motion, compared directly.
+        candidates: names to choose from; None is the whole catalogue.
+        progress: called with the share done, 0 to 1.
+
+    Raises:
+        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all.
+    """
+    started = clock.perf_counter()
+    names = _names(candidates)
+    report = progress or (lambda _: None)
+    report(0.0)
+    recording.gyroscope  # noqa: B018 - raises where there is none
+    given = recording
+    recording, turned = rearranged(recording) if "axis-order" in names else (recording, None)
+    short_term = short_term_noise(recording)
+    recording = unheld(recording, short_term.magnetometer)
+    base = base_model(recording, calibration, short_term)
+    report(0.2)
+    result = search(recording, base.twin.problem, base, short_term, names, _problem, report)
+    report(0.8)
+    gap = _gap(given, result, base, calibration, names, turned, clock.perf_counter() - started)
+    if simulated is not None:
+        allowed = tuple(name for name in names if name in TERMS)
+        model = base_model(simulated, None, short_term_noise(simulated))
+        against = look(simulated, model, allowed, np.random.default_rng(0))
+        gap = replace(gap, assumptions=compare(result.first, against))
+    report(1.0)
+    return gap
+
+
+def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
+    if candidates is None:
+        return NAMES
+    unknown = [name for name in candidates if name not in NAMES]
+    if unknown:
+        raise MagycError(f"candidates: {', '.join(map(repr, unknown))} unknown; there are {', '.join(NAMES)}")
+    return tuple(name for name in NAMES if name in candidates)
+
+
+def _problem(recording: Recording) -> Problem:
+    return Problem.of(recording, preintegrate(recording, _WINDOW))
+
+
+def base_model(recording: Recording, calibration: Calibration | None, short_term: Noise) -> Refit:
+    """The twelve parameters at their minimum; with the delay and the terms of a calibration, where one is given."""
+    delay = 0.0 if calibration is None else calibration.delay
+    fit, _ = fit_field_chain(recording, robust=False, delay=delay)
+    free = np.ones(PARAMETERS, dtype=bool)
+    terms: tuple[Active, ...] = ()
+    if calibration is not None:
+        terms = tuple(Active(t.name, t.setting, t.value) for t in calibration.terms if t.side is not None)
+    free[DELAY] = any(term.name == "timing" for term in terms)
+    return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
+
+
+def _gap(
+    recording: Recording,
+    result: Search,
+    base: Refit,
+    calibration: Calibration | None,
+    names: tuple[str, ...],
+    turned: Found | None,
+    seconds: float,
+) -> Gap:
+    strength = None if calibration is None else calibration.field_strength
+    first, last = result.first, result.last
+    extra = tuple(
+        Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
+        for f in result.found
+        if f.noise is not None and f.name != "tone"
+    )
+    if turned is not None and turned.noise is not None:
+        extra = (Term("axis-order", turned.noise.value, np.zeros((9, 9))), *extra)
+    started = as_calibration(base, strength)
+    final = as_calibration(last.refit, strength, extra)
+    found = result.found if turned is None else (turned, *result.found)
+    word, sentence = verdict(found, result, last)
+    applied = word in ("closed", "open")
+    before = measure(first.refit.twin, started, first.fine.innovation, first.fine.rate, first.fine.level)
+    after = before
+    if applied and result.found:
+        after = measure(last.refit.twin, final, last.fine.innovation, last.fine.rate, last.fine.level)
+        before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+    untested = tuple(
+        Untested(
+            n, LABELS[n], f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or it stands still"
+        )
+        for n in names
+        if n in TERMS and TERMS[n].missing(base.twin)
+    )
+    effects = describe(found, last.refit, applied) if word != "unknown" else ()
+    return Gap(
+        verdict=word,
+        sentence=sentence,
+        effects=effects,
+        untested=untested,
+        hypotheses=hypotheses(first, names, found, word),
+        remaining=hypotheses(last, names, (), word) if result.found else (),
+        before=before,
+        after=after,
+        moved=moved(started, final) if applied else (),
+        calibration=final if applied else started,
+        base=started,
+        next_manoeuvre=manoeuvre(first, found, word),
+        diagnostics={
+            "windows": first.refit.twin.n,
+            "draws": DRAWS,
+            "seconds": seconds,
+            "leftover": list(result.leftover),
+        },
+    )

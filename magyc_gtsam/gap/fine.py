@@ -1,0 +1,69 @@
+"""The innovations sample by sample, in which fast effects and noise show that windows average away."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.chain_search import preintegrate
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, sample_hold, spikes, tone
+from magyc_gtsam.gap.problem import Model, Problem
+from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.recording import Recording
+
+_MOST = 60000  # samples
+_MOTION = 0.98  # share of the field's changes that lie below the edge
+_HARMONICS = 2.0
+
+
+class Fine(NamedTuple):
+    """Innovations (3, m) scaled to unit variance, their standard deviation T, rate Hz, and stamps (m,) s.
+
+    edge: Hz, below which the field's own changes lie: a line there may be the motion's.
+    """
+
+    innovation: Array
+    level: float
+    rate: float
+    time: Array
+    edge: float
+
+
+def fine_innovations(recording: Recording, model: Model) -> Fine:
+    """Of a model on a recording, one window per magnetometer sample."""
+    if len(recording.magnetometer.time) > _MOST:
+        middle = 0.5 * (recording.time[0] + recording.time[-1]) - recording.time[0]
+        half = 0.5 * recording.duration * _MOST / len(recording.magnetometer.time)
+        recording = recording.between(middle - half, middle + half)
+    samples = preintegrate(recording, window=1e-9)
+    twin = Twin.of(Problem.of(recording, samples), model)
+    v = twin.residual()[:, 1:]
+    time = twin.time[1:]
+    scale = float(np.sqrt((v**2).mean()))
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    return Fine(v / scale, scale * model.noise.magnetometer, rate, time, _edge(twin.windows.need("field"), rate))
+
+
+def _edge(field: Array, rate: float) -> float:
+    power = (np.abs(np.fft.rfft(field - field.mean(axis=1)[:, None], axis=1)[:, 1:]) ** 2).sum(axis=0)
+    held = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    return float(_HARMONICS * (np.searchsorted(held, _MOTION) + 1) * rate / field.shape[1])
+
+
+def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseScore]:
+    """Every noise effect's test."""
+    v = fine.innovation
+    spiky = spikes(v, fine.level, limit)
+    # What is spiky would look like a comb of tones, and hide colour.
+    length = np.sqrt((v**2).sum(axis=0))
+    calm = v * np.minimum(1.0, 4.0 / np.maximum(length, 1e-12))
+    calm = calm / np.sqrt((calm**2).mean())
+    return [
+        spiky,
+        tone(calm, fine.rate, fine.level, limit, fine.edge),
+        coloured_noise(calm, fine.rate, fine.level, limit),
+        quantisation(recording, fine.level),
+        sample_hold(recording),
+    ]

@@ -1,0 +1,173 @@
+"""What is named next, what it cannot be told from, and what speaks against the names given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.fine import Fine
+from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.refit import Refit, without_term
+from magyc_gtsam.gap.score import Projector, Score, Variant, variant
+
+_ALIKE = 0.01  # probability below which a named effect adds something beyond its rival
+_REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks against the names given
+_SHAPE = 0.08  # share of what was explained that may remain, for effects are not quite of the catalogue's form
+_MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
+_FIRM = 0.7  # share of a term's statistic that must stand beside whatever else is missing
+_STRONG = 5.0  # thresholds that a term must pass where something else is missing too
+_AHEAD = 9.0  # nats of evidence from which a rival is behind
+_BEATS = 3.0  # nats by which a generic family must be ahead of all that was named
+_SPAN = 2.5  # widths within which a second bump belongs to the first
+_LEFT = 0.2  # share of an effect's statistic that a rival may pick up after it
+_SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
+NOISE_LIMIT = float(np.log(22 / 0.01))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An effect that was added: its evidence when it was, and its rivals."""
+
+    name: str
+    statistic: float
+    threshold: float
+    evidence: float
+    rivals: tuple[str, ...] = ()
+    noise: NoiseScore | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """One look at a model: all scores, strongest first, with the held-out gains of those that matter."""
+
+    refit: Refit
+    scores: list[Score]
+    noise: list[NoiseScore]
+    fine: Fine
+    innovation: Array
+    projector: Projector
+    gains: dict[str, float]
+
+
+def choose(
+    now: Look, names: tuple[str, ...], noted: set[str], found: Sequence[Found], failed: set[str]
+) -> Score | NoiseScore | None:
+    """The strongest significant name that held-out data confirm."""
+    terms = now.refit.model.terms
+    options: list[tuple[float, Score | NoiseScore]] = [
+        (noise.evidence, noise)
+        for noise in now.noise
+        if noise.significant and noise.name in names and noise.name not in noted
+    ]
+    for score in now.scores:
+        if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
+            continue
+        held = sum(term.name == score.name for term in terms)
+        if held < TERMS[score.name].most and score.name not in failed and not _shape_of(score, terms, found):
+            options.append((score.evidence, score))
+    if not options:
+        return None
+    best = max(options, key=lambda pair: pair[0])[1]
+    if isinstance(best, Score) and best.variant.setting.get("full"):
+        # Any matrix holds the plain delay, which explains most of it where it is the truth.
+        for _, simpler in options:
+            if simpler.name == "timing" and simpler.statistic > _MOST_OF * best.statistic:
+                return simpler
+    return best
+
+
+def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> bool:
+    """Whether a score is no more than what an effect found earlier leaves for not being quite of its form."""
+    at = score.variant.setting
+    for term in terms:
+        near = score.name == term.name == "local-anomaly"
+        if near and abs(at["time"] - term.setting["time"]) < _SPAN * (at["width"] + term.setting["width"]):
+            return True
+    rivals = TERMS[score.name].rivals
+    return any(
+        f.name in TERMS
+        and (f.name in rivals or score.name in TERMS[f.name].rivals or f.name == score.name)
+        and score.statistic < _LEFT * f.statistic
+        for f in found
+    )
+
+
+def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
+    """Significant names beside which the chosen one adds nothing: this motion cannot tell them apart."""
+    result = []
+    for rival in now.scores:
+        if rival.generic or rival.name == choice.name or not rival.significant:
+            continue
+        # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
+        if rival.evidence > choice.evidence - _AHEAD and not _adds_beyond(choice.variant, rival.variant, now):
+            result.append(rival.name)
+    return tuple(result)
+
+
+def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
+    """Whether a candidate still gains when another is in the model."""
+    rest = now.innovation - other.unit.T @ other.score(now.innovation)
+    columns = one.unit - (one.unit @ other.unit.T) @ other.unit
+    value, vector = np.linalg.eigh(columns @ columns.T)
+    good = value > _SHARED
+    d = (vector[:, good] / np.sqrt(value[good])).T @ (columns @ rest)
+    return bool(chi2.sf(d @ d, max(len(d), 1)) < _ALIKE)
+
+
+def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str, ...]) -> bool:
+    """Whether a term keeps its evidence when the families that are still significant are in the model too."""
+    twin = current.twin
+    term = twin.model.terms[index]
+    own = twin.whiten(twin.columns(term.name, term.setting))
+    value, _ = current.value_of(index)
+    rest = replace(twin, model=without_term(twin.model, index))
+    base = rest.base_columns()
+    others = [s.variant.columns for s in now.scores if s.name in left and s.name != term.name]
+    target = twin.residual().ravel() - value @ own  # as if the term were not there
+    alone = variant(term.setting, own, Projector(base))
+    beside = variant(term.setting, own, Projector(np.concatenate([base, *others])))
+    statistics = []
+    for v, rows in ((alone, base), (beside, np.concatenate([base, *others]))):
+        d = v.unit @ Projector(rows)(target[None])[0]
+        statistics.append(float(d @ d))
+    return statistics[1] > max(_STRONG * found.threshold, _FIRM * statistics[0])
+
+
+def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) -> tuple[str, ...]:
+    """What is still significant, less what the effects found may leave for not being quite of their form.
+
+    To this belong generic families that explained the data clearly better than all names together.
+    """
+    explained = max((s.statistic for s in first.scores), default=0.0)
+    result = _ahead_of_names(first, found)
+    for score in now.scores:
+        limit = min(_REMAINDER, score.limit) if found else score.limit
+        if score.significance <= limit or now.gains.get(score.name, 0.0) <= 0:
+            continue
+        if found and score.statistic - len(score.variant.unit) < _SHAPE * explained:
+            continue
+        if not score.generic and _shape_of(score, now.refit.model.terms, found):
+            continue
+        result.append(score.name)
+    for noise in now.noise:
+        loud = noise.evidence > NOISE_LIMIT and noise.name in ("tone", "coloured-noise")
+        if loud and noise.name not in noted and not (found and noise.statistic < _SHAPE * explained):
+            result.append(noise.name)
+    return tuple(dict.fromkeys(result))
+
+
+def _ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
+    named = sum(f.evidence for f in found if f.name in TERMS)
+    if not named:
+        return []
+    return [
+        s.name
+        for s in first.scores
+        if s.generic and s.significant and s.evidence > named + _BEATS and first.gains.get(s.name, 0.0) > 0
+    ]

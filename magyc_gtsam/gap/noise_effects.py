@@ -1,0 +1,223 @@
+"""Effects that change the noise rather than the reading: found in the innovations sample by sample.
+
+All are ranked in the same currency as the score tests, nats of log-likelihood less what chance would give.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincc
+
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.recording import Recording
+
+_MOST_SAMPLES = 60000
+_CHANCE = 9.0  # nats by which two fitted parameters of a noise model can seem to gain (with room to spare)
+_SMOOTH = 201  # bins of the periodogram's running median
+_LOWEST_BINS = 5  # of a tone: slower ones are drifts
+_LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
+_ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
+_SPIKE = 4.5  # sigmas
+_RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
+_COARSE = 0.7  # step in sigmas from which quantisation counts
+_HELD = 0.08  # share of rows that repeat exactly
+_TOGETHER = 0.6  # share of one axis' repeats that must be repeats of all
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseScore:
+    """A noise effect's test.
+
+    Attributes:
+        name: of the catalogue.
+        statistic, threshold: twice the gain in log-likelihood, and the level it must pass.
+        evidence: nats beyond chance.
+        significant: whether it passes.
+        value, sigma: (k,) SI; setting: frequency Hz, correlation time s, …
+        rows: of the recording's magnetometer samples that it concerns (spikes).
+    """
+
+    name: str
+    statistic: float
+    threshold: float
+    evidence: float
+    significant: bool
+    value: Array
+    sigma: Array
+    setting: Mapping[str, float]
+    rows: np.ndarray | None = None
+
+
+def tone(innovation: Array, rate: float, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
+    """A line in the spectrum of (3, n) innovations of unit variance sampled at `rate` Hz, `level` T each.
+
+    Below `edge` Hz the motion itself makes lines of whatever is missing; one there is no tone by name.
+    """
+    power, frequency = _periodogram(innovation, rate)
+    floor = _running_median(power) / 2.674  # the median of Gamma(3)
+    height = power / np.maximum(floor, 0.3)
+    surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
+    surprise[:_LOWEST_BINS] = 0.0
+    best = int(np.argmax(surprise))
+    evidence = float(surprise[best] - np.log(len(frequency)))
+    needed = limit + np.log(len(frequency))
+    amplitude = 2 * np.sqrt(power[best] / innovation.shape[1]) * level
+    return NoiseScore(
+        "tone",
+        2 * float(height[best]),
+        2 * needed + 8,
+        evidence,
+        evidence > limit and frequency[best] > edge,
+        np.array([amplitude]),
+        np.array([amplitude / np.sqrt(max(2 * height[best], 1e-9))]),
+        {"frequency": float(frequency[best])},
+    )
+
+
+def _periodogram(innovation: Array, rate: float) -> tuple[Array, Array]:
+    """Power summed over the axes, Gamma(3) for white noise of unit variance, without the mean; and Hz."""
+    spectrum = np.fft.rfft(innovation, axis=1)[:, 1:]
+    n = innovation.shape[1]
+    if n % 2 == 0:
+        spectrum = spectrum[:, :-1]
+    frequency = np.arange(1, spectrum.shape[1] + 1) * rate / n
+    return (np.abs(spectrum) ** 2).sum(axis=0) / n, frequency
+
+
+def _running_median(values: Array) -> Array:
+    """Median over `_SMOOTH` bins, shorter at the low end, where a spectrum is steep."""
+    from scipy.ndimage import median_filter
+
+    size = min(_SMOOTH, len(values) // 4 * 2 + 1)
+    return np.asarray(median_filter(values, size=size, mode="reflect"), dtype=float)
+
+
+def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -> NoiseScore:
+    """White noise plus noise of one correlation time, by Whittle's likelihood of the periodogram."""
+    power, frequency = _periodogram(innovation, rate)
+    power = np.minimum(power, 12 * np.maximum(_running_median(power) / 2.674, 0.3))  # a line is no colour
+    scale = power.mean() / 3
+    best = (0.0, 0.0, 0.0, 1.0)
+    for corner in np.geomspace(3 * frequency[0], 0.35 * rate, 14):
+        shape = 1 / (1 + (frequency / corner) ** 2)
+        for strength in np.geomspace(0.01, 300, 45):
+            model = 1 + strength * shape
+            white = float((power / model).mean() / 3)
+            gain = 3 * len(power) * np.log(scale / white) - 3 * float(np.log(model).sum())
+            if gain > best[0]:
+                best = (gain, corner, strength, white)
+    gain, corner, strength, white = best
+    evidence = gain - _CHANCE
+    duration = innovation.shape[1] / rate
+    time_constant = 1 / (2 * np.pi * corner) if corner else 0.0
+    slow = np.fft.rfft(innovation, axis=1)[:, 1 : max(int(corner * duration), 8) + 1]
+    excess = np.linalg.eigvalsh(
+        (slow @ slow.conj().T).real / innovation.shape[1] / slow.shape[1] - white * np.eye(3)
+    )
+    one_way = float(excess[-1] / max(np.maximum(excess, 0).sum(), 1e-12))
+    # Standard deviation of the coloured part: the area under its spectrum.
+    shape = 1 / (1 + (frequency / corner) ** 2) if corner else np.zeros(1)
+    deviation = float(np.sqrt(strength * white * shape.mean())) * level
+    noise = evidence > limit and time_constant < _LONGEST and one_way < _ONE_WAY
+    return NoiseScore(
+        "coloured-noise",
+        2 * gain,
+        2 * (limit + _CHANCE),
+        evidence,
+        noise,
+        np.array([deviation]),
+        np.array([deviation / np.sqrt(max(2 * gain, 1.0))]),
+        {"correlation_time": time_constant, "one_way": one_way},
+    )
+
+
+def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
+    """Single samples that are wrong: innovations (3, n) as a mixture of two normal distributions."""
+    n = innovation.shape[1]
+    square = (innovation**2).sum(axis=0)
+    scale = float(np.median(square)) / 2.366  # median of χ²₃
+    share, wide = 0.01, max(float(square.max()) / 3, 4 * scale)
+    gain = 0.0
+    single = float(square.mean()) / 3
+    belongs = np.zeros(n)
+    for _ in range(60):
+        narrow_density = np.log(1 - share) - 1.5 * np.log(scale) - 0.5 * square / scale
+        wide_density = np.log(share) - 1.5 * np.log(wide) - 0.5 * square / wide
+        total = np.logaddexp(narrow_density, wide_density)
+        belongs = np.exp(wide_density - total)
+        gain = float(total.sum() + 1.5 * n * np.log(single) + 1.5 * n)
+        share = float(np.clip(belongs.mean(), 1e-6, 0.5))
+        scale = float(((1 - belongs) @ square) / (3 * max((1 - belongs).sum(), 1)))
+        wide = max(float((belongs @ square) / (3 * max(belongs.sum(), 1e-9))), 1.5 * scale)
+    # A spike stands alone: what comes in stretches is a disturbance, not a wrong sample.
+    hit = square > (_SPIKE**2) * scale
+    neighbours = np.concatenate([[False], hit[:-1]]) | np.concatenate([hit[1:], [False]])
+    alone = float((hit & ~neighbours).sum() / max(hit.sum(), 1))
+    evidence = gain - _CHANCE
+    significant = evidence > limit and hit.sum() >= 2 and alone > 0.6 and share < _RARE
+    height = float(np.sqrt(wide)) * level
+    return NoiseScore(
+        "spikes",
+        2 * gain,
+        2 * (limit + _CHANCE),
+        evidence,
+        significant,
+        np.array([height]),
+        np.array([height / np.sqrt(max(6 * belongs.sum(), 1.0))]),
+        {"share": share, "count": float(hit.sum())},
+        hit,
+    )
+
+
+def quantisation(recording: Recording, noise: float) -> NoiseScore:
+    """Readings on a lattice whose step is no longer small against the noise (T per sample)."""
+    value = recording.magnetometer.value
+    steps = np.array([_lattice(axis) for axis in value.T])
+    step = float(steps.max())
+    ratio = step / max(noise, 1e-15)
+    return NoiseScore(
+        "quantisation",
+        ratio,
+        _COARSE,
+        1e6 * (ratio > _COARSE),
+        ratio > _COARSE,
+        np.array([step]),
+        np.array([0.0]),
+        {"ratio": ratio},
+    )
+
+
+def _lattice(values: Array) -> float:
+    """The step of the lattice that the values lie on; 0 where there is none."""
+    distinct = np.unique(values)
+    if len(distinct) > 0.5 * len(values) or len(distinct) < 3:
+        return 0.0
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 1e-6 * gaps.max()]
+    step = float(gaps.min())
+    multiples = gaps / step
+    return step if float(np.abs(multiples - np.round(multiples)).max()) < 0.02 else 0.0
+
+
+def sample_hold(recording: Recording) -> NoiseScore:
+    """Rows that repeat the magnetometer's row before them exactly, in a table in which the gyroscope moves on."""
+    stale = ~recording.magnetic_field_fresh
+    one_table = recording.angular_rate is None or bool(recording.angular_rate_fresh.all())
+    share = float(stale.mean())
+    # A hold repeats all axes together; coarse steps repeat each by itself.
+    alone = (np.diff(recording.magnetic_field, axis=0) == 0).mean(axis=0)
+    held = one_table and share > _HELD and share > _TOGETHER * float(alone.min())
+    rows = len(stale) / max(int((~stale).sum()), 1)
+    return NoiseScore(
+        "sample-hold",
+        share,
+        _HELD,
+        1e6 * held,
+        held,
+        np.array([rows]),
+        np.array([0.0]),
+        {"share": share},
+    )

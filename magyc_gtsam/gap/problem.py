@@ -1,0 +1,179 @@
+"""The data of one recording with the terms of a model taken out of them: a field chain again.
+
+Terms on the magnetometer are subtracted from the windows' fields, terms on the gyroscope from its samples before
+they are integrated, so that the chain of `factors.field_chain` serves the extended model unchanged; a delay is its
+own thirteenth parameter.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magyc_gtsam.factors.effects import FORMS, Setting, Signals, channels_by_kind
+from magyc_gtsam.factors.field_chain import DELAY, FieldChain, Noise, Reduced, State
+from magyc_gtsam.factors.preintegration import FieldWindows, Preintegration
+from magyc_gtsam.factors.rotations import Array, chain, exponential, increments, matrices
+from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.recording import Recording
+
+_PASSES = 4  # for gyroscope terms that read the true rate
+
+
+@dataclass(frozen=True, eq=False)
+class Active:
+    """A term in the model: its name, setting and value (k,) in SI units."""
+
+    name: str
+    setting: Setting
+    value: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """θ (13,) of the field chain, which of them are free, the noise, and the terms beyond."""
+
+    parameters: Array
+    free: np.ndarray
+    noise: Noise
+    terms: tuple[Active, ...] = ()
+
+    @property
+    def estimated(self) -> tuple[Active, ...]:
+        """The terms whose values have regressors of their own; a timing is a parameter of the chain."""
+        return tuple(term for term in self.terms if term.name != "timing")
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One recording, cut into windows, with everything interpolated to where the forms read it.
+
+    Attributes:
+        recording: the data.
+        samples: of both sensors, in windows.
+        window_of: (M,) window of each magnetometer sample.
+        acceleration, channels: at the magnetometer's (`magnetometer`) and gyroscope's (`gyroscope`) samples.
+    """
+
+    recording: Recording
+    samples: Preintegration
+    window_of: np.ndarray
+    magnetometer: Signals
+    gyroscope: Signals
+
+    @classmethod
+    def of(cls, recording: Recording, samples: Preintegration) -> Problem:
+        """Interpolate what the recording has."""
+        starts = samples.starts
+        count = np.diff(np.append(starts, len(samples.magnetometer_time)))
+        return cls(
+            recording,
+            samples,
+            np.repeat(np.arange(len(starts)), count),
+            _others(recording, samples.magnetometer_time),
+            _others(recording, samples.gyroscope_time),
+        )
+
+    def mean(self, values: Array) -> Array:
+        """Means over the windows of values (..., M) at the magnetometer's samples: (..., n)."""
+        count = np.diff(np.append(self.samples.starts, values.shape[-1]))
+        result: Array = np.add.reduceat(values, self.samples.starts, axis=-1) / count
+        return result
+
+
+def _others(recording: Recording, at: Array) -> Signals:
+    """Acceleration and channels at given times; channels with too little data, or that stand still, left out."""
+    time = recording.time
+
+    def interpolated(rows: Array) -> Array:
+        return np.stack([np.interp(at, time[np.isfinite(r)], r[np.isfinite(r)]) for r in rows])
+
+    acceleration = None if recording.acceleration is None else interpolated(recording.acceleration.T)
+    channels = {}
+    for kind, rows in channels_by_kind(recording.channels).items():
+        usable = [
+            r for r in rows if np.isfinite(r).mean() > 0.5 and np.nanstd(r) > 1e-9 * (1 + abs(np.nanmean(r)))
+        ]
+        if usable:
+            channels[kind] = interpolated(np.stack(usable))
+    return Signals(at, acceleration=acceleration, channels=channels)
+
+
+def prepare(problem: Problem, model: Model, rate: Array | None = None) -> tuple[Preintegration, Array]:
+    """The samples with the gyroscope's terms taken out, and the true rate (3, G) rad/s."""
+    samples = problem.samples
+    bias = model.parameters[9:12]
+    measured = samples.angular_rate.T - bias[:, None]
+    terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope"]
+    true = measured if rate is None else rate
+    added = np.zeros_like(measured)
+    for _ in range(_PASSES if terms else 1):
+        signals = replace(problem.gyroscope, rate=true)
+        added = sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros_like(measured))
+        true = measured - added
+    if terms:
+        samples = copy.copy(samples)  # the same windows: only what is integrated changes
+        object.__setattr__(samples, "angular_rate", np.ascontiguousarray((true + bias[:, None]).T))
+    return samples, true
+
+
+def window_signals(problem: Problem, windows: FieldWindows, state: State, rate: Array) -> Signals:
+    """What the forms read, window by window, as the model has it."""
+    parameters, g = state
+    soft = unvech(parameters[:6])
+    late = parameters[DELAY] - windows.delay
+    rotation = windows.rotation + late * windows.rotation_rate
+    at = problem.magnetometer
+    gyro_time = problem.gyroscope.time
+    rates = np.stack([np.interp(at.time - parameters[DELAY], gyro_time, axis) for axis in rate])
+    return Signals(
+        windows.time,
+        field=soft @ np.einsum("ijn,jn->in", rotation, g),
+        field_rate=-soft @ np.einsum("ijn,jn->in", windows.rotation_rate, g),
+        hard_iron=parameters[6:9],
+        rate=problem.mean(rates),
+        to_sensor=rotation,
+        acceleration=None if at.acceleration is None else problem.mean(at.acceleration),
+        channels={kind: problem.mean(value) for kind, value in at.channels.items()},
+    )
+
+
+def build(
+    problem: Problem, model: Model, direction: Array | None = None
+) -> tuple[FieldChain, State, Reduced, Array]:
+    """The chain of a model, settled, and the true rate (3, G).
+
+    The magnetometer's terms read the field as the model has it, so that the chain is settled, corrected and
+    settled again.
+    """
+    samples, rate = prepare(problem, model)
+    windows = samples.integrate(model.parameters[9:12], model.parameters[DELAY])
+    plain = FieldChain(windows, model.noise)
+    terms = [
+        t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "magnetometer" and t.name != "timing"
+    ]
+    chain_, state = plain, plain.start(model.parameters)
+    for _ in range(2 if terms else 1):
+        if terms:
+            signals = window_signals(problem, windows, state, rate)
+            added = sum(_added(problem, signals, t) for t in terms)
+            chain_ = FieldChain(replace(windows, field=windows.field - added), model.noise)
+        state, reduced = chain_.settle(chain_.start(model.parameters), chain_.unweighted())
+    return chain_, state, reduced, rate
+
+
+def _added(problem: Problem, signals: Signals, term: Active) -> Array:
+    form = FORMS[term.name]
+    if form.fast:
+        return problem.mean(form.evaluate(problem.magnetometer, term.value, term.setting))
+    return form.evaluate(signals, term.value, term.setting)
+
+
+def attitude(samples: Preintegration, rate: Array) -> Array:
+    """(3, 3, G) sensor → integrated world at the gyroscope's samples, of the true rate (3, G)."""
+    turn = (
+        rate.T[1:] * samples.step[:, None] if samples.interval_mean else increments(samples.gyroscope_time, rate.T)
+    )
+    return matrices(chain(exponential(turn))).reshape(3, 3, -1)

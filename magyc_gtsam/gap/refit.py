@@ -1,0 +1,159 @@
+"""Joint refit of the twelve parameters, the delay and the terms, and the calibration that comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.chain_fit import Fit, adapt
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import DELAY, Noise
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.gap.problem import Active, Model, Problem
+from magyc_gtsam.gap.twin import Twin
+
+_ROUNDS = 3  # of noise levels
+_STEPS = 8
+_SHORTER = (1.0, 0.5, 0.2, 0.05)
+_ROUNDING = 0.5  # of a cost, to second order of the rotations
+_SETTLED = 1e-3  # squared length of a step, in sigmas
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """A model at its minimum: its twin there, and the covariance of free parameters and terms, in their order."""
+
+    twin: Twin
+    covariance: Array
+    converged: bool
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+        return self.twin.model
+
+    def value_of(self, index: int) -> tuple[Array, Array]:
+        """Value (k,) and covariance (k, k) of the model's term `index`."""
+        model = self.model
+        term = model.terms[index]
+        if term.name == "timing":
+            place = int(np.flatnonzero(np.flatnonzero(model.free) == DELAY)[0])
+            return model.parameters[[DELAY]], self.covariance[place : place + 1, place : place + 1]
+        first = int(model.free.sum()) + sum(len(t.value) for t in model.terms[:index] if t.name != "timing")
+        rows = slice(first, first + len(term.value))
+        return term.value, self.covariance[rows, rows]
+
+
+def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
+    """Everything jointly, re-linearised at each step; noise levels in between (None keeps them)."""
+    converged = False
+    twin = Twin.of(problem, model)
+    covariance = np.zeros((0, 0))
+    for _ in range(_ROUNDS if short_term is not None else 1):
+        for _ in range(_STEPS):
+            base = twin.base_columns()
+            gradient = base @ twin.residual().ravel() - twin.base_pull()
+            information = base @ base.T
+            scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+            value, vector = np.linalg.eigh(information * scale * scale[:, None])
+            value = np.maximum(value, 1e-13)
+            covariance = (vector / value) @ vector.T * scale * scale[:, None]
+            step = -covariance @ gradient
+            length = float(step @ information @ step)
+            converged = length < _SETTLED
+            if converged:
+                break
+            ahead = _advance(problem, twin, step, twin.base_pull())
+            if ahead is None:
+                return Refit(twin, covariance, False)
+            twin = ahead
+            model = twin.model
+        if short_term is None:
+            break
+        fixed = np.zeros_like(model.free)
+        fit = adapt(Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, fixed), False, short_term)
+        before, after = np.array(model.noise), np.array(fit.chain.noise)
+        model = replace(model, noise=fit.chain.noise)
+        twin = Twin.of(problem, model)
+        if np.abs(np.log(after / before)).max() < 3e-3:
+            break
+    return Refit(twin, covariance, converged)
+
+
+def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | None:
+    """The twin after a step, shortened until the cost does not rise; None where no step helps."""
+    for share in _SHORTER:
+        try:
+            ahead = Twin.of(problem, _stepped(twin.model, share * step))
+        except (MagycError, np.linalg.LinAlgError):
+            continue  # a step too far for the chain to be factorised
+        # The gyroscope's scale is not fitted by cost alone (`Twin.rate_pull`).
+        allowed = twin.reduced.cost + share * abs(float(pull @ step)) + _ROUNDING
+        if np.isfinite(ahead.reduced.cost) and ahead.reduced.cost <= allowed:
+            return ahead
+    return None
+
+
+def _stepped(model: Model, step: Array) -> Model:
+    parameters = model.parameters.copy()
+    count = int(model.free.sum())
+    parameters[model.free] += step[:count]
+    terms = []
+    for term in model.terms:
+        if term.name == "timing":
+            terms.append(replace(term, value=parameters[[DELAY]]))
+        else:
+            k = len(term.value)
+            terms.append(replace(term, value=term.value + step[count : count + k]))
+            count += k
+    return replace(model, parameters=parameters, terms=tuple(terms))
+
+
+def with_term(model: Model, term: Active) -> Model:
+    """A model with one more term; a timing frees the delay."""
+    free = model.free.copy()
+    free[DELAY] |= term.name == "timing"
+    return replace(model, free=free, terms=(*model.terms, term))
+
+
+def without_term(model: Model, index: int) -> Model:
+    """A model with one term less; without a timing the delay is fixed at 0."""
+    terms = tuple(t for i, t in enumerate(model.terms) if i != index)
+    if model.terms[index].name != "timing":
+        return replace(model, terms=terms)
+    free, parameters = model.free.copy(), model.parameters.copy()
+    free[DELAY], parameters[DELAY] = False, 0.0
+    return replace(model, free=free, parameters=parameters, terms=terms)
+
+
+def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Term, ...] = ()) -> Calibration:
+    """The model as a calibration; its terms in SI units, and terms that change no reading appended."""
+    model, parameters = result.model, result.model.parameters
+    base = np.flatnonzero(model.free)[:12]
+    covariance = result.covariance[: len(base), : len(base)]
+    soft_iron, unit, reported = fix_scale(unvech(parameters[:6]), covariance, field_strength)
+    terms = []
+    for index, term in enumerate(model.terms):
+        value, spread = result.value_of(index)
+        terms.append(Term(term.name, value, spread, term.setting))
+    late = [t for t in terms if t.name == "timing"]
+    return Calibration(
+        soft_iron,
+        parameters[6:9],
+        parameters[9:12],
+        covariance=reported,
+        delay=float(parameters[DELAY]),
+        delay_sigma=float(late[0].sigma[0]) if late else None,
+        terms=(*terms, *extra),
+        converged=result.converged,
+        message="converged" if result.converged else "the joint refit did not converge",
+        method="gap",
+        noise={"magnetic_field": model.noise.magnetometer, "angular_rate": model.noise.gyroscope},
+        field_strength=unit,
+        diagnostics={"windows": result.twin.n, "cost": float(result.twin.reduced.cost)},
+    )

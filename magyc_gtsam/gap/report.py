@@ -1,0 +1,237 @@
+"""From a search to words: effects, hypotheses, the verdict and the next manoeuvre."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.axes import Arrangement
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.naming import Found, Look
+from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Moved, Status, Verdict
+from magyc_gtsam.gap.score import Score
+from magyc_gtsam.gap.search import Search
+
+_POWER = 0.8
+_MOVED = 2.0  # sigmas from which a parameter is reported as moved
+
+
+def verdict(found: Sequence[Found], result: Search, last: Look) -> tuple[Verdict, str]:
+    """One word, and one sentence for a navigator."""
+    left = result.leftover
+    if not found and not left:
+        return "none", "the model and the data agree: nothing that matters is missing"
+    if left:
+        where = _place(left, last)
+        firm = [f for f in found if f.name in TERMS or f.name == "axis-order"]
+        if firm:
+            words = "; ".join(_sentence(f, last.refit, found) for f in firm)
+            return "open", f"{words}; beside that, {where}, and it is not in the catalogue"
+        return "unknown", f"{where}, and it is not in the catalogue; nothing was changed"
+    # What moves the heading comes before what concerns the noise.
+    ordered = sorted(found, key=lambda f: f.noise is not None and f.name != "axis-order")
+    return "closed", "; ".join(_sentence(f, last.refit, found) for f in ordered)
+
+
+def _place(left: Sequence[str], last: Look) -> str:
+    """Where the strongest of what is left lives, in words."""
+    names = set(left)
+    for score in last.scores:
+        if score.name in names and score.generic:
+            return f"something that lives in {score.place} is missing"
+    for name in left:
+        if name in LABELS:
+            return f"something like “{LABELS[name]}” is missing"
+    return "something is missing"
+
+
+def _term_index(found: Sequence[Found], which: Found) -> int | None:
+    """Its place among the model's terms; None for what is no term."""
+    terms = [f for f in found if f.name in TERMS or f.name == "tone"]
+    return terms.index(which) if which in terms else None
+
+
+def _sentence(found: Found, refitted: Refit, everything: Sequence[Found]) -> str:
+    if found.noise is not None:
+        return _noise_sentence(found.noise)
+    index = _term_index(everything, found)
+    assert index is not None
+    term = TERMS[found.name]
+    value, covariance = refitted.value_of(index)
+    setting = refitted.model.terms[index].setting
+    return term.say(value * term.scale, np.sqrt(np.diag(covariance)) * term.scale, setting)
+
+
+def _noise_sentence(noise: NoiseScore) -> str:
+    value, setting = float(noise.value[0]), noise.setting
+    if noise.name == "tone":
+        return f"a tone of {setting['frequency']:.2f} Hz, {value * 1e6:.2g} µT, is on the magnetometer"
+    if noise.name == "coloured-noise":
+        return (
+            f"the magnetometer's noise hangs together over {setting['correlation_time']:.2g} s "
+            f"({value * 1e6:.2g} µT): fewer independent samples than it seems"
+        )
+    if noise.name == "spikes":
+        return f"{setting['count']:.0f} single magnetometer samples are wrong by {value * 1e6:.2g} µT and were left out"
+    if noise.name == "quantisation":
+        return f"the magnetometer counts in steps of {value * 1e6:.2g} µT, {setting['ratio']:.1f} times its noise"
+    if noise.name == "sample-hold":
+        return f"the magnetometer repeats {setting['share']:.0%} of its rows; held rows were left out"
+    arrangement = Arrangement(noise.value.reshape(3, 3), "", 1 - setting["explained"])
+    return f"the sensors' axes differ: read the gyroscope as {arrangement.axes}"
+
+
+def describe(found: Sequence[Found], refitted: Refit, applied: bool) -> tuple[Effect, ...]:
+    """The effects as values."""
+    return tuple(_described(f, refitted, found, applied) for f in found)
+
+
+def _described(found: Found, refitted: Refit, everything: Sequence[Found], applied: bool) -> Effect:
+    index = _term_index(everything, found)
+    sentence = _sentence(found, refitted, everything)
+    if found.noise is not None and index is None:
+        units = {"quantisation": ("µT", 1e6), "spikes": ("µT", 1e6), "coloured-noise": ("µT", 1e6)}
+        unit, scale = units.get(found.name, ("", 1.0))
+        value, sigma, setting = found.noise.value * scale, found.noise.sigma * scale, found.noise.setting
+        parameters = ("",) * len(value)
+    else:
+        assert index is not None
+        value, covariance = refitted.value_of(index)
+        sigma, setting = np.sqrt(np.diag(covariance)), refitted.model.terms[index].setting
+        if found.name == "tone":
+            unit, scale = "µT", 1e6
+            parameters = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
+        else:
+            term = TERMS[found.name]
+            unit, scale, parameters = term.unit, term.scale, term.names(len(value))
+        value, sigma = value * scale, sigma * scale
+    return Effect(
+        found.name,
+        LABELS[found.name],
+        value,
+        sigma,
+        parameters,
+        unit,
+        dict(setting),
+        found.rivals,
+        found.statistic,
+        found.threshold,
+        applied,
+        sentence,
+    )
+
+
+def hypotheses(look: Look, names: Sequence[str], found: Sequence[Found], word: Verdict) -> tuple[Hypothesis, ...]:
+    """Every candidate with its evidence, strongest first."""
+    named = {f.name for f in found} if word in ("closed", "open") else set()
+    rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
+    result = [(s.evidence, _hypothesis(s, look, named, rivals)) for s in look.scores]
+    result += [(n.evidence, _noise_hypothesis(n, named)) for n in look.noise if n.name in names]
+    return tuple(h for _, h in sorted(result, key=lambda pair: -pair[0]))
+
+
+def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> Hypothesis:
+    term = TERMS.get(score.name)
+    power = score.power(term.matters) if term else 1.0
+    gain = look.gains.get(score.name, 0.0)
+    scale = term.scale if term else 1.0
+    status: Status
+    if score.name in named:
+        status, words = "named", "named and added"
+    elif score.significant and gain <= 0:
+        status, words = "vetoed", "significant, but it predicts nothing on data it was not fitted to"
+    elif score.significant and score.name in rivals:
+        status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
+    elif score.significant:
+        status, words = "explained", "significant until the effects above were added" if named else "significant"
+    elif term and power < _POWER:
+        status, words = (
+            "not enough information",
+            f"the smallest effect that matters ({term.matters * scale:.2g} {term.unit}) would be found with "
+            f"probability {power:.0%} only",
+        )
+    else:
+        status, words = "rejected", "not significant, though what matters would have been found"
+    sigma = np.sqrt(np.diag(score.covariance))
+    return Hypothesis(
+        name=score.name,
+        label=term.label if term else f"anything in {score.place}",
+        generic=score.generic,
+        statistic=score.statistic,
+        threshold=score.threshold,
+        parameters=len(score.expected),
+        expected=score.expected * scale,
+        sigma=sigma * scale,
+        unit=term.unit if term else "",
+        setting=dict(score.variant.setting),
+        power=power,
+        matters=term.matters * scale if term else 0.0,
+        held_out_gain=gain,
+        status=status,
+        sentence=words,
+    )
+
+
+def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
+    status: Status = "named" if noise.name in named else "explained" if noise.significant else "rejected"
+    scale = 1e6 if noise.name in ("tone", "coloured-noise", "spikes", "quantisation") else 1.0
+    words = {"named": "named", "explained": "significant until the effects above were added"}
+    return Hypothesis(
+        name=noise.name,
+        label=LABELS[noise.name],
+        generic=False,
+        statistic=noise.statistic,
+        threshold=noise.threshold,
+        parameters=len(noise.value),
+        expected=noise.value * scale,
+        sigma=noise.sigma * scale,
+        unit="µT" if scale > 1 else "",
+        setting=dict(noise.setting),
+        power=1.0,
+        matters=0.0,
+        held_out_gain=0.0,
+        status=status,
+        sentence=words.get(status, "not significant"),
+    )
+
+
+def moved(before: Calibration, after: Calibration) -> tuple[Moved, ...]:
+    """Parameters of the base model that the effects moved, most first."""
+    rows = []
+    for name, unit, scale in (("soft_iron", "%", 1e2), ("hard_iron", "µT", 1e6), ("gyro_bias", "mrad/s", 1e3)):
+        one, two, sigma = getattr(before, name), getattr(after, name), after.sigma[name]
+        where = [(i, j) for i in range(3) for j in range(i, 3)] if one.ndim == 2 else [(i,) for i in range(3)]
+        for at in where:
+            label = f"{name.replace('_', ' ')} {''.join('xyz'[i] for i in at)}"
+            rows.append(
+                Moved(label, float(one[at]) * scale, float(two[at]) * scale, float(sigma[at]) * scale, unit)
+            )
+    rows = [row for row in rows if abs(row.sigmas) > _MOVED]
+    return tuple(sorted(rows, key=lambda row: -abs(row.sigmas)))
+
+
+def manoeuvre(look: Look, found: Sequence[Found], word: Verdict) -> Manoeuvre | None:
+    """The motion that separates a named effect from its rivals, or finds what could not be seen."""
+    for f in found:
+        if f.rivals and f.name in TERMS and word == "closed":
+            names = (f.name, *f.rivals)
+            motion = TERMS[f.name].motion
+            labels = " from ".join(LABELS[n] for n in names[:2])
+            return Manoeuvre(names, motion, f"to tell {labels}: {motion}")
+    if word == "unknown":
+        motion = (
+            "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
+        )
+        return Manoeuvre((), motion, f"to find out what it is: {motion}")
+    blind = [s for s in look.scores if s.name in TERMS and s.power(TERMS[s.name].matters) < _POWER]
+    if blind:
+        weakest = min(blind, key=lambda s: s.power(TERMS[s.name].matters))
+        motion = TERMS[weakest.name].motion
+        return Manoeuvre(
+            tuple(s.name for s in blind), motion, f"to be sure about {TERMS[weakest.name].label}: {motion}"
+        )
+    return None

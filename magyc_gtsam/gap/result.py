@@ -1,0 +1,299 @@
+"""What `find_gap` returns: values only, so that terminal, page and tests read the same numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.recording import Array
+
+Verdict = Literal["none", "closed", "unknown", "open"]
+Status = Literal["named", "ambiguous", "vetoed", "explained", "rejected", "not enough information"]
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """An effect that was found and named.
+
+    Attributes:
+        name: the row of the catalogue, e.g. "timing".
+        label: the same in words, e.g. "late magnetometer".
+        value, sigma: (k,) in `unit`, one per parameter.
+        parameters: (k,) what each value is, e.g. ("x", "y", "z").
+        unit: of the values as shown: "ms", "µT", "µT/A", "mrad", ….
+        setting: what was searched over: {"time": 41.5} s, {"frequency": 2.1} Hz, …; empty for most.
+        ambiguous_with: names of rivals that this motion cannot tell from it.
+        statistic, threshold: evidence when it was added: twice the gain in log-likelihood, and its 1 % level.
+        applied: whether `gap.calibration` corrects it.
+        sentence: one line that a navigator understands.
+    """
+
+    name: str
+    label: str
+    value: Array
+    sigma: Array
+    parameters: tuple[str, ...]
+    unit: str
+    setting: Mapping[str, float]
+    ambiguous_with: tuple[str, ...]
+    statistic: float
+    threshold: float
+    applied: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Untested:
+    """A candidate that could not be tested, and why."""
+
+    name: str
+    label: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """One candidate and its evidence against the base model.
+
+    Attributes:
+        name: of the catalogue, or of a generic family (`generic` is then True).
+        label: the same in words.
+        generic: a family without physical meaning that says WHERE something is missing.
+        statistic: twice the gain in log-likelihood, at the best grid point.
+        threshold: its family-wise 1 % level, by the bootstrap of the twin.
+        parameters: number of parameters.
+        expected, sigma: (k,) the values to expect if it were added, in `unit`.
+        unit: of them; empty for a generic family.
+        setting: the best grid point.
+        power: probability of finding the smallest effect that matters, `matters` in `unit`.
+        held_out_gain: gain in log-likelihood on data it was not fitted to, nats.
+        status: "named", "ambiguous" (a rival of a named effect), "vetoed" (no held-out gain), "explained"
+            (significant until a named effect was added), "rejected" (not significant although it would
+            have been found), "not enough information" (would not have been found).
+        sentence: the status in words.
+    """
+
+    name: str
+    label: str
+    generic: bool
+    statistic: float
+    threshold: float
+    parameters: int
+    expected: Array
+    sigma: Array
+    unit: str
+    setting: Mapping[str, float]
+    power: float
+    matters: float
+    held_out_gain: float
+    status: Status
+    sentence: str
+
+    @property
+    def significant(self) -> bool:
+        """Whether the statistic passes its threshold."""
+        return self.statistic > self.threshold
+
+
+@dataclass(frozen=True, eq=False)
+class GapMap:
+    """Where the gap is: the misfit over one variable.
+
+    Attributes:
+        over: "time", "frequency", "heading", "pitch", "rate", "temperature", "current" or "field strength".
+        unit: of the variable: "s", "Hz", "°", "rad/s", ….
+        centre: (n,) of the bins.
+        level: (n,) root mean square of the innovations in sigmas; 1 where the model is right.
+        band: (n, 2) where 99 % of the levels lie if the model is right.
+        share: (n,) share of the samples in the bin.
+    """
+
+    over: str
+    unit: str
+    centre: Array
+    level: Array
+    band: Array
+    share: Array
+
+    @property
+    def worst(self) -> float:
+        """The largest level over its upper band."""
+        return float((self.level / self.band[:, 1]).max(initial=0.0))
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in the spectrum of the innovations: Hz, amplitude T, and −ln p of its height."""
+
+    frequency: float
+    amplitude: float
+    evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLoop:
+    """Prediction of the field over `horizon` seconds by the gyroscope alone.
+
+    Attributes:
+        horizon: s.
+        time: (n,) s, when the prediction was due.
+        error: (n, 3) T, measured − predicted.
+        sigma: (n, 3) T, what the twin expects of it.
+        rms, floor: T, root mean squares of the two.
+    """
+
+    horizon: float
+    time: Array
+    error: Array
+    sigma: Array
+    rms: float
+    floor: float
+
+    @property
+    def excess(self) -> float:
+        """T², variance beyond the twin's floor."""
+        return max(self.rms**2 - self.floor**2, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Metrics:
+    """How well a model and a recording agree.
+
+    Attributes:
+        held_out: log-likelihood per window on blocks that were not fitted, nats.
+        open_loop: the 20 s prediction against its floor.
+        whiteness: ratio of the innovations' autocorrelation to what white noise would show; 1 is white.
+        lines: what stands out of the innovations' spectrum, strongest first.
+        heading: deg, standard deviation of heading against the reference attitude; None without one.
+        noise: standard deviations per sample that the model needs: magnetic_field T, angular_rate rad/s.
+        maps: where the gap is.
+    """
+
+    held_out: float
+    open_loop: OpenLoop
+    whiteness: float
+    lines: tuple[Line, ...]
+    heading: float | None
+    noise: Mapping[str, float]
+    maps: tuple[GapMap, ...]
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A parameter of the base model and where the added effects moved it; `sigmas` by how many of its sigmas."""
+
+    name: str
+    before: float
+    after: float
+    sigma: float
+    unit: str
+
+    @property
+    def sigmas(self) -> float:
+        """(after − before) / sigma."""
+        return (self.after - self.before) / self.sigma if self.sigma > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """One assumption of the user's simulator against the data.
+
+    Attributes:
+        what: e.g. "magnetometer noise", "hard iron x", "timing".
+        simulated, measured, sigma: in `unit`; sigma of the difference.
+        rejected: whether the difference is significant (family-wise 1 %).
+        sentence: in words.
+    """
+
+    what: str
+    simulated: float
+    measured: float
+    sigma: float
+    unit: str
+    rejected: bool
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Manoeuvre:
+    """The motion that would tell rivals apart, or find what this motion could not.
+
+    `separates` are the names it is for, `motion` the words for the helmsman, `sentence` both.
+    """
+
+    separates: tuple[str, ...]
+    motion: str
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """The result of `find_gap`.
+
+    Attributes:
+        verdict: "none" (nothing significant), "closed" (named, added, nothing significant left), "unknown"
+            (something is missing that is not in the catalogue; nothing was changed), "open" (named, but not
+            or not wholly corrected).
+        sentence: the verdict, for a navigator.
+        effects: what was found, in the order of adding.
+        untested: candidates whose channel is missing.
+        hypotheses: every candidate and generic family with its evidence against the base model, strongest
+            first.
+        remaining: the same against the final model.
+        before, after: metrics of the base model and of the final one (the same object where nothing was added).
+        moved: parameters of the base model that the effects moved, most first.
+        calibration: with the effects as `terms`; the base calibration where nothing was added.
+        base: the twelve-parameter calibration the search began with.
+        assumptions: of the user's simulator, where one was given.
+        next_manoeuvre: None where there is nothing to tell apart.
+        diagnostics: numbers about the run: "windows", "draws", "seconds", …
+    """
+
+    verdict: Verdict
+    sentence: str
+    effects: tuple[Effect, ...]
+    untested: tuple[Untested, ...]
+    hypotheses: tuple[Hypothesis, ...]
+    remaining: tuple[Hypothesis, ...]
+    before: Metrics
+    after: Metrics
+    moved: tuple[Moved, ...]
+    calibration: Calibration
+    base: Calibration
+    assumptions: tuple[Assumption, ...] = ()
+    next_manoeuvre: Manoeuvre | None = None
+    diagnostics: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects found."""
+        return tuple(effect.name for effect in self.effects)
+
+
+@dataclass(frozen=True)
+class Isolability:
+    """One row of the isolability table: what a motion could tell about one effect.
+
+    Attributes:
+        name, label: the effect.
+        smallest: the strength that would be found with probability 0.9, in `unit`; infinite if it needs a
+            channel that is absent.
+        unit: of it.
+        matters: the smallest strength that matters, in `unit`.
+        left: share of the effect's signature that the base parameters cannot absorb, 0 to 1.
+        nameable: whether `matters` would be found and told from all rivals.
+        confused_with: rivals that share more than 80 % of the signature, with the shared part.
+        sentence: in words.
+    """
+
+    name: str
+    label: str
+    smallest: float
+    unit: str
+    matters: float
+    left: float
+    nameable: bool
+    confused_with: Mapping[str, float]
+    sentence: str

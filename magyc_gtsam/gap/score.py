@@ -1,0 +1,328 @@
+"""Score tests: what each candidate would gain if it were added, for all candidates at once.
+
+Candidates are eliminated last: their innovations are freed of the base model's columns and made orthonormal, so
+that the statistic of a candidate is ‖d‖², d = Cᵀ v, and its expected value R⁻¹ d; no refit is needed. What must be
+searched over (the time of a step) is a set of variants, of which the best counts.
+
+Thresholds come from the twin: its innovations are drawn (white, or with the colour that the data's have) and go
+through the same projections. Of a candidate's largest −ln p over its variants, the upper tail of the draws is
+exponential and is extrapolated from their upper tenth; χ² tables know neither the search nor the colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import gammaincc, gammainccinv, gammaln
+from scipy.stats import ncx2
+
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.generic import Family, families
+from magyc_gtsam.gap.twin import Twin
+
+DRAWS = 500
+FAMILY_WISE = 0.01
+_DEPENDENT = 1e-6  # share of a column that must be left beside the base model
+_TAIL = 0.9
+_MUCH = 60.0  # statistic from which an effect is taken out before the colour is measured
+_ORDER = 12  # of the autoregression, at most
+_COLOURED = 3.0  # standard deviations from which an autocorrelation counts
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A candidate at one setting.
+
+    Attributes:
+        setting: of what is searched over.
+        columns: (k, 3n) whitened.
+        unit: (r, 3n) orthonormal, freed of the base model; r ≤ k.
+        back: (k, r) from d to the expected value.
+        left: share of the columns that the base model leaves, 0 to 1.
+        pull: (k,) expected score of the columns without any effect.
+    """
+
+    setting: Mapping[str, float]
+    columns: Array
+    unit: Array
+    back: Array
+    left: float
+    pull: Array
+
+    def score(self, innovation: Array) -> Array:
+        """(r,) d, of innovations freed of the base model."""
+        return self.unit @ innovation - self.back.T @ self.pull
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """A candidate's test.
+
+    Attributes:
+        name: of the catalogue or of a generic family; `generic` says which, `place` where it lives.
+        variants: all that were tried, `best` the index of the one that counts.
+        statistic: ‖d‖² there.
+        evidence: −ln of its p-value against the white twin, the search accounted for; ranks candidates.
+        significance: the same against the twin with the data's colour; decides.
+        threshold: the family-wise level in terms of the statistic.
+        limit: the family-wise level in terms of `significance`.
+        expected, covariance: the value to expect (k,) and its covariance (k, k).
+    """
+
+    name: str
+    generic: bool
+    place: str
+    variants: tuple[Variant, ...]
+    best: int
+    statistic: float
+    evidence: float
+    significance: float
+    threshold: float
+    limit: float
+    expected: Array
+    covariance: Array
+
+    @property
+    def variant(self) -> Variant:
+        """The one that counts."""
+        return self.variants[self.best]
+
+    @property
+    def significant(self) -> bool:
+        """Whether it passes the family-wise level."""
+        return self.significance > self.limit
+
+    def power(self, matters: float) -> float:
+        """Probability of passing the threshold for a value of `matters` along its worst parameter."""
+        if not len(self.variant.unit):
+            return 0.0
+        size = matters**2 / max(float(np.diag(self.covariance).max()), 1e-300)
+        return float(ncx2.sf(self.threshold, len(self.variant.unit), size))
+
+
+class Projector:
+    """Frees innovations of the base model's."""
+
+    def __init__(self, base: Array) -> None:
+        scale = np.linalg.norm(base, axis=1)
+        q, r = np.linalg.qr((base / np.where(scale > 0, scale, 1.0)[:, None]).T)
+        self._q = q[:, np.abs(np.diag(r)) > 1e-9]
+
+    def __call__(self, rows: Array) -> Array:
+        result: Array = rows - (rows @ self._q) @ self._q.T
+        return result
+
+
+def variant(
+    setting: Mapping[str, float], columns: Array, project: Projector, pull: Array | None = None
+) -> Variant:
+    """A candidate's columns made ready."""
+    size = np.sqrt(np.einsum("pn,pn->p", columns, columns))
+    kept = size > 0
+    scaled = columns / np.where(kept, size, 1.0)[:, None]
+    free = project(scaled)
+    value, vector = np.linalg.eigh(free @ free.T)
+    good = value > _DEPENDENT
+    root = np.sqrt(value[good])
+    unit = (vector[:, good] / root).T @ free
+    back = (vector[:, good] / root) / np.where(kept, size, 1.0)[:, None]
+    left = float(np.sqrt(np.einsum("pn,pn->", free, free) / max(kept.sum(), 1)))
+    return Variant(setting, columns, unit, back, left, np.zeros(len(columns)) if pull is None else pull)
+
+
+def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[str, tuple[str, list[Variant]]]:
+    """{name: (place, variants)} of the named effects that can be tested, then of the generic families."""
+    result: dict[str, tuple[str, list[Variant]]] = {}
+    for name in names:
+        term = TERMS[name]
+        if term.missing(twin):
+            continue
+        settings = term.settings(twin)
+        if any(active.name == "timing" for active in twin.model.terms):
+            settings = [s for s in settings if not s.get("full")]  # which would hold the delay once more
+        if settings:
+            result[name] = ("", variants(twin, project, name, settings))
+    for family in families(twin):
+        result[family.name] = (family.place, _parts(family, twin, project))
+    return result
+
+
+def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
+    """A generic family as a whole and, where no named effect lies in it, each of its profiles and columns."""
+    columns = family.columns(twin)
+    rows = twin.whiten(columns)
+    pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
+    result = [variant({}, rows, project, pull)]
+    for width in family.parts:
+        for first in range(0, len(rows), width):
+            part = slice(first, first + width)
+            result.append(variant({"first": float(first), "width": float(width)}, rows[part], project, pull[part]))
+    return result
+
+
+def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str, float]]) -> list[Variant]:
+    """A named effect at several settings, whitened together."""
+    parts = [TERMS[name].regressors(twin, setting) for setting in settings]
+    ends = np.cumsum([len(part.window) for part in parts])
+    whole = type(parts[0])(
+        np.concatenate([part.window for part in parts]),
+        None if parts[0].link is None else np.concatenate([part.link for part in parts]),
+    )
+    rows = np.split(twin.whiten(whole), ends[:-1])
+    return [
+        variant(setting, columns, project, part.pull)
+        for setting, columns, part in zip(settings, rows, parts, strict=True)
+    ]
+
+
+def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tuple[list[Score], Array, Projector]:
+    """Score every candidate against the twin's model, strongest first; the innovations freed of the base model."""
+    project = Projector(twin.base_columns())
+    innovation = project(twin.residual().reshape(1, -1))[0]
+    found = candidates(twin, project, names)
+    flat = [(name, index) for name, (_, many) in found.items() for index in range(len(many))]
+    units = np.concatenate([found[name][1][index].unit for name, index in flat]).astype(np.float32)
+    ranks = np.array([len(found[name][1][index].unit) for name, index in flat])
+    starts = np.concatenate([[0], np.cumsum(ranks)])[:-1]
+    white = random.standard_normal((innovation.size, DRAWS), dtype=np.float32)
+    coloured = colour(_without_best(innovation, found).reshape(3, -1), white)
+    null_white = surprises(_statistics(units @ white, starts, ranks), ranks)
+    null_coloured = (
+        null_white if coloured is white else surprises(_statistics(units @ coloured, starts, ranks), ranks)
+    )
+    limit = float(np.log(len(found) / FAMILY_WISE))
+    scores = []
+    first = 0
+    for name, (place, many) in found.items():
+        rows = slice(first, first + len(many))
+        first += len(many)
+        pulls = [v.score(innovation) for v in many]
+        statistics = np.array([d @ d for d in pulls])
+        surprise = surprises(statistics[:, None], ranks[rows])[:, 0]
+        best = int(np.argmax(surprise))
+        chosen = many[best]
+        level_white, _ = _tail(null_white[rows].max(axis=0))
+        level, slope = _tail(null_coloured[rows].max(axis=0))
+        rank = max(int(ranks[rows][best]), 1)
+        needed = level + slope * (limit + np.log(1 - _TAIL))
+        scores.append(
+            Score(
+                name=name,
+                generic=name not in TERMS,
+                place=place,
+                variants=tuple(many),
+                best=best,
+                statistic=float(statistics[best]),
+                evidence=float(surprise[best] - level_white - np.log(1 - _TAIL)),  # white: its slope is 1
+                significance=float((surprise[best] - level) / slope - np.log(1 - _TAIL)),
+                threshold=float(_quantile(needed, rank)),
+                limit=limit,
+                expected=-chosen.back @ pulls[best],
+                covariance=chosen.back @ chosen.back.T,
+            )
+        )
+    scores.sort(key=lambda s: -s.evidence)
+    return scores, innovation, project
+
+
+def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant]]]) -> Array:
+    """The innovations less what the best named effect explains, if much: else it would pass for its own colour."""
+    named = [v for name, (_, many) in found.items() if name in TERMS for v in many if len(v.unit)]
+    pulls = [v.score(innovation) for v in named]
+    if not named:
+        return innovation
+    best = int(np.argmax([d @ d - 2 * len(d) for d in pulls]))
+    if pulls[best] @ pulls[best] < _MUCH:
+        return innovation
+    return innovation - named[best].unit.T @ pulls[best]
+
+
+def colour(innovation: Array, white: Array) -> Array:
+    """White draws (3n, draws) given the autocorrelation of the innovations (3, n), where it is significant."""
+    coefficients = autoregression(innovation)
+    if not len(coefficients):
+        return white
+    n = innovation.shape[1]
+    shaped = lfilter([1.0], np.concatenate([[1.0], -coefficients]), white.reshape(3, n, -1), axis=1)
+    shaped = shaped.reshape(white.shape)
+    return (shaped / shaped.std()).astype(np.float32)
+
+
+def autoregression(innovation: Array) -> Array:
+    """(order,) coefficients by Yule–Walker, the three axes pooled; empty where the innovations are white."""
+    n = innovation.shape[1]
+    total = float(np.vdot(innovation, innovation))
+    rho = [1.0]
+    for lag in range(1, min(_ORDER, n // 4) + 1):
+        value = float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total
+        rho.append(value)
+    significant = np.flatnonzero(np.abs(rho[1:]) > _COLOURED / np.sqrt(innovation.size))
+    if not len(significant):
+        return np.zeros(0)
+    order = int(significant[-1]) + 1
+    r = np.array(rho[: order + 1])
+    toeplitz = r[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
+    return np.linalg.solve(toeplitz, r[1:])
+
+
+def _statistics(d: Array, starts: Array, ranks: Array) -> Array:
+    """(variants, draws) squared lengths of stacked d."""
+    padded = np.concatenate([d * d, np.zeros((1, d.shape[1]), d.dtype)])
+    result = np.add.reduceat(padded, starts, axis=0).astype(float)
+    result[ranks == 0] = 0.0
+    return result
+
+
+def surprises(statistic: Array, ranks: Array) -> Array:
+    """−ln P(χ² > statistic), beyond where the tables end by the asymptotic series."""
+    half_k = 0.5 * np.maximum(ranks, 1)[:, None].astype(float)
+    half = 0.5 * np.maximum(statistic, 1e-9)
+    table = gammaincc(half_k, half)
+    far = half - (half_k - 1) * np.log(half) + gammaln(half_k) - np.log1p(np.maximum(half_k - 1, 0) / half)
+    return np.where(table > 1e-280, -np.log(np.maximum(table, 1e-280)), far)
+
+
+def _quantile(surprise: float, rank: int) -> float:
+    """The statistic whose −ln p is `surprise`."""
+    if surprise < 600:
+        return 2 * float(gammainccinv(0.5 * rank, np.exp(-surprise)))
+    return 2 * (surprise + (0.5 * rank - 1) * np.log(surprise) - float(gammaln(0.5 * rank)))
+
+
+def _tail(largest: Array) -> tuple[float, float]:
+    """The 90 % point of the draws' maxima and the slope of the exponential beyond it."""
+    level = float(np.quantile(largest, _TAIL))
+    beyond = largest[largest > level] - level
+    return level, max(float(beyond.mean()) if len(beyond) else 1.0, 1.0)
+
+
+def held_out_gain(base: Array, columns: Array, residual: Array, block: Array) -> float:
+    """Gain in log-likelihood (nats) of adding columns, on blocks of rows that they were not fitted to.
+
+    Args:
+        base: (q, rows), columns: (k, rows), residual: (rows,), all whitened; block: (rows,) 0 or 1.
+    """
+    gain = 0.0
+    design = np.concatenate([base, columns])
+    size = np.maximum(np.sqrt(np.einsum("pn,pn->p", design, design)), 1e-300)[:, None]
+    design = design / size
+    for fold in (0, 1):
+        train, test = block != fold, block == fold
+        seen = design[:, train]
+        normal, pull = seen @ seen.T, seen @ residual[train]
+        normal[np.diag_indices_from(normal)] += 1e-9
+        errors = []
+        for count in (len(base), len(design)):
+            solution = np.linalg.solve(normal[:count, :count], pull[:count])
+            errors.append(residual[test] - solution @ design[:count, test])
+        gain += 0.5 * float(errors[0] @ errors[0] - errors[1] @ errors[1])
+    return gain
+
+
+def interleaved(time: Array, length: float) -> Array:
+    """(3n,) 0 or 1 in turn, in blocks of `length` s, for innovations stacked axis by axis."""
+    return np.tile(np.floor((time - time[0]) / length).astype(int) % 2, 3)

@@ -1,0 +1,236 @@
+"""Naming: which effect is added next, what it cannot be told from, and when the search ends.
+
+Forward by the penalised score (evidence: −ln p against the white twin), decided by the twin with the data's own
+colour, vetoed where held-out blocks gain nothing; everything is refitted jointly after each addition, and what has
+become superfluous is taken out again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
+from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, Look, choose, leftover, rivals_of, stands
+from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.problem import Active, Problem
+from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
+from magyc_gtsam.gap.score import (
+    Projector,
+    Score,
+    Variant,
+    held_out_gain,
+    interleaved,
+    scan,
+    surprises,
+    variants,
+)
+from magyc_gtsam.recording import Recording
+
+MOST_TERMS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The state of a search.
+
+    Attributes:
+        recording, problem: the data, without what was found to be wrong samples.
+        first, last: looks at the base model and at the final one.
+        found: effects in the order of adding; those of kind term stand in the same order in the model.
+        leftover: names of what is significant in the last look and was neither added nor vetoed.
+    """
+
+    recording: Recording
+    problem: Problem
+    first: Look
+    last: Look
+    found: tuple[Found, ...]
+    leftover: tuple[str, ...] = ()
+    vetoed: frozenset[str] = field(default_factory=frozenset)
+
+
+def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: np.random.Generator) -> Look:
+    """Score everything against a model."""
+    scores, innovation, projector = scan(refitted.twin, names, random)
+    scores = [
+        _sharpened(s, refitted, innovation, projector) if s.significant and "until" in s.variant.setting else s
+        for s in scores
+    ]
+    scores.sort(key=lambda s: -s.evidence)
+    fine = fine_innovations(recording, refitted.model)
+    noise = noise_scores(recording, fine, NOISE_LIMIT)
+    gains = {s.name: _gain(refitted, s, innovation) for s in scores if s.evidence > 3.0}
+    return Look(refitted, scores, noise, fine, innovation, projector, gains)
+
+
+def _gain(refitted: Refit, score: Score, innovation: Array) -> float:
+    twin = refitted.twin
+    length = 10.0 if score.generic else TERMS[score.name].block(score.variant.setting)
+    return held_out_gain(twin.base_columns(), score.variant.columns, innovation, interleaved(twin.time, length))
+
+
+def search(
+    recording: Recording,
+    problem: Problem,
+    base: Refit,
+    short_term: Noise,
+    names: tuple[str, ...],
+    prepare: Callable[[Recording], Problem],
+    progress: Callable[[float], None],
+    seed: int = 0,
+) -> Search:
+    """Add effects until nothing is significant."""
+    random = np.random.default_rng(seed)
+    allowed = tuple(n for n in names if n in TERMS)
+    current = base
+    first = now = look(recording, current, allowed, random)
+    found: list[Found] = []
+    noted: set[str] = set()
+    failed: set[str] = set()
+    for turn in range(MOST_TERMS + 3):
+        progress(0.2 + 0.1 * turn)
+        choice = choose(now, names, noted, found, failed)
+        if choice is None:
+            break
+        if isinstance(choice, NoiseScore):
+            noted.add(choice.name)
+            if choice.name == "tone":
+                current = _with_tone(problem, current, choice, short_term)
+            elif choice.name == "spikes":
+                recording = _without(recording, now.fine, choice)
+                problem = prepare(recording)
+                current = refit(problem, current.model, short_term)
+            found.append(Found(choice.name, choice.statistic, choice.threshold, choice.evidence, noise=choice))
+        else:
+            if len(current.model.terms) >= MOST_TERMS:
+                break
+            rivals = rivals_of(choice, now)
+            setting = _refined(choice, now)
+            added = _terms(choice.name, current, setting)
+            model = current.model
+            for term in added:
+                model = with_term(model, term)
+            ahead = refit(problem, model, short_term)
+            if not ahead.converged:  # the data do not determine it beside the rest
+                failed.add(choice.name)
+                continue
+            current = ahead
+            share = 1 / len(added)
+            found += [
+                Found(
+                    choice.name,
+                    choice.statistic * share,
+                    choice.threshold * share,
+                    choice.evidence * share,
+                    rivals,
+                )
+                for _ in added
+            ]
+            current, found = _backwards(problem, current, found, short_term)
+        now = look(recording, current, allowed, random)
+    left = leftover(now, first, found, noted)
+    if left:
+        kept, found = _firm(problem, current, found, now, left, short_term)
+        if kept is not current:
+            current = kept
+            now = look(recording, current, allowed, random)
+    return Search(recording, problem, first, now, tuple(found), left)
+
+
+def _firm(
+    problem: Problem, current: Refit, found: list[Found], now: Look, left: tuple[str, ...], short_term: Noise
+) -> tuple[Refit, list[Found]]:
+    """Without the terms that lean on what is missing: those that a generic family would absorb."""
+    places = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "tone"]
+    loose = [
+        index
+        for index, place in enumerate(places)
+        if found[place].name == "tone" or not stands(current, index, found[place], now, left)
+    ]
+    model = current.model
+    for index in reversed(loose):
+        model = without_term(model, index)
+    kept = [f for i, f in enumerate(found) if i not in {places[index] for index in loose}]
+    kept = [f for f in kept if f.name != "coloured-noise"]  # what is missing would pass for colour
+    return (refit(problem, model, short_term) if loose else current), kept
+
+
+def _terms(name: str, current: Refit, setting: dict[str, float]) -> list[Active]:
+    """The term of a setting; of a thing attached and taken off, the two steps."""
+    settings = [setting]
+    if "until" in setting:
+        settings = [{"time": setting["time"]}, {"time": setting["until"]}]
+    return [Active(name, each, np.zeros(len(current.twin.columns(name, each).window))) for each in settings]
+
+
+def _refined(choice: Score, now: Look) -> dict[str, float]:
+    """The setting beside the grid's best that explains most."""
+    best = _sharpest(choice, now.refit, now.innovation, now.projector)
+    return dict(best.setting)
+
+
+def _sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Projector) -> Variant:
+    best = choice.variant
+    for _ in range(2):
+        near = TERMS[choice.name].refined(refitted.twin, best.setting)
+        if not near:
+            break
+        many = variants(refitted.twin, projector, choice.name, near)
+        pulls = [v.score(innovation) for v in many]
+        surprise = [float(surprises(np.array([[d @ d]]), np.array([len(d)]))[0, 0]) for d in pulls]
+        best = many[int(np.argmax(surprise))]
+    return best
+
+
+def _sharpened(score: Score, refitted: Refit, innovation: Array, projector: Projector) -> Score:
+    """A score whose grid is coarse, at the best setting beside it."""
+    best = _sharpest(score, refitted, innovation, projector)
+    pull = best.score(innovation)
+    gain = float(pull @ pull) / score.statistic
+    return replace(
+        score,
+        variants=(*score.variants, best),
+        best=len(score.variants),
+        statistic=float(pull @ pull),
+        evidence=score.evidence + 0.5 * (gain - 1) * score.statistic,
+        significance=score.significance * gain,
+        expected=-best.back @ pull,
+        covariance=best.back @ best.back.T,
+    )
+
+
+def _backwards(
+    problem: Problem, current: Refit, found: list[Found], short_term: Noise
+) -> tuple[Refit, list[Found]]:
+    """Take out terms whose value has become insignificant beside the others."""
+    while len(current.model.terms) > 1:
+        weakest, least = -1, 1.0
+        places = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "tone"]
+        for index, place in enumerate(places):
+            value, covariance = current.value_of(index)
+            strength = float(value @ np.linalg.pinv(covariance) @ value) / found[place].threshold
+            if strength < least:
+                weakest, least = index, strength
+        if weakest < 0:
+            break
+        current = refit(problem, without_term(current.model, weakest), short_term)
+        found = [f for i, f in enumerate(found) if i != places[weakest]]
+    return current, found
+
+
+def _with_tone(problem: Problem, current: Refit, tone: NoiseScore, short_term: Noise) -> Refit:
+    term = Active("tone", {"frequency": tone.setting["frequency"]}, np.zeros(6))
+    return refit(problem, with_term(current.model, term), short_term)
+
+
+def _without(recording: Recording, fine: Fine, spikes: NoiseScore) -> Recording:
+    """The recording without its wrong samples."""
+    assert spikes.rows is not None
+    wrong = np.isin(recording.time, fine.time[spikes.rows])
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong)

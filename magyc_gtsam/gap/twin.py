@@ -1,0 +1,330 @@
+"""The twin: the model as a state space, whose innovations are white where the model is right.
+
+The state is the field's direction in the integrated world; it stands still but for the gyroscope's noise, and the
+magnetometer reads it linearly. One banded factorisation of the field chain holds the whole forward filter: with L
+its Cholesky factor, the prediction for window n has the information Π = s² I − L_{n,n−1} L_{n,n−1}ᵀ and the
+information vector afterᵀ e − L_{n,n−1} z_{n−1}, z = L⁻¹ c. So residuals and any number of regressors are filtered
+at once, without a loop over windows; their sum of squares is the field chain's cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dtbtrs
+
+from magyc_gtsam.factors.effects import FORMS, Setting, Signals
+from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State, _inner_covariance
+from magyc_gtsam.factors.rotations import Array, cross, skew
+from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.gap.problem import Active, Model, Problem, attitude, build, window_signals
+
+_DIFFERENCE = 1e-3  # rad/s
+_VAGUE = 1e-4  # rad⁻², information of a direction before anything was seen of it
+
+
+class Columns(NamedTuple):
+    """Unwhitened regressors: of the windows (p, 3, n) T per unit, of the links (p, 3, n − 1) rad per unit or None.
+
+    pull: (p,) their expected score without any effect (`Twin.rate_pull`); None is zero.
+    """
+
+    window: Array
+    link: Array | None
+    pull: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """A model linearised on a recording.
+
+    Attributes:
+        problem, model: what it is of.
+        chain, state, reduced: the field chain, settled.
+        windows, gyroscope: the signals of windows and of the gyroscope's samples.
+        turn: (3, 3, G) attitude at the gyroscope's samples.
+    """
+
+    problem: Problem
+    model: Model
+    chain: FieldChain
+    state: State
+    reduced: Reduced
+    windows: Signals
+    gyroscope: Signals
+    turn: Array
+    _filter: _Filter
+
+    @classmethod
+    def of(cls, problem: Problem, model: Model) -> Twin:
+        """Linearise a model."""
+        chain, state, reduced, rate = build(problem, model)
+        gyroscope = Signals(
+            problem.gyroscope.time,
+            rate=rate,
+            acceleration=problem.gyroscope.acceleration,
+            channels=problem.gyroscope.channels,
+        )
+        return cls(
+            problem,
+            model,
+            chain,
+            state,
+            reduced,
+            window_signals(problem, chain.windows, state, rate),
+            gyroscope,
+            attitude(problem.samples, rate),
+            _Filter.of(chain, reduced),
+        )
+
+    @property
+    def n(self) -> int:
+        """Windows."""
+        return len(self.chain.windows)
+
+    @property
+    def time(self) -> Array:
+        """(n,) s."""
+        return self.chain.windows.time
+
+    def residual(self) -> Array:
+        """(3, n) the whitened innovations of the data."""
+        residuals = self.chain.residuals(self.state)
+        window = residuals.window[None] * self.chain.window_scale
+        link = residuals.link[None] * self.chain.link_scale
+        return self._filter(window, link)[0]
+
+    def whiten(self, columns: Columns) -> Array:
+        """(p, 3n) innovations of regressors."""
+        window = columns.window * self.chain.window_scale
+        link = None if columns.link is None else columns.link * self.chain.link_scale
+        return self._filter(window, link).reshape(len(window), -1)
+
+    def base_columns(self) -> Array:
+        """(q, 3n) whitened regressors of the free parameters, then of the model's terms."""
+        free = np.flatnonzero(self.model.free)
+        window = self.reduced.on_parameters / self.chain.window_scale
+        link = np.zeros((PARAMETERS, 3, self.n - 1))
+        link[9:12] = -cross(self.state.direction[:, None, :-1], self.chain.windows.lever).swapaxes(0, 1)
+        parts = [self.whiten(Columns(window[free], link[free]))]
+        parts += [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
+        return np.concatenate(parts)
+
+    def base_pull(self) -> Array:
+        """(q,) expected score of `base_columns` without any effect."""
+        parts = [np.zeros(int(self.model.free.sum()))]
+        parts += [
+            np.zeros(len(t.value)) if FORMS[t.name].side == "magnetometer" else self._pull(t)
+            for t in self.model.estimated
+        ]
+        return np.concatenate(parts)
+
+    def _pull(self, term: Active) -> Array:
+        return self.rate_pull(lambda signals: FORMS[term.name].columns(signals, term.setting))
+
+    def columns(self, name: str, setting: Setting) -> Columns:
+        """Regressors of a form."""
+        form = FORMS[name]
+        if form.fast:
+            return Columns(self.problem.mean(form.columns(self.problem.magnetometer, setting)), None)
+        if form.side == "magnetometer":
+            return Columns(form.columns(self.windows, setting), None)
+        return self.of_profile(lambda signals: form.columns(signals, setting))
+
+    def of_profile(self, profile: Callable[[Signals], Array]) -> Columns:
+        """Regressors of errors of the rate given as a function of the gyroscope's signals (p, 3, ·) rad/s."""
+        return self.on_gyroscope(profile(self.gyroscope))._replace(pull=self.rate_pull(profile))
+
+    def of_slow_profile(self, profile: Callable[[Signals], Array]) -> Columns:
+        """As `of_profile`, from the windows' mean signals: to second order in the rotation inside a window."""
+        at = self._rates_at_windows
+        turned = _turned(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
+        angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
+        link = -cross(self.state.direction[:, None, :-1], angle.swapaxes(0, 1)).swapaxes(0, 1)
+        return Columns(np.zeros_like(turned), link, self.rate_pull(profile))
+
+    @cached_property
+    def _rates_at_windows(self) -> Signals:
+        """The gyroscope's signals, averaged over the windows."""
+        return Signals(
+            self.time,
+            rate=self.windows.rate,
+            acceleration=self.windows.acceleration,
+            channels=self.windows.channels,
+        )
+
+    def on_gyroscope(self, rate: Array) -> Columns:
+        """Regressors of errors of the rate (p, 3, G) rad/s: they turn the integrated world, φ = −∫ R ω dt."""
+        samples, windows = self.problem.samples, self.chain.windows
+        turned = _turned(self.turn, rate)
+        angle = np.zeros_like(turned)
+        if samples.interval_mean:
+            steps = turned[..., 1:] * samples.step
+        else:
+            steps = 0.5 * (turned[..., 1:] + turned[..., :-1]) * samples.step
+        np.cumsum(-steps, axis=-1, out=angle[..., 1:])
+        when = samples.magnetometer_time - windows.delay
+        nearest = np.clip(np.searchsorted(samples.gyroscope_time, when), 0, len(samples.gyroscope_time) - 1)
+        if len(when) == len(samples.gyroscope_time) and np.array_equal(when, samples.gyroscope_time):
+            at = angle
+        else:
+            at = np.stack([[np.interp(when, samples.gyroscope_time, a) for a in column] for column in angle])
+        mean = self.problem.mean(at)
+        g = self.state.direction
+        link = -cross(g[:, None, :-1], np.diff(mean).swapaxes(0, 1)).swapaxes(0, 1)
+        # Inside a window the sensor turns, so that the error does not average out.
+        window_of = self.problem.window_of
+        inside = at - mean[..., window_of]
+        swung = cross(g[:, None, window_of], inside.swapaxes(0, 1))
+        body = _turned(np.swapaxes(self.turn[..., nearest], 0, 1), swung.swapaxes(0, 1))
+        window = np.einsum("ij,pjn->pin", unvech(self.state.parameters[:6]), self.problem.mean(body))
+        return Columns(window, link)
+
+    def rate_pull(self, profile: Callable[[Signals], Array]) -> Array:
+        """(p,) expected score, without any effect, of regressors `profile` (p, 3, ·) that read the measured rate.
+
+        The gyroscope's noise η is in the regressor and in the link's residual alike. With J = ∂profile/∂ω, the
+        link's residual −[g]× R η and its share 1 − h that the smoother leaves, the score is pulled by
+        −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would shrink the noise and so seem to fit better.
+        """
+        at = self._rates_at_windows
+        pull = np.zeros(len(profile(at)))
+        to_world = np.swapaxes(self.chain.windows.rotation, 0, 1)
+        rate = at.need("rate")
+        across = np.einsum("ijn,jkn->ikn", skew(self.state.direction.T).transpose(1, 2, 0), to_world)[..., :-1]
+        weight = np.einsum("ian,ijn,jbn->abn", across, self._link_redundancy, across)
+        for axis in range(3):
+            step = np.zeros((3, 1))
+            step[axis] = _DIFFERENCE
+            slope = profile(replace(at, rate=rate + step)) - profile(replace(at, rate=rate - step))
+            middle = 0.5 * (slope[..., 1:] + slope[..., :-1]) / (2 * _DIFFERENCE)
+            pull -= np.einsum("bn,pbn->p", weight[:, axis], middle)
+        return pull
+
+    @cached_property
+    def _link_redundancy(self) -> Array:
+        """(3, 3, n − 1) share of each link's noise that the smoother leaves in its residual, 0 across a hole."""
+        filter_ = self._filter
+        s00, s01, s11 = _inner_covariance(self.reduced)
+        covariance = np.array([[s00, s01], [s01, s11]])
+        own = np.zeros((2, 2, self.n))
+        own[0, 0], own[1, 0], own[1, 1] = filter_.factor[0, ::2], filter_.factor[1, ::2], filter_.factor[0, 1::2]
+        # Neighbours: Cov_{n,n+1} = −(L_nn L_nnᵀ)⁻¹ H_{n,n+1} Cov_{n+1} and H_{n+1,n} = L_{n+1,n} L_nnᵀ.
+        gain = np.linalg.solve(own[..., :-1].transpose(2, 1, 0), filter_.below.transpose(2, 1, 0))
+        neighbour = -np.einsum("nab,bcn->acn", gain, covariance[..., 1:])
+        before, after = filter_.before, filter_.after
+        hat = np.einsum("ian,abn,jbn->ijn", before, covariance[..., :-1], before)
+        hat += np.einsum("ian,abn,jbn->ijn", after, covariance[..., 1:], after)
+        mixed = np.einsum("ian,abn,jbn->ijn", before, neighbour, after)
+        hat += mixed + np.swapaxes(mixed, 0, 1)
+        linked = (self.chain.link_scale > 0).astype(float)
+        return (np.eye(3)[:, :, None] - hat) * linked
+
+    def predictions(self) -> tuple[Array, Array]:
+        """(3, n) the direction filtered up to each window, and (3, 3, n) its covariance in rad²."""
+        residuals = self.chain.residuals(self.state)
+        tangent, covariance = self._filter.filtered(
+            residuals.window * self.chain.window_scale, residuals.link * self.chain.link_scale
+        )
+        basis = self.reduced.basis
+        g = self.state.direction + np.einsum("ian,an->in", basis, tangent)
+        return g, np.einsum("ian,abn,jbn->ijn", basis, covariance, basis)
+
+    def log_determinant(self) -> Array:
+        """(n,) of the innovations' covariance before whitening, in window sigmas."""
+        return np.log(np.linalg.det(np.moveaxis(self._filter.scatter, 2, 0)))
+
+
+def _turned(rotation: Array, columns: Array) -> Array:
+    """(p, 3, n) columns turned by (3, 3, n)."""
+    result = np.zeros_like(columns)
+    for j in range(3):
+        if columns[:, j].any():
+            for i in range(3):
+                result[:, i] += rotation[i, j] * columns[:, j]
+    return result
+
+
+class _Filter(NamedTuple):
+    """The forward filter of a factorised chain.
+
+    before, after (3, 2, n − 1): whitened link Jacobians on its two directions; factor: banded Cholesky factor;
+    below (2, 2, n − 1): its off-diagonal blocks L_{n,n−1}; ahead (2, 2, n): covariance of the predictions;
+    seen (3, 2, n): window Jacobians; scatter, whitener (3, 3, n): innovation covariance and its inverse root.
+    """
+
+    before: Array
+    after: Array
+    factor: Array
+    below: Array
+    ahead: Array
+    seen: Array
+    scatter: Array
+    whitener: Array
+
+    @classmethod
+    def of(cls, chain: FieldChain, reduced: Reduced) -> _Filter:
+        n = len(chain.windows)
+        scale = chain.link_scale
+        factor = reduced.factor
+        below = np.empty((2, 2, n - 1))
+        below[0, 0], below[0, 1] = factor[2, :-2:2], factor[1, 1:-2:2]
+        below[1, 0], below[1, 1] = factor[3, :-2:2], factor[2, 1:-2:2]
+        information = np.zeros((n, 2, 2))
+        information[1:] = np.moveaxis(-np.einsum("acn,bcn->abn", below, below), 2, 0)
+        information[1:, [0, 1], [0, 1]] += scale[:, None] ** 2
+        information[:, [0, 1], [0, 1]] += _VAGUE
+        ahead = np.moveaxis(np.linalg.inv(information), 0, 2)
+        seen = reduced.on_direction
+        scatter = np.eye(3)[:, :, None] + np.einsum("ian,abn,jbn->ijn", seen, ahead, seen)
+        value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
+        whitener = np.moveaxis((vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2), 0, 2)
+        return cls(
+            -reduced.basis[:, :, :-1] * scale,
+            reduced.basis[:, :, 1:] * scale,
+            factor,
+            below,
+            ahead,
+            seen,
+            scatter,
+            whitener,
+        )
+
+    def __call__(self, window: Array, link: Array | None) -> Array:
+        """Whitened innovations (p, 3, n) of windows (p, 3, n) and links (p, 3, n − 1), whitened by their sigmas."""
+        predicted, _ = self._passed(window, link)
+        ahead = np.einsum("abn,pbn->pan", self.ahead, predicted)
+        for i in range(3):
+            window[:, i] -= self.seen[i, 0] * ahead[:, 0] + self.seen[i, 1] * ahead[:, 1]
+        return _turned(self.whitener, window)
+
+    def filtered(self, window: Array, link: Array) -> tuple[Array, Array]:
+        """Tangent steps (2, n) to the filtered directions, and their covariance (2, 2, n)."""
+        predicted, _ = self._passed(window[None], link[None])
+        vector = predicted[0] + np.einsum("ian,in->an", self.seen, window)
+        information = np.linalg.inv(np.moveaxis(self.ahead, 2, 0))
+        information += np.moveaxis(np.einsum("ian,ibn->abn", self.seen, self.seen), 2, 0)
+        covariance = np.moveaxis(np.linalg.inv(information), 0, 2)
+        return -np.einsum("abn,bn->an", covariance, vector), covariance
+
+    def _passed(self, window: Array, link: Array | None) -> tuple[Array, Array]:
+        """The predictions' information vectors (p, 2, n), and z = L⁻¹ c."""
+        p, _, n = window.shape
+        right = np.zeros((p, n, 2))
+        for a in (0, 1):
+            np.einsum("in,pin->pn", self.seen[:, a], window, out=right[:, :, a])
+            if link is not None:
+                right[:, 1:, a] += np.einsum("in,pin->pn", self.after[:, a], link)
+                right[:, :-1, a] += np.einsum("in,pin->pn", self.before[:, a], link)
+        half, _ = dtbtrs(self.factor, right.reshape(p, 2 * n).T, uplo="L")
+        half = half.T.reshape(p, n, 2)
+        predicted = np.zeros((p, 2, n))
+        for a in (0, 1):
+            predicted[:, a, 1:] = -(self.below[a, 0] * half[:, :-1, 0] + self.below[a, 1] * half[:, :-1, 1])
+            if link is not None:
+                predicted[:, a, 1:] += np.einsum("in,pin->pn", self.after[:, a], link)
+        return predicted, half

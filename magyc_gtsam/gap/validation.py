@@ -1,0 +1,102 @@
+"""A calibration on a recording that it was not made from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.chain_search import preintegrate, short_term_noise
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import PARAMETERS, Noise
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.soft_iron import vech
+from magyc_gtsam.gap.discrete import unheld
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.metrics import measure
+from magyc_gtsam.gap.problem import Active, Model, Problem
+from magyc_gtsam.gap.result import Metrics
+from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.recording import Recording
+
+_WINDOW = 1.0  # s
+_BIAS = slice(9, 12)
+_STEPS = 6
+_SETTLED = 1e-3  # squared length of a step, in sigmas
+# What belongs to the time or place of one recording says nothing about another.
+_OF_ONE_RECORDING = ("hard-iron-step", "hard-iron-drift", "local-anomaly", "tone")
+
+
+def agreement(recording: Recording, calibration: Calibration) -> Metrics:
+    """How well a calibration with its terms agrees with another recording of the same instrument.
+
+    All is held as it is but the gyroscope's bias, which differs from one switch-on to the next, and but terms that
+    belong to a time or place of the recording they were found in (a step, a passing object), which are left out.
+
+    Raises:
+        MagycError: no gyroscope, no bias, noise or field strength in the calibration, or a term needs a channel
+            that the recording lacks.
+    """
+    needed = {"magnetic_field", "angular_rate"} - calibration.noise.keys()
+    if calibration.gyro_bias is None or calibration.field_strength is None or needed:
+        raise MagycError(
+            f"the calibration of method {calibration.method!r} lacks gyroscope bias, field strength or noise, "
+            "without which it predicts nothing; calibrate with smoother"
+        )
+    for term in calibration.terms:
+        if term.name == "axis-order" and recording.angular_rate is not None:
+            turned = recording.angular_rate @ np.reshape(term.value, (3, 3)).T
+            recording = replace(recording, angular_rate=turned)
+    recording.gyroscope  # noqa: B018 - raises where there is none
+    recording = unheld(recording, short_term_noise(recording).magnetometer)
+    problem = Problem.of(recording, preintegrate(recording, _WINDOW))
+    twin = _own_bias(problem, _model(problem, calibration))
+    return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
+
+
+def _model(problem: Problem, calibration: Calibration) -> Model:
+    assert calibration.field_strength is not None
+    free = np.zeros(PARAMETERS, dtype=bool)
+    free[_BIAS] = True
+    terms = tuple(
+        Active(t.name, t.setting, t.value)
+        for t in calibration.terms
+        if t.side is not None and t.name not in _OF_ONE_RECORDING
+    )
+    for term in terms:
+        known = {
+            *problem.magnetometer.channels,
+            *(["acceleration"] * (problem.recording.acceleration is not None)),
+        }
+        lacking = [channel for channel in TERMS[term.name].channels if channel not in known]
+        if lacking:
+            raise MagycError(
+                f"recording {problem.recording.name!r}: no {lacking[0]} channel, which the term {term.name!r} of the "
+                "calibration needs"
+            )
+    parameters: Array = np.concatenate(
+        [
+            vech(calibration.soft_iron * calibration.field_strength),
+            calibration.hard_iron,
+            np.zeros(3) if calibration.gyro_bias is None else calibration.gyro_bias,
+            [calibration.delay],
+        ]
+    )
+    noise = Noise(calibration.noise["magnetic_field"], calibration.noise["angular_rate"])
+    return Model(parameters, free, noise, terms)
+
+
+def _own_bias(problem: Problem, model: Model) -> Twin:
+    """The twin with the bias at its minimum."""
+    twin = Twin.of(problem, model)
+    for _ in range(_STEPS):
+        columns = twin.base_columns()[:3]
+        step = -np.linalg.solve(columns @ columns.T, columns @ twin.residual().ravel())
+        if float(step @ (columns @ columns.T) @ step) < _SETTLED:
+            break
+        parameters = model.parameters.copy()
+        parameters[_BIAS] += step
+        model = replace(model, parameters=parameters)
+        twin = Twin.of(problem, model)
+    return twin

@@ -1,0 +1,195 @@
+"""The gap in words and rows, for page and terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Isolability, Metrics
+from magyc_gtsam.report.words import Number, uncertain
+
+_MICRO = 1e6
+_TITLES = {
+    "none": "Nothing is missing",
+    "closed": "Gap found and closed",
+    "unknown": "Something is missing, and it has no name",
+    "open": "Gap found, not closed",
+}
+HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
+METRICS = ("", "before", "after")
+MOVED = ("parameter", "before", "after", "by sigmas")
+ASSUMPTIONS = ("assumption", "simulated", "measured", "")
+PLAN = ("effect", "found from", "matters from", "could be named there", "left", "confused with")
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Both models on another recording: its name, and how well each agrees with it."""
+
+    name: str
+    before: Metrics
+    after: Metrics
+
+
+def closed(gap: Gap) -> bool:
+    """Whether nothing was missing, or what was missing is in the model now."""
+    return gap.verdict in ("none", "closed")
+
+
+def title(gap: Gap) -> str:
+    """The verdict as a heading."""
+    return _TITLES[gap.verdict]
+
+
+def said(sentence: str) -> str:
+    """With a capital and a full stop."""
+    return sentence[:1].upper() + sentence[1:].removesuffix(".") + "."
+
+
+def key_numbers(gap: Gap) -> list[Number]:
+    """The numbers to see first."""
+    before, after = gap.before, gap.after
+    loop = before.open_loop
+    numbers = [
+        Number(
+            f"Prediction over {loop.horizon:.0f} s off by",
+            _arrow(loop.rms * _MICRO, after.open_loop.rms * _MICRO, "µT"),
+            f"{after.open_loop.floor * _MICRO:.2f} µT is what noise leaves",
+        )
+    ]
+    if before.heading is not None and after.heading is not None:
+        numbers.append(
+            Number(
+                "Heading error",
+                _arrow(before.heading, after.heading, "°").replace(" °", "°"),
+                "1σ, by the reference",
+            )
+        )
+    numbers += [
+        Number("Held-out log-likelihood", f"{after.held_out - before.held_out:+.3f}", "nats per window gained"),
+        Number("Effects added", f"{sum(e.applied for e in gap.effects)}", f"of {len(gap.effects)} named"),
+        Number("Hypotheses tested", f"{len(gap.hypotheses)}", f"{len(gap.untested)} could not be tested"),
+    ]
+    return numbers
+
+
+def effect_value(effect: Effect) -> str:
+    """Its parameters with their deviations and what was searched over."""
+    values = [uncertain(v, s) for v, s in zip(np.ravel(effect.value), np.ravel(effect.sigma), strict=True)]
+    if len(values) > 1:
+        values = [f"{name} {value}" for name, value in zip(effect.parameters, values, strict=True)]
+    text = f"{', '.join(values)} {effect.unit}".strip()
+    return text + "".join(f", {key} {value:.4g}" for key, value in effect.setting.items())
+
+
+def hypothesis_rows(hypotheses: Sequence[Hypothesis]) -> list[list[str]]:
+    """One row per hypothesis, the named first and then the strongest; see `HYPOTHESES`."""
+    ordered = sorted(hypotheses, key=lambda h: (h.status != "named", -h.statistic / max(h.threshold, 1e-12)))
+    return [
+        [
+            h.label + (" (where, not what)" if h.generic else ""),
+            h.status,
+            f"{h.statistic:.1f}",
+            f"{h.threshold:.1f}",
+            f"{h.held_out_gain:+.1f}" if h.significant and np.isfinite(h.held_out_gain) else "",
+            _expected(h),
+        ]
+        for h in ordered
+    ]
+
+
+def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
+    """One row per metric of a recording; see `METRICS`."""
+    loop = before.open_loop
+    rows = [
+        [
+            f"Prediction over {loop.horizon:.0f} s, rms (µT)",
+            f"{loop.rms * _MICRO:.3f}",
+            f"{after.open_loop.rms * _MICRO:.3f}",
+        ],
+        [
+            "of which noise explains (µT)",
+            f"{loop.floor * _MICRO:.3f}",
+            f"{after.open_loop.floor * _MICRO:.3f}",
+        ],
+        ["Held-out log-likelihood per window", f"{before.held_out:.4f}", f"{after.held_out:.4f}"],
+        ["Whiteness of the innovations (1 is white)", f"{before.whiteness:.2f}", f"{after.whiteness:.2f}"],
+    ]
+    if before.heading is not None and after.heading is not None:
+        rows.append(["Heading error, 1σ (°)", f"{before.heading:.3f}", f"{after.heading:.3f}"])
+    for key, name, scale in (
+        ("magnetic_field", "Magnetometer noise needed (µT)", _MICRO),
+        ("angular_rate", "Gyroscope noise needed (mrad/s)", 1e3),
+    ):
+        if key in before.noise:
+            rows.append([name, f"{before.noise[key] * scale:.3g}", f"{after.noise[key] * scale:.3g}"])
+    return rows
+
+
+def line_sentences(metrics: Metrics) -> list[str]:
+    """What stands out of the spectrum."""
+    return [f"A line at {line.frequency:.3g} Hz, {line.amplitude * _MICRO:.2f} µT." for line in metrics.lines]
+
+
+def moved_rows(gap: Gap) -> list[list[str]]:
+    """One row per parameter that moved; see `MOVED`."""
+    return [
+        [f"{m.name} ({m.unit})" if m.unit else m.name, f"{m.before:.4g}", f"{m.after:.4g}", f"{m.sigmas:+.1f}"]
+        for m in gap.moved
+    ]
+
+
+def assumption_rows(gap: Gap) -> list[list[str]]:
+    """One row per assumption of the user's simulator; see `ASSUMPTIONS`."""
+    return [
+        [
+            f"{a.what} ({a.unit})" if a.unit else a.what,
+            f"{a.simulated:.4g}",
+            uncertain(a.measured, a.sigma),
+            "rejected" if a.rejected else "agrees",
+        ]
+        for a in gap.assumptions
+    ]
+
+
+def confusion_sentences(gap: Gap) -> list[str]:
+    """What each name could be mistaken for, and what would settle it."""
+    sentences = []
+    for effect in gap.effects:
+        if effect.ambiguous_with:
+            rivals = ", ".join(effect.ambiguous_with)
+            sentences.append(f"{effect.label}: this motion cannot tell it from {rivals}.")
+        else:
+            sentences.append(f"{effect.label}: no other candidate explains these data as well.")
+    return sentences
+
+
+def plan_rows(table: Sequence[Isolability]) -> list[list[str]]:
+    """One row per effect of an isolability table; see `PLAN`."""
+    return [
+        [
+            row.name,
+            f"{row.smallest:.3g} {row.unit}" if np.isfinite(row.smallest) else "never",
+            f"{row.matters:.3g} {row.unit}",
+            "yes" if row.nameable else "no",
+            f"{row.left:.0%}" if np.isfinite(row.left) else "",
+            ", ".join(f"{name} {share:.0%}" for name, share in row.confused_with.items()),
+        ]
+        for row in table
+    ]
+
+
+def _arrow(before: float, after: float, unit: str) -> str:
+    same = before == after
+    return f"{before:.2f} {unit}" if same else f"{before:.2f} → {after:.2f} {unit}"
+
+
+def _expected(h: Hypothesis) -> str:
+    if h.generic or not len(np.ravel(h.expected)):
+        return ""
+    values, sigmas = np.ravel(h.expected), np.ravel(h.sigma)
+    if len(values) > 3:
+        return f"|{np.linalg.norm(values):.3g}| {h.unit}"
+    return f"{', '.join(uncertain(v, s) for v, s in zip(values, sigmas, strict=True))} {h.unit}"

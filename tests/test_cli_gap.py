@@ -1,0 +1,265 @@
+"""`magyc-gtsam gap`: from a log to a verdict, an exit code, files and a page that can be looked at."""
+
+from __future__ import annotations
+
+import json
+import logging
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from test_report import HOSTILE, drawn_figures
+
+import magyc_gtsam as mg
+from magyc_gtsam import cli
+from magyc_gtsam.gap.isolability import isolability
+from magyc_gtsam.gap.result import Assumption, Gap, Isolability, Manoeuvre, Untested
+from magyc_gtsam.gap.validation import agreement
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.report.gap_page import render_gap
+from magyc_gtsam.report.gap_words import Validation, plan_rows
+from magyc_gtsam.simulation import simulate
+from magyc_gtsam.simulation.environment import CHANNELS
+
+FILES = {"gap.json", "calibration.yaml", "configuration.yaml", "report.html"}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plain log, one with a late magnetometer and another of the same instrument."""
+    folder = tmp_path_factory.mktemp("logs")
+    for name, seed, effects in (("plain", 1, ()), ("late", 2, ("timing",)), ("again", 3, ("timing",))):
+        write_mcap(folder / f"{name}.mcap", simulate("wide", 400, seed=seed, effects=effects).recording)
+    return folder
+
+
+@pytest.fixture
+def quiet_terminal() -> Iterator[None]:
+    """`cli.main` mutes warnings and logging of its process; other tests must not inherit that."""
+    with warnings.catch_warnings():
+        yield
+    logging.disable(logging.NOTSET)
+
+
+@pytest.fixture(scope="module")
+def late() -> tuple[mg.Recording, Gap]:
+    """A late magnetometer, found."""
+    recording = simulate("wide", 400, seed=2, effects=("timing",)).recording
+    return recording, mg.find_gap(recording)
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+def test_a_late_magnetometer_is_found_and_closed(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["gap", str(logs / "late.mcap"), "--validate", str(logs / "again.mcap"), "-o", "here"]) == 0
+    output, errors = capsys.readouterr()
+    assert errors == ""
+    assert "Gap found and closed: the magnetometer lags the gyroscope by" in output
+    assert "not tested: " in output
+    assert "on again.mcap:" in output
+    assert {file.name for file in Path("here").iterdir()} == FILES
+    values = json.loads(Path("here/gap.json").read_text())
+    assert values["verdict"] == "closed"
+    assert [effect["name"] for effect in values["effects"]] == ["timing"]
+    loops = [values["validation"][when]["open_loop"]["rms"] for when in ("before", "after")]
+    assert loops[1] < loops[0]
+    calibration = mg.Calibration.load("here/calibration.yaml")
+    assert [term.name for term in calibration.terms] == ["timing"]
+    assert "late.mcap" in Path("here/configuration.yaml").read_text()
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+def test_nothing_missing_and_json(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["gap", str(logs / "plain.mcap"), "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["verdict"] == "none"
+    assert values["effects"] == []
+    folder = Path(values["folder"])
+    assert folder.parent == Path("results")
+    assert folder.name.startswith("plain-gap-")
+    assert {file.name for file in folder.iterdir()} == FILES
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+def test_a_gap_left_open_is_exit_code_one(
+    logs: Path,
+    late: tuple[mg.Recording, Gap],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    unknown = replace(
+        late[1],
+        verdict="unknown",
+        effects=(),
+        sentence="something is missing that lives in pitch",
+        after=late[1].before,
+    )
+    monkeypatch.setattr("magyc_gtsam.gap.find.find_gap", lambda *_, **__: unknown)
+    monkeypatch.setattr("magyc_gtsam.find_gap", lambda *_, **__: unknown, raising=False)
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["gap", str(logs / "late.mcap"), "-q", "-o", "here"]) == 1
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors == "magyc-gtsam: the gap is left open: something is missing that lives in pitch\n"
+    assert {file.name for file in Path("here").iterdir()} == FILES
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ("gap", "Missing argument 'LOG'"),
+        ("gap {logs}/none.mcap", "none.mcap: cannot be read"),
+        ("gap {logs}/plain.mcap --candidates timing,gremlins", "gremlins"),
+        ("gap {logs}/plain.mcap --simulated {logs}/none.mcap", "none.mcap: cannot be read"),
+        ("gap {logs}/plain.mcap --validate {logs}/none.mcap", "none.mcap: cannot be read"),
+        ("gap {logs}/plain.mcap --calibration {logs}/none.yaml", "none.yaml: no such file"),
+        ("gap --plan waltz", "'waltz' is none of wide"),
+    ],
+)
+def test_one_line_for_every_mistake(
+    arguments: str,
+    says: str,
+    logs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments.format(logs=logs).split()) == 2
+    output, errors = capsys.readouterr()
+    assert output == ""
+    assert errors.count("\n") == 1
+    assert says in errors
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+def test_the_plan_of_a_motion(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["gap", "--plan", "moderate"]) == 0
+    rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
+    assert {"timing", "motor-current", "g-sensitivity", "misalignment"} <= rows.keys()
+    assert " yes" in rows["hard-iron-drift"]
+    assert " no" in rows["g-sensitivity"]
+
+
+def test_isolability_is_that_of_the_table_of_one_sigma_sizes() -> None:
+    """Found from some five of the sigmas of each effect: pitch ±45° and ±5°, 600 s at 10 Hz."""
+    wide, moderate = (
+        {row.name: row for row in isolability(simulate(motion, channels=CHANNELS).recording)}
+        for motion in ("wide", "moderate")
+    )
+    for name, sigmas in {
+        "misalignment": (0.9, 3.9),
+        "timing": (3.2, 2.2),
+        "hard-iron-step": (0.035, 0.035),
+    }.items():
+        for table, sigma in zip((wide, moderate), sigmas, strict=True):
+            assert 3 * sigma < table[name].smallest < 13 * sigma, name
+    assert moderate["g-sensitivity"].smallest > 4 * wide["g-sensitivity"].smallest
+    assert wide["timing"].left > 0.9
+    assert "hard-iron-drift" in wide["temperature-hard-iron"].confused_with
+    bare = {row.name: row for row in isolability(simulate("wide", 300).recording)}
+    assert bare["motor-current"].smallest == np.inf
+    assert not bare["motor-current"].nameable
+    assert "cannot be tested" in bare["motor-current"].sentence
+
+
+def test_agreement_on_another_recording(late: tuple[mg.Recording, Gap]) -> None:
+    """The delay found once holds again; the truth agrees, a wrong hard iron does not."""
+    gap, other = late[1], simulate("wide", 300, seed=9, effects=("timing",), gyro_bias=[1e-3, 2e-3, 8e-3])
+    before, after = agreement(other.recording, gap.base), agreement(other.recording, gap.calibration)
+    assert after.open_loop.rms < 0.95 * before.open_loop.rms
+    assert after.held_out > before.held_out
+    assert after.heading is not None
+    assert before.heading is not None
+    assert after.heading < before.heading
+    plain = simulate("wide", 300, seed=10)
+    right = agreement(plain.recording, plain.truth)
+    assert right.whiteness == pytest.approx(1.0, abs=0.35)
+    wrong = agreement(plain.recording, replace(plain.truth, hard_iron=plain.truth.hard_iron + 1e-6))
+    assert wrong.held_out < right.held_out - 0.1
+    with pytest.raises(mg.MagycError, match="lacks gyroscope bias"):
+        agreement(plain.recording, replace(plain.truth, field_strength=None))
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+def test_a_recording_with_effects(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    options = ["--duration", "60", "--effect", "motor-current=0.5", "--effect", "hard-iron-step"]
+    assert cli.main(["simulate", "multi", "-o", "a.mcap", *options]) == 0
+    assert "a.effects.yaml: motor-current, hard-iron-step" in capsys.readouterr().out
+    assert set(mg.read("a.mcap").channels) == {"current"}
+    hidden = yaml.safe_load(Path("a.effects.yaml").read_text())["effects"]
+    assert {e["name"]: e["factor"] for e in hidden} == {"motor-current": 0.5, "hard-iron-step": 1.0}
+    assert cli.main(["simulate", "multi", "-o", "a.mcap", "--effect", "tone=loud"]) == 2
+    assert "--effect: 'loud' of 'tone' is no number" in capsys.readouterr().err
+
+
+def test_plan_rows() -> None:
+    seen = Isolability("timing", "late", 8.0, "ms", 10.0, 0.94, True, {}, "yes")
+    never = Isolability("motor-current", "current", np.inf, "µT", 1.0, np.nan, False, {"tone": 0.85}, "no")
+    assert plan_rows([seen, never]) == [
+        ["timing", "8 ms", "10 ms", "yes", "94%", ""],
+        ["motor-current", "never", "1 µT", "no", "", "tone 85%"],
+    ]
+
+
+def test_page_of_a_closed_gap(opened: Any, late: tuple[mg.Recording, Gap], tmp_path: Path) -> None:
+    recording, gap = late
+    target = tmp_path / "report.html"
+    target.write_text(render_gap(recording, gap, Validation("other.mcap", gap.before, gap.after)))
+    page = opened(target)
+    assert page.locator("#verdict h1").inner_text() == "Gap found and closed"
+    assert drawn_figures(page) == len(gap.before.maps) + 1 + 2
+    text = page.inner_text("main")
+    for words in ("Late magnetometer", "On another recording: other.mcap", "Evidence", "Could not be tested"):
+        assert words in text
+    assert f"{gap.effects[0].statistic:.1f}" in text
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_page_of_an_unknown_gap_with_hostile_names(
+    opened: Any,
+    late: tuple[mg.Recording, Gap],
+    tmp_path: Path,
+    width: int,
+    scheme: str,
+) -> None:
+    recording, gap = late
+    hostile = replace(
+        gap,
+        verdict="unknown",
+        effects=(),
+        sentence=f"something is missing {HOSTILE}",
+        after=gap.before,
+        untested=(Untested("motor-current", "motor current", f"no channel {HOSTILE}"),),
+        assumptions=(Assumption("timing", 0.0, 40.0, 3.0, "ms", True, f"the simulator is never late {HOSTILE}"),),
+        next_manoeuvre=Manoeuvre(
+            ("timing", "hysteresis"), "turn faster", "turn faster, to tell timing from hysteresis"
+        ),
+    )
+    target = tmp_path / "report.html"
+    target.write_text(render_gap(replace(recording, name=HOSTILE, notes=(HOSTILE,)), hostile))
+    page = opened(target, width=width, scheme=scheme)
+    assert page.locator("#verdict h1").inner_text() == "Something is missing, and it has no name"
+    assert page.title().startswith("Gap in <script>")
+    text = page.inner_text("main")
+    assert text.count("Turn faster, to tell timing from hysteresis") == 2
+    assert "Nothing was changed." in text
+    assert "The simulator is never late" in text
+    assert page.evaluate("document.documentElement.scrollWidth") <= width

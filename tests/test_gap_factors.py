@@ -1,0 +1,194 @@
+"""Effects as terms of a calibration and as variables of a graph."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import B, H, S, X
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.chain_search import preintegrate
+from magyc_gtsam.factors.effect_factor import effect_chain_factor
+from magyc_gtsam.factors.effects import FORMS, Signals, Term, channels_by_kind
+from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.factors.soft_iron import vech
+from magyc_gtsam.runners.batch import optimize
+
+SOFT = np.array([[1.05, 0.04, 0.0], [0.04, 0.95, 0.02], [0.0, 0.02, 1.01]])
+HARD = np.array([2e-6, -12e-6, 9e-6])
+BIAS = np.array([4e-3, -5e-3, 2e-3])
+
+
+def signals(n: int = 50) -> Signals:
+    random = np.random.default_rng(1)
+    return Signals(
+        np.arange(n) * 0.1,
+        field=random.standard_normal((3, n)) * 3e-5,
+        field_rate=random.standard_normal((3, n)) * 1e-5,
+        hard_iron=HARD,
+        rate=random.standard_normal((3, n)) * 0.3,
+        to_sensor=np.repeat(np.eye(3)[:, :, None], n, axis=2),
+        acceleration=random.standard_normal((3, n)) + np.array([[0.0], [0.0], [-9.8]]),
+        channels={kind: random.standard_normal((2, n)) for kind in ("current", "temperature", "position")},
+    )
+
+
+SETTINGS = {
+    "hard-iron-step": {"time": 2.0},
+    "hard-iron-drift": {"order": 2.0, "start": 0.0, "end": 5.0},
+    "eddy-plane": {"x": 0.6, "y": 0.0, "z": 0.8},
+    "local-anomaly": {"time": 2.0, "width": 1.0},
+    "saturation": {"level": 3e-5},
+    "hysteresis": {"width": 1e-5},
+    "tone": {"frequency": 1.3},
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_form_is_its_columns_times_its_value(name: str) -> None:
+    at, setting = signals(), SETTINGS.get(name, {})
+    columns = FORMS[name].columns(at, setting)
+    assert columns.shape[1:] == (3, 50)
+    value = np.linspace(1, 2, len(columns)) * (1e-3 if FORMS[name].rotates else 1.0)
+    added = FORMS[name].evaluate(at, value, setting)
+    linear = np.tensordot(value, columns, axes=1)
+    # A rotation of axes is exact, its columns are the first order of it.
+    np.testing.assert_allclose(
+        added, linear, atol=(np.abs(linear).max() * (3e-3 if FORMS[name].rotates else 1e-12))
+    )
+
+
+def test_channels_are_known_by_their_names() -> None:
+    found = channels_by_kind({"battery_current": np.ones(4), "Temp": np.zeros(4), "position": np.ones((4, 3))})
+    assert {kind: rows.shape for kind, rows in found.items()} == {
+        "current": (1, 4),
+        "temperature": (1, 4),
+        "position": (3, 4),
+    }
+
+
+def calibration(*terms: Term) -> mg.Calibration:
+    return mg.Calibration(SOFT, HARD, BIAS, terms=terms, field_strength=5e-5)
+
+
+def test_terms_survive_saving(tmp_path: Path) -> None:
+    term = Term("hard-iron-step", [1e-6, 2e-6, 3e-6], np.diag([1e-16] * 3), {"time": 41.5})
+    calibration(term).save(tmp_path / "cal.yaml")
+    (loaded,) = mg.Calibration.load(tmp_path / "cal.yaml").terms
+    assert loaded.name == term.name
+    assert loaded.setting == {"time": 41.5}
+    np.testing.assert_array_equal(loaded.value, term.value)
+    np.testing.assert_array_equal(loaded.covariance, term.covariance)
+
+
+def test_apply_takes_a_current_out() -> None:
+    random = np.random.default_rng(3)
+    u = random.standard_normal((40, 3)) * 3e-5
+    current = random.uniform(0, 5, 40)
+    value = np.array([1e-7, -2e-7, 3e-7])
+    m = u @ SOFT.T + HARD + current[:, None] * value
+    cal = calibration(Term("motor-current", value, np.eye(3) * 1e-18))
+    np.testing.assert_allclose(cal.apply(m, channels={"current": current}), u, atol=1e-18)
+    with pytest.raises(mg.MagycError, match="current"):
+        cal.apply(m)
+
+
+def test_apply_takes_a_cubic_response_out_without_any_channel() -> None:
+    u = np.random.default_rng(4).standard_normal((40, 3)) * 3e-5
+    clean = u @ SOFT.T + HARD
+    value = np.array([5e-7, -5e-7, 3e-7])
+    m = clean + value * (clean / 50e-6) ** 3
+    cal = calibration(Term("cubic", value, np.eye(3) * 1e-18))
+    np.testing.assert_allclose(cal.apply(m), u, atol=2e-10)
+    np.testing.assert_allclose(cal.apply(m[0]), u[0], atol=2e-10)
+
+
+def test_apply_brings_the_field_to_the_axes_of_the_gyroscope() -> None:
+    angle = np.array([0.02, -0.03, 0.05])
+    turn = gtsam.Rot3.Expmap(angle).matrix()
+    u = np.random.default_rng(5).standard_normal((20, 3)) * 3e-5
+    # w − b = Exp(v) ω with ω in the magnetometer's axes; so the field in the gyroscope's is Exp(v) u.
+    cal = calibration(Term("misalignment", angle, np.eye(3) * 1e-8))
+    np.testing.assert_allclose(cal.apply(u @ SOFT.T + HARD), u @ turn.T, atol=1e-18)
+
+
+def test_apply_gyroscope_takes_a_scale_out() -> None:
+    rate = np.random.default_rng(6).standard_normal((30, 3)) * 0.5
+    scale = np.array([0.02, -0.01, 0.015, 0.003, -0.002, 0.001])
+    x, y, z = rate.T
+    error = np.stack(
+        [
+            scale[0] * x + scale[3] * y + scale[4] * z,
+            scale[1] * y + scale[3] * x + scale[5] * z,
+            scale[2] * z + scale[4] * x + scale[5] * y,
+        ],
+        axis=1,
+    )
+    cal = calibration(Term("gyro-scale", scale, np.eye(6) * 1e-8))
+    np.testing.assert_allclose(cal.apply_gyroscope(rate + error + BIAS), rate, atol=1e-9)
+
+
+def test_an_effect_is_a_variable_of_a_graph() -> None:
+    """The current's coefficient, found by GTSAM beside the twelve parameters."""
+    simulation = mg.simulate("wide", duration=300, seed=2)
+    recording = simulation.recording
+    current = 3.0 * (np.sin(recording.time / 11.0) > 0.3) + 0.2 * np.sin(recording.time)
+    value = np.array([3e-7, -1e-7, 2e-7])
+    samples = preintegrate(recording, 1.0)
+    object.__setattr__(samples, "magnetic_field", samples.magnetic_field + current[:, None] * value)
+    count = np.diff(np.append(samples.starts, len(current)))
+    mean = np.add.reduceat(current, samples.starts) / count
+    columns = np.eye(3)[:, :, None] * mean * 1e-6  # value in µT per unit
+    noise = Noise(1e-6, 5e-3)
+    graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.push_back(effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, noise))
+    truth = simulation.truth
+    strength = truth.field_strength
+    assert strength is not None
+    initial.insert(S(0), vech(np.eye(3)) * strength * 1e6)
+    initial.insert(H(0), gtsam.Point3(0, 0, 0))
+    initial.insert(B(0), gtsam.Point3(0, 0, 0))
+    initial.insert(X(0), np.zeros(3))
+    result = optimize(graph, initial)
+    assert result.converged, result.message
+    sigma = np.sqrt(np.diag(gtsam.Marginals(graph, result.values).marginalCovariance(X(0))))
+    found = result.values.atVector(X(0))
+    assert np.all(np.abs(found - value * 1e6) < 4 * sigma)
+    assert np.all(sigma < 0.05)
+    with pytest.raises(mg.MagycError, match="columns"):
+        effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns[:, :, 1:], noise)
+
+
+def test_the_factors_jacobians() -> None:
+    simulation = mg.simulate("wide", duration=40, seed=3)
+    samples = preintegrate(simulation.recording, 1.0)
+    n = len(samples.starts)
+    columns = np.eye(3)[:, :, None] * np.linspace(-1, 1, n) * 1e-6
+    factor = effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, Noise(1e-6, 5e-3))
+    truth = simulation.truth
+    assert truth.field_strength is not None
+    assert truth.gyro_bias is not None
+
+    def cost(step: np.ndarray) -> float:
+        values = gtsam.Values()
+        values.insert(S(0), vech(truth.soft_iron) * truth.field_strength * 1e6 + step[:6])
+        values.insert(H(0), gtsam.Point3(*(truth.hard_iron * 1e6 + step[6:9])))
+        values.insert(B(0), gtsam.Point3(*(truth.gyro_bias + step[9:12])))
+        values.insert(X(0), step[12:])
+        return float(factor.error(values))
+
+    values = gtsam.Values()
+    values.insert(S(0), vech(truth.soft_iron) * truth.field_strength * 1e6)
+    values.insert(H(0), gtsam.Point3(*(truth.hard_iron * 1e6)))
+    values.insert(B(0), gtsam.Point3(*truth.gyro_bias))
+    values.insert(X(0), np.zeros(3))
+    jacobian, right = factor.linearize(values).jacobian()
+    gradient = -jacobian.T @ right
+    for index in range(15):
+        step = np.zeros(15)
+        step[index] = 1e-5 if 9 <= index < 12 else 1e-3
+        slope = (cost(step) - cost(-step)) / (2 * step[index])
+        assert slope == pytest.approx(gradient[index], rel=2e-3, abs=2e-3 * np.abs(gradient[[index]]).max() + 1e-3)

@@ -1,0 +1,163 @@
+"""`find_gap` end to end, the effects written out here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.gap import isolability
+from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+
+CATALOGUE = (
+    "motor-current temperature-hard-iron hard-iron-step hard-iron-drift misalignment timing eddy-plane gyro-scale "
+    "gyro-quadratic temperature-gyro g-sensitivity field-gradient local-anomaly saturation cubic hysteresis "
+    "coloured-noise spikes tone quantisation sample-hold axis-order"
+).split()
+
+
+def recording(seed: int = 0, motion: str = "wide", **sensor: float) -> mg.Recording:
+    return mg.simulate(motion, duration=400, seed=seed, **sensor).recording
+
+
+def with_field(base: mg.Recording, added: np.ndarray, **channels: np.ndarray) -> mg.Recording:
+    return replace(base, magnetic_field=base.magnetic_field + added, channels={**base.channels, **channels})
+
+
+def test_the_catalogue_is_complete() -> None:
+    assert sorted(NAMES) == sorted(CATALOGUE)
+    assert set(LABELS) == set(CATALOGUE)
+    for term in TERMS.values():
+        assert set(term.rivals) <= set(CATALOGUE)
+
+
+def test_silent_where_nothing_is_hidden() -> None:
+    gap = mg.find_gap(recording(11))
+    assert gap.verdict == "none"
+    assert gap.effects == ()
+    assert gap.calibration.terms == ()
+    assert gap.after is gap.before
+    missing = {u.name for u in gap.untested}
+    assert missing == {"motor-current", "temperature-hard-iron", "temperature-gyro", "field-gradient"}
+    assert gap.before.open_loop.rms == pytest.approx(gap.before.open_loop.floor, rel=0.1)
+    assert {h.status for h in gap.hypotheses} <= {"rejected", "not enough information", "explained", "vetoed"}
+
+
+def test_a_late_magnetometer_is_found_with_its_delay_and_the_gap_shrinks() -> None:
+    gap = mg.find_gap(recording(12, delay=0.04))
+    assert gap.verdict == "closed"
+    assert gap.names == ("timing",)
+    (effect,) = gap.effects
+    assert effect.value[0] == pytest.approx(40, abs=4 * effect.sigma[0])
+    assert "lags the gyroscope" in gap.sentence
+    assert gap.calibration.delay == pytest.approx(effect.value[0] / 1e3)
+    assert gap.after.open_loop.excess < 0.2 * gap.before.open_loop.excess
+    assert gap.after.held_out > gap.before.held_out
+    assert gap.after.heading is not None
+    assert gap.before.heading is not None
+    assert gap.after.heading < gap.before.heading
+
+
+def test_a_current_needs_its_channel(tmp_path: Path) -> None:
+    base = recording(13)
+    current = 4.0 * (np.sin(base.time / 13.0) > 0.2) + 0.3 * np.sin(2.1 * base.time)
+    value = np.array([1e-7, -0.8e-7, 1.2e-7])
+    gap = mg.find_gap(with_field(base, current[:, None] * value, current=current))
+    assert gap.names == ("motor-current",)
+    np.testing.assert_allclose(gap.effects[0].value, value * 1e6, atol=4 * gap.effects[0].sigma.max())
+    # The term is saved with the calibration and applied to a recording that has the channel.
+    gap.calibration.save(tmp_path / "cal.yaml")
+    cal = mg.Calibration.load(tmp_path / "cal.yaml")
+    other = recording(14)
+    both = with_field(other, current[:, None] * value, current=current)
+    np.testing.assert_allclose(
+        cal.apply(both), cal.apply(replace(other, channels={"current": 0 * current})), atol=3e-7
+    )
+    withheld = mg.find_gap(with_field(base, current[:, None] * value))
+    assert withheld.verdict in ("unknown", "none")
+    assert "motor-current" in {u.name for u in withheld.untested}
+    assert withheld.calibration.terms == ()
+
+
+def test_two_steps_of_the_hard_iron_are_timed_and_sized() -> None:
+    base = recording(15)
+    jump = np.array([-2e-6, 1e-6, 4e-6])
+    attached = (base.time > 120.0) & (base.time < 250.0)
+    gap = mg.find_gap(with_field(base, attached[:, None] * jump))
+    assert gap.names == ("hard-iron-step", "hard-iron-step")
+    times = sorted(e.setting["time"] for e in gap.effects)
+    np.testing.assert_allclose(times, [120.0, 250.0], atol=3.0)
+    for effect in gap.effects:
+        sign = 1 if effect.setting["time"] < 200 else -1
+        np.testing.assert_allclose(effect.value, sign * jump * 1e6, atol=5 * effect.sigma.max() + 0.1)
+
+
+def test_exchanged_axes_are_named_first() -> None:
+    base = recording(16)
+    matrix = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    assert base.angular_rate is not None
+    gap = mg.find_gap(replace(base, angular_rate=base.angular_rate @ matrix.T))
+    assert gap.names == ("axis-order",)
+    assert gap.verdict == "closed"
+    np.testing.assert_array_equal(gap.effects[0].value.reshape(3, 3), matrix.T)
+    straight = mg.find_gap(base)
+    assert straight.base.gyro_bias is not None
+    assert gap.calibration.gyro_bias is not None
+    np.testing.assert_allclose(gap.calibration.hard_iron, straight.calibration.hard_iron, atol=5e-8)
+
+
+def test_what_is_in_no_catalogue_is_called_unknown_and_nothing_is_changed() -> None:
+    """A magnet that a servo turns with the rudder, here with the product of two rates."""
+    base = recording(17)
+    assert base.angular_rate is not None
+    product = base.angular_rate[:, 1] * base.angular_rate[:, 2]
+    angle = 40.0 * product
+    added = 1.5e-6 * np.stack([np.cos(angle) - 1, np.sin(angle), 0.3 * np.sin(2 * angle)], axis=1)
+    gap = mg.find_gap(with_field(base, added))
+    assert gap.verdict == "unknown"
+    assert gap.effects == ()
+    assert gap.calibration.terms == ()
+    assert "nothing was changed" in gap.sentence
+
+
+def test_candidates_restrict_the_names() -> None:
+    base = recording(12, delay=0.04)
+    gap = mg.find_gap(base, candidates=["motor-current", "cubic"])
+    assert "timing" not in gap.names
+    with pytest.raises(mg.MagycError, match="candidates"):
+        mg.find_gap(base, candidates=["gremlins"])
+
+
+def test_a_calibration_with_the_effect_leaves_no_gap() -> None:
+    base = recording(12, delay=0.04)
+    found = mg.find_gap(base)
+    again = mg.find_gap(base, calibration=found.calibration)
+    assert again.verdict == "none"
+
+
+def test_the_users_simulator_is_compared() -> None:
+    base = recording(18, delay=0.04, magnetometer_noise=1.5e-6)
+    simulated = recording(19)
+    gap = mg.find_gap(base, simulated=simulated)
+    rejected = {a.what for a in gap.assumptions if a.rejected}
+    assert "magnetometer noise per sample" in rejected
+    assert any("late magnetometer" in what for what in rejected)
+    assert not any(what.startswith("hard iron") for what in rejected)
+
+
+def test_isolability_says_what_a_motion_can_tell() -> None:
+    wide = {row.name: row for row in isolability(recording(20))}
+    level = {row.name: row for row in isolability(recording(20, "moderate"))}
+    assert wide["misalignment"].smallest < 0.7 * level["misalignment"].smallest
+    assert level["misalignment"].left < wide["misalignment"].left
+    assert np.isinf(wide["motor-current"].smallest)
+    assert wide["timing"].nameable
+
+
+@pytest.mark.real
+def test_axes_of_breakout_boards_are_found(shared_data: Path) -> None:
+    gap = mg.find_gap(mg.read(shared_data / "breakout_boards_hand_rotation.mcap"))
+    assert gap.effects[0].name == "axis-order"

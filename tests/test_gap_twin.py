@@ -1,0 +1,194 @@
+"""The twin and the score tests: equal to the field chain, to GTSAM's elimination, and to what they promise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from scipy.stats import chi2, kstest
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.factors.effects import FORMS
+from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.noise_effects import coloured_noise, quantisation, sample_hold, spikes, tone
+from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.refit import refit, with_term
+from magyc_gtsam.gap.score import Projector, autoregression, held_out_gain, interleaved, variant, variants
+from magyc_gtsam.gap.twin import Columns, Twin
+
+
+@pytest.fixture(scope="module")
+def twin() -> Twin:
+    recording = mg.simulate("wide", duration=300, seed=5).recording
+    return base_model(recording, None, short_term_noise(recording)).twin
+
+
+def test_the_twins_likelihood_is_the_field_chains(twin: Twin) -> None:
+    innovation = twin.residual()
+    assert 0.5 * np.vdot(innovation, innovation) == pytest.approx(twin.reduced.cost, rel=1e-4)
+    base = twin.base_columns()
+    information = twin.reduced.information[:12, :12]
+    scale = np.sqrt(np.diag(information))
+    np.testing.assert_allclose(
+        base @ base.T / np.outer(scale, scale), information / np.outer(scale, scale), atol=1e-4
+    )
+
+
+def test_innovations_are_white_where_the_model_is_right(twin: Twin) -> None:
+    innovation = twin.residual()
+    assert not len(autoregression(innovation))
+    assert kstest(innovation.ravel(), "norm").pvalue > 1e-3
+
+
+def test_a_constant_error_of_the_rate_is_the_bias(twin: Twin) -> None:
+    constant = np.eye(3)[:, :, None] * np.ones(len(twin.gyroscope.time))
+    mine = twin.whiten(twin.on_gyroscope(constant))
+    np.testing.assert_allclose(mine, twin.base_columns()[9:12], atol=1e-6 * np.abs(mine).max())
+
+
+def test_the_slow_form_of_a_rate_error_is_close_to_the_exact_one(twin: Twin) -> None:
+    def profile(signals):  # type: ignore[no-untyped-def]
+        return np.eye(3)[:, :, None] * signals.need("rate")
+
+    exact, slow = twin.whiten(twin.of_profile(profile)), twin.whiten(twin.of_slow_profile(profile))
+    assert np.linalg.norm(exact - slow) < 0.05 * np.linalg.norm(exact)
+
+
+def test_eliminating_the_candidate_last_in_gtsam_gives_the_same_statistic(twin: Twin) -> None:
+    """The whole linear graph, every direction a variable; the candidate's conditional is [R, d]."""
+    chain, reduced, n = twin.chain, twin.reduced, twin.n
+    columns = twin.columns("motor-current", {}) if "current" in twin.windows.channels else None
+    assert columns is None  # this recording has no such channel; a made-up one does
+    profile = np.sin(twin.time / 7.0)
+    columns = Columns(np.eye(3)[:, :, None] * profile * 1e-6, None)
+    free = np.flatnonzero(twin.model.free)
+    graph = gtsam.GaussianFactorGraph()
+    residuals = chain.residuals(twin.state)
+    base, value = gtsam.symbol("b", 0), gtsam.symbol("v", 0)
+    unit = 1 / np.sqrt(np.diag(reduced.information)[free])
+    model = gtsam.noiseModel.Unit.Create(3)
+    on_bias = np.zeros((n - 1, 3, len(free)))
+    turned = -np.cross(twin.state.direction.T[:-1, None], chain.windows.lever.transpose(2, 1, 0))
+    on_bias[:, :, 9:12] = turned.transpose(0, 2, 1) * chain.link_scale[:, None, None]
+    for k in range(n):
+        graph.add(
+            gtsam.JacobianFactor(
+                *(gtsam.symbol("x", k), reduced.on_direction[:, :, k]),
+                *(base, reduced.on_parameters[free, :, k].T * unit),
+                *(value, (columns.window[:, :, k] * chain.window_scale[k]).T),
+                -residuals.window[:, k] * chain.window_scale[k],
+                model,
+            )
+        )
+    for k in range(n - 1):
+        s = chain.link_scale[k]
+        graph.add(
+            gtsam.JacobianFactor(
+                *(gtsam.symbol("x", k), -reduced.basis[:, :, k] * s),
+                *(gtsam.symbol("x", k + 1), reduced.basis[:, :, k + 1] * s),
+                *(base, on_bias[k] * unit),
+                -residuals.link[:, k] * s,
+                model,
+            )
+        )
+    ordering = gtsam.Ordering()
+    for k in range(n):
+        ordering.push_back(gtsam.symbol("x", k))
+    ordering.push_back(base)
+    ordering.push_back(value)
+    last = graph.eliminateSequential(ordering).at(n + 1)
+    mine = variant({}, twin.whiten(columns), Projector(twin.base_columns()))
+    d = mine.score(Projector(twin.base_columns())(twin.residual().reshape(1, -1))[0])
+    assert last.d() @ last.d() == pytest.approx(d @ d, rel=2e-3)
+    np.testing.assert_allclose(np.linalg.solve(last.R(), last.d()), -mine.back @ d, rtol=2e-2, atol=1e-3)
+
+
+def test_the_score_test_promises_what_the_refit_finds() -> None:
+    simulation = mg.simulate("wide", duration=300, seed=6, delay=0.02)
+    short_term = short_term_noise(simulation.recording)
+    base = base_model(simulation.recording, None, short_term)
+    project = Projector(base.twin.base_columns())
+    (late,) = variants(base.twin, project, "timing", [{}])
+    d = late.score(project(base.twin.residual().reshape(1, -1))[0])
+    promised = float((-late.back @ d)[0])
+    found = refit(base.twin.problem, with_term(base.model, Active("timing", {}, np.zeros(1))), short_term)
+    value, covariance = found.value_of(0)
+    assert value[0] == pytest.approx(0.02, abs=4 * np.sqrt(covariance[0, 0]))
+    assert value[0] == pytest.approx(promised, abs=2e-3)
+
+
+def test_the_gyroscopes_noise_pulls_no_scale() -> None:
+    """Without its expected score, a scale on a motion of small tilt would be named at nine sigmas."""
+    statistics = []
+    for seed in range(6):
+        recording = mg.simulate("moderate", duration=300, seed=seed).recording
+        twin = base_model(recording, None, short_term_noise(recording)).twin
+        project = Projector(twin.base_columns())
+        (scale,) = variants(twin, project, "gyro-scale", [{}])
+        d = scale.score(project(twin.residual().reshape(1, -1))[0])
+        statistics.append(float(d @ d))
+    assert np.mean(statistics) < 11  # of χ² with 6 degrees of freedom
+    assert max(statistics) < chi2.isf(1e-4, 6)
+
+
+def test_columns_are_derivatives_of_the_innovations(twin: Twin) -> None:
+    """A rate error put into the data moves the innovations by its column."""
+    size = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0])
+    error = np.tensordot(size, FORMS["gyro-scale"].columns(twin.gyroscope, {}), axes=1)
+    recording = twin.problem.recording
+    assert recording.angular_rate is not None
+    moved = replace(recording, angular_rate=recording.angular_rate + error.T)
+    from magyc_gtsam.gap.find import _problem
+
+    other = Twin.of(_problem(moved), twin.model)
+    base = twin.base_columns()
+    change = Projector(base)((other.residual() - twin.residual()).reshape(1, -1))[0]
+    column = Projector(base)(size[None] @ twin.whiten(twin.columns("gyro-scale", {})))[0]
+    # The data have more of it, the residual is model less data.
+    assert np.dot(change, -column) / np.dot(column, column) == pytest.approx(1.0, abs=0.1)
+
+
+def test_held_out_data_veto_what_is_noise() -> None:
+    random = np.random.default_rng(0)
+    base, noise = random.standard_normal((12, 900)), random.standard_normal((20, 900))
+    real = random.standard_normal((3, 900))
+    residual = random.standard_normal(900) + 0.2 * real.sum(axis=0)
+    block = interleaved(np.arange(300.0), 10.0)
+    assert held_out_gain(base, noise, residual, block) < 0
+    assert held_out_gain(base, real, residual, block) > 10
+
+
+def test_noise_effects_are_found_and_told_apart() -> None:
+    random = np.random.default_rng(1)
+    white = random.standard_normal((3, 4000))
+    time = np.arange(4000) / 10.0
+    assert not any(f(white, 10.0, 1e-6, 8.0).significant for f in (tone, coloured_noise))
+    assert not spikes(white, 1e-6, 8.0).significant
+    found = tone(white + 0.3 * np.sin(2 * np.pi * 1.3 * time), 10.0, 1e-6, 8.0)
+    assert found.significant
+    assert found.setting["frequency"] == pytest.approx(1.3, abs=0.01)
+    coloured = white.copy()
+    for k in range(1, 4000):
+        coloured[:, k] += 0.6 * coloured[:, k - 1]
+    assert coloured_noise(coloured / coloured.std(), 10.0, 1e-6, 8.0).significant
+    wrong = white.copy()
+    wrong[:, ::131] += 8.0
+    assert spikes(wrong / wrong.std(), 1e-6, 8.0).setting["count"] == pytest.approx(31, abs=2)
+
+
+def test_steps_and_holds_are_read_off_the_values() -> None:
+    recording = mg.simulate("wide", duration=100, seed=1).recording
+    assert not quantisation(recording, 1e-6).significant
+    assert not sample_hold(recording).significant
+    coarse = replace(
+        recording, magnetic_field=np.round(recording.magnetic_field / 2e-6) * 2e-6, magnetic_field_fresh=None
+    )
+    assert quantisation(coarse, 1e-6).value[0] == pytest.approx(2e-6)
+    assert not sample_hold(coarse).significant
+    held = replace(
+        recording, magnetic_field=np.repeat(recording.magnetic_field[::4], 4, axis=0), magnetic_field_fresh=None
+    )
+    assert sample_hold(held).setting["share"] == pytest.approx(0.75, abs=0.01)
