@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from magyc_gtsam import MagycError, Recording, calibrate, cli, simulate
+from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators import autocal_fit
 from magyc_gtsam.estimators.autocal import covariance, inliers
 from magyc_gtsam.estimators.autocal_fit import autocal
 from magyc_gtsam.estimators.autocal_graph import refine_graph
-from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.factors import KERNELS
 from magyc_gtsam.factors.field_chain import UPPER
 from magyc_gtsam.factors.sphere import SHAPES, sphere_error

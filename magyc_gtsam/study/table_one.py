@@ -91,9 +91,11 @@ def table_one(
             done += 1
             if progress:
                 progress(done / (3 * runs))
-    return [
-        Row(name, motion, *_ranges(values), failed=runs - len(values)) for (name, motion), values in scores.items()
-    ]
+    rows = []
+    for (name, motion), values in scores.items():
+        heading, spread, systematic = _ranges(values)
+        rows.append(Row(name, motion, heading, spread, systematic, failed=runs - len(values)))
+    return rows
 
 
 def _estimate(name: str, simulation: Simulation) -> Calibration:
