@@ -56,7 +56,7 @@ def effect_chain_factor(
 
     def error(*values: Array | bool) -> tuple[Array, Sequence[Array]]:
         soft_iron, hard_iron, bias, value, _ = values
-        parameters = np.append(np.concatenate([soft_iron, hard_iron, bias]) * unit, delay)  # type: ignore[arg-type]
+        parameters = np.append(np.concatenate([soft_iron, hard_iron, bias]) * unit, delay)
         windows = samples.integrate(parameters[9:12], delay)
         added = np.tensordot(np.asarray(value), columns, axes=1)
         cost, information, gradient = extended(

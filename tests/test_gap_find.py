@@ -12,11 +12,30 @@ import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 
-CATALOGUE = (
-    "motor-current temperature-hard-iron hard-iron-step hard-iron-drift misalignment timing eddy-plane gyro-scale "
-    "gyro-quadratic temperature-gyro g-sensitivity field-gradient local-anomaly saturation cubic hysteresis "
-    "coloured-noise spikes tone quantisation sample-hold axis-order"
-).split()
+CATALOGUE = [
+    "motor-current",
+    "temperature-hard-iron",
+    "hard-iron-step",
+    "hard-iron-drift",
+    "misalignment",
+    "timing",
+    "eddy-plane",
+    "gyro-scale",
+    "gyro-quadratic",
+    "temperature-gyro",
+    "g-sensitivity",
+    "field-gradient",
+    "local-anomaly",
+    "saturation",
+    "cubic",
+    "hysteresis",
+    "coloured-noise",
+    "spikes",
+    "tone",
+    "quantisation",
+    "sample-hold",
+    "axis-order",
+]
 
 
 def recording(seed: int = 0, motion: str = "wide", **sensor: float) -> mg.Recording:

@@ -29,6 +29,8 @@ from magyc_gtsam.recording import Array, Recording
 INVERSE_SOFT_IRON, PSEUDO_HARD_IRON, GYRO_BIAS = KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
 NAMES = dict(zip(KEYS, ("the soft iron", "the hard iron", "the gyroscope bias"), strict=True))
 
+_MOST_UNEXPLAINED = 0.1  # spread of the calibrated field's strength over its mean
+
 Prior = Literal["norm", "determinant"]
 _PRIORS = {"norm": norm_prior, "determinant": determinant_prior}
 
@@ -145,8 +147,14 @@ def calibration_of(
     """
     soft_iron, hard_iron, gyro_bias = unvech(parameters[:6]), parameters[6:9], parameters[9:]
     field = np.linalg.solve(soft_iron, (recording.magnetometer.value - hard_iron).T)
-    strength = float(np.linalg.norm(field, axis=0).mean())
+    norm = np.linalg.norm(field, axis=0)
+    strength, spread = float(norm.mean()), float(norm.std())
     reasons, observability = [] if converged else [message], None
+    if spread > _MOST_UNEXPLAINED * strength:
+        reasons.append(
+            f"the strength of the calibrated field still varies by {spread / strength:.0%} (at most "
+            f"{_MOST_UNEXPLAINED:.0%} is tolerated): compare with --method smoother, which checks the sensors' axes"
+        )
     if np.linalg.eigvalsh(soft_iron)[0] <= 0:
         reasons.append("the soft iron is not positive definite")
     elif covariance is not None:

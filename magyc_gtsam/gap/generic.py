@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -39,12 +40,10 @@ def families(twin: Twin) -> list[Family]:
             Family(
                 f"time:sensor-{knots}",
                 "time, in the sensor's axes",
-                _on_field(lambda t, k=knots: _hats(t.time, k)),
+                _on_field(partial(_hats_of, knots=knots)),
             ),
-            Family(f"time:world-{knots}", "time, in the world's axes", lambda t, k=knots: _in_world(t, k)),
-            Family(
-                f"time:gyroscope-{knots}", "time, on the gyroscope", _on_rate(lambda s, k=knots: _hats(s.time, k))
-            ),
+            Family(f"time:world-{knots}", "time, in the world's axes", partial(_in_world, knots=knots)),
+            Family(f"time:gyroscope-{knots}", "time, on the gyroscope", _on_rate(partial(_hats_of, knots=knots))),
         ]
     attitude = "the direction of the field (attitude)"
     result += [
@@ -68,8 +67,8 @@ def families(twin: Twin) -> list[Family]:
     for kind in twin.windows.channels:
         where = f"the channel {kind}"
         result += [
-            Family(f"{kind}:magnetometer", where, _on_field(lambda t, c=kind: _channel(t.windows, c))),
-            Family(f"{kind}:gyroscope", f"{where}, on the gyroscope", _on_rate(lambda s, c=kind: _channel(s, c))),
+            Family(f"{kind}:magnetometer", where, _on_field(partial(_channel_of, kind=kind))),
+            Family(f"{kind}:gyroscope", f"{where}, on the gyroscope", _on_rate(partial(_channel, kind=kind))),
         ]
         if kind != "position":  # times the field it is the field's gradient
             result.append(Family(f"{kind}×field", f"{where} times the field", _channel_field(kind), (1, 3)))
@@ -96,6 +95,14 @@ def _hats(time: Array, knots: int) -> Array:
     """(knots, n) linear splines."""
     place = (time - time[0]) / (time[-1] - time[0]) * (knots - 1)
     return np.maximum(1 - np.abs(place - np.arange(knots)[:, None]), 0.0)
+
+
+def _hats_of(signals: Signals | Twin, knots: int) -> Array:
+    return _hats(signals.time, knots)
+
+
+def _channel_of(twin: Twin, kind: str) -> Array:
+    return _channel(twin.windows, kind)
 
 
 def _in_world(twin: Twin, knots: int) -> Columns:

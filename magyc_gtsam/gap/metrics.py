@@ -91,9 +91,9 @@ def open_loop(twin: Twin, horizon: float = HORIZON) -> OpenLoop:
         horizon,
         windows.time[target],
         error.T,
-        np.sqrt(variance).T,
+        np.sqrt(np.maximum(variance, 0.0)).T,
         float(np.sqrt((error**2).mean())) if len(start) else 0.0,
-        float(np.sqrt(variance.mean())) if len(start) else 0.0,
+        float(np.sqrt(max(float(variance.mean()), 0.0))) if len(start) else 0.0,
     )
 
 
@@ -177,5 +177,5 @@ def _spectrum(twin: Twin, innovation: Array) -> GapMap:
     return GapMap("frequency", "Hz", centre, np.sqrt(level), _band(6 * count), count / count.sum())
 
 
-def _band(freedoms: Array) -> Array:
+def _band(freedoms: np.ndarray) -> Array:
     return np.sqrt(np.stack([chi2.ppf(0.005, freedoms), chi2.ppf(0.995, freedoms)], axis=1) / freedoms[:, None])

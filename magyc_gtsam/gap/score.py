@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import gammaincc, gammainccinv, gammaln
 from scipy.stats import ncx2
@@ -25,6 +26,7 @@ from magyc_gtsam.gap.generic import Family, families
 from magyc_gtsam.gap.twin import Twin
 
 DRAWS = 500
+Draws = NDArray[np.float32]  # half the memory, and enough for a threshold
 FAMILY_WISE = 0.01
 _DEPENDENT = 1e-6  # share of a column that must be left beside the base model
 _TAIL = 0.9
@@ -241,7 +243,7 @@ def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant
     return innovation - named[best].unit.T @ pulls[best]
 
 
-def colour(innovation: Array, white: Array) -> Array:
+def colour(innovation: Array, white: Draws) -> Draws:
     """White draws (3n, draws) given the autocorrelation of the innovations (3, n), where it is significant."""
     coefficients = autoregression(innovation)
     if not len(coefficients):
@@ -269,7 +271,7 @@ def autoregression(innovation: Array) -> Array:
     return np.linalg.solve(toeplitz, r[1:])
 
 
-def _statistics(d: Array, starts: Array, ranks: Array) -> Array:
+def _statistics(d: Draws, starts: np.ndarray, ranks: np.ndarray) -> Array:
     """(variants, draws) squared lengths of stacked d."""
     padded = np.concatenate([d * d, np.zeros((1, d.shape[1]), d.dtype)])
     result = np.add.reduceat(padded, starts, axis=0).astype(float)

@@ -136,7 +136,7 @@ def search(
         now = look(recording, current, allowed, random)
     left = leftover(now, first, found, noted)
     if left:
-        kept, found = _firm(problem, current, found, now, left, short_term)
+        kept, found = _firm(problem, current, found, first, now, left, short_term)
         if kept is not current:
             current = kept
             now = look(recording, current, allowed, random)
@@ -144,14 +144,24 @@ def search(
 
 
 def _firm(
-    problem: Problem, current: Refit, found: list[Found], now: Look, left: tuple[str, ...], short_term: Noise
+    problem: Problem,
+    current: Refit,
+    found: list[Found],
+    first: Look,
+    now: Look,
+    left: tuple[str, ...],
+    short_term: Noise,
 ) -> tuple[Refit, list[Found]]:
     """Without the terms that lean on what is missing: those that a generic family would absorb."""
     places = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "tone"]
+    # A line at the motion's frequencies that is stronger than a name is what the name was mistaken for.
+    line = max((n.evidence for n in first.noise if n.name == "tone" and not n.significant), default=0.0)
     loose = [
         index
         for index, place in enumerate(places)
-        if found[place].name == "tone" or not stands(current, index, found[place], now, left)
+        if found[place].name == "tone"
+        or found[place].evidence < line
+        or not stands(current, index, found[place], now, left)
     ]
     model = current.model
     for index in reversed(loose):

@@ -49,7 +49,8 @@ def _noise(measured: Refit, simulated: Refit) -> Iterator[_Row]:
         values = [float(r.model.noise[index]) * scale for r in (simulated, measured)]
         # A level from n squares is known to 1/√(2n) of itself; the gyroscope's shows in the links only.
         shares = [(2.0 * r.twin.n) ** -0.5 * (1.0 if index == 0 else 3.0) for r in (simulated, measured)]
-        yield name, *values, float(np.hypot(*np.multiply(values, shares))), unit
+        first, second = values
+        yield name, first, second, float(np.hypot(*np.multiply(values, shares))), unit
 
 
 def _parameters(measured: Refit, simulated: Refit) -> Iterator[_Row]:

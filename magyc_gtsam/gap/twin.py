@@ -274,11 +274,11 @@ class _Filter(NamedTuple):
         below = np.empty((2, 2, n - 1))
         below[0, 0], below[0, 1] = factor[2, :-2:2], factor[1, 1:-2:2]
         below[1, 0], below[1, 1] = factor[3, :-2:2], factor[2, 1:-2:2]
-        information = np.zeros((n, 2, 2))
+        information: Array = np.zeros((n, 2, 2))
         information[1:] = np.moveaxis(-np.einsum("acn,bcn->abn", below, below), 2, 0)
         information[1:, [0, 1], [0, 1]] += scale[:, None] ** 2
         information[:, [0, 1], [0, 1]] += _VAGUE
-        ahead = np.moveaxis(np.linalg.inv(information), 0, 2)
+        ahead: Array = np.asarray(np.linalg.inv(information), dtype=float).transpose(1, 2, 0)
         seen = reduced.on_direction
         scatter = np.eye(3)[:, :, None] + np.einsum("ian,abn,jbn->ijn", seen, ahead, seen)
         value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
