@@ -6,8 +6,6 @@ import csv
 import io
 import json
 import logging
-import os
-import shutil
 import subprocess
 import sys
 import warnings
@@ -356,45 +354,29 @@ def test_exit_codes(here: Callable[..., tuple[int, str, str]]) -> None:
     assert here("compare", "no.mcap")[0] == 2
 
 
-def test_page(compared: Comparison, two_more: None, tmp_path: Path) -> None:
+def test_page(compared: Comparison, two_more: None, tmp_path: Path, opened: Any) -> None:
     """In a browser without a network: all figures drawn, nothing fetched, no sideways scroll, names escaped."""
-    api = pytest.importorskip("playwright.sync_api")
-    found = [
-        os.environ.get("MAGYC_CHROMIUM"),
-        *map(shutil.which, ("chromium", "chromium-browser", "google-chrome")),
-    ]
-    chromium = next((path for path in found if path), None)
-    if chromium is None:
-        pytest.skip("no Chromium found; name one in MAGYC_CHROMIUM")
     few = [outcome(compared, name) for name in ("smoother", "magfactor3")]
     bad = compare(compared.recording, ("crash", "doubt")).outcomes
     recording = replace(compared.recording, name=HOSTILE, notes=(HOSTILE,))
     file = tmp_path / "report.html"
     page_of = replace(compared, recording=recording, outcomes=(*few, *bad))
     file.write_text(render_comparison(page_of), encoding="utf-8")
-    wrong: list[str] = []
-    with api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox", "--disable-gpu"])
-        for width, scheme in ((1280, "light"), (390, "dark")):
-            page = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme).new_page()
-            page.on("request", lambda r: r.url.startswith(("file://", "data:")) or wrong.append(r.url))
-            page.on("console", lambda m: m.type in ("error", "warning") and wrong.append(m.text))
-            page.goto(file.as_uri())
-            assert page.evaluate("document.documentElement.scrollWidth") <= width
-            assert page.evaluate(
-                "[...document.querySelectorAll('figure svg')].every(f => f.getBoundingClientRect().height > 100)"
-            )
-        good = len(page_of.trusted)
-        assert page.locator("#verdict h1").inner_text() == f"{good} of 4 methods gave a result to trust"
-        assert page.title().startswith("Comparison on <script>")
-        assert page.locator("section.method").count() == 3
-        assert page.locator("section.method figure svg").count() == 3 * 5
-        assert page.locator("#overview figure svg").count() == 3
-        assert "crash failed: ZeroDivisionError: a defect of the method" in page.inner_text("main")
-        assert "No luck" in page.inner_text("#method-doubt")
-        assert "from that of smoother" in page.inner_text("#method-magfactor3")
-        browser.close()
-    assert not wrong
+    for width, scheme in ((1280, "light"), (390, "dark")):
+        page = opened(file, width, scheme)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(
+            "[...document.querySelectorAll('figure svg')].every(f => f.getBoundingClientRect().height > 100)"
+        )
+    good = len(page_of.trusted)
+    assert page.locator("#verdict h1").inner_text() == f"{good} of 4 methods gave a result to trust"
+    assert page.title().startswith("Comparison on <script>")
+    assert page.locator("section.method").count() == 3
+    assert page.locator("section.method figure svg").count() == 3 * 5
+    assert page.locator("#overview figure svg").count() == 3
+    assert "crash failed: ZeroDivisionError: a defect of the method" in page.inner_text("main")
+    assert "No luck" in page.inner_text("#method-doubt")
+    assert "from that of smoother" in page.inner_text("#method-magfactor3")
 
 
 @pytest.mark.real

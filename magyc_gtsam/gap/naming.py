@@ -147,7 +147,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
     explained = max((s.statistic for s in first.scores), default=0.0)
     result = _ahead_of_names(first, found)
     for score in now.scores:
-        limit = min(_REMAINDER, score.limit) if found else score.limit
+        limit = min(_REMAINDER, score.limit) if any(f.name in TERMS for f in found) else score.limit
         if score.significance <= limit or now.gains.get(score.name, 0.0) <= 0:
             continue
         if found and score.statistic - len(score.variant.unit) < _SHAPE * explained:

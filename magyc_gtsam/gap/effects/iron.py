@@ -43,7 +43,8 @@ def _step_times(twin: Twin) -> list[dict[str, float]]:
     """Single steps, and things attached and taken off again: two steps that neither alone would explain."""
     single = [{"time": float(t)} for t in _edges(twin, _STEPS)]
     coarse = _edges(twin, _ENDS)
-    return single + [{"time": float(a), "until": float(b)} for a, b in combinations(coarse, 2)]
+    shortest = 1.5 * (coarse[-1] - coarse[0]) / _ENDS  # what is shorter was passed by, not attached
+    return single + [{"time": float(a), "until": float(b)} for a, b in combinations(coarse, 2) if b - a > shortest]
 
 
 def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
