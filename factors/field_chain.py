@@ -262,7 +262,7 @@ class FieldChain:
         information (zeros for fixed parameters).
         """
         solve = _solve(reduced)
-        s00, s01, s11 = _inner_covariance(reduced)
+        s00, s01, s11 = inner_covariance(reduced)
         j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
         inner = (
             np.einsum("in,in->n", j0, j0) * s00
@@ -294,7 +294,7 @@ def _solve(reduced: Reduced) -> Array:
     return np.ascontiguousarray(solved.T.reshape(PARAMETERS, -1, 2).swapaxes(1, 2))
 
 
-def _inner_covariance(reduced: Reduced) -> tuple[Array, Array, Array]:
+def inner_covariance(reduced: Reduced) -> tuple[Array, Array, Array]:
     """The diagonal blocks of H⁻¹: entries 00, 01, 11, (n,) each.
 
     They are (D_f + D_b − D)⁻¹ with the forward and the backward Schur complements, each read off one

@@ -50,7 +50,11 @@ class Refit:
 
 
 def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
-    """Everything jointly, re-linearised at each step; noise levels in between (None keeps them)."""
+    """Everything jointly, re-linearised at each step; noise levels in between (None keeps them).
+
+    Raises:
+        MagycError: a term whose effect on the readings is beyond all bounds.
+    """
     converged = False
     twin = Twin.of(problem, model)
     covariance = np.zeros((0, 0))
@@ -59,6 +63,8 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
             base = twin.base_columns()
             gradient = base @ twin.residual().ravel() - twin.base_pull()
             information = base @ base.T
+            if not np.isfinite(information).all():
+                raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no finite fit")
             scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
             value, vector = np.linalg.eigh(information * scale * scale[:, None])
             value = np.maximum(value, 1e-13)
@@ -90,7 +96,7 @@ def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | N
     for share in _SHORTER:
         try:
             ahead = Twin.of(problem, _stepped(twin.model, share * step))
-        except (MagycError, np.linalg.LinAlgError):
+        except MagycError:
             continue  # a step too far for the chain to be factorised
         # The gyroscope's scale is not fitted by cost alone (`Twin.rate_pull`).
         allowed = twin.reduced.cost + share * abs(float(pull @ step)) + _ROUNDING

@@ -12,13 +12,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, Look, choose, leftover, rivals_of, stands
 from magyc_gtsam.gap.noise_effects import NoiseScore
-from magyc_gtsam.gap.problem import Active, Problem
+from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
 from magyc_gtsam.gap.score import (
     Projector,
@@ -101,7 +102,11 @@ def search(
         if isinstance(choice, NoiseScore):
             noted.add(choice.name)
             if choice.name == "tone":
-                current = _with_tone(problem, current, choice, short_term)
+                term = Active("tone", {"frequency": choice.setting["frequency"]}, np.zeros(6))
+                ahead = _tried(problem, with_term(current.model, term), short_term)
+                if ahead is None:
+                    continue
+                current = ahead
             elif choice.name == "spikes":
                 recording = _without(recording, now.fine, choice)
                 problem = prepare(recording)
@@ -116,8 +121,8 @@ def search(
             model = current.model
             for term in added:
                 model = with_term(model, term)
-            ahead = refit(problem, model, short_term)
-            if not ahead.converged:  # the data do not determine it beside the rest
+            ahead = _tried(problem, model, short_term)
+            if ahead is None:
                 failed.add(choice.name)
                 continue
             current = ahead
@@ -234,9 +239,13 @@ def _backwards(
     return current, found
 
 
-def _with_tone(problem: Problem, current: Refit, tone: NoiseScore, short_term: Noise) -> Refit:
-    term = Active("tone", {"frequency": tone.setting["frequency"]}, np.zeros(6))
-    return refit(problem, with_term(current.model, term), short_term)
+def _tried(problem: Problem, model: Model, short_term: Noise) -> Refit | None:
+    """The refit of a model; None where the data do not determine the new term beside the rest."""
+    try:
+        ahead = refit(problem, model, short_term)
+    except MagycError:
+        return None
+    return ahead if ahead.converged else None
 
 
 def _without(recording: Recording, fine: Fine, spikes: NoiseScore) -> Recording:

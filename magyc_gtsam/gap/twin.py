@@ -18,7 +18,8 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.factors.effects import FORMS, Setting, Signals
-from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State, _inner_covariance
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State, inner_covariance
 from magyc_gtsam.factors.rotations import Array, cross, skew
 from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.gap.problem import Active, Model, Problem, attitude, build, window_signals
@@ -209,7 +210,7 @@ class Twin:
     def _link_redundancy(self) -> Array:
         """(3, 3, n − 1) share of each link's noise that the smoother leaves in its residual, 0 across a hole."""
         filter_ = self._filter
-        s00, s01, s11 = _inner_covariance(self.reduced)
+        s00, s01, s11 = inner_covariance(self.reduced)
         covariance = np.array([[s00, s01], [s01, s11]])
         own = np.zeros((2, 2, self.n))
         own[0, 0], own[1, 0], own[1, 1] = filter_.factor[0, ::2], filter_.factor[1, ::2], filter_.factor[0, 1::2]
@@ -281,6 +282,8 @@ class _Filter(NamedTuple):
         ahead: Array = np.asarray(np.linalg.inv(information), dtype=float).transpose(1, 2, 0)
         seen = reduced.on_direction
         scatter = np.eye(3)[:, :, None] + np.einsum("ian,abn,jbn->ijn", seen, ahead, seen)
+        if not np.isfinite(scatter).all():
+            raise MagycError("the innovations of the model have no finite covariance: a term is out of range")
         value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
         whitener = np.moveaxis((vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2), 0, 2)
         return cls(
