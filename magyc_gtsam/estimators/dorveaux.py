@@ -14,10 +14,8 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.magnetometer_only import (
     Ellipsoid,
+    calibrate_by,
     check_positive,
-    fitting,
-    normalised_field,
-    to_calibration,
 )
 from magyc_gtsam.recording import Array, Recording
 
@@ -42,18 +40,14 @@ def calibrate_dorveaux(
     Raises:
         MagycError: samples that no ellipsoid explains.
     """
-    samples = normalised_field(recording)
-    with fitting("dorveaux"):
-        ellipsoid = dorveaux(samples.value, tolerance=tolerance, max_iterations=max_iterations)
-    if progress:
-        progress(1.0)
-    return to_calibration(
+    return calibrate_by(
+        dorveaux,
         recording,
-        samples,
-        ellipsoid,
-        method="dorveaux",
-        field_strength=field_strength,
-        configuration={"tolerance": tolerance, "max_iterations": max_iterations},
+        "dorveaux",
+        field_strength,
+        progress,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
     )
 
 

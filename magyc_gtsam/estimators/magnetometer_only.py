@@ -11,7 +11,7 @@ the rotation of K that no magnetometer can see, the scale, the covariance and th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -127,6 +127,25 @@ def symmetric_root(matrix: Array) -> Array:
     left, stretch, _ = np.linalg.svd(matrix)
     root: Array = (left * stretch) @ left.T
     return root
+
+
+def calibrate_by(
+    fit: Callable[..., Ellipsoid],
+    recording: Recording,
+    method: str,
+    field_strength: float | None,
+    progress: Callable[[float], None] | None,
+    **options: float,
+) -> Calibration:
+    """The calibration of a method that takes all samples at once: `fit(samples (n, 3), **options)`."""
+    samples = normalised_field(recording)
+    with fitting(method):
+        ellipsoid = fit(samples.value, **options)
+    if progress:
+        progress(1.0)
+    return to_calibration(
+        recording, samples, ellipsoid, method=method, field_strength=field_strength, configuration=options
+    )
 
 
 def to_calibration(

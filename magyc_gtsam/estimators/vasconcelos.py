@@ -15,10 +15,8 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.magnetometer_only import (
     REMEDY,
     Ellipsoid,
+    calibrate_by,
     check_positive,
-    fitting,
-    normalised_field,
-    to_calibration,
 )
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
@@ -47,18 +45,14 @@ def calibrate_vasconcelos(
     Raises:
         MagycError: samples that no ellipsoid explains.
     """
-    samples = normalised_field(recording)
-    with fitting("vasconcelos"):
-        ellipsoid = vasconcelos(samples.value, tolerance=tolerance, max_iterations=max_iterations)
-    if progress:
-        progress(1.0)
-    return to_calibration(
+    return calibrate_by(
+        vasconcelos,
         recording,
-        samples,
-        ellipsoid,
-        method="vasconcelos",
-        field_strength=field_strength,
-        configuration={"tolerance": tolerance, "max_iterations": max_iterations},
+        "vasconcelos",
+        field_strength,
+        progress,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
     )
 
 

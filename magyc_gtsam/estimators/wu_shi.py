@@ -17,10 +17,8 @@ from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.magnetometer_only import (
     REMEDY,
     Ellipsoid,
+    calibrate_by,
     check_positive,
-    fitting,
-    normalised_field,
-    to_calibration,
 )
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
@@ -50,18 +48,14 @@ def calibrate_wu_shi(
     Raises:
         MagycError: samples that no ellipsoid explains.
     """
-    samples = normalised_field(recording)
-    with fitting("wu-shi"):
-        ellipsoid = wu_shi(samples.value, tolerance=tolerance, max_iterations=max_iterations)
-    if progress:
-        progress(1.0)
-    return to_calibration(
+    return calibrate_by(
+        wu_shi,
         recording,
-        samples,
-        ellipsoid,
-        method="wu-shi",
-        field_strength=field_strength,
-        configuration={"tolerance": tolerance, "max_iterations": max_iterations},
+        "wu-shi",
+        field_strength,
+        progress,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
     )
 
 
