@@ -35,6 +35,9 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     for name, seed, effects in (("plain", 1, ()), ("late", 2, ("timing",)), ("again", 3, ("timing",))):
         write_mcap(folder / f"{name}.mcap", simulate("wide", 400, seed=seed, effects=effects).recording)
+    write_mcap(folder / "brief.mcap", simulate("wide", 2).recording)
+    other = simulate("wide", 100, hard_iron=np.array([1e-4, -2e-4, 3e-4]))
+    write_mcap(folder / "other.mcap", other.recording)
     return folder
 
 
@@ -126,6 +129,7 @@ def test_a_gap_left_open_is_exit_code_one(
         ("gap {logs}/plain.mcap --validate {logs}/none.mcap", "none.mcap: cannot be read"),
         ("gap {logs}/plain.mcap --calibration {logs}/none.yaml", "none.yaml: no such file"),
         ("gap --plan waltz", "'waltz' is none of wide"),
+        ("gap {logs}/brief.mcap --candidates timing", "2 windows of 1.5 s, at least 8 are needed"),
     ],
 )
 def test_one_line_for_every_mistake(
@@ -143,6 +147,32 @@ def test_one_line_for_every_mistake(
     assert errors.count("\n") == 1
     assert says in errors
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+def test_a_log_of_another_instrument(
+    late: tuple[mg.Recording, Gap],
+    logs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("magyc_gtsam.find_gap", lambda *_, **__: late[1], raising=False)
+    monkeypatch.chdir(tmp_path)
+    command = ["gap", str(logs / "late.mcap"), "-q", "-o", "here", "--validate"]
+    assert cli.main([*command, str(logs / "again.mcap")]) == 0
+    capsys.readouterr()
+    assert cli.main([*command, str(logs / "other.mcap")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("magyc-gtsam: the result does not hold on other.mcap: its 20 s prediction is off by ")
+    assert cli.main([*command, str(logs / "brief.mcap")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"magyc-gtsam: --validate {logs / 'brief.mcap'}: 2 windows")
+
+
+def test_a_simulator_of_two_seconds(late: tuple[mg.Recording, Gap]) -> None:
+    with pytest.raises(mg.MagycError, match="simulated: 2 windows"):
+        mg.find_gap(simulate("wide", 60).recording, simulated=simulate("wide", 2).recording, candidates=["timing"])
 
 
 @pytest.mark.usefixtures("quiet_terminal")

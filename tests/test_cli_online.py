@@ -333,6 +333,12 @@ def test_plain_lines_and_the_view_of_a_terminal(log: Path, tmp_path: Path) -> No
         (("{log}", "--gyroscope-axes", "x,x,z"), "does not name x, y and z once each"),
         (("{log}", "--magnetic-unit", "gauss", "--magnetic-unit", "furlong"), "'furlong' is not known"),
         (("{log}", "--state", "."), ""),
+        (("{log}", "--field-strength", "0"), "field_strength: 0 T is no field of the Earth"),
+        (("{log}", "--option", "field_strength=strong"), "field_strength: 'strong' is no number"),
+        (("{log}", "--option", "horizon=long"), "horizon: 'long' is no number of 120 or more"),
+        (("{log}", "--method", ""), "'' is none of smoother, magyc-ifg"),
+        (("{log}", "--output", "{log}/there.yaml"), "is a file, a folder is expected"),
+        (("{log}", "--state", "{log}/there.state"), "is a file, a folder is expected"),
         ((".",), "is a directory"),
     ],
 )
@@ -345,6 +351,26 @@ def test_what_is_wrong_is_one_line_and_code_2(
     assert errors.count("\n") == 1
     assert "internal error" not in errors
     assert not list(tmp_path.iterdir())
+
+
+def test_an_output_that_is_a_folder_is_refused_before_the_run(
+    log: Path, tmp_path: Path, inside: Callable[..., tuple[int, str]]
+) -> None:
+    (tmp_path / "taken.yaml").mkdir()
+    code, errors = inside(log, "--output", "taken.yaml", "--state", "kept.state")
+    assert code == 2
+    assert "taken.yaml: is a folder, a file is expected" in errors
+    assert [file.name for file in tmp_path.iterdir()] == ["taken.yaml"]
+
+
+def test_numbers_of_options_need_no_point(
+    log: Path, tmp_path: Path, inside: Callable[..., tuple[int, str]]
+) -> None:
+    inside(
+        log, "--quiet", "--state", "kept.state", "--option", "noise=[1e-6,5E-3]", "--option", "hard_iron_walk=1e-9"
+    )
+    options = mg.OnlineCalibrator.load(tmp_path / "kept.state").options
+    assert options == {"noise": [1e-6, 5e-3], "hard_iron_walk": 1e-9}
 
 
 def test_a_wrong_unit_and_a_state_of_another_method(

@@ -274,6 +274,9 @@ def drained_of(source: JsonLines) -> None:
         ('{"time": 1, "magnetic_field": [1, 2]}', "three numbers are needed"),
         ('{"time": 1, "angular_rate": [1, 2, "3"]}', "three numbers are needed"),
         ('{"time": 1}', "neither"),
+        ('{"time": ' + "9" * 400 + "}", '"time" is Infinity'),
+        ('{"time": ' + "9" * 5000 + "}", '"time" is Infinity'),
+        ("[" * 50_000, "not JSON"),
     ],
 )
 def test_a_bad_line_is_left_out_with_its_number_and_the_others_are_not(line: str, reason: str) -> None:

@@ -310,6 +310,12 @@ def test_files_that_hold_no_state(tmp_path):
         OnlineCalibrator.load(other)
     with pytest.raises(MagycError, match="cannot be written"):
         OnlineCalibrator().save(tmp_path / "missing" / "online.npz")
+    OnlineCalibrator().save(other)
+    with np.load(other) as file:
+        arrays = {name: file[name] for name in file.files if name != "engine/memory/counts"}
+    np.savez(other, **arrays)
+    with pytest.raises(MagycError, match="the state of method 'smoother' in it is incomplete or damaged"):
+        OnlineCalibrator.load(other)
 
 
 @pytest.mark.real

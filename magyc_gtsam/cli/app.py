@@ -77,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with group.make_context("magyc-gtsam", given, obj=given) as context:
             code = int(group.invoke(context) or 0)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by the shell (>&-)
+            sys.stdout.flush()
         return code
     except typer.Exit as finished:
         return finished.exit_code
@@ -109,6 +110,8 @@ def _explain(error: Exception) -> str:
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}; check the path, its permissions and the space left"
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error}); take a part of the log (--start, --end), or less of all"
     return (
         f"internal error: {type(error).__name__}: {error}; this is a bug, please report it "
         "(MAGYC_DEBUG=1 shows the traceback)"

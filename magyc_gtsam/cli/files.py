@@ -35,6 +35,20 @@ def replacing_folder(path: Path) -> Iterator[Path]:
                 os.replace(file, path / file.name)
 
 
+def refuse_unwritable(file: Path) -> None:
+    """Make the folder of a file that will be written later, and see that it takes files.
+
+    Raises:
+        OSError: it does not, or `file` is a folder.
+    """
+    if file.is_dir():
+        raise IsADirectoryError(errno.EISDIR, "is a folder, a file is expected", str(file))
+    _refuse_files(file.parents)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(prefix=".magyc-gtsam-", dir=file.parent):
+        pass
+
+
 @contextmanager
 def _temporary(place: Path) -> Iterator[Path]:
     """A directory in `place`, which is made where it is missing, and unmade if the block fails."""

@@ -17,6 +17,7 @@ from magyc_gtsam.cli.terminal import show, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Gap
+    from magyc_gtsam.recording import Recording
     from magyc_gtsam.report.gap_words import Validation
 
 _SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
@@ -78,11 +79,12 @@ def run(
     """Find where model and measurement disagree, name what is missing, add it, and see the gap shrink.
 
     Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html.
-    Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open.
+    Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, or the
+    result does not hold on OTHER_LOG at all.
     """
     from magyc_gtsam import Calibration, find_gap
     from magyc_gtsam.report.gap_page import render_gap
-    from magyc_gtsam.report.gap_words import closed
+    from magyc_gtsam.report.gap_words import closed, foreign
 
     start = None if calibration is None else Calibration.load(calibration)
     names = None if candidates is None else [name.strip() for name in candidates.split(",")]
@@ -90,10 +92,15 @@ def run(
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording = reading.recording(stage("reading"))
         other = None if simulated is None else Reading(simulated).recording(stage(f"reading {simulated.name}"))
+        held_out = None  # read before the search, which takes its time
+        if validate is not None:
+            held_out = replace(reading, log=validate, start=None, end=None).recording()
         gap = find_gap(
             recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
         )
-        validation = None if validate is None else _validation(reading, validate, gap, stage("validating"))
+        validation = None
+        if validate is not None and held_out is not None:
+            validation = _validation(validate, held_out, gap, stage("validating"))
         page = stage("drawing the page")
         (part / "gap.json").write_text(_json(_values(gap, validation)), encoding="utf-8")
         gap.calibration.save(part / "calibration.yaml")
@@ -117,23 +124,29 @@ def run(
             f"results: {folder}",
             f"page: {folder / 'report.html'}",
         )
-    if closed(gap):
+    doubts = [] if closed(gap) else [f"the gap is left open: {gap.sentence}"]
+    if validation is not None:
+        doubts += foreign(gap, validation)
+    if not doubts:
         return 0
-    typer.echo(f"magyc-gtsam: the gap is left open: {gap.sentence}", err=True)
+    typer.echo(f"magyc-gtsam: {'; '.join(doubts)}", err=True)
     return 1
 
 
-def _validation(reading: Reading, log: Path, gap: Gap, progress: Any) -> Validation:
+def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
+    from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.gap.validation import agreement
     from magyc_gtsam.report.gap_words import Validation
 
-    recording = replace(reading, log=log, start=None, end=None).recording()
-    progress(0.2)
-    before = agreement(recording, gap.base)
-    progress(0.6)
-    if gap.after is gap.before:
+    try:
+        before = agreement(recording, gap.base)
+        progress(0.5)
+        after = before if gap.after is gap.before else agreement(recording, gap.calibration)
+    except MagycError as problem:
+        raise MagycError(f"--validate {log}: {problem}") from None
+    progress(1.0)
+    if after is before:
         return Validation(log.name, before, before)
-    after = agreement(recording, gap.calibration)
     # What noise leaves is for the better model to say: the other calls its misfit noise.
     before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     return Validation(log.name, before, after)

@@ -107,7 +107,7 @@ def _calibrator(state: Path | None, method: str | None, options: dict[str, Any])
 
     if state is None or not state.exists():
         try:
-            return OnlineCalibrator(method or _METHOD, **options)
+            return OnlineCalibrator(_METHOD if method is None else method, **options)
         except TypeError as error:
             raise MagycError(f"--option: the method cannot use it ({error})") from None
     online = OnlineCalibrator.load(state)

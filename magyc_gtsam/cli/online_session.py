@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from magyc_gtsam.cli.files import refuse_unwritable
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.live import Batch, LiveSource
 from magyc_gtsam.recording import Array, Samples
@@ -81,10 +82,9 @@ class Session:
         Raises:
             MagycError: a source that cannot be read, a clock that was set back, or files that cannot be written.
         """
-        self.output.parent.mkdir(parents=True, exist_ok=True)
-        if self.state is not None:
-            self.state.parent.mkdir(parents=True, exist_ok=True)
-            self.online.save(self.state)  # says now, not after an hour, that it cannot be written
+        for file in (self.output, self.state):
+            if file is not None:
+                refuse_unwritable(file)  # now, not after an hour
         with _stoppable() as stopped:
             try:
                 self._loop(stopped)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.recording import Array, Recording
 
 _AXIS = re.compile(r"^(?:[xyz]\s*(?:←|<-|=)\s*)?([+−-]?)\s*([xyz])$")
+_EXPONENT = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)[eE][+-]?\d+$")
 _EPOCH = re.compile(r"time 0 is .*?(\d+)\.(\d{9}) s")
 
 
@@ -97,13 +98,17 @@ def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
 
     from magyc_gtsam.factors.errors import MagycError
 
+    class Values(yaml.SafeLoader):
+        """Numbers as YAML 1.2 has them: 1e-9 is one, without a point too."""
+
+    Values.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("+-.0123456789"))
     result = {}
     for pair in pairs or ():
         key, equals, value = pair.partition("=")
         if not equals or not key.strip():
             raise MagycError(f"{option}: {pair!r} is not of the form key=value")
         try:
-            result[key.strip().replace("-", "_")] = yaml.safe_load(value)
+            result[key.strip().replace("-", "_")] = yaml.load(value, Values)
         except yaml.YAMLError:
             raise MagycError(f"{option}: the value of {pair!r} cannot be read") from None
     return result

@@ -29,14 +29,20 @@ class Scale:
         """The strength; None where nothing was said of it.
 
         Raises:
-            MagycError: options that contradict each other, or say nothing alone.
+            MagycError: options that contradict each other, or say nothing alone; a strength that no field has.
         """
         from magyc_gtsam.factors.errors import MagycError
 
         if self.location is None:
             if self.date is not None:
                 raise MagycError("--date: says nothing without a place; give --location LAT LON too")
-            return None if self.field_strength is None else self.field_strength * 1e-6
+            if self.field_strength is None:
+                return None
+            from magyc_gtsam.estimators.gauge import check_field_strength
+
+            strength = self.field_strength * 1e-6
+            check_field_strength(strength)
+            return strength
         if self.field_strength is not None:
             raise MagycError(
                 "--field-strength and --location: both set the strength of the field; give one of them"

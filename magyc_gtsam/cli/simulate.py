@@ -59,6 +59,7 @@ def run(
     """
     import numpy as np
 
+    from magyc_gtsam.estimators.gauge import check_field_strength
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.io import write_mcap
     from magyc_gtsam.json_types import json_types
@@ -71,12 +72,18 @@ def run(
             raise MagycError(f"{option}: {value:g}, it must be more than 0")
     if min(magnetometer_noise, gyroscope_noise) < 0:
         raise MagycError("--magnetometer-noise, --gyroscope-noise: a deviation is not negative")
+    given = {"--delay": delay, "--hard-iron": hard_iron, "--gyroscope-bias": gyroscope_bias}
+    given |= {"--magnetometer-noise": magnetometer_noise, "--gyroscope-noise": gyroscope_noise}
+    for option, values in given.items():
+        if values is not None and not np.isfinite(values).all():
+            raise MagycError(f"{option}: {values} is not finite")
     sensor: dict[str, Any] = {
         "magnetometer_noise": magnetometer_noise * 1e-6,
         "gyroscope_noise": gyroscope_noise * 1e-3,
         "delay": delay * 1e-3,
     }
     if field_strength is not None:
+        check_field_strength(field_strength * 1e-6)
         sensor["field"] = FIELD * (field_strength * 1e-6 / np.linalg.norm(FIELD))
     if hard_iron is not None:
         sensor["hard_iron"] = np.multiply(hard_iron, 1e-6)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.gauge import check_field_strength
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
@@ -165,8 +166,7 @@ def calibrate(
     """
     if method not in _METHODS:
         raise MagycError(f"method: {method!r} is none of {', '.join(_METHODS)}")
-    if field_strength is not None and not 1e-6 < field_strength < 1e-3:
-        raise MagycError(f"field_strength: {field_strength:g} T is no field of the Earth (20e-6 to 70e-6 T)")
+    check_field_strength(field_strength)
     if (recording.magnetic_field == recording.magnetic_field[0]).all():
         raise MagycError("magnetic_field: all rows are the same; the sensor is stuck, or was not turned")
     counts = recording.magnetic_field_unit == "counts"

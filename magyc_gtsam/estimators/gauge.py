@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import UPPER
 from magyc_gtsam.recording import Array
+
+
+def check_field_strength(value: Any) -> None:
+    """Refuse what cannot be the strength of the true field in T; None says that it is unknown.
+
+    Raises:
+        MagycError: no number, or far beyond any field of the Earth.
+    """
+    if value is None:
+        return
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
+        raise MagycError(f"field_strength: {value!r} is no number of tesla")
+    if not 1e-6 < value < 1e-3:
+        raise MagycError(f"field_strength: {value:g} T is no field of the Earth (20e-6 to 70e-6 T)")
 
 
 def fix_scale(scaled: Array, covariance: Array, field_strength: float | None = None) -> tuple[Array, float, Array]:

@@ -66,8 +66,11 @@ def find_gap(
     gap = _gap(given, result, base, calibration, names, turned, clock.perf_counter() - started)
     if simulated is not None:
         allowed = tuple(name for name in names if name in TERMS)
-        model = base_model(simulated, None, short_term_noise(simulated))
-        against = look(simulated, model, allowed, np.random.default_rng(0))
+        try:
+            model = base_model(simulated, None, short_term_noise(simulated))
+            against = look(simulated, model, allowed, np.random.default_rng(0))
+        except MagycError as problem:
+            raise MagycError(f"simulated: {problem}") from None
         gap = replace(gap, assumptions=compare(result.first, against))
     report(1.0)
     return gap

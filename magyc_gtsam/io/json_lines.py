@@ -87,8 +87,8 @@ class JsonLines:
     def _parse(self, line: bytes) -> dict[str, list[float]]:
         """{sensor: [time, x, y, z]}."""
         try:
-            values = json.loads(line)
-        except (json.JSONDecodeError, UnicodeDecodeError) as problem:
+            values = json.loads(line, parse_int=float)  # an integer of any length: too large is infinite
+        except (ValueError, RecursionError) as problem:  # not UTF-8 and nested without end among them
             raise MagycError(f"not JSON ({problem})") from None
         if not isinstance(values, dict):
             raise MagycError('not an object {"time": …, "magnetic_field": […], "angular_rate": […]}')
@@ -102,7 +102,7 @@ class JsonLines:
                 continue
             if not isinstance(vector, list) or len(vector) != 3 or not all(map(_is_number, vector)):
                 raise MagycError(f'"{sensor}" is {json.dumps(vector)[:80]}, three numbers are needed')
-            result[sensor] = [float(time), *map(float, vector)]
+            result[sensor] = [time, *vector]
         if not result:
             raise MagycError('neither "magnetic_field" nor "angular_rate"')
         return result
@@ -115,4 +115,4 @@ class JsonLines:
 
 
 def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, float)

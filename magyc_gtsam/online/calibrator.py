@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.gauge import check_field_strength
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online import state_file
 from magyc_gtsam.online.engine import Engine
@@ -52,6 +53,7 @@ class OnlineCalibrator:
             raise MagycError(
                 f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
             )
+        check_field_strength(options.get("field_strength"))
         self.method = method
         self.options = dict(options)
         self._engine: Engine = engine(**options)
@@ -143,7 +145,13 @@ class OnlineCalibrator:
             MagycError: no such file, not a saved state, or one of another version.
         """
         method, options, state = state_file.read(path)
-        result = cls(method, **options)
-        for part, owner in (("engine/", result._engine), ("intake/", result._intake)):
-            owner.restore({k.removeprefix(part): v for k, v in state.items() if k.startswith(part)})
+        try:
+            result = cls(method, **options)
+            for part, owner in (("engine/", result._engine), ("intake/", result._intake)):
+                owner.restore({k.removeprefix(part): v for k, v in state.items() if k.startswith(part)})
+        except (LookupError, TypeError, ValueError) as error:
+            raise MagycError(
+                f"{path}: the state of method {method!r} in it is incomplete or damaged ({error}); remove it and "
+                "begin a new one"
+            ) from None
         return result

@@ -42,7 +42,8 @@ _SHORTEST_TAIL, _LONGEST_TAIL = 24, 56  # windows
 _FIRST = 12  # windows before the first fit
 _SWEEP, _SEARCH = 1.25, 1.5  # growth between two sweeps, and between two searches for the start
 _STILL = 1.5  # sigma of the sweep before by which a parameter may have moved for convergence
-_LEAST_STABLE = 80  # windows, below which the noise levels are too uncertain for an honest covariance
+_LEAST_STABLE = 80  # windows, below which the noise levels are too uncertain to look for steps
+_LEAST_CONVERGED = 150  # windows, below which they are too uncertain for an honest covariance
 _NOISE_WINDOWS = 60  # after a step, before the noise levels are estimated again
 _MOST_SAMPLES = 131072  # kept of a sensor, whatever the horizon
 _MOST_LOOKED_BACK = 400  # windows that are searched for steps when the estimate has converged
@@ -83,7 +84,7 @@ class OnlineSmoother:
             ("gyro_bias_walk", gyro_bias_walk, 0.0),
             ("horizon", horizon, 120.0),
         ):
-            if not least <= value < np.inf:
+            if isinstance(value, (bool, str)) or not least <= value < np.inf:
                 raise MagycError(f"{name}: {value!r} is no number of {least:g} or more")
         self._fixed: dict[str, Any] = dict(noise=noise, robust=robust, delay=delay, window=window, turn=turn)
         self._field_strength, self._horizon = field_strength, horizon
@@ -321,7 +322,7 @@ class OnlineSmoother:
 
     def converged(self) -> bool:
         """See `Engine.converged`."""
-        return self._memory.stable
+        return self._memory.stable and self._memory.given_up + len(self._kept()) >= _LEAST_CONVERGED
 
     def progress(self) -> Progress:
         """See `Engine.progress`."""
@@ -336,8 +337,8 @@ class OnlineSmoother:
         elif not calibration.converged:
             sentence = calibration.message
         else:
-            sentence = "converged" if m.stable else "the estimate still moves: go on turning"
-        return Progress(None, 0.0, windows, m.stable, sentence, weak, seen)
+            sentence = "converged" if self.converged() else "the estimate still moves: go on turning"
+        return Progress(None, 0.0, windows, self.converged(), sentence, weak, seen)
 
     def changes(self) -> tuple[Change, ...]:
         """See `Engine.changes`."""

@@ -11,6 +11,7 @@ from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Isolability, Metrics
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
+_FOREIGN = 0.1  # of the field; a prediction beyond it is no matter of effects that were not found
 _TITLES = {
     "none": "Nothing is missing",
     "closed": "Gap found and closed",
@@ -36,6 +37,19 @@ class Validation:
 def closed(gap: Gap) -> bool:
     """Whether nothing was missing, or what was missing is in the model now."""
     return gap.verdict in ("none", "closed")
+
+
+def foreign(gap: Gap, validation: Validation) -> list[str]:
+    """Why the other recording cannot be of the same instrument and iron; empty where it may be."""
+    loop, strength = validation.after.open_loop, gap.calibration.field_strength
+    assert strength is not None
+    if not loop.rms > max(_FOREIGN * strength, 3 * loop.floor):
+        return []
+    return [
+        f"the result does not hold on {validation.name}: its {loop.horizon:g} s prediction is off by "
+        f"{loop.rms * 1e6:.1f} µT, at most {_FOREIGN:.0%} of the field is tolerated: another instrument, another "
+        "mounting or changed iron; give a log of the same"
+    ]
 
 
 def title(gap: Gap) -> str:

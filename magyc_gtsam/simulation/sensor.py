@@ -27,6 +27,7 @@ HARD_IRON = np.array([20.0, 120.0, 90.0]) * MILLIGAUSS
 GYRO_BIAS = np.array([4.0, -5.0, 2.0]) * 1e-3
 _GRID = 100.0  # Hz, at least, on which effects with a memory of their own are computed
 _ACCELEROMETER_NOISE = 0.03  # m/s²
+_MOST_SAMPLES = 20_000_000  # some gigabytes
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +88,12 @@ def simulate(
         raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
     wanted = chosen(effects, seed)
     recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])
+    if not 2.5 < duration * rate <= _MOST_SAMPLES:
+        raise MagycError(
+            f"duration {duration:g} s at {rate:g} Hz gives {duration * rate:.0f} samples, at least 3 are needed and "
+            f"at most {_MOST_SAMPLES:,} are simulated"
+        )
     samples = round(duration * rate)
-    if samples < 3:
-        raise MagycError(f"duration {duration:g} s at {rate:g} Hz gives {samples} samples, at least 3 are needed")
     random = np.random.default_rng(seed)
     finer = max(1, int(np.ceil(_GRID / rate))) if wanted or recorded else 1
     time = np.arange(samples * finer) / (rate * finer)
