@@ -43,7 +43,8 @@ _FIRST = 12  # windows before the first fit
 _SWEEP, _SEARCH = 1.25, 1.5  # growth between two sweeps, and between two searches for the start
 _STILL = 1.5  # sigma of the sweep before by which a parameter may have moved for convergence
 _LEAST_STABLE = 80  # windows, below which the noise levels are too uncertain to look for steps
-_LEAST_CONVERGED = 150  # windows, below which they are too uncertain for an honest covariance
+_LEAST_CONVERGED = 120  # windows of the last sweep, below which they are too uncertain for an honest covariance
+_SHORT_DATA = 20  # windows; the covariance from n is too small by this over n, in simulated minutes
 _NOISE_WINDOWS = 60  # after a step, before the noise levels are estimated again
 _MOST_SAMPLES = 131072  # kept of a sensor, whatever the horizon
 _MOST_LOOKED_BACK = 400  # windows that are searched for steps when the estimate has converged
@@ -316,13 +317,14 @@ class OnlineSmoother:
         assert result.covariance is not None
         return replace(
             result,
-            covariance=result.covariance * (1 + PARAMETERS / windows),
+            covariance=result.covariance * (1 + _SHORT_DATA / windows),
             diagnostics={**result.diagnostics, "windows": windows},
         )
 
     def converged(self) -> bool:
         """See `Engine.converged`."""
-        return self._memory.stable and self._memory.given_up + len(self._kept()) >= _LEAST_CONVERGED
+        swept_enough = self._memory.next_sweep >= int(_SWEEP * _LEAST_CONVERGED)
+        return self._memory.stable and swept_enough
 
     def progress(self) -> Progress:
         """See `Engine.progress`."""
