@@ -127,7 +127,7 @@ def batch(arguments):
     print(f"NEES band {FREEDOMS - half:.2f} to {FREEDOMS + half:.2f}")
     for motion in MOTIONS:
         at_end, at_first, when, apart, wrong = [], [], [], [], 0
-        for seed in range(runs):
+        for seed in range(arguments.seed, arguments.seed + runs):
             simulation = mg.simulate(motion, seed=seed)
             online, first = followed(simulation)
             at_end.append(judged(online.calibration, simulation, None))
@@ -237,6 +237,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path, nargs="?", default=Path("."))
     parser.add_argument("--runs", type=int)
     parser.add_argument("--hours", type=float)
+    parser.add_argument("--seed", type=int, default=0, help="batch: the first one")
     arguments = parser.parse_args()
     parts[arguments.part](arguments)
 
