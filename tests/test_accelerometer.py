@@ -146,7 +146,7 @@ def run(*arguments, cwd):
         capture_output=True,
         text=True,
         encoding="utf-8",
-        timeout=120,
+        timeout=300,
     )
 
 

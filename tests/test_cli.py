@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -44,7 +45,7 @@ Finished = subprocess.CompletedProcess[str]
 def run(*arguments: object, cwd: Path) -> Finished:
     """The installed command, with the environment of a plain pipe."""
     return subprocess.run(
-        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=120
+        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=300
     )
 
 
@@ -239,16 +240,24 @@ def test_one_line_for_every_mistake(
     assert set(logs.iterdir()) == before
 
 
-def test_interrupted(logs: Path, tmp_path: Path) -> None:
-    arguments = [COMMAND, "calibrate", str(logs / "dive.mcap"), "-o", "here/there"]
+def test_interrupted(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
+    """While it reads a log that does not end, so that it cannot be done before."""
+    log = tmp_path_factory.mktemp("endless") / "log.mcap"
+    os.mkfifo(log)
+    arguments = [COMMAND, "calibrate", str(log), "-o", "here/there"]
     with subprocess.Popen(
         arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        while process.poll() is None and not (tmp_path / "here").exists():
+        end = None
+        while process.poll() is None and end is None:
             time.sleep(0.01)
-        time.sleep(0.1)
+            with contextlib.suppress(OSError):  # nobody reads yet
+                end = os.open(log, os.O_WRONLY | os.O_NONBLOCK)
+        assert (tmp_path / "here").is_dir()
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=300)
+        assert end is not None
+        os.close(end)
     assert process.returncode == 130
     assert errors == "magyc-gtsam: interrupted; no file is left half written\n"
     assert list(tmp_path.iterdir()) == []

@@ -28,6 +28,7 @@ from magyc_gtsam.simulation import simulate
 
 COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
 EPOCH = 1_620_000_000_000_000_000
+PATIENCE = 300.0  # s, for a machine under load; nothing is waited for that has come
 IFG = ("--method", "magyc-ifg", "--option", "estimate=current")  # quick, and bit for bit
 
 
@@ -96,7 +97,7 @@ def run(*arguments: object, cwd: Path, stdin: str | None = None) -> subprocess.C
         capture_output=True,
         text=True,
         encoding="utf-8",
-        timeout=120,
+        timeout=PATIENCE,
     )
 
 
@@ -133,8 +134,8 @@ class Recorder:
         self._place = stop
 
 
-def wait_for(condition: object, seconds: float = 60.0) -> None:
-    until = time.monotonic() + seconds
+def wait_for(condition: object) -> None:
+    until = time.monotonic() + PATIENCE
     while not condition():  # type: ignore[operator]
         assert time.monotonic() < until, "it did not happen in time"
         time.sleep(0.02)
@@ -178,7 +179,7 @@ def test_a_file_that_another_process_writes(log: Path, expected: mg.Calibration,
         reported(process, duration)
         assert (tmp_path / "online-calibration.yaml").exists()
     recorder.write(1.0)
-    output, errors = process.communicate(timeout=60)
+    output, errors = process.communicate(timeout=PATIENCE)
     assert errors == "" or process.returncode == 1
     last = json.loads(output.splitlines()[-1])
     assert last["final"]
@@ -196,10 +197,10 @@ def test_stopped_while_the_file_grows_and_gone_on_with(
     arguments = ("growing.mcap", *IFG, "--state", "run.state", "--every", "0.2", "--json")
     process = start(*arguments, cwd=tmp_path)
     recorder.write(0.6123)
-    reported(process, 60)
+    reported(process, 65)
     process.send_signal(number)
     recorder.write(0.7)
-    output, errors = process.communicate(timeout=60)
+    output, errors = process.communicate(timeout=PATIENCE)
     assert "Traceback" not in errors
     assert not list(tmp_path.glob("*.part"))
     on_the_way = mg.Calibration.load(tmp_path / "online-calibration.yaml")
@@ -231,7 +232,7 @@ def test_interrupted_before_there_is_a_calibration(log: Path, tmp_path: Path) ->
     recorder.write(0.01)
     reported(process, 0.0)
     process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
+    _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
     assert errors == "magyc-gtsam: interrupted before there was a calibration\n"
     assert [file.name for file in tmp_path.iterdir()] == ["growing.mcap"]
@@ -240,7 +241,7 @@ def test_interrupted_before_there_is_a_calibration(log: Path, tmp_path: Path) ->
 def test_a_recorder_that_died(log: Path, tmp_path: Path) -> None:
     """No footer ever comes; after --idle the run ends with what there is."""
     (tmp_path / "cut.mcap").write_bytes(log.read_bytes()[:-30_000])
-    finished = run("cut.mcap", *IFG, "--idle", "0.5", "--json", "--every", "100", cwd=tmp_path)
+    finished = run("cut.mcap", *IFG, "--idle", "0.5", "--json", "--every", "1e9", cwd=tmp_path)
     (line,) = finished.stdout.splitlines()
     assert json.loads(line)["end"] == "no growth"
     assert json.loads(line)["windows"] > 80
@@ -279,7 +280,7 @@ def test_a_pipe_that_is_interrupted_keeps_what_came(simulation: mg.Simulation, t
     process.stdin.flush()
     reported(process, 74.9)
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=60)
+    process.communicate(timeout=PATIENCE)
     assert process.returncode in (0, 1)
     rest = "\n".join(json_lines(simulation.recording)[1500:])
     run("-", "--magnetic-unit", "gauss", "--state", "s", "--quiet", cwd=tmp_path, stdin=rest)
@@ -314,12 +315,22 @@ def test_plain_lines_and_the_view_of_a_terminal(log: Path, tmp_path: Path) -> No
     wait_for(lambda: shows("Hard iron (µT)", "±", "directions seen", "growing.mcap · smoother", "written"))
     recorder.write(1.0)
     wait_for(lambda: shows("the input is complete", "calibration: online-calibration.yaml") or process.poll())
-    assert process.wait(60) in (0, 1)
+    assert process.wait(PATIENCE) in (0, 1)
     os.close(ours)
     assert "\x1b[?25h" in text  # the cursor is back
 
-    finished = run(log, *IFG, "--every", "0.1", cwd=tmp_path)
-    assert re.search(r"\d+\.\d s \| (hard iron .* µT \| coverage \d+% \| )?\w", finished.stdout)
+
+def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
+    recorder = Recorder(log, tmp_path / "growing.mcap")
+    recorder.write(0.7)
+    process = start("growing.mcap", *IFG, "--every", "0.1", cwd=tmp_path)
+    assert process.stdout is not None
+    line = next(line for line in process.stdout if "coverage" in line)
+    assert re.fullmatch(r" *\d+\.\d s \| hard iron .* µT \| coverage \d+% \| \w.*\n", line)
+    recorder.write(1.0)
+    rest, _ = process.communicate(timeout=PATIENCE)
+    assert process.returncode in (0, 1)
+    assert "growing.mcap: 120.0 s, magyc-ifg; the input is complete" in rest
 
 
 @pytest.mark.parametrize(

@@ -285,7 +285,7 @@ def here(
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """The installed command."""
     return subprocess.run(
-        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=120
+        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=300
     )
 
 

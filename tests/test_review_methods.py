@@ -388,7 +388,7 @@ def test_the_bound_follows_the_noise():
 
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     command = Path(sys.executable).with_name("magyc-gtsam")
-    return subprocess.run([command, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=120)
+    return subprocess.run([command, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300)
 
 
 def test_a_log_without_gyroscope_from_log_to_page(tmp_path):
