@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.recording import EARTH_FIELD, Array, Recording
+from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.validation import EARTH_FIELD
 
 HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading in a mid-latitude field
 SOFT_IRON_LIMIT = 0.05

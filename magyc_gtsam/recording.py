@@ -13,20 +13,21 @@ from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.time_base import Stream, unite
+from magyc_gtsam.validation import (
+    Array,
+    Mask,
+    check_ascending,
+    check_field_unit,
+    check_rate_unit,
+    frozen,
+    unit_quaternions,
+)
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
-_FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
-_RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
 _HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope counts as sample-held
 _LONGEST_HOLD = 0.2  # s; a rate that repeats for longer stands still and is measured all the same
-_FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT": 1e-3}
 
 
 class Samples(NamedTuple):
@@ -85,27 +86,27 @@ class Recording:
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the only place that writes: the dataclass is frozen
-        time = _frozen("time", self.time, (None,))
+        time = frozen("time", self.time, (None,))
         if len(time) < 3:
             raise MagycError(f"time: {len(time)} rows, at least 3 are needed; is the file or interval empty?")
-        _check_ascending(time)
+        check_ascending(time)
         n = len(time)
         put(self, "time", time)
-        put(self, "magnetic_field", _frozen("magnetic_field", self.magnetic_field, (n, 3)))
+        put(self, "magnetic_field", frozen("magnetic_field", self.magnetic_field, (n, 3)))
         if self.magnetic_field_unit not in ("T", "counts"):
             raise MagycError(f"magnetic_field_unit: {self.magnetic_field_unit!r} is neither 'T' nor 'counts'")
         if self.magnetic_field_unit == "T":
-            _check_field_unit(self.magnetic_field)
+            check_field_unit(self.magnetic_field)
         if self.angular_rate is not None:
-            put(self, "angular_rate", _frozen("angular_rate", self.angular_rate, (n, 3)))
-            _check_rate_unit(time, self.angular_rate)
+            put(self, "angular_rate", frozen("angular_rate", self.angular_rate, (n, 3)))
+            check_rate_unit(time, self.angular_rate)
         if self.acceleration is not None:
-            put(self, "acceleration", _frozen("acceleration", self.acceleration, (n, 3)))
+            put(self, "acceleration", frozen("acceleration", self.acceleration, (n, 3)))
         if self.attitude is not None:
-            put(self, "attitude", _unit_quaternions(_frozen("attitude", self.attitude, (n, 4), nan=True)))
+            put(self, "attitude", unit_quaternions(frozen("attitude", self.attitude, (n, 4), nan=True)))
         if self.angular_rate_is not in ("instant", "interval-mean"):
             raise MagycError(f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'")
-        channels = {k: _frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
+        channels = {k: frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
         put(self, "channels", MappingProxyType(channels))
         put(self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf))
         put(
@@ -212,12 +213,12 @@ class Recording:
     @classmethod
     def from_streams(
         cls,
-        magnetic_field: tuple[ArrayLike, ArrayLike],
-        angular_rate: tuple[ArrayLike, ArrayLike] | None = None,
+        magnetic_field: Stream,
+        angular_rate: Stream | None = None,
         *,
-        acceleration: tuple[ArrayLike, ArrayLike] | None = None,
-        attitude: tuple[ArrayLike, ArrayLike] | None = None,
-        channels: Mapping[str, tuple[ArrayLike, ArrayLike]] | None = None,
+        acceleration: Stream | None = None,
+        attitude: Stream | None = None,
+        channels: Mapping[str, Stream] | None = None,
         name: str = "",
         notes: tuple[str, ...] = (),
         angular_rate_is: Literal["instant", "interval-mean"] = "instant",
@@ -233,51 +234,14 @@ class Recording:
         Raises:
             MagycError: as the constructor, and where the clocks do not overlap.
         """
-        streams = {"magnetic_field": magnetic_field, "angular_rate": angular_rate}
-        clean = {k: _stream(k, *v, width=3) for k, v in streams.items() if v is not None}
-        first = max(t[0] for t, _ in clean.values())
-        last = min(t[-1] for t, _ in clean.values())
-        if last <= first:
-            spans = ", ".join(f"{k} {t[0]:.3f} to {t[-1]:.3f} s" for k, (t, _) in clean.items())
-            raise MagycError(
-                f"the sensors' clocks do not overlap ({spans}); "
-                "shift one of them, or read a log by its recording times (stamps='log')"
-            )
-        inside = [t[(t >= first) & (t <= last)] for t, _ in clean.values()]
-        time = np.unique(np.concatenate(inside))
-        cut = sum(len(t) for t, _ in clean.values()) - sum(len(t) for t in inside)
-        if cut:
-            notes = (*notes, f"{cut} samples outside the time that both sensors cover were left out")
-        mag_time, mag = clean["magnetic_field"]
-        held = np.searchsorted(mag_time, time, side="right") - 1
-        mag_fresh = mag_time[held] == time
-        mag_fresh[np.flatnonzero(mag_fresh)[1:]] &= (np.diff(mag[held[mag_fresh]], axis=0) != 0).any(axis=1)
-        rate, rate_fresh = None, np.ones(len(time), dtype=bool)
-        if "angular_rate" in clean:
-            gyro_time, gyro = clean["angular_rate"]
-            if angular_rate_is == "interval-mean":
-                rate = gyro[np.searchsorted(gyro_time, time)]  # the mean holds all the way up to its stamp
-            else:
-                rate = _interpolate(time, gyro_time, gyro)
-            rate_fresh = np.isin(time, gyro_time)
+        united = unite(magnetic_field, angular_rate, acceleration, attitude, channels or {}, angular_rate_is)
+        notes = (*notes, *united.pop("notes"))
         return cls(
-            time,
-            mag[held],
-            rate,
-            acceleration=None
-            if acceleration is None
-            else _interpolate(time, *_stream("acceleration", *acceleration, 3)),
-            attitude=None if attitude is None else _slerp(time, *_stream("attitude", *attitude, 4)),
-            channels={
-                k: _interpolate(time, *_stream(f"channel {k!r}", *v, None), outside=np.nan)
-                for k, v in (channels or {}).items()
-            },
+            **united,
             name=name,
             notes=notes,
             angular_rate_is=angular_rate_is,
             magnetic_field_unit=magnetic_field_unit,
-            magnetic_field_fresh=mag_fresh,
-            angular_rate_fresh=rate_fresh,
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -295,112 +259,3 @@ class Recording:
 
 def _rebuilt(values: dict[str, Any]) -> Recording:
     return Recording(**values)
-
-
-def _frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = False) -> Array:
-    """A read-only float64 copy of `value`, checked for shape and finiteness."""
-    try:
-        array = np.array(value, dtype=np.float64, order="C")
-    except (TypeError, ValueError) as error:
-        raise MagycError(f"{name}: not an array of numbers ({error})") from None
-    want = tuple(s for s in shape if s is not ...)
-    loose = len(want) < len(shape)
-    if (array.ndim != len(want) and not (loose and array.ndim == len(want) + 1)) or any(
-        w is not None and w != s for w, s in zip(want, array.shape, strict=False)
-    ):
-        text = ", ".join("N" if s is None else "k" if s is ... else str(s) for s in shape)
-        turned = " (transpose it?)" if array.ndim == 2 and array.shape[::-1] == want else ""
-        raise MagycError(f"{name}: shape {array.shape}, expected ({text}){turned}")
-    bad = ~np.isfinite(array)
-    if not nan and bad.any():
-        row = int(np.argwhere(bad)[0][0])
-        raise MagycError(
-            f"{name}: {bad.reshape(len(array), -1).any(axis=1).sum()} of {len(array)} rows are not finite, "
-            f"the first is row {row}; remove those rows (each sensor may keep its own stamps: "
-            "Recording.from_streams) or name another column"
-        )
-    array.flags.writeable = False
-    return array
-
-
-def _check_ascending(time: Array) -> None:
-    step = np.diff(time)
-    if (step > 0).all():
-        return
-    row = int(np.flatnonzero(step <= 0)[0]) + 1
-    what = "repeats" if step[row - 1] == 0 else "goes back"
-    raise MagycError(
-        f"time: {what} at row {row} ({time[row - 1]:.6f} s, then {time[row]:.6f} s; "
-        f"{(step <= 0).sum()} such rows); it must ascend strictly: remove repeats, or cut where a clock was reset"
-    )
-
-
-def _check_field_unit(magnetic_field: Array) -> None:
-    norm = float(np.median(np.linalg.norm(magnetic_field, axis=1)))
-    low, high = _FIELD_LIMITS
-    if low <= norm <= high:
-        return
-    centre = np.log(np.sqrt(EARTH_FIELD[0] * EARTH_FIELD[1]))
-    unit = min(_FIELD_UNITS, key=lambda u: abs(np.log(max(norm, 1e-300) * _FIELD_UNITS[u]) - centre))
-    guess = norm * _FIELD_UNITS[unit]
-    likely = f"; likely unit: {unit}" if 0.2 * EARTH_FIELD[0] <= guess <= 10 * EARTH_FIELD[1] else ""
-    raise MagycError(
-        f"magnetic_field: median norm {norm:.4g} is not a field in tesla "
-        f"(the Earth's is 20e-6 to 70e-6, {low:g} to {high:g} is accepted){likely}; "
-        "convert it, or say the unit (--magnetic-unit)"
-    )
-
-
-def _check_rate_unit(time: Array, angular_rate: Array) -> None:
-    largest = np.abs(angular_rate).max(axis=1)
-    if largest.max() > _RATE_LIMIT:
-        row = int(largest.argmax())
-        raise MagycError(
-            f"angular_rate: {largest[row]:.4g} at row {row} ({time[row]:.3f} s) is beyond {_RATE_LIMIT:g} rad/s; "
-            "likely unit: deg/s; convert it, or say the unit (--angular-unit)"
-        )
-
-
-def _unit_quaternions(attitude: Array) -> Array:
-    norm = np.linalg.norm(attitude, axis=1)
-    known = np.isfinite(norm)
-    wrong = known & (np.abs(norm - 1) > 0.01)
-    if wrong.any():
-        row = int(np.flatnonzero(wrong)[0])
-        raise MagycError(
-            f"attitude: quaternion of norm {norm[row]:.4g} at row {row}, 1 is expected (x, y, z, w, "
-            "sensor→world); mark rows without a reference with NaN"
-        )
-    # What is normalised stays as it is to the last bit, so that a part of a recording repeats the whole.
-    unit = attitude / np.where(np.abs(norm - 1) < 1e-14, 1.0, norm)[:, None]
-    unit.flags.writeable = False
-    return unit
-
-
-def _stream(name: str, time: ArrayLike, value: ArrayLike, width: int | None) -> tuple[Array, Array]:
-    clean_time = _frozen(f"time of {name}", time, (None,))
-    if len(clean_time) < 2:
-        raise MagycError(f"{name}: {len(clean_time)} samples, at least 2 are needed")
-    try:
-        _check_ascending(clean_time)
-    except MagycError as error:
-        raise MagycError(f"{name}: {error}") from None
-    n = len(clean_time)
-    return clean_time, _frozen(name, value, (n, ...) if width is None else (n, width))
-
-
-def _interpolate(at: Array, time: Array, value: Array, outside: float | None = None) -> Array:
-    columns = value.reshape(len(time), -1).T
-    result = np.stack([np.interp(at, time, c, left=outside, right=outside) for c in columns], axis=1)
-    return result[:, 0] if value.ndim == 1 else result
-
-
-def _slerp(at: Array, time: Array, quaternion: Array) -> Array:
-    result = np.full((len(at), 4), np.nan)
-    inside = (at >= time[0]) & (at <= time[-1])
-    # Inside a hole of the reference there is no reference either.
-    step = np.diff(time)
-    left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(step) - 1)
-    inside &= (step[left] <= max(10 * float(np.median(step)), 0.1)) | np.isin(at, time)
-    result[inside] = Slerp(time, Rotation.from_quat(_unit_quaternions(quaternion)))(at[inside]).as_quat()
-    return result

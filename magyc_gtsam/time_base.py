@@ -1,0 +1,99 @@
+"""Sensors with clocks or rates of their own, brought to one time base without inventing information."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation, Slerp
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.validation import Array, check_ascending, frozen, unit_quaternions
+
+Stream = tuple[ArrayLike, ArrayLike]
+
+
+def unite(
+    magnetic_field: Stream,
+    angular_rate: Stream | None,
+    acceleration: Stream | None,
+    attitude: Stream | None,
+    channels: Mapping[str, Stream],
+    angular_rate_is: Literal["instant", "interval-mean"],
+) -> dict[str, Any]:
+    """The arguments of a `Recording`, `notes` among them; see `Recording.from_streams` for the rules.
+
+    Raises:
+        MagycError: a stream that is no stream, or clocks that do not overlap.
+    """
+    streams = {"magnetic_field": magnetic_field, "angular_rate": angular_rate}
+    clean = {k: _stream(k, *v, width=3) for k, v in streams.items() if v is not None}
+    first = max(t[0] for t, _ in clean.values())
+    last = min(t[-1] for t, _ in clean.values())
+    if last <= first:
+        spans = ", ".join(f"{k} {t[0]:.3f} to {t[-1]:.3f} s" for k, (t, _) in clean.items())
+        raise MagycError(
+            f"the sensors' clocks do not overlap ({spans}); "
+            "shift one of them, or read a log by its recording times (stamps='log')"
+        )
+    inside = [t[(t >= first) & (t <= last)] for t, _ in clean.values()]
+    time = np.unique(np.concatenate(inside))
+    cut = sum(len(t) for t, _ in clean.values()) - sum(len(t) for t in inside)
+    mag_time, mag = clean["magnetic_field"]
+    held = np.searchsorted(mag_time, time, side="right") - 1
+    mag_fresh = mag_time[held] == time
+    mag_fresh[np.flatnonzero(mag_fresh)[1:]] &= (np.diff(mag[held[mag_fresh]], axis=0) != 0).any(axis=1)
+    result: dict[str, Any] = {
+        "time": time,
+        "magnetic_field": mag[held],
+        "magnetic_field_fresh": mag_fresh,
+        "angular_rate_fresh": np.ones(len(time), dtype=bool),
+        "channels": {
+            k: _interpolate(time, *_stream(f"channel {k!r}", *v, None), outside=np.nan)
+            for k, v in channels.items()
+        },
+        "notes": (f"{cut} samples outside the time that both sensors cover were left out",) if cut else (),
+    }
+    if "angular_rate" in clean:
+        gyro_time, gyro = clean["angular_rate"]
+        if angular_rate_is == "interval-mean":
+            rate = gyro[np.searchsorted(gyro_time, time)]  # the mean holds all the way up to its stamp
+        else:
+            rate = _interpolate(time, gyro_time, gyro)
+        result |= {"angular_rate": rate, "angular_rate_fresh": np.isin(time, gyro_time)}
+    if acceleration is not None:
+        result["acceleration"] = _interpolate(time, *_stream("acceleration", *acceleration, 3))
+    if attitude is not None:
+        result["attitude"] = _slerp(time, *_stream("attitude", *attitude, 4))
+    return result
+
+
+def _stream(name: str, time: ArrayLike, value: ArrayLike, width: int | None) -> tuple[Array, Array]:
+    clean_time = frozen(f"time of {name}", time, (None,))
+    if len(clean_time) < 2:
+        raise MagycError(f"{name}: {len(clean_time)} samples, at least 2 are needed")
+    try:
+        check_ascending(clean_time)
+    except MagycError as error:
+        raise MagycError(f"{name}: {error}") from None
+    n = len(clean_time)
+    return clean_time, frozen(name, value, (n, ...) if width is None else (n, width))
+
+
+def _interpolate(at: Array, time: Array, value: Array, outside: float | None = None) -> Array:
+    columns = value.reshape(len(time), -1).T
+    result = np.stack([np.interp(at, time, c, left=outside, right=outside) for c in columns], axis=1)
+    return result[:, 0] if value.ndim == 1 else result
+
+
+def _slerp(at: Array, time: Array, quaternion: Array) -> Array:
+    result = np.full((len(at), 4), np.nan)
+    inside = (at >= time[0]) & (at <= time[-1])
+    # Inside a hole of the reference there is no reference either.
+    step = np.diff(time)
+    left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(step) - 1)
+    inside &= (step[left] <= max(10 * float(np.median(step)), 0.1)) | np.isin(at, time)
+    result[inside] = Slerp(time, Rotation.from_quat(unit_quaternions(quaternion)))(at[inside]).as_quat()
+    return result

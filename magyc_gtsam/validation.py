@@ -1,0 +1,98 @@
+"""Checks of the arrays that make a `Recording`: shape, finiteness, time, units; each error says what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
+_FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
+_RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
+_FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT": 1e-3}
+
+
+def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = False) -> Array:
+    """A read-only float64 copy of `value`, checked for shape and finiteness."""
+    try:
+        array = np.array(value, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise MagycError(f"{name}: not an array of numbers ({error})") from None
+    want = tuple(s for s in shape if s is not ...)
+    loose = len(want) < len(shape)
+    if (array.ndim != len(want) and not (loose and array.ndim == len(want) + 1)) or any(
+        w is not None and w != s for w, s in zip(want, array.shape, strict=False)
+    ):
+        text = ", ".join("N" if s is None else "k" if s is ... else str(s) for s in shape)
+        turned = " (transpose it?)" if array.ndim == 2 and array.shape[::-1] == want else ""
+        raise MagycError(f"{name}: shape {array.shape}, expected ({text}){turned}")
+    bad = ~np.isfinite(array)
+    if not nan and bad.any():
+        row = int(np.argwhere(bad)[0][0])
+        raise MagycError(
+            f"{name}: {bad.reshape(len(array), -1).any(axis=1).sum()} of {len(array)} rows are not finite, "
+            f"the first is row {row}; remove those rows (each sensor may keep its own stamps: "
+            "Recording.from_streams) or name another column"
+        )
+    array.flags.writeable = False
+    return array
+
+
+def check_ascending(time: Array) -> None:
+    step = np.diff(time)
+    if (step > 0).all():
+        return
+    row = int(np.flatnonzero(step <= 0)[0]) + 1
+    what = "repeats" if step[row - 1] == 0 else "goes back"
+    raise MagycError(
+        f"time: {what} at row {row} ({time[row - 1]:.6f} s, then {time[row]:.6f} s; "
+        f"{(step <= 0).sum()} such rows); it must ascend strictly: remove repeats, or cut where a clock was reset"
+    )
+
+
+def check_field_unit(magnetic_field: Array) -> None:
+    norm = float(np.median(np.linalg.norm(magnetic_field, axis=1)))
+    low, high = _FIELD_LIMITS
+    if low <= norm <= high:
+        return
+    centre = np.log(np.sqrt(EARTH_FIELD[0] * EARTH_FIELD[1]))
+    unit = min(_FIELD_UNITS, key=lambda u: abs(np.log(max(norm, 1e-300) * _FIELD_UNITS[u]) - centre))
+    guess = norm * _FIELD_UNITS[unit]
+    likely = f"; likely unit: {unit}" if 0.2 * EARTH_FIELD[0] <= guess <= 10 * EARTH_FIELD[1] else ""
+    raise MagycError(
+        f"magnetic_field: median norm {norm:.4g} is not a field in tesla "
+        f"(the Earth's is 20e-6 to 70e-6, {low:g} to {high:g} is accepted){likely}; "
+        "convert it, or say the unit (--magnetic-unit)"
+    )
+
+
+def check_rate_unit(time: Array, angular_rate: Array) -> None:
+    largest = np.abs(angular_rate).max(axis=1)
+    if largest.max() > _RATE_LIMIT:
+        row = int(largest.argmax())
+        raise MagycError(
+            f"angular_rate: {largest[row]:.4g} at row {row} ({time[row]:.3f} s) is beyond {_RATE_LIMIT:g} rad/s; "
+            "likely unit: deg/s; convert it, or say the unit (--angular-unit)"
+        )
+
+
+def unit_quaternions(attitude: Array) -> Array:
+    norm = np.linalg.norm(attitude, axis=1)
+    known = np.isfinite(norm)
+    wrong = known & (np.abs(norm - 1) > 0.01)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise MagycError(
+            f"attitude: quaternion of norm {norm[row]:.4g} at row {row}, 1 is expected (x, y, z, w, "
+            "sensor→world); mark rows without a reference with NaN"
+        )
+    # What is normalised stays as it is to the last bit, so that a part of a recording repeats the whole.
+    unit = attitude / np.where(np.abs(norm - 1) < 1e-14, 1.0, norm)[:, None]
+    unit.flags.writeable = False
+    return unit
