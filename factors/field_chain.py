@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
+from magyc_gtsam.factors.banded import inverse_blocks
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.preintegration import FieldWindows
 from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices, tangent_basis
@@ -262,7 +263,7 @@ class FieldChain:
         information (zeros for fixed parameters).
         """
         solve = _solve(reduced)
-        s00, s01, s11 = inner_covariance(reduced)
+        s00, s01, s11 = inverse_blocks(reduced.band, reduced.factor)
         j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
         inner = (
             np.einsum("in,in->n", j0, j0) * s00
@@ -292,34 +293,3 @@ def _solve(reduced: Reduced) -> Array:
     """H⁻¹ C: (13, 2, n)."""
     solved, _ = dtbtrs(reduced.factor, reduced.half[:, :PARAMETERS], uplo="L", trans="T")
     return np.ascontiguousarray(solved.T.reshape(PARAMETERS, -1, 2).swapaxes(1, 2))
-
-
-def inner_covariance(reduced: Reduced) -> tuple[Array, Array, Array]:
-    """The diagonal blocks of H⁻¹: entries 00, 01, 11, (n,) each.
-
-    They are (D_f + D_b − D)⁻¹ with the forward and the backward Schur complements, each read off one
-    banded factorisation.
-    """
-    band = reduced.band
-    forward = _schur_blocks(reduced.factor)
-    backward = _schur_blocks(dpbtrf(_reversed_band(band), lower=1)[0])
-    s00 = forward[0] + backward[2][::-1] - band[0, ::2]
-    s01 = forward[1] + backward[1][::-1] - band[1, ::2]
-    s11 = forward[2] + backward[0][::-1] - band[0, 1::2]
-    determinant = s00 * s11 - s01 * s01
-    return s11 / determinant, -s01 / determinant, s00 / determinant
-
-
-def _schur_blocks(factor: Array) -> tuple[Array, Array, Array]:
-    """The 2×2 blocks L_nn L_nnᵀ of a banded Cholesky factor: their entries 00, 01, 11, (n,) each."""
-    a, b, c = factor[0, ::2], factor[1, ::2], factor[0, 1::2]
-    return a * a, a * b, b * b + c * c
-
-
-def _reversed_band(band: Array) -> Array:
-    """The band of the matrix with rows and columns in reverse order."""
-    result = np.zeros(band.shape, order="F")
-    size = band.shape[1]
-    for below in range(4):
-        result[below, : size - below] = band[below, : size - below][::-1]
-    return result

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
+from magyc_gtsam.factors.banded import inverse_blocks
 from magyc_gtsam.factors.effects import FORMS, Setting, Signals
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State, inner_covariance
+from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State
 from magyc_gtsam.factors.rotations import Array, cross, skew
 from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.gap.problem import Active, Model, Problem, attitude, build, window_signals
@@ -210,7 +211,7 @@ class Twin:
     def _link_redundancy(self) -> Array:
         """(3, 3, n − 1) share of each link's noise that the smoother leaves in its residual, 0 across a hole."""
         filter_ = self._filter
-        s00, s01, s11 = inner_covariance(self.reduced)
+        s00, s01, s11 = inverse_blocks(self.reduced.band, self.reduced.factor)
         covariance = np.array([[s00, s01], [s01, s11]])
         own = np.zeros((2, 2, self.n))
         own[0, 0], own[1, 0], own[1, 1] = filter_.factor[0, ::2], filter_.factor[1, ::2], filter_.factor[0, 1::2]
