@@ -4,6 +4,7 @@ for the field chain's banded elimination, scipy.
 Every gyroscope-bias key may hold a 3-vector, a `Point3` or an `imuBias.ConstantBias`.
 """
 
+from magyc_gtsam.factors.effect_factor import effect_chain_factor, effect_magnetometer_factor
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import FieldChain, Noise
 from magyc_gtsam.factors.field_chain_factor import field_chain_factor
@@ -36,6 +37,8 @@ __all__ = [
     "calibration_prior",
     "custom_factor",
     "determinant_prior",
+    "effect_chain_factor",
+    "effect_magnetometer_factor",
     "field_chain_factor",
     "field_link_factor",
     "gyro_bias_walk",

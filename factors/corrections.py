@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import FORMS, Signals, Term
+from magyc_gtsam.factors.effects import FORMS, Term
 from magyc_gtsam.factors.rotations import (
     Array,
     chain,
@@ -17,6 +17,7 @@ from magyc_gtsam.factors.rotations import (
     increments,
     matrices,
 )
+from magyc_gtsam.factors.signals import Signals
 
 _PASSES = 5  # a term reads the corrected signal, and is small: each pass gains two digits or more
 

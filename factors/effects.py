@@ -18,71 +18,9 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices
-
-STANDARD_GRAVITY = 9.80665  # m/s² in a g
+from magyc_gtsam.factors.signals import STANDARD_GRAVITY, Signals
 
 Setting = Mapping[str, float]
-
-
-@dataclass(frozen=True, eq=False)
-class Signals:
-    """What the forms read, sample by sample along the last axis; what is unknown is None.
-
-    Attributes:
-        time: (n,) s, as in the recording.
-        field: (3, n) T, soft iron times the true field: the reading less hard iron and noise.
-        field_rate: (3, n) T/s, its time derivative.
-        hard_iron: (3,) T.
-        rate: (3, n) rad/s, true angular rate.
-        to_sensor: (3, 3, n) rotation of a world frame into the sensor's.
-        acceleration: (3, n) m/s².
-        channels: {"current" | "temperature" | "position": (k, n)}.
-    """
-
-    time: Array
-    field: Array | None = None
-    field_rate: Array | None = None
-    hard_iron: Array | None = None
-    rate: Array | None = None
-    to_sensor: Array | None = None
-    acceleration: Array | None = None
-    channels: Mapping[str, Array] = dataclasses.field(default_factory=dict)
-
-    def need(self, name: str) -> Array:
-        """A signal, or the channel of that name.
-
-        Raises:
-            MagycError: it is not there.
-        """
-        value = getattr(self, name, None) if name not in CHANNELS else self.channels.get(name)
-        if value is None or (name == "time" and np.isnan(value).any()):
-            raise MagycError(
-                f"{name}: this effect needs it, and the data at hand do not have it; pass a recording"
-            )
-        array: Array = value
-        return array
-
-
-CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "current": ("current", "amp", "motor", "throttle"),
-        "temperature": ("temp",),
-        "position": ("position", "depth", "altitude", "height"),
-    }
-)
-"""What a channel must be called, in part, to count as one of a kind."""
-
-
-def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
-    """{kind: (k, n)} from {name: (n,) or (n, k)}, the names in alphabetical order."""
-    result = {}
-    for kind, words in CHANNELS.items():
-        found = [channels[name] for name in sorted(channels) if any(word in name.lower() for word in words)]
-        if found:
-            result[kind] = np.concatenate(
-                [np.asarray(value, dtype=float).reshape(len(value), -1).T for value in found]
-            )
-    return result
 
 
 class Form(NamedTuple):
@@ -103,7 +41,7 @@ class Form(NamedTuple):
         return result
 
 
-def _per_axis(profile: Array) -> Array:
+def per_axis(profile: Array) -> Array:
     """Columns e_i · profile_j for profiles (p, n): (3p, 3, n)."""
     p, n = profile.shape
     result = np.zeros((p, 3, 3, n))
@@ -118,13 +56,13 @@ def _beyond_reference(channel: Array, setting: Setting) -> Array:
 
 
 def _motor_current(s: Signals, setting: Setting) -> Array:
-    return _per_axis(s.need("current"))
+    return per_axis(s.need("current"))
 
 
 def _temperature(s: Signals, setting: Setting) -> Array:
     """Of what lies `lag` s behind the thermometer, as a battery does: a first-order response."""
     warm = _beyond_reference(s.need("temperature"), setting)
-    return _per_axis(_lagged(s.need("time"), warm, setting.get("lag", 0.0)))
+    return per_axis(_lagged(s.need("time"), warm, setting.get("lag", 0.0)))
 
 
 def _lagged(time: Array, rows: Array, lag: float) -> Array:
@@ -142,7 +80,7 @@ def _step(s: Signals, setting: Setting) -> Array:
     """From `time` on; to `until`, where what was attached is taken off again."""
     time = s.need("time")
     on = (time > setting["time"]) & (time <= setting.get("until", np.inf))
-    return _per_axis(on.astype(float)[None])
+    return per_axis(on.astype(float)[None])
 
 
 def _drift(s: Signals, setting: Setting) -> Array:
@@ -150,8 +88,8 @@ def _drift(s: Signals, setting: Setting) -> Array:
     share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
     order = int(setting["order"])
     if order == 0:
-        return _per_axis(share[None] - 0.5)
-    return _per_axis(np.cos(np.pi * np.arange(1, order + 1)[:, None] * np.clip(share, 0.0, 1.0)))
+        return per_axis(share[None] - 0.5)
+    return per_axis(np.cos(np.pi * np.arange(1, order + 1)[:, None] * np.clip(share, 0.0, 1.0)))
 
 
 def _misalignment(s: Signals, setting: Setting) -> Array:
@@ -169,7 +107,7 @@ def _eddy_plane(s: Signals, setting: Setting) -> Array:
     `full` takes any E (9 values, row by row): several plates, or a bent one.
     """
     if setting.get("full"):
-        return _per_axis(s.need("field_rate"))
+        return per_axis(s.need("field_rate"))
     normal = np.array([setting["x"], setting["y"], setting["z"]])
     return -np.eye(3)[:, :, None] * (normal @ s.need("field_rate"))
 
@@ -190,7 +128,7 @@ def _gyro_quadratic(s: Signals, setting: Setting) -> Array:
 
 
 def _g_sensitivity(s: Signals, setting: Setting) -> Array:
-    return _per_axis(s.need("acceleration") / STANDARD_GRAVITY)
+    return per_axis(s.need("acceleration") / STANDARD_GRAVITY)
 
 
 def _field_gradient(s: Signals, setting: Setting) -> Array:
@@ -239,7 +177,7 @@ def _hysteresis(s: Signals, setting: Setting) -> Array:
 
 def _tone(s: Signals, setting: Setting) -> Array:
     phase = 2 * np.pi * setting["frequency"] * s.need("time")
-    return _per_axis(np.stack([np.cos(phase), np.sin(phase)]))
+    return per_axis(np.stack([np.cos(phase), np.sin(phase)]))
 
 
 FORMS: Mapping[str, Form] = MappingProxyType(

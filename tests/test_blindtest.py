@@ -250,6 +250,14 @@ def test_confusion_and_tables(tmp_path: Path) -> None:
     assert "Named in less than 90 % of their runs at published strength: timing 1 of 2." in page
 
 
+def test_heading_is_judged_on_the_channels_that_the_diagnosis_had() -> None:
+    hidden = Scenario("a", "withheld", "wide", 3, (("motor-current", 1.0),), ("current",), 60.0)
+    clean = noise_free(hidden)
+    assert set(clean.channels) == set(generate(hidden).recording.channels)
+    assert "current" not in clean.channels
+    assert clean.attitude is not None
+
+
 def test_heading_of_the_truth_is_exact() -> None:
     plain = Scenario("x", "none", "wide", 11, (), (), 60.0)
     hidden, clean = generate(plain), noise_free(plain)

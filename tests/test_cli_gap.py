@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -133,20 +133,27 @@ def test_a_gap_left_open_is_exit_code_one(
     ],
 )
 def test_one_line_for_every_mistake(
-    arguments: str,
-    says: str,
-    logs: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    arguments: str, says: str, logs: Path, mistaken: Callable[[str, str], None]
+) -> None:
+    mistaken(arguments.format(logs=logs), says)
+
+
+@pytest.mark.real
+@pytest.mark.usefixtures("quiet_terminal")
+def test_a_still_log_is_refused_with_the_reason(
+    shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli.main(arguments.format(logs=logs).split()) == 2
+    assert cli.main(["gap", str(shared_data / "ardusub_still.BIN"), "-o", "here"]) == 1
     output, errors = capsys.readouterr()
-    assert output == ""
-    assert errors.count("\n") == 1
-    assert says in errors
-    assert list(tmp_path.iterdir()) == []
+    assert errors.startswith("magyc-gtsam: not enough information: too little motion: hard iron along ")
+    assert "turn through all headings" in errors
+    assert "Nothing could be tested" in output
+    assert {file.name for file in Path("here").iterdir()} == FILES
+    values = json.loads(Path("here/gap.json").read_text())
+    assert values["verdict"] == "not enough information"
+    assert values["effects"] == []
+    assert not mg.Calibration.load("here/calibration.yaml").trusted
 
 
 @pytest.mark.usefixtures("quiet_terminal")

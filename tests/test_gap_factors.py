@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import B, H, S, X
+from gtsam.symbol_shorthand import B, H, S, V, X
+from scipy.spatial.transform import Rotation
+from test_factors_jacobians import derivative
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.chain_search import preintegrate
-from magyc_gtsam.factors.effect_factor import effect_chain_factor
-from magyc_gtsam.factors.effects import FORMS, Signals, Term, channels_by_kind
+from magyc_gtsam.factors.effect_factor import effect_chain_factor, effect_magnetometer_factor
+from magyc_gtsam.factors.effects import FORMS, Term
 from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.factors.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.soft_iron import vech
 from magyc_gtsam.runners.batch import optimize
+from magyc_gtsam.runners.incremental import Incremental
 
 SOFT = np.array([[1.05, 0.04, 0.0], [0.04, 0.95, 0.02], [0.0, 0.02, 1.01]])
 HARD = np.array([2e-6, -12e-6, 9e-6])
@@ -162,33 +168,159 @@ def test_an_effect_is_a_variable_of_a_graph() -> None:
         effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns[:, :, 1:], noise)
 
 
-def test_the_factors_jacobians() -> None:
+@pytest.mark.parametrize("side", ["magnetometer", "gyroscope"])
+def test_the_factors_jacobians(side: Literal["magnetometer", "gyroscope"]) -> None:
     simulation = mg.simulate("wide", duration=40, seed=3)
     samples = preintegrate(simulation.recording, 1.0)
-    n = len(samples.starts)
-    columns = np.eye(3)[:, :, None] * np.linspace(-1, 1, n) * 1e-6
-    factor = effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, Noise(1e-6, 5e-3))
+    if side == "gyroscope":
+        columns = FORMS["gyro-scale"].columns(Signals(samples.gyroscope_time, rate=samples.angular_rate.T), {})
+    else:
+        columns = np.eye(3)[:, :, None] * np.linspace(-1, 1, len(samples.starts)) * 1e-6
+    factor = effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, Noise(1e-6, 5e-3), side=side)
+    size = 12 + len(columns)
+    # Away from zero: the effect is taken out before anything is integrated.
+    value = np.linspace(-1, 1, len(columns)) * (0.02 if side == "gyroscope" else 1.0)
     truth = simulation.truth
     assert truth.field_strength is not None
     assert truth.gyro_bias is not None
 
-    def cost(step: np.ndarray) -> float:
+    def at(step: np.ndarray) -> gtsam.Values:
         values = gtsam.Values()
         values.insert(S(0), vech(truth.soft_iron) * truth.field_strength * 1e6 + step[:6])
         values.insert(H(0), gtsam.Point3(*(truth.hard_iron * 1e6 + step[6:9])))
         values.insert(B(0), gtsam.Point3(*(truth.gyro_bias + step[9:12])))
-        values.insert(X(0), step[12:])
-        return float(factor.error(values))
+        values.insert(X(0), value + step[12:])
+        return values
 
-    values = gtsam.Values()
-    values.insert(S(0), vech(truth.soft_iron) * truth.field_strength * 1e6)
-    values.insert(H(0), gtsam.Point3(*(truth.hard_iron * 1e6)))
-    values.insert(B(0), gtsam.Point3(*truth.gyro_bias))
-    values.insert(X(0), np.zeros(3))
-    jacobian, right = factor.linearize(values).jacobian()
+    jacobian, right = factor.linearize(at(np.zeros(size))).jacobian()
     gradient = -jacobian.T @ right
-    for index in range(15):
-        step = np.zeros(15)
-        step[index] = 1e-5 if 9 <= index < 12 else 1e-3
-        slope = (cost(step) - cost(-step)) / (2 * step[index])
-        assert slope == pytest.approx(gradient[index], rel=2e-3, abs=2e-3 * np.abs(gradient[[index]]).max() + 1e-3)
+    for index in range(size):
+        step = np.zeros(size)
+        step[index] = 1e-5 if 9 <= index < 12 or (side == "gyroscope" and index >= 12) else 1e-3
+        slope = (factor.error(at(step)) - factor.error(at(-step))) / (2 * step[index])
+        assert slope == pytest.approx(gradient[index], rel=3e-3, abs=3e-3 * np.abs(gradient[[index]]).max() + 1e-3)
+
+
+def test_an_effect_of_the_gyroscope_in_batch_and_incremental_graphs() -> None:
+    """Four stretches of a log share the calibration and a scale of the gyroscope; the bias is an inertial graph's."""
+    simulation = mg.simulate("wide", duration=240, seed=5)
+    recording, truth = simulation.recording, simulation.truth
+    assert recording.angular_rate is not None
+    assert truth.gyro_bias is not None
+    assert truth.field_strength is not None
+    scale = np.array([0.03, -0.02, 0.025])
+    rate = recording.angular_rate + (recording.angular_rate - truth.gyro_bias) * scale
+    recording = replace(recording, angular_rate=rate)
+    factors = []
+    for start in range(0, 240, 60):
+        samples = preintegrate(recording.between(start, start + 60), 1.0)
+        signals = Signals(samples.gyroscope_time, rate=(samples.angular_rate - truth.gyro_bias).T / 1.01)
+        columns = FORMS["gyro-scale"].columns(signals, {"diagonal": 1.0})
+        noise = Noise(1e-6, 5e-3)
+        factors.append(
+            effect_chain_factor(
+                S(0), H(0), B(0), X(0), samples, columns, noise, side="gyroscope", soft_iron_unit=50e-6
+            )
+        )
+    initial = gtsam.Values()
+    initial.insert(S(0), vech(np.eye(3)))
+    initial.insert(H(0), gtsam.Point3(0, 0, 0))
+    initial.insert(B(0), gtsam.imuBias.ConstantBias())
+    initial.insert(X(0), np.zeros(3))
+    # What an inertial graph knows of its accelerometer's bias.
+    prior = gtsam.PriorFactorConstantBias(
+        B(0), gtsam.imuBias.ConstantBias(), gtsam.noiseModel.Diagonal.Sigmas([1e-3] * 3 + [1.0] * 3)
+    )
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in (prior, *factors):
+        graph.add(factor)
+    batch = optimize(graph, initial)
+    assert batch.converged, batch.message
+    sigma = np.sqrt(np.diag(gtsam.Marginals(graph, batch.values).marginalCovariance(X(0))))
+    assert np.all(np.abs(batch.values.atVector(X(0)) - scale) < 4 * sigma + 0.02 * np.abs(scale))
+    assert np.all(sigma < 0.005)
+    online = Incremental()
+    online.update([prior, factors[0]], initial, steps=20)
+    for factor in factors[1:]:
+        assert online.update([factor], steps=20).updated
+    found = online.values.atVector(X(0))
+    np.testing.assert_allclose(found, batch.values.atVector(X(0)), atol=0.02 * sigma.max())
+    with pytest.raises(mg.MagycError, match="gyroscope sample"):
+        effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns[:, :, 1:], noise, side="gyroscope")
+
+
+def pose_graph(
+    current: np.ndarray, value: np.ndarray
+) -> tuple[list[gtsam.NonlinearFactor], gtsam.Values, mg.Calibration]:
+    """Sixty poses with attitudes known to a milliradian, a reading at each, and the chain of the whole log."""
+    simulation = mg.simulate("wide", duration=120, seed=6)
+    recording, truth = simulation.recording, simulation.truth
+    assert recording.attitude is not None
+    assert truth.field_strength is not None
+    added = current[:, None] * value
+    samples = preintegrate(replace(recording, magnetic_field=recording.magnetic_field + added), 1.0)
+    count = np.diff(np.append(samples.starts, len(current)))
+    columns = np.eye(3)[:, :, None] * (np.add.reduceat(current, samples.starts) / count) * 1e-6
+    unit = truth.field_strength
+    chain = effect_chain_factor(S(0), H(0), B(0), V(0), samples, columns, Noise(1e-6, 5e-3), soft_iron_unit=unit)
+    clean = truth.apply(recording.magnetic_field)
+    turn = Rotation.from_quat(recording.attitude)
+    field = turn.apply(clean).mean(axis=0)
+    factors: list[gtsam.NonlinearFactor] = [chain]
+    initial = gtsam.Values()
+    for k, row in enumerate(range(0, len(current), 20)):
+        pose = gtsam.Pose3(gtsam.Rot3(turn[row].as_matrix()), np.zeros(3))
+        initial.insert(X(k), pose)
+        factors.append(gtsam.PriorFactorPose3(X(k), pose, gtsam.noiseModel.Isotropic.Sigma(6, 1e-3)))
+        reading = recording.magnetic_field[row] + added[row]
+        factors.append(
+            effect_magnetometer_factor(
+                [X(k), S(0), H(0), V(0)], reading, np.eye(3) * current[row] * 1e-6, 1e-6, field=field
+            )
+        )
+    initial.insert(S(0), vech(np.eye(3)))
+    initial.insert(H(0), gtsam.Point3(0, 0, 0))
+    initial.insert(B(0), gtsam.Point3(0, 0, 0))
+    initial.insert(V(0), np.zeros(3))
+    return factors, initial, truth
+
+
+def test_an_effect_in_a_pose_graph() -> None:
+    """Poses, calibration and the coefficient of a current in one graph, in batch and step by step."""
+    time = np.arange(1200) / 10
+    value = np.array([3e-7, -1e-7, 2e-7])
+    factors, initial, truth = pose_graph(3.0 * (np.sin(time / 7) > 0.3) + 0.2 * np.sin(time), value)
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    batch = optimize(graph, initial)
+    assert batch.converged, batch.message
+    sigma = np.sqrt(np.diag(gtsam.Marginals(graph, batch.values).marginalCovariance(V(0))))
+    found = batch.values.atVector(V(0))
+    assert np.all(np.abs(found - value * 1e6) < 4 * sigma)
+    assert np.all(sigma < 0.1)
+    assert np.all(np.abs(batch.values.atPoint3(H(0)) - truth.hard_iron * 1e6) < 1.0)
+    online = Incremental()
+    for first in range(0, len(factors), 41):
+        assert online.update(factors[first : first + 41], initial, steps=20).updated
+    np.testing.assert_allclose(online.values.atVector(V(0)), found, atol=0.02 * sigma.max())
+
+
+def test_jacobians_of_a_reading_with_an_effect() -> None:
+    columns = np.random.default_rng(7).standard_normal((2, 3)) * 1e-6
+    factor = effect_magnetometer_factor(
+        [X(0), S(0), H(0), V(0)],
+        [1e-5, 2e-5, -3e-5],
+        columns,
+        1e-6,
+        field=[2e-5, 0, 4e-5],
+        body_R_sensor=gtsam.Rot3.RzRyRx(0.1, 0.5, -0.7),
+    )
+    values = gtsam.Values()
+    values.insert(X(0), gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.4, 2.0), np.array([1.0, 2, 3])))
+    values.insert(S(0), vech(SOFT))
+    values.insert(H(0), HARD * 1e6)
+    values.insert(V(0), np.array([0.5, -2.0]))
+    jacobian, _ = factor.linearize(values).jacobian()
+    numeric = derivative(factor.whitenedError, values, factor.keys())
+    np.testing.assert_allclose(jacobian, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())

@@ -10,6 +10,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
+from magyc_gtsam.gap.discrete import moving
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 
 CATALOGUE = [
@@ -183,3 +184,59 @@ def test_isolability_says_what_a_motion_can_tell() -> None:
 def test_axes_of_breakout_boards_are_found(shared_data: Path) -> None:
     gap = mg.find_gap(mg.read(shared_data / "breakout_boards_hand_rotation.mcap"))
     assert gap.effects[0].name == "axis-order"
+
+
+def test_a_log_that_stands_still_is_refused_with_the_reason() -> None:
+    base = recording(21)
+    random = np.random.default_rng(21)
+    still = replace(
+        base,
+        magnetic_field=base.magnetic_field[0] + 2e-7 * random.standard_normal((len(base.time), 3)),
+        angular_rate=1e-3 * random.standard_normal((len(base.time), 3)),
+        attitude=None,
+    )
+    # Three degrees to and fro about one axis are hardly more.
+    nod = 0.05 * np.sin(0.5 * base.time)
+    turn = np.zeros((len(base.time), 3))
+    turn[:, 2] = nod
+    nodding = replace(
+        still,
+        magnetic_field=still.magnetic_field + np.cross(still.magnetic_field, turn),
+        angular_rate=still.angular_rate + np.gradient(turn, base.time, axis=0),
+    )
+    for log in (still, nodding):
+        gap = mg.find_gap(log)
+        assert gap.verdict == "not enough information"
+        assert gap.sentence.startswith("not enough information: too little motion: ")
+        assert "turn" in gap.sentence
+        assert gap.names == ()
+        assert gap.calibration.terms == ()
+        assert not gap.calibration.converged
+        assert gap.next_manoeuvre is not None
+
+
+def test_a_rest_counts_for_what_it_says() -> None:
+    """Another field where the sensor rests is no iron that came and went, and does not change the delay."""
+    base = recording(22, delay=0.04)
+    rest = base.time > 300
+    first = int(np.argmax(rest))
+    assert base.angular_rate is not None
+    random = np.random.default_rng(22)
+    field, rate = base.magnetic_field.copy(), base.angular_rate.copy()
+    bias = mg.simulate("wide", duration=400, seed=22).truth.gyro_bias
+    assert bias is not None
+    field[rest] = field[first] + [2e-6, -1e-6, 1e-6] + 3e-7 * random.standard_normal((rest.sum(), 3))
+    rate[rest] = bias + 5e-3 * random.standard_normal((rest.sum(), 3))
+    resting = replace(base, magnetic_field=field, angular_rate=rate, attitude=None)
+    kept = moving(resting).magnetic_field_fresh
+    assert kept[~rest].all()
+    assert kept[rest].sum() == pytest.approx(100 / 5, abs=2)
+    assert moving(base) is base
+    gap = mg.find_gap(resting)
+    assert "hard-iron-step" not in gap.names
+    (timing,) = (h for h in gap.hypotheses if h.name == "timing")
+    assert timing.significant
+    assert timing.expected[0] == pytest.approx(40, abs=4 * timing.sigma[0])
+    # Iron that comes while it rests is kept, and found.
+    jump = np.where((base.time > 350)[:, None], [0.0, 3e-5, 0.0], 0.0)
+    assert moving(replace(resting, magnetic_field=field + jump)).magnetic_field_fresh.all()

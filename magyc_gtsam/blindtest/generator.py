@@ -65,9 +65,10 @@ def noise_free(scenario: Scenario) -> Recording:
     """The same simulated recording, effects included but for noise of any kind: what heading is judged on."""
     sensor = sensors(scenario.seed) | {"magnetometer_noise": 0.0, "gyroscope_noise": 0.0}
     physical = tuple(e for e in scenario.effects if e[0] not in ("coloured-noise", "spikes"))
-    return simulate(
+    recording = simulate(
         scenario.motion, scenario.duration, seed=scenario.seed, effects=physical, channels=CHANNELS, **sensor
     ).recording
+    return _without_channels(recording, scenario)
 
 
 def sensors(seed: int) -> dict[str, Any]:
@@ -121,11 +122,13 @@ def _calibration(real: Recording) -> Calibration:
 
 
 def _blinded(recording: Recording, scenario: Scenario) -> Recording:
+    return replace(_without_channels(recording, scenario), attitude=None, name="recording", notes=())
+
+
+def _without_channels(recording: Recording, scenario: Scenario) -> Recording:
+    """Without those withheld: what a calibration that never saw them can be applied to."""
     return replace(
         recording,
-        attitude=None,
         acceleration=None if "acceleration" in scenario.withheld else recording.acceleration,
         channels={k: v for k, v in recording.channels.items() if k not in scenario.withheld},
-        name="recording",
-        notes=(),
     )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from magyc_gtsam import metrics
 from magyc_gtsam.blindtest.generator import noise_free
 from magyc_gtsam.blindtest.scenarios import Scenario
@@ -29,5 +27,4 @@ def heading_errors(scenario: Scenario, result: dict[str, Any]) -> tuple[float, f
 def heading_error(calibration: Calibration, recording: Recording) -> float:
     """Standard deviation, in degrees, of the heading of the calibrated field against the attitude's."""
     assert recording.attitude is not None
-    error = metrics.heading_error(calibration.apply(recording), recording.attitude)
-    return float(np.degrees(error.std()))
+    return metrics.heading_deviation(calibration.apply(recording), recording.attitude)

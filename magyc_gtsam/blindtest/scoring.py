@@ -146,6 +146,8 @@ def judged(scenario: Scenario, verdict: str, named: Sequence[tuple[str, tuple[st
     """The kind of an outcome; see `Outcome.kind`."""
     if verdict in (UNKNOWN, REFUSED, CRASHED):
         return verdict
+    if verdict == "not enough information":
+        return REFUSED
     if not named:
         return SILENT
     if scenario.set in ("none", "foreign"):

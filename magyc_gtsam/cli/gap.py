@@ -79,8 +79,8 @@ def run(
     """Find where model and measurement disagree, name what is missing, add it, and see the gap shrink.
 
     Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html.
-    Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, or the
-    result does not hold on OTHER_LOG at all.
+    Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
+    was too little to look for one, or the result does not hold on OTHER_LOG at all.
     """
     from magyc_gtsam import Calibration, find_gap
     from magyc_gtsam.report.gap_page import render_gap
@@ -124,7 +124,9 @@ def run(
             f"results: {folder}",
             f"page: {folder / 'report.html'}",
         )
-    doubts = [] if closed(gap) else [f"the gap is left open: {gap.sentence}"]
+    doubts = [] if closed(gap) else [gap.sentence]
+    if gap.verdict in ("unknown", "open"):
+        doubts = [f"the gap is left open: {gap.sentence}"]
     if validation is not None:
         doubts += foreign(gap, validation)
     if not doubts:
@@ -169,6 +171,8 @@ def _show(gap: Gap, validation: Validation | None) -> None:
     from magyc_gtsam.report import gap_words as words
 
     show(f"{words.title(gap)}: {gap.sentence}")
+    if gap.verdict == "not enough information":
+        return
     show(*(f"  {e.sentence}" for e in gap.effects if e.sentence not in gap.sentence), "")
     rows = words.hypothesis_rows(gap.hypotheses)
     show_table(words.HYPOTHESES, rows[:_SHOWN])

@@ -8,11 +8,18 @@ import numpy as np
 
 from magyc_gtsam.estimators.axes import arrangements, check
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.naming import Found
 from magyc_gtsam.gap.noise_effects import NoiseScore, quantisation, sample_hold
 from magyc_gtsam.recording import Recording
 
 _COARSE = 0.2  # step in sigmas from which values repeat by chance
+_SECOND = 1.0  # s over which readings are averaged to see whether they move
+_REST = 10  # such means that hardly differ are a rest
+_SAME = 0.03  # of the field's spread over the recording: less is no move
+_NEAR = 3  # means beside a rest in which a jump belongs to it
+_JUMP = 0.1  # of the field's spread
+_SPARED = 5.0  # s between the samples of a rest that count
 
 
 def rearranged(recording: Recording) -> tuple[Recording, Found | None]:
@@ -53,3 +60,45 @@ def unheld(recording: Recording, noise: float) -> Recording:
     if quantisation(recording, noise).statistic < _COARSE:
         return recording
     return replace(recording, magnetic_field_fresh=np.ones(len(recording.time), dtype=bool))
+
+
+def moving(recording: Recording) -> Recording:
+    """With one sample in `_SPARED` s where the reading stands still for `_REST` s or more.
+
+    A field that differs from place to place, by a microtesla or two in any room, differs by one number where the
+    sensor rests, however long it rests there; told a hundred times it would pass for iron that came and went. A rest
+    that begins or ends with a jump which no turn explains is kept: iron did come or go there.
+    """
+    time, field = recording.magnetometer
+    second = np.floor((time - time[0]) / _SECOND).astype(int)
+    number, starts, count = np.unique(second, return_index=True, return_counts=True)
+    if len(number) < 2 * _REST:
+        return recording
+    mean = np.add.reduceat(field, starts, axis=0) / count[:, None]
+    spread = float(np.sqrt(mean.var(axis=0).sum()))
+    stretches = np.lib.stride_tricks.sliding_window_view(mean, _REST, axis=0)
+    calm = np.flatnonzero(np.ptp(stretches, axis=2).max(axis=1) < _SAME * spread)
+    still = np.zeros(len(mean), dtype=bool)
+    still[np.unique(calm[:, None] + np.arange(_REST))] = True
+    edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    jumps = _jumps(recording, time[starts], mean, spread)
+    for first, end in edges:
+        if jumps[max(first - _NEAR, 0) : first].any() or jumps[end - 1 : end + _NEAR].any():
+            still[first:end] = False
+    if not still.any() or still.all():
+        return recording
+    spared = np.diff(np.floor((time - time[0]) / _SPARED), prepend=-1.0) > 0
+    fresh = recording.magnetic_field_fresh.copy()
+    fresh[fresh] = ~still[np.searchsorted(number, second)] | spared
+    return replace(recording, magnetic_field_fresh=fresh)
+
+
+def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.ndarray:
+    """(n − 1,) whether the field changes more from one mean (n, 3) to the next than the gyroscope turned it."""
+    when, rate = recording.gyroscope
+    turned = np.concatenate([[0.0], np.cumsum(np.linalg.norm(rate[1:], axis=1) * np.diff(when))])
+    # A mean reaches a second ahead of its first sample.
+    turn = np.interp(time[1:] + _SECOND, when, turned) - np.interp(time[:-1], when, turned)
+    change = np.linalg.norm(np.diff(mean, axis=0), axis=1)
+    result: np.ndarray = change > _JUMP * spread + 2 * spread * turn
+    return result

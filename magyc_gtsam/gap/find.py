@@ -13,17 +13,18 @@ from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, s
 from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
-from magyc_gtsam.gap.discrete import rearranged, unheld
+from magyc_gtsam.gap.discrete import moving, rearranged, unheld
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.naming import Found
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, as_calibration, refit
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, moved, verdict
-from magyc_gtsam.gap.result import Gap, Untested
+from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
 from magyc_gtsam.gap.search import Search, look, search
 from magyc_gtsam.gap.simulated import compare
+from magyc_gtsam.observability import Observability, Weakness, assess
 from magyc_gtsam.recording import Recording
 
 _WINDOW = 1.0  # s
@@ -48,7 +49,8 @@ def find_gap(
         progress: called with the share done, 0 to 1.
 
     Raises:
-        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all.
+        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion is
+            no error but a verdict, "not enough information".
     """
     started = clock.perf_counter()
     names = _names(candidates)
@@ -61,6 +63,9 @@ def find_gap(
     recording = unheld(recording, short_term.magnetometer)
     base = base_model(recording, calibration, short_term)
     report(0.2)
+    motion = _determined(recording, base, short_term)
+    if not motion.observable:
+        return _too_little_motion(base, motion.weak[0], calibration, clock.perf_counter() - started)
     result = search(recording, base.twin.problem, base, short_term, names, _problem, report)
     report(0.8)
     gap = _gap(given, result, base, calibration, names, turned, clock.perf_counter() - started)
@@ -86,19 +91,54 @@ def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _problem(recording: Recording) -> Problem:
+    recording = moving(recording)
     return Problem.of(recording, preintegrate(recording, _WINDOW))
 
 
 def base_model(recording: Recording, calibration: Calibration | None, short_term: Noise) -> Refit:
     """The twelve parameters at their minimum; with the delay and the terms of a calibration, where one is given."""
     delay = 0.0 if calibration is None else calibration.delay
-    fit, _ = fit_field_chain(recording, robust=False, delay=delay)
+    still = moving(recording)
+    fit, _ = fit_field_chain(still, robust=False, delay=delay)
+    if not fit.converged:  # something large is missing: begin where most of the recording agrees
+        fit, _ = fit_field_chain(still, robust=True, delay=delay)
     free = np.ones(PARAMETERS, dtype=bool)
     terms: tuple[Active, ...] = ()
     if calibration is not None:
         terms = tuple(Active(t.name, t.setting, t.value) for t in calibration.terms if t.side is not None)
     free[DELAY] = any(term.name == "timing" for term in terms)
     return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
+
+
+def _determined(recording: Recording, base: Refit, short_term: Noise) -> Observability:
+    """What the motion could determine, at the sensors' own noise: a missing effect's misfit is no noise."""
+    fitted = as_calibration(base, None)
+    assert fitted.covariance is not None
+    assert fitted.field_strength is not None
+    share = min(1.0, (short_term.magnetometer / base.model.noise.magnetometer) ** 2)
+    return assess(share * fitted.covariance, fitted.soft_iron, fitted.field_strength, recording)
+
+
+def _too_little_motion(base: Refit, weak: Weakness, calibration: Calibration | None, seconds: float) -> Gap:
+    fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
+    sentence = f"not enough information: too little motion: {weak.sentence}; nothing was tested"
+    fitted = replace(fitted, converged=False, message=sentence)
+    metrics = measure(base.twin, fitted)
+    return Gap(
+        verdict="not enough information",
+        sentence=sentence,
+        effects=(),
+        untested=(),
+        hypotheses=(),
+        remaining=(),
+        before=metrics,
+        after=metrics,
+        moved=(),
+        calibration=fitted,
+        base=fitted,
+        next_manoeuvre=Manoeuvre((), weak.remedy, f"to learn anything: {weak.remedy}"),
+        diagnostics={"windows": base.twin.n, "draws": 0, "seconds": seconds, "leftover": []},
+    )
 
 
 def _gap(

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import STANDARD_GRAVITY, Signals
+from magyc_gtsam.factors.effects import per_axis
 from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.gap.twin import Columns, Twin
 
 _KNOTS = (12, 40)  # of the splines in time
@@ -75,20 +76,12 @@ def families(twin: Twin) -> list[Family]:
     return result
 
 
-def _per_axis(profiles: Array) -> Array:
-    p, n = profiles.shape
-    result = np.zeros((p, 3, 3, n))
-    for i in range(3):
-        result[:, i, i] = profiles
-    return result.reshape(3 * p, 3, n)
-
-
 def _on_field(profiles: Callable[[Twin], Array]) -> Callable[[Twin], Columns]:
-    return lambda twin: Columns(_per_axis(profiles(twin)), None)
+    return lambda twin: Columns(per_axis(profiles(twin)), None)
 
 
 def _on_rate(profiles: Callable[..., Array]) -> Callable[[Twin], Columns]:
-    return lambda twin: twin.of_slow_profile(lambda signals: _per_axis(profiles(signals)))
+    return lambda twin: twin.of_slow_profile(lambda signals: per_axis(profiles(signals)))
 
 
 def _hats(time: Array, knots: int) -> Array:
@@ -192,7 +185,7 @@ def _rate_times_field(twin: Twin) -> Array:
 
 
 def _field_on_rate(twin: Twin) -> Columns:
-    columns = _per_axis(_powers(_unit(twin), 1, 2))
+    columns = per_axis(_powers(_unit(twin), 1, 2))
     return twin.of_slow_profile(lambda signals: columns)
 
 

@@ -10,6 +10,7 @@ from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
 from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.noise_isolability import noise_isolability
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.score import Score, Variant, scan
 from magyc_gtsam.recording import Recording
@@ -25,13 +26,15 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
     Raises:
         MagycError: the motion or the data do not allow a calibration at all.
     """
-    twin = base_model(recording, None, short_term_noise(recording)).twin
+    noise = short_term_noise(recording)
+    twin = base_model(recording, None, noise).twin
     scores, _, _ = scan(twin, tuple(TERMS), np.random.default_rng(0))
     named = {s.name: s for s in scores if not s.generic}
-    return tuple(
+    terms = tuple(
         _row(term, named[name], named) if name in named else _absent(term, term.missing(twin))
         for name, term in TERMS.items()
     )
+    return (*terms, *noise_isolability(recording, noise.magnetometer))
 
 
 def _row(term: EffectTerm, score: Score, named: dict[str, Score]) -> Isolability:

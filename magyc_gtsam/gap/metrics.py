@@ -15,6 +15,7 @@ from magyc_gtsam.gap.noise_effects import tone
 from magyc_gtsam.gap.result import GapMap, Line, Metrics, OpenLoop
 from magyc_gtsam.gap.score import interleaved
 from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.metrics import heading_deviation
 from magyc_gtsam.recording import Recording
 
 HORIZON = 20.0  # s
@@ -119,9 +120,7 @@ def heading_error(recording: Recording, calibration: Calibration) -> float | Non
     attitude = Slerp(time[known], Rotation.from_quat(recording.attitude[known]))
     fresh = known & recording.magnetic_field_fresh & (time - calibration.delay >= time[known][0])
     fresh &= time - calibration.delay <= time[known][-1]
-    world = attitude(time[fresh] - calibration.delay).apply(field[fresh])
-    direction = np.exp(1j * np.arctan2(world[:, 1], world[:, 0]))
-    return float(np.rad2deg(np.angle(direction / direction.mean()).std()))
+    return heading_deviation(field[fresh], attitude(time[fresh] - calibration.delay).as_quat())
 
 
 def maps(twin: Twin, innovation: Array, calibration: Calibration) -> tuple[GapMap, ...]:

@@ -20,7 +20,8 @@ _ALIKE = 0.01  # probability below which a named effect adds something beyond it
 _REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks against the names given
 _SHAPE = 0.08  # share of what was explained that may remain, for effects are not quite of the catalogue's form
 _MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
-_FIRM = 0.7  # share of a term's statistic that must stand beside whatever else is missing
+_FIRM = 0.7  # share of what a term's statistic should be beside whatever else is missing
+_WHOLE = 0.98  # share of a term's signature from which a family holds it
 _STRONG = 5.0  # thresholds that a term must pass where something else is missing too
 _AHEAD = 9.0  # nats of evidence from which a rival is behind
 _BEATS = 3.0  # nats by which a generic family must be ahead of all that was named
@@ -89,6 +90,10 @@ def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> 
         near = score.name == term.name == "local-anomaly"
         if near and abs(at["time"] - term.setting["time"]) < _SPAN * (at["width"] + term.setting["width"]):
             return True
+    if score.name == "hard-iron-step" and any(
+        f.name == "hard-iron-drift" and score.statistic < f.statistic for f in found
+    ):
+        return True  # a slow change that is steeper here than there, not something that jumped
     rivals = TERMS[score.name].rivals
     return any(
         f.name in TERMS
@@ -121,22 +126,36 @@ def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
 
 
 def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str, ...]) -> bool:
-    """Whether a term keeps its evidence when the families that are still significant are in the model too."""
+    """Whether a term keeps its evidence when the families that are still significant are in the model too.
+
+    A term that is right keeps the share of its statistic that the families do not hold of its signature. A family
+    that holds the whole signature, and of which next to nothing is left, is the term itself in other words.
+    """
     twin = current.twin
     term = twin.model.terms[index]
     own = twin.whiten(twin.columns(term.name, term.setting))
     value, _ = current.value_of(index)
-    rest = replace(twin, model=without_term(twin.model, index))
-    base = rest.base_columns()
-    others = [s.variant.columns for s in now.scores if s.name in left and s.name != term.name]
+    base = replace(twin, model=without_term(twin.model, index)).base_columns()
     target = twin.residual().ravel() - value @ own  # as if the term were not there
-    alone = variant(term.setting, own, Projector(base))
-    beside = variant(term.setting, own, Projector(np.concatenate([base, *others])))
-    statistics = []
-    for v, rows in ((alone, base), (beside, np.concatenate([base, *others]))):
-        d = v.unit @ Projector(rows)(target[None])[0]
-        statistics.append(float(d @ d))
-    return statistics[1] > max(_STRONG * found.threshold, _FIRM * statistics[0])
+    project = Projector(base)
+    alone = variant(term.setting, own, project)
+    explained = _squared(alone.unit @ project(target[None])[0])
+    others = []
+    for score in now.scores:
+        if score.name not in left or score.name == term.name:
+            continue
+        held = _squared(alone.unit @ variant({}, score.variant.columns, project).unit.T) / len(alone.unit)
+        if held < _WHOLE or score.statistic > _SHAPE * explained:
+            others.append(score.variant.columns)
+    project = Projector(np.concatenate([base, *others]))
+    beside = variant(term.setting, own, project)
+    kept = _squared(project(alone.unit)) / len(alone.unit)
+    statistic = _squared(beside.unit @ project(target[None])[0])
+    return statistic > max(_STRONG * found.threshold, _FIRM * kept * explained)
+
+
+def _squared(values: Array) -> float:
+    return float(np.vdot(values, values))
 
 
 def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) -> tuple[str, ...]:

@@ -15,15 +15,15 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.recording import Recording
 
 _MOST_SAMPLES = 60000
-_CHANCE = 9.0  # nats by which two fitted parameters of a noise model can seem to gain (with room to spare)
+CHANCE = 9.0  # nats by which two fitted parameters of a noise model can seem to gain (with room to spare)
 _SMOOTH = 201  # bins of the periodogram's running median
 _LOWEST_BINS = 5  # of a tone: slower ones are drifts
 _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
 _SPIKE = 4.5  # sigmas
 _RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
-_COARSE = 0.7  # step in sigmas from which quantisation counts
-_HELD = 0.08  # share of rows that repeat exactly
+COARSE = 0.7  # step in sigmas from which quantisation counts
+HELD = 0.08  # share of rows that repeat exactly
 _TOGETHER = 0.6  # share of one axis' repeats that must be repeats of all
 
 
@@ -110,7 +110,7 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
             if gain > best[0]:
                 best = (gain, corner, strength, white)
     gain, corner, strength, white = best
-    evidence = gain - _CHANCE
+    evidence = gain - CHANCE
     duration = innovation.shape[1] / rate
     time_constant = 1 / (2 * np.pi * corner) if corner else 0.0
     slow = np.fft.rfft(innovation, axis=1)[:, 1 : max(int(corner * duration), 8) + 1]
@@ -125,7 +125,7 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
     return NoiseScore(
         "coloured-noise",
         2 * gain,
-        2 * (limit + _CHANCE),
+        2 * (limit + CHANCE),
         evidence,
         noise,
         np.array([deviation]),
@@ -156,13 +156,13 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     hit = square > (_SPIKE**2) * scale
     neighbours = np.concatenate([[False], hit[:-1]]) | np.concatenate([hit[1:], [False]])
     alone = float((hit & ~neighbours).sum() / max(hit.sum(), 1))
-    evidence = gain - _CHANCE
+    evidence = gain - CHANCE
     significant = evidence > limit and hit.sum() >= 2 and alone > 0.6 and share < _RARE
     height = float(np.sqrt(wide)) * level
     return NoiseScore(
         "spikes",
         2 * gain,
-        2 * (limit + _CHANCE),
+        2 * (limit + CHANCE),
         evidence,
         significant,
         np.array([height]),
@@ -181,9 +181,9 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
     return NoiseScore(
         "quantisation",
         ratio,
-        _COARSE,
-        1e6 * (ratio > _COARSE),
-        ratio > _COARSE,
+        COARSE,
+        1e6 * (ratio > COARSE),
+        ratio > COARSE,
         np.array([step]),
         np.array([0.0]),
         {"ratio": ratio},
@@ -209,12 +209,12 @@ def sample_hold(recording: Recording) -> NoiseScore:
     share = float(stale.mean())
     # A hold repeats all axes together; coarse steps repeat each by itself.
     alone = (np.diff(recording.magnetic_field, axis=0) == 0).mean(axis=0)
-    held = one_table and share > _HELD and share > _TOGETHER * float(alone.min())
+    held = one_table and share > HELD and share > _TOGETHER * float(alone.min())
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
         "sample-hold",
         share,
-        _HELD,
+        HELD,
         1e6 * held,
         held,
         np.array([rows]),

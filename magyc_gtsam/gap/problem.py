@@ -7,15 +7,16 @@ own thirteenth parameter.
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import FORMS, Setting, Signals, channels_by_kind
+from magyc_gtsam.factors.effects import FORMS, Setting
 from magyc_gtsam.factors.field_chain import DELAY, FieldChain, Noise, Reduced, State
 from magyc_gtsam.factors.preintegration import FieldWindows, Preintegration
-from magyc_gtsam.factors.rotations import Array, chain, exponential, increments, matrices
+from magyc_gtsam.factors.rate_columns import with_rate
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.recording import Recording
 
@@ -114,8 +115,7 @@ def prepare(problem: Problem, model: Model, rate: Array | None = None) -> tuple[
         added = sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros_like(measured))
         true = measured - added
     if terms:
-        samples = copy.copy(samples)  # the same windows: only what is integrated changes
-        object.__setattr__(samples, "angular_rate", np.ascontiguousarray((true + bias[:, None]).T))
+        samples = with_rate(samples, (true + bias[:, None]).T)
     return samples, true
 
 
@@ -169,11 +169,3 @@ def _added(problem: Problem, signals: Signals, term: Active) -> Array:
     if form.fast:
         return problem.mean(form.evaluate(problem.magnetometer, term.value, term.setting))
     return form.evaluate(signals, term.value, term.setting)
-
-
-def attitude(samples: Preintegration, rate: Array) -> Array:
-    """(3, 3, G) sensor → integrated world at the gyroscope's samples, of the true rate (3, G)."""
-    turn = (
-        rate.T[1:] * samples.step[:, None] if samples.interval_mean else increments(samples.gyroscope_time, rate.T)
-    )
-    return matrices(chain(exponential(turn))).reshape(3, 3, -1)

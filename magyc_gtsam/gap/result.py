@@ -9,7 +9,7 @@ from typing import Any, Literal
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.recording import Array
 
-Verdict = Literal["none", "closed", "unknown", "open"]
+Verdict = Literal["none", "closed", "unknown", "open", "not enough information"]
 Status = Literal["named", "ambiguous", "vetoed", "explained", "rejected", "not enough information"]
 
 
@@ -235,7 +235,8 @@ class Gap:
     Attributes:
         verdict: "none" (nothing significant), "closed" (named, added, nothing significant left), "unknown"
             (something is missing that is not in the catalogue; nothing was changed), "open" (named, but not
-            or not wholly corrected).
+            or not wholly corrected), "not enough information" (the motion does not determine the twelve
+            parameters, so that nothing can be said beyond them; nothing was tested or changed).
         sentence: the verdict, for a navigator.
         effects: what was found, in the order of adding.
         untested: candidates whose channel is missing.

@@ -15,24 +15,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.signal import lfilter
-from scipy.special import gammaincc, gammainccinv, gammaln
 from scipy.stats import ncx2
 
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.generic import Family, families
+from magyc_gtsam.gap.neighbours import neighbours
+from magyc_gtsam.gap.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
 from magyc_gtsam.gap.twin import Twin
 
 DRAWS = 500
-Draws = NDArray[np.float32]  # half the memory, and enough for a threshold
 FAMILY_WISE = 0.01
 _DEPENDENT = 1e-6  # share of a column that must be left beside the base model
-_TAIL = 0.9
 _MUCH = 60.0  # statistic from which an effect is taken out before the colour is measured
-_ORDER = 12  # of the autoregression, at most
-_COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +143,8 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
             settings = [s for s in settings if not s.get("full")]  # which would hold the delay once more
         if settings:
             result[name] = ("", variants(twin, project, name, settings))
-    for family in families(twin):
+    beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
+    for family in (*families(twin), *{f.name: f for f in beside}.values()):
         result[family.name] = (family.place, _parts(family, twin, project))
     return result
 
@@ -192,10 +188,8 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
     starts = np.concatenate([[0], np.cumsum(ranks)])[:-1]
     white = random.standard_normal((innovation.size, DRAWS), dtype=np.float32)
     coloured = colour(_without_best(innovation, found).reshape(3, -1), white)
-    null_white = surprises(_statistics(units @ white, starts, ranks), ranks)
-    null_coloured = (
-        null_white if coloured is white else surprises(_statistics(units @ coloured, starts, ranks), ranks)
-    )
+    null_white = _statistics(units @ white, starts, ranks)
+    null_coloured = null_white if coloured is white else _statistics(units @ coloured, starts, ranks)
     limit = float(np.log(len(found) / FAMILY_WISE))
     scores = []
     first = 0
@@ -207,10 +201,10 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
         surprise = surprises(statistics[:, None], ranks[rows])[:, 0]
         best = int(np.argmax(surprise))
         chosen = many[best]
-        level_white, _ = _tail(null_white[rows].max(axis=0))
-        level, slope = _tail(null_coloured[rows].max(axis=0))
+        level_white, _ = tail(largest_surprises(null_white[rows], ranks[rows]))
+        level, slope = tail(largest_surprises(null_coloured[rows], ranks[rows]))
         rank = max(int(ranks[rows][best]), 1)
-        needed = level + slope * (limit + np.log(1 - _TAIL))
+        needed = level + slope * (limit + np.log(1 - TAIL))
         scores.append(
             Score(
                 name=name,
@@ -219,9 +213,9 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
                 variants=tuple(many),
                 best=best,
                 statistic=float(statistics[best]),
-                evidence=float(surprise[best] - level_white - np.log(1 - _TAIL)),  # white: its slope is 1
-                significance=float((surprise[best] - level) / slope - np.log(1 - _TAIL)),
-                threshold=float(_quantile(needed, rank)),
+                evidence=float(surprise[best] - level_white - np.log(1 - TAIL)),  # white: its slope is 1
+                significance=float((surprise[best] - level) / slope - np.log(1 - TAIL)),
+                threshold=float(quantile(needed, rank)),
                 limit=limit,
                 expected=-chosen.back @ pulls[best],
                 covariance=chosen.back @ chosen.back.T,
@@ -243,63 +237,12 @@ def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant
     return innovation - named[best].unit.T @ pulls[best]
 
 
-def colour(innovation: Array, white: Draws) -> Draws:
-    """White draws (3n, draws) given the autocorrelation of the innovations (3, n), where it is significant."""
-    coefficients = autoregression(innovation)
-    if not len(coefficients):
-        return white
-    n = innovation.shape[1]
-    shaped = lfilter([1.0], np.concatenate([[1.0], -coefficients]), white.reshape(3, n, -1), axis=1)
-    shaped = shaped.reshape(white.shape)
-    return (shaped / shaped.std()).astype(np.float32)
-
-
-def autoregression(innovation: Array) -> Array:
-    """(order,) coefficients by Yule–Walker, the three axes pooled; empty where the innovations are white."""
-    n = innovation.shape[1]
-    total = float(np.vdot(innovation, innovation))
-    rho = [1.0]
-    for lag in range(1, min(_ORDER, n // 4) + 1):
-        value = float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total
-        rho.append(value)
-    significant = np.flatnonzero(np.abs(rho[1:]) > _COLOURED / np.sqrt(innovation.size))
-    if not len(significant):
-        return np.zeros(0)
-    order = int(significant[-1]) + 1
-    r = np.array(rho[: order + 1])
-    toeplitz = r[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
-    return np.linalg.solve(toeplitz, r[1:])
-
-
 def _statistics(d: Draws, starts: np.ndarray, ranks: np.ndarray) -> Array:
     """(variants, draws) squared lengths of stacked d."""
     padded = np.concatenate([d * d, np.zeros((1, d.shape[1]), d.dtype)])
     result = np.add.reduceat(padded, starts, axis=0).astype(float)
     result[ranks == 0] = 0.0
     return result
-
-
-def surprises(statistic: Array, ranks: Array) -> Array:
-    """−ln P(χ² > statistic), beyond where the tables end by the asymptotic series."""
-    half_k = 0.5 * np.maximum(ranks, 1)[:, None].astype(float)
-    half = 0.5 * np.maximum(statistic, 1e-9)
-    table = gammaincc(half_k, half)
-    far = half - (half_k - 1) * np.log(half) + gammaln(half_k) - np.log1p(np.maximum(half_k - 1, 0) / half)
-    return np.where(table > 1e-280, -np.log(np.maximum(table, 1e-280)), far)
-
-
-def _quantile(surprise: float, rank: int) -> float:
-    """The statistic whose −ln p is `surprise`."""
-    if surprise < 600:
-        return 2 * float(gammainccinv(0.5 * rank, np.exp(-surprise)))
-    return 2 * (surprise + (0.5 * rank - 1) * np.log(surprise) - float(gammaln(0.5 * rank)))
-
-
-def _tail(largest: Array) -> tuple[float, float]:
-    """The 90 % point of the draws' maxima and the slope of the exponential beyond it."""
-    level = float(np.quantile(largest, _TAIL))
-    beyond = largest[largest > level] - level
-    return level, max(float(beyond.mean()) if len(beyond) else 1.0, 1.0)
 
 
 def held_out_gain(base: Array, columns: Array, residual: Array, block: Array) -> float:

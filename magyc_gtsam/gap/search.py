@@ -18,22 +18,21 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, Look, choose, leftover, rivals_of, stands
+from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
+from magyc_gtsam.gap.refined import nearer, sharpened, sharpest
 from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
 from magyc_gtsam.gap.score import (
-    Projector,
     Score,
-    Variant,
     held_out_gain,
     interleaved,
     scan,
-    surprises,
-    variants,
 )
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 4
+_DETERMINED = 4.0  # smallest values that matter, up to which a motion determines a value
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +59,7 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
     """Score everything against a model."""
     scores, innovation, projector = scan(refitted.twin, names, random)
     scores = [
-        _sharpened(s, refitted, innovation, projector) if s.significant and "until" in s.variant.setting else s
+        sharpened(s, refitted, innovation, projector) if s.significant and "until" in s.variant.setting else s
         for s in scores
     ]
     scores.sort(key=lambda s: -s.evidence)
@@ -94,6 +93,7 @@ def search(
     found: list[Found] = []
     noted: set[str] = set()
     failed: set[str] = set()
+    instead: tuple[str, ...] = ()
     for turn in range(MOST_TERMS + 3):
         progress(0.2 + 0.1 * turn)
         choice = choose(now, names, noted, found, failed)
@@ -116,7 +116,11 @@ def search(
             if len(current.model.terms) >= MOST_TERMS:
                 break
             rivals = rivals_of(choice, now)
-            setting = _refined(choice, now)
+            sharp = sharpest(choice, now.refit, now.innovation, now.projector)
+            instead = nearer(choice.name, sharp, now)
+            if instead:
+                break
+            setting = dict(sharp.setting)
             added = _terms(choice.name, current, setting)
             model = current.model
             for term in added:
@@ -139,7 +143,14 @@ def search(
             ]
             current, found = _backwards(problem, current, found, short_term)
         now = look(recording, current, allowed, random)
-    left = leftover(now, first, found, noted)
+        fuller = _fuller(now)
+        if fuller is not None and (ahead := _tried(problem, fuller, short_term)) is not None:
+            current = ahead
+            now = look(recording, current, allowed, random)
+    # It is in no model, so that what is real of it is still there; of the rest another effect made it seem.
+    loud = {noise.name for noise in now.noise if noise.significant}
+    found = [f for f in found if f.name != "coloured-noise" or f.name in loud]
+    left = tuple(dict.fromkeys((*instead, *leftover(now, first, found, noted))))
     if left:
         kept, found = _firm(problem, current, found, first, now, left, short_term)
         if kept is not current:
@@ -166,6 +177,8 @@ def _firm(
         for index, place in enumerate(places)
         if found[place].name == "tone"
         or found[place].evidence < line
+        or found[place].name in left  # wanted oftener than it may be had: steps in a row are no step
+        or found[place].name in {product_of(name) for name in left}
         or not stands(current, index, found[place], now, left)
     ]
     model = current.model
@@ -176,48 +189,27 @@ def _firm(
     return (refit(problem, model, short_term) if loose else current), kept
 
 
+def _fuller(now: Look) -> Model | None:
+    """The whole symmetric matrix in place of the gyroscope's three scales, where these leave something linear."""
+    linear = any(s.name == "rate:linear" and s.significant and now.gains.get(s.name, 0.0) > 0 for s in now.scores)
+    model = now.refit.model
+    places = [i for i, t in enumerate(model.terms) if t.name == "gyro-scale" and t.setting.get("diagonal")]
+    if not linear or not places:
+        return None
+    sigma = np.sqrt(np.diag(now.refit.value_of(places[0])[1]))
+    if sigma.max() > _DETERMINED * TERMS["gyro-scale"].matters:
+        return None  # it would absorb anything
+    terms = list(model.terms)
+    terms[places[0]] = Active("gyro-scale", {}, np.concatenate([terms[places[0]].value, np.zeros(3)]))
+    return replace(model, terms=tuple(terms))
+
+
 def _terms(name: str, current: Refit, setting: dict[str, float]) -> list[Active]:
     """The term of a setting; of a thing attached and taken off, the two steps."""
     settings = [setting]
     if "until" in setting:
         settings = [{"time": setting["time"]}, {"time": setting["until"]}]
     return [Active(name, each, np.zeros(len(current.twin.columns(name, each).window))) for each in settings]
-
-
-def _refined(choice: Score, now: Look) -> dict[str, float]:
-    """The setting beside the grid's best that explains most."""
-    best = _sharpest(choice, now.refit, now.innovation, now.projector)
-    return dict(best.setting)
-
-
-def _sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Projector) -> Variant:
-    best = choice.variant
-    for _ in range(2):
-        near = TERMS[choice.name].refined(refitted.twin, best.setting)
-        if not near:
-            break
-        many = variants(refitted.twin, projector, choice.name, near)
-        pulls = [v.score(innovation) for v in many]
-        surprise = [float(surprises(np.array([[d @ d]]), np.array([len(d)]))[0, 0]) for d in pulls]
-        best = many[int(np.argmax(surprise))]
-    return best
-
-
-def _sharpened(score: Score, refitted: Refit, innovation: Array, projector: Projector) -> Score:
-    """A score whose grid is coarse, at the best setting beside it."""
-    best = _sharpest(score, refitted, innovation, projector)
-    pull = best.score(innovation)
-    gain = float(pull @ pull) / score.statistic
-    return replace(
-        score,
-        variants=(*score.variants, best),
-        best=len(score.variants),
-        statistic=float(pull @ pull),
-        evidence=score.evidence + 0.5 * (gain - 1) * score.statistic,
-        significance=score.significance * gain,
-        expected=-best.back @ pull,
-        covariance=best.back @ best.back.T,
-    )
 
 
 def _backwards(

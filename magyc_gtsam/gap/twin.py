@@ -15,18 +15,18 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.factors.banded import inverse_blocks
-from magyc_gtsam.factors.effects import FORMS, Setting, Signals
-from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.effects import FORMS, Setting
 from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State
+from magyc_gtsam.factors.rate_columns import attitude, rate_columns, turned_by
 from magyc_gtsam.factors.rotations import Array, cross, skew
+from magyc_gtsam.factors.signals import Signals
 from magyc_gtsam.factors.soft_iron import unvech
-from magyc_gtsam.gap.problem import Active, Model, Problem, attitude, build, window_signals
+from magyc_gtsam.gap.forward_filter import ForwardFilter
+from magyc_gtsam.gap.problem import Active, Model, Problem, build, window_signals
 
 _DIFFERENCE = 1e-3  # rad/s
-_VAGUE = 1e-4  # rad⁻², information of a direction before anything was seen of it
 
 
 class Columns(NamedTuple):
@@ -59,7 +59,7 @@ class Twin:
     windows: Signals
     gyroscope: Signals
     turn: Array
-    _filter: _Filter
+    _filter: ForwardFilter
 
     @classmethod
     def of(cls, problem: Problem, model: Model) -> Twin:
@@ -80,7 +80,7 @@ class Twin:
             window_signals(problem, chain.windows, state, rate),
             gyroscope,
             attitude(problem.samples, rate),
-            _Filter.of(chain, reduced),
+            ForwardFilter.of(chain, reduced),
         )
 
     @property
@@ -144,7 +144,7 @@ class Twin:
     def of_slow_profile(self, profile: Callable[[Signals], Array]) -> Columns:
         """As `of_profile`, from the windows' mean signals: to second order in the rotation inside a window."""
         at = self._rates_at_windows
-        turned = _turned(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
+        turned = turned_by(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
         angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
         link = -cross(self.state.direction[:, None, :-1], angle.swapaxes(0, 1)).swapaxes(0, 1)
         return Columns(np.zeros_like(turned), link, self.rate_pull(profile))
@@ -160,31 +160,11 @@ class Twin:
         )
 
     def on_gyroscope(self, rate: Array) -> Columns:
-        """Regressors of errors of the rate (p, 3, G) rad/s: they turn the integrated world, φ = −∫ R ω dt."""
-        samples, windows = self.problem.samples, self.chain.windows
-        turned = _turned(self.turn, rate)
-        angle = np.zeros_like(turned)
-        if samples.interval_mean:
-            steps = turned[..., 1:] * samples.step
-        else:
-            steps = 0.5 * (turned[..., 1:] + turned[..., :-1]) * samples.step
-        np.cumsum(-steps, axis=-1, out=angle[..., 1:])
-        when = samples.magnetometer_time - windows.delay
-        nearest = np.clip(np.searchsorted(samples.gyroscope_time, when), 0, len(samples.gyroscope_time) - 1)
-        if len(when) == len(samples.gyroscope_time) and np.array_equal(when, samples.gyroscope_time):
-            at = angle
-        else:
-            at = np.stack([[np.interp(when, samples.gyroscope_time, a) for a in column] for column in angle])
-        mean = self.problem.mean(at)
-        g = self.state.direction
-        link = -cross(g[:, None, :-1], np.diff(mean).swapaxes(0, 1)).swapaxes(0, 1)
-        # Inside a window the sensor turns, so that the error does not average out.
-        window_of = self.problem.window_of
-        inside = at - mean[..., window_of]
-        swung = cross(g[:, None, window_of], inside.swapaxes(0, 1))
-        body = _turned(np.swapaxes(self.turn[..., nearest], 0, 1), swung.swapaxes(0, 1))
-        window = np.einsum("ij,pjn->pin", unvech(self.state.parameters[:6]), self.problem.mean(body))
-        return Columns(window, link)
+        """Regressors of errors of the rate (p, 3, G) rad/s."""
+        soft = unvech(self.state.parameters[:6])
+        return Columns(
+            *rate_columns(self.problem.samples, self.chain.windows, soft, self.state.direction, self.turn, rate)
+        )
 
     def rate_pull(self, profile: Callable[[Signals], Array]) -> Array:
         """(p,) expected score, without any effect, of regressors `profile` (p, 3, ·) that read the measured rate.
@@ -239,96 +219,3 @@ class Twin:
     def log_determinant(self) -> Array:
         """(n,) of the innovations' covariance before whitening, in window sigmas."""
         return np.log(np.linalg.det(np.moveaxis(self._filter.scatter, 2, 0)))
-
-
-def _turned(rotation: Array, columns: Array) -> Array:
-    """(p, 3, n) columns turned by (3, 3, n)."""
-    result = np.zeros_like(columns)
-    for j in range(3):
-        if columns[:, j].any():
-            for i in range(3):
-                result[:, i] += rotation[i, j] * columns[:, j]
-    return result
-
-
-class _Filter(NamedTuple):
-    """The forward filter of a factorised chain.
-
-    before, after (3, 2, n − 1): whitened link Jacobians on its two directions; factor: banded Cholesky factor;
-    below (2, 2, n − 1): its off-diagonal blocks L_{n,n−1}; ahead (2, 2, n): covariance of the predictions;
-    seen (3, 2, n): window Jacobians; scatter, whitener (3, 3, n): innovation covariance and its inverse root.
-    """
-
-    before: Array
-    after: Array
-    factor: Array
-    below: Array
-    ahead: Array
-    seen: Array
-    scatter: Array
-    whitener: Array
-
-    @classmethod
-    def of(cls, chain: FieldChain, reduced: Reduced) -> _Filter:
-        n = len(chain.windows)
-        scale = chain.link_scale
-        factor = reduced.factor
-        below = np.empty((2, 2, n - 1))
-        below[0, 0], below[0, 1] = factor[2, :-2:2], factor[1, 1:-2:2]
-        below[1, 0], below[1, 1] = factor[3, :-2:2], factor[2, 1:-2:2]
-        information: Array = np.zeros((n, 2, 2))
-        information[1:] = np.moveaxis(-np.einsum("acn,bcn->abn", below, below), 2, 0)
-        information[1:, [0, 1], [0, 1]] += scale[:, None] ** 2
-        information[:, [0, 1], [0, 1]] += _VAGUE
-        ahead: Array = np.asarray(np.linalg.inv(information), dtype=float).transpose(1, 2, 0)
-        seen = reduced.on_direction
-        scatter = np.eye(3)[:, :, None] + np.einsum("ian,abn,jbn->ijn", seen, ahead, seen)
-        if not np.isfinite(scatter).all():
-            raise MagycError("the innovations of the model have no finite covariance: a term is out of range")
-        value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
-        whitener = np.moveaxis((vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2), 0, 2)
-        return cls(
-            -reduced.basis[:, :, :-1] * scale,
-            reduced.basis[:, :, 1:] * scale,
-            factor,
-            below,
-            ahead,
-            seen,
-            scatter,
-            whitener,
-        )
-
-    def __call__(self, window: Array, link: Array | None) -> Array:
-        """Whitened innovations (p, 3, n) of windows (p, 3, n) and links (p, 3, n − 1), whitened by their sigmas."""
-        predicted, _ = self._passed(window, link)
-        ahead = np.einsum("abn,pbn->pan", self.ahead, predicted)
-        for i in range(3):
-            window[:, i] -= self.seen[i, 0] * ahead[:, 0] + self.seen[i, 1] * ahead[:, 1]
-        return _turned(self.whitener, window)
-
-    def filtered(self, window: Array, link: Array) -> tuple[Array, Array]:
-        """Tangent steps (2, n) to the filtered directions, and their covariance (2, 2, n)."""
-        predicted, _ = self._passed(window[None], link[None])
-        vector = predicted[0] + np.einsum("ian,in->an", self.seen, window)
-        information = np.linalg.inv(np.moveaxis(self.ahead, 2, 0))
-        information += np.moveaxis(np.einsum("ian,ibn->abn", self.seen, self.seen), 2, 0)
-        covariance = np.moveaxis(np.linalg.inv(information), 0, 2)
-        return -np.einsum("abn,bn->an", covariance, vector), covariance
-
-    def _passed(self, window: Array, link: Array | None) -> tuple[Array, Array]:
-        """The predictions' information vectors (p, 2, n), and z = L⁻¹ c."""
-        p, _, n = window.shape
-        right = np.zeros((p, n, 2))
-        for a in (0, 1):
-            np.einsum("in,pin->pn", self.seen[:, a], window, out=right[:, :, a])
-            if link is not None:
-                right[:, 1:, a] += np.einsum("in,pin->pn", self.after[:, a], link)
-                right[:, :-1, a] += np.einsum("in,pin->pn", self.before[:, a], link)
-        half, _ = dtbtrs(self.factor, right.reshape(p, 2 * n).T, uplo="L")
-        half = half.T.reshape(p, n, 2)
-        predicted = np.zeros((p, 2, n))
-        for a in (0, 1):
-            predicted[:, a, 1:] = -(self.below[a, 0] * half[:, :-1, 0] + self.below[a, 1] * half[:, :-1, 1])
-            if link is not None:
-                predicted[:, a, 1:] += np.einsum("in,pin->pn", self.after[:, a], link)
-        return predicted, half

@@ -83,6 +83,7 @@ TIMING = EffectTerm(
     parameters=("delay",),
     say=_say_timing,
     motion="turn fast one way and the other, about more than one axis",
+    products=("speed", "speed²"),
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
@@ -98,4 +99,5 @@ EDDY_PLANE = EffectTerm(
     motion="turn fast about all three axes, not about the vertical only",
     settings=_plates,
     refined=_plates_nearby,
+    products=("speed", "speed²"),
 )

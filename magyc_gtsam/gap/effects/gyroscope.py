@@ -69,6 +69,7 @@ TEMPERATURE = EffectTerm(
     motion="let the temperature rise and fall during the recording",
     settings=lagged,
     refined=lagged_nearby,
+    products=("rate",),
 )
 G_SENSITIVITY = EffectTerm(
     name="g-sensitivity",

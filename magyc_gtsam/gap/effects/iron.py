@@ -97,6 +97,7 @@ MOTOR_CURRENT = EffectTerm(
     parameters=AXES,
     say=_say_current,
     motion="switch the load on and off several times at rest and under way, not in step with the turns",
+    products=("reading", "gain", "field"),
 )
 TEMPERATURE = EffectTerm(
     name="temperature-hard-iron",
@@ -112,6 +113,7 @@ TEMPERATURE = EffectTerm(
     motion="let the temperature rise AND fall during the recording, so that it is no clock",
     settings=lagged,
     refined=lagged_nearby,
+    products=("reading", "gain", "field"),
 )
 STEP = EffectTerm(
     name="hard-iron-step",
@@ -128,6 +130,7 @@ STEP = EffectTerm(
     settings=_step_times,
     refined=_step_nearby,
     most=2,
+    products=("reading", "gain", "field"),
 )
 DRIFT = EffectTerm(
     name="hard-iron-drift",
@@ -142,4 +145,5 @@ DRIFT = EffectTerm(
     say=_say_drift,
     motion="record longer, and log the temperature",
     settings=_drifts,
+    products=("reading", "gain"),
 )

@@ -34,7 +34,8 @@ def _loops(twin: Twin) -> list[dict[str, float]]:
 
 
 def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    widths = [setting["width"] * share for share in (0.5, 0.7, 1.0, 1.4, 2.0)]
+    span = float(np.ptp(twin.windows.need("field"), axis=1).max())  # a wider loop would be no loop but a gain
+    widths = [min(setting["width"] * share, span) for share in (0.5, 0.7, 1.0, 1.4, 2.0)]
     where = [{}] if "x" not in setting else directions_nearby(setting)
     return [place | {"width": width} for width in widths for place in where]
 

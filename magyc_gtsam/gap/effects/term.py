@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import CHANNELS, FORMS, Form, Setting, Signals
+from magyc_gtsam.factors.effects import FORMS, Form, Setting
 from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.signals import CHANNELS, Signals
 from magyc_gtsam.gap.twin import Columns, Twin
 
 Settings = Callable[[Twin], list[dict[str, float]]]
@@ -44,6 +45,7 @@ class EffectTerm:
         refined: settings beside a found one, closer than the grid; empty where there is no grid.
         block: s, longest block of the held-out veto for a setting.
         most: how many of it one model may hold.
+        products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
     """
 
     name: str
@@ -61,6 +63,7 @@ class EffectTerm:
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: 10.0
     most: int = 1
+    products: tuple[str, ...] = ()
 
     @property
     def form(self) -> Form:
@@ -86,6 +89,9 @@ class EffectTerm:
 
     def regressors(self, twin: Twin, setting: Setting) -> Columns:
         """Columns per unit of value, on windows and links."""
+        if self.side == "gyroscope" and "rate" not in self.form.needs:
+            # What reads no rate has none of the gyroscope's noise in it, and is not pulled.
+            return twin.on_gyroscope(self.form.columns(twin.gyroscope, setting))
         return twin.columns(self.name, setting)
 
     def residual(self, signals: Signals, value: Array, setting: Setting) -> Array:

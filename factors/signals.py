@@ -1,0 +1,76 @@
+"""What the formulas of extra effects read: fields, rates and other channels, sample by sample."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.rotations import Array
+
+STANDARD_GRAVITY = 9.80665  # m/s² in a g
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What the forms read, sample by sample along the last axis; what is unknown is None.
+
+    Attributes:
+        time: (n,) s, as in the recording.
+        field: (3, n) T, soft iron times the true field: the reading less hard iron and noise.
+        field_rate: (3, n) T/s, its time derivative.
+        hard_iron: (3,) T.
+        rate: (3, n) rad/s, true angular rate.
+        to_sensor: (3, 3, n) rotation of a world frame into the sensor's.
+        acceleration: (3, n) m/s².
+        channels: {"current" | "temperature" | "position": (k, n)}.
+    """
+
+    time: Array
+    field: Array | None = None
+    field_rate: Array | None = None
+    hard_iron: Array | None = None
+    rate: Array | None = None
+    to_sensor: Array | None = None
+    acceleration: Array | None = None
+    channels: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+
+    def need(self, name: str) -> Array:
+        """A signal, or the channel of that name.
+
+        Raises:
+            MagycError: it is not there.
+        """
+        value = getattr(self, name, None) if name not in CHANNELS else self.channels.get(name)
+        if value is None or (name == "time" and np.isnan(value).any()):
+            raise MagycError(
+                f"{name}: this effect needs it, and the data at hand do not have it; pass a recording"
+            )
+        array: Array = value
+        return array
+
+
+CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "current": ("current", "amp", "motor", "throttle"),
+        "temperature": ("temp",),
+        "position": ("position", "depth", "altitude", "height"),
+    }
+)
+"""What a channel must be called, in part, to count as one of a kind."""
+
+
+def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
+    """{kind: (k, n)} from {name: (n,) or (n, k)}, the names in alphabetical order."""
+    result = {}
+    for kind, words in CHANNELS.items():
+        found = [channels[name] for name in sorted(channels) if any(word in name.lower() for word in words)]
+        if found:
+            result[kind] = np.concatenate(
+                [np.asarray(value, dtype=float).reshape(len(value), -1).T for value in found]
+            )
+    return result

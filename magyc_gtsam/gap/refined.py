@@ -1,0 +1,97 @@
+"""Beside the grid: the setting that explains most, and the neighbours that explain as much there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.naming import Look
+from magyc_gtsam.gap.neighbours import neighbours
+from magyc_gtsam.gap.null import surprises
+from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.score import Projector, Score, Variant, variant, variants
+
+_CLEARLY = 1.0  # nats by which a name must be ahead of each neighbour; less is a toss-up
+_FEW = 20  # settings up to which a neighbour is tried at all of them
+
+
+def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
+    """Neighbours of an effect beside which it does not explain the data clearly better.
+
+    Where it is a toss-up, another effect beside it may hide which it is: each is then judged with the one that
+    explains most together with it.
+    """
+    twin, term = now.refit.twin, TERMS[name]
+    grid = term.settings(twin)
+    settings = [dict(best.setting), *(grid if len(grid) <= _FEW else []), *term.refined(twin, best.setting)[:_FEW]]
+    closest: dict[str, Variant] = {}
+    for setting in settings:
+        if len(twin.columns(name, setting).window) != len(best.columns):
+            continue  # another kind of the same effect
+        for family in neighbours(twin, name, setting):
+            columns = family.columns(twin)
+            if len(columns.window) != len(best.columns):
+                continue  # it could hold whatever else is missing
+            tried = variant(setting, twin.whiten(columns), now.projector, columns.pull)
+            known = closest.setdefault(family.name, tried)
+            if surprise(tried, now.innovation) > surprise(known, now.innovation):
+                closest[family.name] = tried
+    own = surprise(best, now.innovation)
+    even = {n: tried for n, tried in closest.items() if surprise(tried, now.innovation) > own - _CLEARLY}
+    if not even:
+        return ()
+    paired = _paired(name, best, now)
+    return tuple(n for n, tried in even.items() if _paired(name, tried, now) > paired - _CLEARLY)
+
+
+def _paired(name: str, tried: Variant, now: Look) -> float:
+    """Nats of a variant of an effect with the other named effect, no rival of it, with which they are most."""
+    twin = now.refit.twin
+    base, residual = twin.base_columns(), twin.residual().ravel()
+    most = surprise(tried, now.innovation)
+    for other in now.scores:
+        if other.generic or other.name in (name, *TERMS[name].rivals) or not other.significant:
+            continue
+        if now.gains.get(other.name, 0.0) > 0:
+            project = Projector(np.concatenate([base, other.variant.columns]))
+            beside = variant(tried.setting, tried.columns, project, tried.pull)
+            together = surprise(other.variant, now.innovation) + surprise(beside, project(residual[None])[0])
+            most = max(most, together)
+    return most
+
+
+def surprise(tried: Variant, innovation: Array) -> float:
+    d = tried.score(innovation)
+    return float(surprises(np.array([[d @ d]]), np.array([len(d)]))[0, 0])
+
+
+def sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Projector) -> Variant:
+    """The setting beside the grid's best that explains most."""
+    best = choice.variant
+    for _ in range(2):
+        near = TERMS[choice.name].refined(refitted.twin, best.setting)
+        if not near:
+            break
+        many = variants(refitted.twin, projector, choice.name, near)
+        best = many[int(np.argmax([surprise(v, innovation) for v in many]))]
+    return best
+
+
+def sharpened(score: Score, refitted: Refit, innovation: Array, projector: Projector) -> Score:
+    """A score whose grid is coarse, at the best setting beside it."""
+    best = sharpest(score, refitted, innovation, projector)
+    pull = best.score(innovation)
+    gain = float(pull @ pull) / score.statistic
+    return replace(
+        score,
+        variants=(*score.variants, best),
+        best=len(score.variants),
+        statistic=float(pull @ pull),
+        evidence=score.evidence + 0.5 * (gain - 1) * score.statistic,
+        significance=score.significance * gain,
+        expected=-best.back @ pull,
+        covariance=best.back @ best.back.T,
+    )
