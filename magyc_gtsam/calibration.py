@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.export import export
 from magyc_gtsam.factors.corrections import corrected_field, corrected_rate, shifted
-from magyc_gtsam.factors.effects import Signals, Term, channels_by_kind
+from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.signals import Signals, channels_by_kind
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
 
@@ -124,6 +125,11 @@ class Calibration:
             return w - self.gyro_bias
         rows = np.atleast_2d(w)
         return corrected_rate(rows.T, self.gyro_bias, self.terms, _as_signals(len(rows), given)).T.reshape(w.shape)
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the method and the motion both say that the result can be used."""
+        return self.converged and (self.observability is None or self.observability.observable)
 
     @property
     def sigma(self) -> Mapping[str, Array]:

@@ -135,6 +135,11 @@ def heading_error(field: ArrayLike, attitude: ArrayLike, declination: float | No
     return error
 
 
+def heading_deviation(field: ArrayLike, attitude: ArrayLike) -> float:
+    """deg, standard deviation of `heading_error` about the mean direction, where the attitude is known."""
+    return float(np.degrees(np.nanstd(heading_error(field, attitude))))
+
+
 def soft_iron_distance(one: ArrayLike, other: ArrayLike, *, scale: bool = False) -> float:
     """Geodesic distance of two soft irons (3, 3): the affine-invariant metric on symmetric positive matrices.
 

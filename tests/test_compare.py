@@ -6,6 +6,8 @@ import csv
 import io
 import json
 import logging
+import os
+import signal
 import subprocess
 import sys
 import warnings
@@ -21,7 +23,7 @@ import yaml
 import magyc_gtsam as mg
 from magyc_gtsam import cli, estimators
 from magyc_gtsam.io import write_mcap
-from magyc_gtsam.report import compare_words
+from magyc_gtsam.report import compare_page, compare_words
 from magyc_gtsam.report.compare_page import render_comparison
 from magyc_gtsam.study import comparison as module
 from magyc_gtsam.study.comparison import UNCALIBRATED, Comparison, Status, compare
@@ -151,6 +153,63 @@ def test_interrupting_stops_all(dive: mg.Simulation, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(module, "calibrate", interrupt)
     with pytest.raises(KeyboardInterrupt):
         compare(dive.recording, ("sar-ls",))
+
+
+def test_an_interrupt_keeps_what_is_done(
+    dive: mg.Simulation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, here: Callable[..., tuple[int, str, str]]
+) -> None:
+    """Ctrl-C inside a graph's optimiser, which ends with its best values, and outside of one."""
+    write_mcap("dive.mcap", dive.recording)
+    asked = ("sar-ls", "magyc-bfg", "magyc-ifg", "ellipsoid")
+    ordinary = estimators.calibrate
+
+    def interrupted_in(method: str) -> None:
+        def calibrate(recording: mg.Recording, name: str, *, progress: Any, **options: Any) -> mg.Calibration:
+            def stop(share: float) -> None:
+                if 0 < share < 1 and name == method:
+                    raise KeyboardInterrupt
+                progress(share)
+
+            return ordinary(recording, name, progress=stop, **options)
+
+        monkeypatch.setattr(module, "calibrate", calibrate)
+
+    for method, done in (("magyc-bfg", 2), ("magyc-ifg", 2), ("ellipsoid", 4)):
+        interrupted_in(method)
+        result = compare(dive.recording, asked)
+        assert [o.method for o in result.outcomes] == list(asked[:done])
+        assert result.not_run == asked[done:]
+        assert result.interrupted == (method != "ellipsoid")  # which has no share between 0 and 1
+    interrupted_in("magyc-bfg")
+    code, _, error = here("compare", "dive.mcap", "--methods", ",".join(asked), "-o", "out", "--quiet")
+    assert code == 130
+    assert error == "magyc-gtsam: interrupted; the methods done by then are in out\n"
+    data = json.loads(Path("out/comparison.json").read_text(encoding="utf-8"))
+    assert [o["method"] for o in data["outcomes"]] == ["raw", "sar-ls", "magyc-bfg"]
+    assert data["not_run"] == ["magyc-ifg", "ellipsoid"]
+    assert "Interrupted before magyc-ifg, ellipsoid." in Path("out/report.html").read_text(encoding="utf-8")
+
+
+def test_an_interrupt_while_the_page_is_drawn_is_held(
+    dive: mg.Simulation, monkeypatch: pytest.MonkeyPatch, here: Callable[..., tuple[int, str, str]]
+) -> None:
+    write_mcap("dive.mcap", dive.recording)
+    times = 1
+
+    def drawn(comparison: Comparison) -> str:
+        for _ in range(times):
+            os.kill(os.getpid(), signal.SIGINT)
+        return "page"
+
+    monkeypatch.setattr(compare_page, "render_comparison", drawn)
+    arguments = ("compare", "dive.mcap", "--methods", "sar-ls", "-o", "out", "--quiet")
+    assert here(*arguments)[0] == 130
+    assert Path("out/report.html").read_text(encoding="utf-8") == "page"
+    times = 2  # who insists is heard
+    code, _, error = here(*arguments[:-2], "again", "--quiet")
+    assert code == 130
+    assert "no file is left half written" in error
+    assert not Path("again").exists()
 
 
 def test_names_are_checked() -> None:

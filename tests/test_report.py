@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from magyc_gtsam.observability import Observability, Weakness
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import write_report
 from magyc_gtsam.report.analysis import (
+    Coverage,
     coverage,
     disturbed_stretches,
     ellipsoid_outline,
@@ -24,6 +26,7 @@ from magyc_gtsam.report.analysis import (
     summary,
 )
 from magyc_gtsam.report.page import render
+from magyc_gtsam.report.plots import coverage_map
 from magyc_gtsam.report.words import stretch, uncertain
 
 SOFT_IRON = np.array([[1.10, 0.10, 0.04], [0.10, 0.88, 0.02], [0.04, 0.02, 1.22]])
@@ -308,3 +311,26 @@ def test_phone_page_does_not_scroll_sideways(opened: Any, tmp_path: Path, scheme
     )
     brightness = [sum(int(part) for part in colour[4:-1].split(",")) for colour in (ink, ground)]
     assert (brightness[0] < brightness[1]) == (scheme == "light")
+
+
+def test_text_in_figures_can_be_read_on_a_phone(opened: Any, tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", simulated(), good(), residuals())
+    sizes = opened(tmp_path / "report.html", 390).evaluate(
+        """[...document.querySelectorAll('figure svg text')].filter(t => t.textContent.trim())
+        .map(t => parseFloat(getComputedStyle(t).fontSize) * Math.hypot(t.getScreenCTM().a, t.getScreenCTM().b))"""
+    )
+    assert len(sizes) > 50
+    assert min(sizes) > 11
+
+
+@pytest.mark.parametrize("seconds", [(20.0,), (20.0, 20.5), (20.0, 25.0), (20.0, 50.0), (0.1, 1.0, 40.0)])
+def test_the_map_of_directions_labels_little_time_too(seconds: tuple[float, ...]) -> None:
+    """Also where one cell or few were visited, for almost the same time: one label or more, and none twice."""
+    visited = np.zeros((12, 24))
+    visited[6, : len(seconds)] = seconds
+    svg = coverage_map(Coverage(np.linspace(0, 2 * np.pi, 25), np.linspace(-1, 1, 13), visited))
+    labels = [float(text) for text in re.findall(r">([\d.]+)</text>", svg)]
+    assert 1 <= len(labels) <= 9
+    assert len(set(labels)) == len(labels)
+    apart = np.diff(np.log(np.sort(labels))) / np.log(max(seconds) / min(seconds) / 0.9)
+    assert (apart > 0.1).all()  # of the bar's length

@@ -96,9 +96,7 @@ def run(
 
 def verdict(calibration: Calibration) -> int:
     """The exit code of a calibration; says on standard error why one must not be trusted."""
-    from magyc_gtsam.report.words import trusted
-
-    if trusted(calibration):
+    if calibration.trusted:
         return 0
     reason = calibration.message or "the method did not converge"
     typer.echo(f"magyc-gtsam: the result must not be trusted: {reason}", err=True)
@@ -148,11 +146,9 @@ def _method_options(
 def _show_json(folder: Path, calibration: Calibration) -> None:
     import json
 
-    from magyc_gtsam.report.words import trusted
-
     files = {file.name: str(file) for file in sorted(folder.iterdir())}
     result = {
-        "trusted": trusted(calibration),
+        "trusted": calibration.trusted,
         "folder": str(folder),
         "files": files,
         "calibration": calibration.to_dict(),

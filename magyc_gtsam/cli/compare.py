@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -39,7 +43,8 @@ def run(
     """Calibrate a log with every method that it allows, and compare.
 
     Writes comparison.csv, comparison.json, configuration.yaml and report.html. A method that fails says why
-    and never stops the others. Exit code 1: done, but no method gave a result to trust.
+    and never stops the others; Ctrl-C ends with the methods done so far. Exit code 1: done, but no method gave a
+    result to trust; 130: interrupted.
     """
     from magyc_gtsam.report.compare_page import render_comparison
     from magyc_gtsam.report.compare_words import csv_text, to_dict
@@ -59,20 +64,43 @@ def run(
 
         comparison = compare(recording, names, field_strength=field_strength, progress=progress)
         page = stage("drawing the page")
-        (part / "comparison.csv").write_text(csv_text(comparison), encoding="utf-8")
-        (part / "comparison.json").write_text(_json(to_dict(comparison)), encoding="utf-8")
-        asked = {"methods": list(names), "field_strength": field_strength}
-        write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
-        (part / "report.html").write_text(render_comparison(comparison), encoding="utf-8")
+        with _one_interrupt_held() as held:
+            (part / "comparison.csv").write_text(csv_text(comparison), encoding="utf-8")
+            (part / "comparison.json").write_text(_json(to_dict(comparison)), encoding="utf-8")
+            asked = {"methods": list(names), "field_strength": field_strength}
+            write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
+            (part / "report.html").write_text(render_comparison(comparison), encoding="utf-8")
         page(1.0)
     if json:
         typer.echo(_json(to_dict(comparison) | {"folder": str(folder)}), nl=False)
     elif not quiet:
         _show(comparison, reading.log.name, folder)
+    if comparison.interrupted or held:
+        typer.echo(f"magyc-gtsam: interrupted; the methods done by then are in {folder}", err=True)
+        return 130
     if comparison.trusted:
         return 0
     typer.echo("magyc-gtsam: no method gave a result that can be trusted; the table says why", err=True)
     return 1
+
+
+@contextmanager
+def _one_interrupt_held() -> Iterator[list[int]]:
+    """A first Ctrl-C inside the block is only noted, so that what is done gets written; a second one ends it."""
+    held: list[int] = []
+
+    def note(number: int, frame: object) -> None:
+        held.append(number)
+        signal.signal(signal.SIGINT, before)
+
+    if threading.current_thread() is not threading.main_thread():  # to which signals go
+        yield held
+        return
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield held
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _json(value: object) -> str:

@@ -14,7 +14,7 @@ import typer
 from magyc_gtsam.cli.calibrate import verdict
 from magyc_gtsam.cli.online_session import End, Session
 from magyc_gtsam.cli.terminal import console, show, show_calibration
-from magyc_gtsam.report.words import parameter_rows, trusted, uncertain
+from magyc_gtsam.report.words import parameter_rows, uncertain
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -65,7 +65,7 @@ class Quiet:
         if calibration is None:
             return self._without(session)
         self.result(session, calibration)
-        if trusted(calibration) and not self.online.converged:
+        if calibration.trusted and not self.online.converged:
             self.complain(f"the result must not be trusted: {self.online.progress.sentence}")
             return 1
         return verdict(calibration)

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import json
 import os
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment
 from markupsafe import Markup
-from matplotlib.figure import Figure
+from matplotlib import figure as drawing
 
 from magyc_gtsam.estimators.accelerometer import AccelerometerCalibration, accelerometer_samples
 from magyc_gtsam.recording import Array, Mask, Recording
-from magyc_gtsam.report.analysis import ellipsoid_outline, spread, summary
-from magyc_gtsam.report.plots import CALIBRATED, DISTURBED, RAW, drawn
-from magyc_gtsam.report.words import uncertain
+from magyc_gtsam.report.analysis import spread, summary
+from magyc_gtsam.report.html import Figure, rendered, write_page
+from magyc_gtsam.report.plots import CALIBRATED, DISTURBED, INK, RAW, drawn, outlines
+from magyc_gtsam.report.words import Number, uncertain
 
 _DRAWN: dict[str, Any] = {"markersize": 2.5, "alpha": 0.5, "rasterized": True, "markeredgewidth": 0}
 
@@ -29,28 +28,29 @@ def write_accelerometer_report(
     path = Path(target)
     time, raw = accelerometer_samples(recording)
     within = calibration.inliers(raw)
-    package = resources.files("magyc_gtsam.report")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    text = environment.from_string((package / "accelerometer.html").read_text(encoding="utf-8")).render(
-        style=Markup((package / "style.css").read_text(encoding="utf-8")),
-        colours={"raw": RAW, "calibrated": CALIBRATED, "motion": DISTURBED},
-        recording=recording,
+    text = rendered(
+        "accelerometer.html",
+        recording,
+        headline="Accelerometer calibrated" if calibration.converged else "Do not use this calibration",
+        good=calibration.converged,
         calibration=calibration,
         numbers=_numbers(calibration, raw, within),
         views=[
-            (f"Seen along {gone}", Markup(_projection(raw, within, calibration, plane)))
+            Figure(Markup(_projection(raw, within, calibration, plane)), f"Seen along {gone}")
             for plane, gone in (((0, 1), "z"), ((0, 2), "y"), ((1, 2), "x"))
         ],
-        strength=Markup(_strength(time - recording.time[0], raw, calibration)),
+        strength=Figure(
+            Markup(_strength(time - recording.time[0], raw, calibration)),
+            "",
+            "Lines: means; bands: range of the samples; dashed: gravity. At rest the calibrated line lies on it.",
+        ),
         parameters=parameter_rows(calibration),
         configuration=json.dumps(
             {"configuration": dict(calibration.configuration), "diagnostics": dict(calibration.diagnostics)},
             indent=2,
         ),
     )
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
+    write_page(path, text)
     return path
 
 
@@ -74,8 +74,8 @@ def parameter_rows(calibration: AccelerometerCalibration) -> list[tuple[str, lis
     ]
 
 
-def _numbers(calibration: AccelerometerCalibration, raw: Array, within: Mask) -> list[tuple[str, str, str]]:
-    """(what, value, meaning) of the numbers to see first."""
+def _numbers(calibration: AccelerometerCalibration, raw: Array, within: Mask) -> list[Number]:
+    """The numbers to see first."""
     still = within if within.any() else np.ones(len(raw), dtype=bool)
     before, after = (
         float(np.sqrt(np.mean((np.linalg.norm(a[still], axis=1) - calibration.gravity) ** 2)))
@@ -83,29 +83,19 @@ def _numbers(calibration: AccelerometerCalibration, raw: Array, within: Mask) ->
     )
     largest = float(np.linalg.norm(calibration.bias))
     tilt = float(np.degrees(np.arctan(largest / calibration.gravity)))
+    scale = float(np.abs(np.diag(calibration.scale) - 1).max())
+    motion = f"of {len(raw):,} samples, off gravity by {calibration.limit:.2g} m/s²"
     return [
-        (
-            "Gravity missed by",
-            f"{before:.3f} → {after:.3f} m/s²",
-            "root mean square, raw → calibrated, without motion",
-        ),
-        (
-            "Bias",
-            f"{largest:.3f} m/s²",
-            f"its length: {tilt:.2f}° of tilt",
-        ),
-        ("Scale", f"{np.abs(np.diag(calibration.scale) - 1).max():.2%}", "largest error of an axis"),
-        (
-            "Motion",
-            f"{1 - within.mean():.1%}",
-            f"of {len(raw):,} samples, off gravity by {calibration.limit:.2g} m/s²",
-        ),
+        Number("Gravity missed by", f"{before:.3f} → {after:.3f} m/s²", "1σ, raw → calibrated, without motion"),
+        Number("Bias", f"{largest:.3f} m/s²", f"its length: {tilt:.2f}° of tilt"),
+        Number("Scale", f"{scale:.2%}", "largest error of an axis"),
+        Number("Motion", f"{1 - within.mean():.1%}", motion),
     ]
 
 
 @drawn(3.6, 3.7)
 def _projection(
-    figure: Figure, raw: Array, within: Mask, calibration: AccelerometerCalibration, plane: tuple[int, int]
+    figure: drawing.Figure, raw: Array, within: Mask, calibration: AccelerometerCalibration, plane: tuple[int, int]
 ) -> None:
     """Raw samples with the fitted ellipsoid, those that are motion in another colour, and gravity's sphere."""
     axes = figure.add_subplot()
@@ -114,27 +104,18 @@ def _projection(
         if rows.any():
             shown = raw[rows][spread(raw[rows], gravity / 40)]
             axes.plot(*np.clip(shown[:, columns].T, -3 * gravity, 3 * gravity), ".", color=colour, **_DRAWN)
-    axes.plot(*ellipsoid_outline(calibration.scale * gravity, calibration.bias, plane).T, color=RAW)
-    axes.plot(*ellipsoid_outline(np.eye(3) * gravity, np.zeros(3), plane).T, color=CALIBRATED)
-    axes.plot(*calibration.bias[columns], "+", color=RAW, markersize=9)
-    axes.plot(0, 0, "+", color=CALIBRATED, markersize=9)
-    axes.set(
-        aspect="equal",
-        adjustable="datalim",
-        xlabel=f"{'xyz'[plane[0]]} (m/s²)",
-        ylabel=f"{'xyz'[plane[1]]} (m/s²)",
-    )
+    outlines(axes, calibration.scale, calibration.bias, gravity, "m/s²", plane)
 
 
-@drawn(10.6, 3.2)
-def _strength(figure: Figure, time: Array, raw: Array, calibration: AccelerometerCalibration) -> None:
+@drawn(4.7, 3.1)
+def _strength(figure: drawing.Figure, time: Array, raw: Array, calibration: AccelerometerCalibration) -> None:
     """Length of the acceleration over time, raw and calibrated."""
     axes = figure.add_subplot()
     for value, colour in ((raw, RAW), (calibration.apply(raw), CALIBRATED)):
         middle, mean, lowest, highest = summary(time, np.linalg.norm(value, axis=1))
         axes.fill_between(middle, lowest, highest, color=colour, alpha=0.25, linewidth=0)
         axes.plot(middle, mean, color=colour)
-    axes.axhline(calibration.gravity, color="#010203", linewidth=1, linestyle="--")
+    axes.axhline(calibration.gravity, color=INK, linewidth=1, linestyle="--")
     reach = 4 * float(np.median(np.abs(np.linalg.norm(raw, axis=1) - calibration.gravity))) + 0.5
     axes.set(
         xlabel="Time (s)",

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib import resources
 
-from jinja2 import Environment
 from markupsafe import Markup
 
-from magyc_gtsam.report import compare_plots, compare_words, plots
-from magyc_gtsam.report.page import Figure
+from magyc_gtsam.report import compare_plots, compare_words
+from magyc_gtsam.report.html import Figure, rendered
 from magyc_gtsam.study.comparison import Comparison, Outcome, Status
 
 
@@ -27,16 +25,12 @@ class Card:
 
 def render_comparison(comparison: Comparison) -> str:
     """The page as HTML text, self-contained."""
-    package = resources.files("magyc_gtsam.report")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string((package / "compare_template.html").read_text(encoding="utf-8"))
-    samples = compare_plots.cloud(comparison)
+    cloud = compare_plots.cloud(comparison)
     without = [o for o in comparison.outcomes if o.calibration is None]
-    return template.render(
-        style=Markup((package / "style.css").read_text(encoding="utf-8")),
-        colours={"raw": plots.RAW, "calibrated": plots.CALIBRATED, "disturbed": plots.DISTURBED},
-        recording=comparison.recording,
-        count=len(comparison.inlier),
+    return rendered(
+        "compare_template.html",
+        comparison.recording,
+        samples=len(comparison.inlier),
         headline=_headline(comparison),
         good=bool(comparison.trusted),
         result_header=compare_words.result_header(comparison),
@@ -48,8 +42,9 @@ def render_comparison(comparison: Comparison) -> str:
         outliers=not comparison.inlier.all(),
         overview=_overview(comparison),
         linked=[outcome.method for outcome in comparison.calibrated],
-        cards=[_card(comparison, outcome, samples) for outcome in comparison.calibrated],
+        cards=[_card(comparison, outcome, cloud) for outcome in comparison.calibrated],
         failed=[o for o in without if o.status is Status.FAILED],
+        not_run=comparison.not_run,
         impossible=[o for o in without if o.status is Status.IMPOSSIBLE],
     )
 
@@ -68,7 +63,7 @@ def _overview(comparison: Comparison) -> list[Figure]:
     if not comparison.calibrated:
         return []
     return [
-        Figure(Markup(compare_plots.hard_irons(comparison, axis)), f"Hard iron along {name}", "")
+        Figure(Markup(compare_plots.hard_irons(comparison, axis)), f"Hard iron along {name}")
         for axis, name in enumerate("xyz")
     ]
 
@@ -80,13 +75,13 @@ def _card(comparison: Comparison, outcome: Outcome, samples: compare_plots.Cloud
     scale, unit = comparison.recording.field_shown
     matrix, centre = calibration.soft_iron * strength * scale, calibration.hard_iron * scale
     ellipsoids = [
-        Figure(Markup(compare_plots.ellipsoid(samples, matrix, centre, plane)), f"Ellipsoid seen along {gone}", "")
+        Figure(Markup(compare_plots.ellipsoid(samples, matrix, centre, plane)), f"Ellipsoid seen along {gone}")
         for plane, gone in (((0, 1), "z"), ((0, 2), "y"), ((1, 2), "x"))
     ]
-    figures = [Figure(Markup(compare_plots.strength(comparison, outcome)), "Strength before and after", "")]
+    figures = [Figure(Markup(compare_plots.strength(comparison, outcome)), "Strength before and after")]
     if outcome.heading is not None and comparison.raw.heading is not None:
         svg = compare_plots.heading(comparison.raw.heading, outcome.heading)
-        figures.append(Figure(Markup(svg), "Heading error before and after", ""))
+        figures.append(Figure(Markup(svg), "Heading error before and after"))
     summary = _changes(comparison.raw, outcome, scale, unit)
     cautions = compare_words.cautions(comparison, outcome)
     return Card(outcome, ", ".join(summary), tuple(cautions), tuple(ellipsoids), tuple(figures))

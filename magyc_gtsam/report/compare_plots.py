@@ -80,7 +80,7 @@ def ellipsoid(figure: Figure, samples: Cloud, matrix: Array, centre: Array, plan
     )
 
 
-@drawn(5.2, 2.9)
+@drawn(4.7, 2.9)
 def strength(figure: Figure, comparison: Comparison, outcome: Outcome) -> None:
     """Strength of the field over time, before and after."""
     assert outcome.calibration is not None
@@ -90,7 +90,7 @@ def strength(figure: Figure, comparison: Comparison, outcome: Outcome) -> None:
     before_after(figure, time - comparison.recording.time[0], raw, calibrated, unit, float(np.median(calibrated)))
 
 
-@drawn(5.2, 2.9)
+@drawn(4.7, 2.9)
 def heading(figure: Figure, raw: HeadingError, calibrated: HeadingError) -> None:
     """Error of the magnetic heading against the reference over time, before and after."""
     before_after(figure, raw.time, raw.error, calibrated.error, "Error (°)", 0.0)

@@ -90,6 +90,7 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
         "inliers_from": comparison.inlier_from,
         "delay_s": comparison.delay,
         "delay_from": comparison.delay_from,
+        "not_run": list(comparison.not_run),
         "notes": list(comparison.recording.notes),
         "outcomes": outcomes,
     }
@@ -177,6 +178,8 @@ def remarks(comparison: Comparison) -> list[str]:
         if said:
             status = "doubtful" if outcome.status is Status.TRUSTED else str(outcome.status)
             sentences.append(f"{outcome.method} {status}: {'; '.join(said)}")
+    if comparison.not_run:
+        sentences.append(f"interrupted before {', '.join(comparison.not_run)}")
     notes = dict.fromkeys(o.note for o in comparison.outcomes if o.note)
     shared = {note: ", ".join(o.method for o in comparison.outcomes if o.note == note) for note in notes}
     return sentences + [f"{names}: {note}" for note, names in shared.items()]

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import json
-from importlib import resources
 
-from jinja2 import Environment
 from markupsafe import Markup
 
 from magyc_gtsam.gap.result import Gap, Metrics
 from magyc_gtsam.json_types import json_types
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.report import gap_plots, gap_words, plots, words
-from magyc_gtsam.report.page import Figure
+from magyc_gtsam.report import gap_plots, gap_words, words
+from magyc_gtsam.report.html import Figure, rendered
 
 
 def render_gap(recording: Recording, gap: Gap, validation: gap_words.Validation | None = None) -> str:
@@ -23,18 +21,14 @@ def render_gap(recording: Recording, gap: Gap, validation: gap_words.Validation 
         gap: the result.
         validation: both models on another recording.
     """
-    package = resources.files("magyc_gtsam.report")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["said"] = gap_words.said
-    template = environment.from_string((package / "gap_template.html").read_text(encoding="utf-8"))
-    return template.render(
-        style=Markup((package / "style.css").read_text(encoding="utf-8")),
-        colours={"raw": plots.RAW, "calibrated": plots.CALIBRATED},
-        recording=recording,
+    return rendered(
+        "gap_template.html",
+        recording,
         gap=gap,
         changed=gap.after is not gap.before,
-        closed=gap_words.closed(gap),
-        title=gap_words.title(gap),
+        headline=gap_words.title(gap),
+        good=gap_words.closed(gap),
+        said=gap_words.said,
         numbers=gap_words.key_numbers(gap),
         maps=_maps(gap.before, gap.after),
         lines=gap_words.line_sentences(gap.before),
@@ -42,7 +36,7 @@ def render_gap(recording: Recording, gap: Gap, validation: gap_words.Validation 
         evidence=Figure(
             Markup(gap_plots.evidence(gap.hypotheses)),
             "Evidence",
-            "Over its threshold; orange: significant. The dashed line is the threshold.",
+            "Over its threshold, which the upright marks show; orange: significant.",
         ),
         hypothesis_header=gap_words.HYPOTHESES,
         significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant]),
@@ -57,7 +51,7 @@ def render_gap(recording: Recording, gap: Gap, validation: gap_words.Validation 
         moved_rows=gap_words.moved_rows(gap),
         assumption_header=gap_words.ASSUMPTIONS,
         assumption_rows=gap_words.assumption_rows(gap),
-        parameter_rows=[[name, *values] for name, values in words.parameter_rows(gap.calibration)],
+        parameter_rows=words.parameter_rows(gap.calibration),
         advice=_advice(gap),
         configuration=json.dumps(json_types(gap.diagnostics), indent=2, ensure_ascii=False),
     )
@@ -68,7 +62,7 @@ def _maps(before: Metrics, after: Metrics) -> list[Figure]:
     figures = []
     for gap in before.maps:
         then = gap if after is before else later.get(gap.over, gap)
-        worst = "inside the band" if gap.worst <= 1 else f"up to {gap.worst:.2f} times the band"
+        worst = "Inside the band" if gap.worst <= 1 else f"Up to {gap.worst:.2f} times the band"
         closing = "" if then is gap else f", then {'inside it' if then.worst <= 1 else f'{then.worst:.2f} times'}"
         figures.append(Figure(Markup(gap_plots.gap_map(gap, then)), f"Over {gap.over}", f"{worst}{closing}."))
     return figures
@@ -85,6 +79,7 @@ def _loops(gap: Gap, name: str, validation: gap_words.Validation | None) -> list
             f"Measured less predicted. Band: 99 % of what the {'new ' if after is not before else ''}model expects.",
         )
         for where, before, after in pairs
+        if len(before.open_loop.time)  # none in a recording shorter than the horizon
     ]
 
 
@@ -102,6 +97,7 @@ def _advice(gap: Gap) -> list[str]:
         "open": [
             "The named effect is not, or not wholly, corrected: remove its cause, or treat the data with care.",
         ],
+        "not enough information": ["Do not use this calibration. Record again with more motion, and search then."],
     }[gap.verdict]
     if gap.untested:
         names = ", ".join(candidate.label for candidate in gap.untested)

@@ -17,7 +17,7 @@ _TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000)
 _SHOWN = 14  # hypotheses in the figure; the table has all
 
 
-@drawn(5.2, 3.0)
+@drawn(4.3, 2.9)
 def gap_map(figure: Figure, before: GapMap, after: GapMap) -> None:
     """Misfit over one variable, before and after, with the band in which the right model would stay."""
     axes = figure.add_subplot()
@@ -25,6 +25,7 @@ def gap_map(figure: Figure, before: GapMap, after: GapMap) -> None:
     centre = before.centre / unit
     axes.fill_between(centre, *before.band.T, color=INK, alpha=0.13, linewidth=0)
     axes.axhline(1.0, color=INK, linewidth=0.8, linestyle="--")
+    axes.locator_params(axis="x", nbins=6)
     axes.plot(centre, before.level, color=RAW, marker=".", markersize=4)
     if after is not before:
         axes.plot(after.centre / unit, after.level, color=CALIBRATED, marker=".", markersize=4)
@@ -36,25 +37,27 @@ def gap_map(figure: Figure, before: GapMap, after: GapMap) -> None:
         _plain_ticks(axes, centre)
 
 
-@drawn(6.6, 3.8)
+@drawn(4.7, 5.4)
 def evidence(figure: Figure, hypotheses: Sequence[Hypothesis]) -> None:
     """Evidence over its threshold, strongest first; generic families, which only say where, hollow."""
     shown = sorted(hypotheses, key=lambda h: -h.statistic / h.threshold)[:_SHOWN][::-1]
     axes = figure.add_subplot()
     ratio = [max(h.statistic / h.threshold, 1e-2) for h in shown]
     colours = [RAW if h.significant else CALIBRATED for h in shown]
-    bars = axes.barh(range(len(shown)), ratio, color=colours, height=0.7)
+    bars = axes.barh(range(len(shown)), ratio, color=colours, height=0.4)
     for bar, hypothesis in zip(bars, shown, strict=True):
         if hypothesis.generic:
             bar.set(fill=False, edgecolor=bar.get_facecolor(), linewidth=1.2)
-    axes.axvline(1.0, color=INK, linewidth=1, linestyle="--")
+    rows = np.arange(len(shown))
+    axes.vlines(np.ones(len(shown)), rows - 0.24, rows + 0.2, color=INK, linewidth=1.5)
     axes.set(xscale="log", xlabel="Evidence / its 1 % threshold")
-    _plain_ticks(axes, ratio)
-    axes.set_yticks(range(len(shown)), [h.label for h in shown])
-    axes.grid(visible=False, axis="y")
+    _plain_ticks(axes, [*ratio, 1.0])
+    for row, hypothesis in enumerate(shown):  # above its bar, which leaves the width of a phone to both
+        axes.annotate(hypothesis.label, (0, row + 0.25), (2, 0), ("axes fraction", "data"), "offset points")
+    axes.set(yticks=[], ylim=(-0.5, len(shown) - 0.1))
 
 
-@drawn(5.2, 3.6)
+@drawn(4.7, 3.4)
 def open_loop(figure: Figure, before: OpenLoop, after: OpenLoop) -> None:
     """Error of a prediction by the gyroscope alone, over time, with the band that the model expects."""
     unit, label = clock(before.time)

@@ -17,6 +17,7 @@ _TITLES = {
     "closed": "Gap found and closed",
     "unknown": "Something is missing, and it has no name",
     "open": "Gap found, not closed",
+    "not enough information": "Nothing could be tested",
 }
 HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
 METRICS = ("", "before", "after")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from jinja2 import Environment
 from markupsafe import Markup
 
 from magyc_gtsam.calibration import Calibration
@@ -26,6 +25,7 @@ from magyc_gtsam.report.analysis import (
     field_history,
     level_turn,
 )
+from magyc_gtsam.report.html import Figure, rendered, write_page
 
 
 class Residuals(Protocol):
@@ -53,15 +53,6 @@ class Residuals(Protocol):
     def link_sigma(self) -> Array: ...
     @property
     def link_weight(self) -> Array: ...
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure with its title and caption."""
-
-    svg: Markup
-    title: str
-    caption: str
 
 
 @dataclass(frozen=True)
@@ -93,9 +84,7 @@ def write_report(
     if path.suffix != ".html":
         path = path / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_text(render(recording, calibration, residuals), encoding="utf-8")
-    os.replace(part, path)
+    write_page(path, render(recording, calibration, residuals))
     return path
 
 
@@ -105,18 +94,15 @@ def render(recording: Recording, calibration: Calibration, residuals: Residuals 
     visited = coverage(history.time, history.calibrated)
     turn = level_turn(calibration, history)
     fit = None if residuals is None else _residual_section(residuals, float(recording.time[0]))
-    package = resources.files("magyc_gtsam.report")
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    environment.filters["stretch"] = words.stretch
-    template = environment.from_string((package / "template.html").read_text(encoding="utf-8"))
-    return template.render(
-        style=Markup((package / "style.css").read_text(encoding="utf-8")),
-        script=Markup((package / "copy.js").read_text(encoding="utf-8")),
-        colours={"raw": plots.RAW, "calibrated": plots.CALIBRATED, "disturbed": plots.DISTURBED},
-        recording=recording,
+    script = (resources.files("magyc_gtsam.report") / "copy.js").read_text(encoding="utf-8")
+    return rendered(
+        "template.html",
+        recording,
+        headline="Calibrated" if calibration.trusted else "Do not use this calibration",
+        good=calibration.trusted,
+        script=Markup(script),
         samples=len(history.time),
         calibration=calibration,
-        trusted=words.trusted(calibration),
         reasons=words.reasons(calibration),
         cautions=words.cautions(calibration, history),
         numbers=words.key_numbers(calibration, history, turn, visited),
@@ -124,6 +110,7 @@ def render(recording: Recording, calibration: Calibration, residuals: Residuals 
         time_figures=[*_time_figures(history), _turn_figure(turn)],
         has_reference=history.up is not None,
         residuals=fit,
+        stretch=words.stretch,
         parameters=words.parameter_rows(calibration),
         advice=words.advice(recording, calibration, () if fit is None else fit.stretches),
         exports=words.exports(calibration),

@@ -10,9 +10,10 @@ from typing import Concatenate, ParamSpec
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import FixedLocator, Locator, LogLocator
 
 from magyc_gtsam.recording import Array, Mask
 from magyc_gtsam.report.analysis import (
@@ -93,17 +94,21 @@ def field_projection(
     for field, colour in ((history.raw, RAW), (history.calibrated, CALIBRATED)):
         x, y = field[rows][:, plane].T * _MICRO
         axes.plot(x, y, ".", color=colour, markersize=2.5, alpha=0.5, rasterized=True, markeredgewidth=0)
-    fitted = ellipsoid_outline(soft_iron * history.strength, hard_iron, plane) * _MICRO
-    sphere = ellipsoid_outline(np.eye(3) * history.strength, np.zeros(3), plane) * _MICRO
-    axes.plot(*fitted.T, color=RAW)
-    axes.plot(*sphere.T, color=CALIBRATED)
-    axes.plot(*(hard_iron[list(plane)] * _MICRO), "+", color=RAW, markersize=9)
+    outlines(axes, soft_iron, hard_iron * _MICRO, history.strength * _MICRO, "µT", plane)
+
+
+def outlines(axes: Axes, matrix: Array, centre: Array, radius: float, unit: str, plane: tuple[int, int]) -> None:
+    """The ellipsoid {matrix x + centre, ‖x‖ = radius} and the sphere that calibration makes of it, along an axis."""
+    axes.plot(*ellipsoid_outline(matrix * radius, centre, plane).T, color=RAW)
+    axes.plot(*ellipsoid_outline(np.eye(3) * radius, np.zeros(3), plane).T, color=CALIBRATED)
+    axes.plot(*centre[list(plane)], "+", color=RAW, markersize=9)
     axes.plot(0, 0, "+", color=CALIBRATED, markersize=9)
+    axes.locator_params(nbins=5)
     axes.set(
         aspect="equal",
         adjustable="datalim",
-        xlabel=f"{'xyz'[plane[0]]} (µT)",
-        ylabel=f"{'xyz'[plane[1]]} (µT)",
+        xlabel=f"{'xyz'[plane[0]]} ({unit})",
+        ylabel=f"{'xyz'[plane[1]]} ({unit})",
     )
 
 
@@ -113,12 +118,15 @@ def coverage_map(figure: Figure, coverage: Coverage) -> None:
     axes = figure.add_subplot(projection="polar")
     seconds = np.ma.masked_equal(coverage.seconds, 0)
     low, high = float(seconds.min()), float(seconds.max())
+    ticks: Locator = LogLocator(subs=(1, 2, 5))
+    if high < 3 * low:  # which may hold none of these, or many that overlap: its ends will do
+        ticks = FixedLocator([low, high] if high > 1.2 * low else [np.sqrt(low * high)])
     mesh = axes.pcolormesh(
         coverage.longitude,
         _lambert(coverage.middle * coverage.sine),
         seconds,
         cmap="viridis_r",
-        norm=LogNorm(low, max(high, 1.01 * low)),
+        norm=LogNorm(0.95 * low, 1.05 * high),
         linewidth=0,
         rasterized=True,
     )
@@ -126,8 +134,7 @@ def coverage_map(figure: Figure, coverage: Coverage) -> None:
     axes.set_xticks(np.radians([0, 90, 180, 270]), ["+x", "+y", "−x", "−y"])
     axes.tick_params(pad=0)
     bar = figure.colorbar(
-        mesh, ax=axes, label="Time spent (s)", location="bottom", shrink=0.8, aspect=30, format="%g",
-        ticks=LogLocator(subs=(1, 2, 5)),
+        mesh, ax=axes, label="Time spent (s)", location="bottom", shrink=0.8, aspect=30, format="%.3g", ticks=ticks,
     )  # fmt: skip
     bar.minorticks_off()  # which overlap where the times span little
 
@@ -137,27 +144,27 @@ def _lambert(sine: Array) -> Array:
     return np.asarray(np.sqrt((1 - sine) / 2))
 
 
-@drawn(5.2, 3.2)
+@drawn(4.7, 3.1)
 def field_strength(figure: Figure, history: FieldHistory) -> None:
     """Strength of the field over time, raw and calibrated."""
     raw, calibrated = (np.linalg.norm(field, axis=1) * _MICRO for field in (history.raw, history.calibrated))
     before_after(figure, history.time, raw, calibrated, "Strength (µT)", history.strength * _MICRO)
 
 
-@drawn(5.2, 3.2)
+@drawn(4.7, 3.1)
 def field_inclination(figure: Figure, history: FieldHistory, up: Array) -> None:
     """Angle of the field below the horizontal over time, raw and calibrated."""
     raw, calibrated = inclination(history.raw, up), inclination(history.aligned, up)
     before_after(figure, history.time, raw, calibrated, "Dip (°)", float(np.nanmedian(calibrated)))
 
 
-@drawn(5.2, 3.2)
+@drawn(4.7, 3.1)
 def heading_error(figure: Figure, time: Array, error: Array) -> None:
     """Error of the magnetic heading against the reference over time, raw and calibrated."""
     before_after(figure, time, error[:, 0], error[:, 1], "Error (°)", 0.0)
 
 
-@drawn(5.2, 3.6)
+@drawn(4.7, 3.4)
 def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
     """Heading error over a level turn: of the raw field, and the calibration's own uncertainty."""
     rows = 1 if turn.sigma is None else 2
@@ -174,7 +181,7 @@ def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
     grid[-1].set(xlabel="Heading (°)", xticks=range(0, 361, 60), xlim=(0, 360))
 
 
-@drawn(5.2, 3.6)
+@drawn(4.7, 3.4)
 def residuals(
     figure: Figure, time: Array, whitened: Array, kept: Mask, disturbed: list[tuple[float, float]]
 ) -> None:
@@ -196,7 +203,7 @@ def residuals(
     panels[-1].set_xlabel(label)
 
 
-@drawn(5.2, 3.6)
+@drawn(4.7, 3.4)
 def residual_histogram(figure: Figure, whitened: Array) -> None:
     """Histogram of the whitened residuals, beyond ±5 in the last bars, against the unit normal."""
     axes = figure.add_subplot()

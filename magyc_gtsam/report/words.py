@@ -29,12 +29,6 @@ class Number:
     meaning: str
 
 
-def trusted(calibration: Calibration) -> bool:
-    """Whether the method and the motion both say that the result can be used."""
-    observability = calibration.observability
-    return calibration.converged and (observability is None or observability.observable)
-
-
 def reasons(calibration: Calibration) -> list[str]:
     """Why to trust the result or not, one short sentence each."""
     message = calibration.message or ("converged" if calibration.converged else "not converged")
@@ -85,7 +79,9 @@ def key_numbers(
         largest = float(np.abs(turn.error).max())
         numbers.append(Number("Heading corrected by up to", f"{largest:.1f}°", "in a level turn"))
     if turn.sigma is not None:
-        numbers.append(Number("Heading uncertain by", f"{turn.sigma.max():.2g}°", "1σ at worst in a level turn"))
+        worst = float(turn.sigma.max())
+        sigma = f"{worst:.2g}°" if worst < 90 else "all of it"
+        numbers.append(Number("Heading uncertain by", sigma, "1σ at worst in a level turn"))
     numbers += [
         Number("Field strength", f"{history.strength * _MICRO:.2f} µT", "of the calibrated field"),
         Number("Hard iron", f"{np.linalg.norm(calibration.hard_iron) * _MICRO:.1f} µT", "its length"),
@@ -141,7 +137,7 @@ def stretch(seconds: tuple[float, float]) -> str:
 def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[tuple[float, float]]) -> list[str]:
     """What to do next, most urgent first."""
     lines = []
-    if not trusted(calibration):
+    if not calibration.trusted:
         lines.append("Do not paste the parameters below into the vehicle yet.")
     if calibration.observability is not None:
         lines += [f"{weakness.what}: {weakness.remedy}" for weakness in calibration.observability.weak]
@@ -159,7 +155,7 @@ def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[t
             f"Check the logger: the data have {len(gaps)} gap{'s' if len(gaps) > 1 else ''}, the longest of "
             f"{longest.duration:.1f} s after {longest.start - recording.time[0]:.0f} s."
         )
-    if trusted(calibration):
+    if calibration.trusted:
         lines.append("Paste the parameters, then record again: the raw field strength should now stay flat.")
     return lines
 

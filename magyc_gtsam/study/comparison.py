@@ -14,6 +14,7 @@ from magyc_gtsam.estimators import Method, calibrate, methods
 from magyc_gtsam.estimators.autocal import inliers
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Mask, Recording
+from magyc_gtsam.runners.batch import Status as Ended
 from magyc_gtsam.study.heading import HeadingError, heading_error
 
 Progress = Callable[[str, float], None]
@@ -80,6 +81,7 @@ class Comparison:
         delay_from: the method that estimated it; "" for none.
         inlier: (n,) of the magnetometer's own samples, whether they lie on the ellipsoid of one robust method.
         inlier_from: that method; "" where none can be trusted, and all count as inliers.
+        not_run: methods that an interrupt (Ctrl-C) came before.
     """
 
     recording: Recording
@@ -89,6 +91,12 @@ class Comparison:
     delay_from: str
     inlier: Mask
     inlier_from: str
+    not_run: tuple[str, ...] = ()
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended it before all methods were done."""
+        return bool(self.not_run) or any(_interrupted(o) for o in self.outcomes)
 
     @property
     def calibrated(self) -> tuple[Outcome, ...]:
@@ -116,7 +124,8 @@ def compare(
 ) -> Comparison:
     """Calibrate a recording with every method that it allows.
 
-    A method that fails, in whatever way, says so in its outcome and never stops the others.
+    A method that fails, in whatever way, says so in its outcome and never stops the others. An interrupt does: what
+    has been done by then is kept, with the values so far of a method that has some.
 
     Args:
         recording: the data.
@@ -126,14 +135,24 @@ def compare(
 
     Raises:
         MagycError: a name that is no method, or is given twice.
+        KeyboardInterrupt: interrupted before the first method was done.
     """
-    known = methods()
-    ran = [_run(recording, name, known[name], field_strength, progress) for name in checked_methods(names)]
+    known, asked = methods(), checked_methods(names)
+    ran: list[Outcome] = []
+    try:
+        for name in asked:
+            ran.append(_run(recording, name, known[name], field_strength, progress))
+            if _interrupted(ran[-1]):
+                break
+    except KeyboardInterrupt:
+        if not ran:
+            raise
     delay, delay_from = _delay(ran)
     inlier, inlier_from = _inliers(recording, ran)
     raw = Outcome("raw", Status.UNTRUSTED, "", calibration=UNCALIBRATED)
     judged = [_judged(recording, outcome, delay, inlier) for outcome in (raw, *ran)]
-    return Comparison(recording, judged[0], tuple(judged[1:]), delay, delay_from, inlier, inlier_from)
+    not_run = asked[len(ran) :]
+    return Comparison(recording, judged[0], tuple(judged[1:]), delay, delay_from, inlier, inlier_from, not_run)
 
 
 def checked_methods(names: Sequence[str] | None) -> tuple[str, ...]:
@@ -172,11 +191,19 @@ def _run(
     except MagycError as error:
         return Outcome(name, Status.FAILED, str(error), note, seconds=time.perf_counter() - start)
     except Exception as error:  # noqa: BLE001 - a method's own defect is its outcome, not the end of the others
+        if isinstance(error.__cause__, KeyboardInterrupt):  # met while an extension module was being loaded
+            raise error.__cause__ from None
         reason = f"{type(error).__name__}: {error}"
         return Outcome(name, Status.FAILED, reason, note, seconds=time.perf_counter() - start)
     seconds = time.perf_counter() - start
-    status = Status.TRUSTED if _trusted(result) else Status.UNTRUSTED
+    status = Status.TRUSTED if result.trusted else Status.UNTRUSTED
     return Outcome(name, status, result.message, note, result, seconds)
+
+
+def _interrupted(outcome: Outcome) -> bool:
+    """Whether the method ended at an interrupt, with the values that it had, as the graphs' runners do."""
+    calibration = outcome.calibration
+    return calibration is not None and calibration.diagnostics.get("status") == str(Ended.INTERRUPTED)
 
 
 def _lacking(recording: Recording, need: str) -> str | None:
@@ -194,11 +221,6 @@ def _thinned(recording: Recording) -> tuple[Recording, str]:
         return recording, ""
     rows = np.flatnonzero(recording.magnetic_field_fresh)[::every]
     return recording.rows(rows), f"{len(rows):,} of {count:,} samples, evenly spaced"
-
-
-def _trusted(calibration: Calibration) -> bool:
-    observability = calibration.observability
-    return calibration.converged and (observability is None or observability.observable)
 
 
 def _delay(ran: Sequence[Outcome]) -> tuple[float, str]:
