@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,25 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip("the real recordings (../shared/data) are not here")
     return path
+
+
+@pytest.fixture
+def mistaken(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> Callable[[str, str], None]:
+    """Runs a command line, in this process to spare the time of starting one: refused in one line, leaving nothing."""
+    from magyc_gtsam import cli
+
+    def refused(arguments: str, says: str) -> None:
+        monkeypatch.chdir(tmp_path)
+        assert cli.main(arguments.split()) == 2
+        output, errors = capsys.readouterr()
+        assert output == ""
+        assert errors.count("\n") == 1
+        assert says in errors
+        assert list(tmp_path.iterdir()) == []
+
+    return refused
 
 
 @pytest.fixture(scope="session")

@@ -229,3 +229,13 @@ def test_pickles():
     one = Calibration(np.eye(3) * 1.1, [1e-6, 2e-6, 3e-6], [0.1, 0.2, 0.3], noise={"magnetic_field": 1e-7})
     two = pickle.loads(pickle.dumps(one))
     assert two.to_dict() == one.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("converged", "observable", "trusted"),
+    [(True, None, True), (True, True, True), (True, False, False), (False, True, False), (False, None, False)],
+)
+def test_trusted_is_converged_and_where_that_is_known_observable(converged, observable, trusted):
+    observability = None if observable is None else Observability(observable)
+    calibration = Calibration(np.eye(3), np.zeros(3), converged=converged, observability=observability)
+    assert calibration.trusted is trusted

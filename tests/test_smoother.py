@@ -97,6 +97,21 @@ def test_the_covariance_is_honest(runs):
         assert mean == pytest.approx(11, abs=2.58 * deviation), motion
 
 
+def test_the_covariance_of_short_data_is_honest_too():
+    """Without what it is widened by, for noise levels estimated from little, the mean NEES is 12.5."""
+    scores, widening = [], []
+    for motion in AMPLITUDES:
+        for seed in range(7000, 7060):
+            simulation = simulate(motion, duration=90, seed=seed)
+            calibration = calibrate(simulation.recording)
+            scores.append(normalised(calibration, simulation.truth))
+            widening.append(calibration.diagnostics["widening"])
+    assert np.mean(scores) == pytest.approx(11, abs=1.96 * np.sqrt(2 * 11 / len(scores)))
+    assert np.mean(widening) == pytest.approx(1.14, abs=0.03)
+    known = calibrate(simulation.recording, noise=(1e-6, 5e-3))
+    assert known.diagnostics["widening"] == 1.0
+
+
 @pytest.mark.parametrize("motion", AMPLITUDES)
 def test_the_error_is_as_small_as_the_bound(runs, motion):
     """Root-mean-square hard-iron error against the covariance without noise in it: that at the truth's noise."""

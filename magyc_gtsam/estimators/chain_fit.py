@@ -33,6 +33,7 @@ class Fit:
         free: (13,) bool, parameters that were estimated.
         iterations: eliminations spent.
         converged: the last steps of the parameters and of the noise levels were small against their sigmas.
+        noise_freedom: degrees of freedom from which the gyroscope's noise was estimated; infinite where it is known.
     """
 
     chain: FieldChain
@@ -42,6 +43,7 @@ class Fit:
     free: np.ndarray
     iterations: int = 0
     converged: bool = False
+    noise_freedom: float = np.inf
 
     @property
     def covariance(self) -> Array:
@@ -54,6 +56,16 @@ class Fit:
         value = np.maximum(value, 1e-15)
         result[kept] = (vector / value) @ vector.T * scale * scale[:, None]
         return result
+
+    @property
+    def widening(self) -> float:
+        """1 + 2/ν: by how much an estimated noise level leaves the covariance too small on average.
+
+        A variance σ² estimated from ν degrees of freedom has E[1/σ̂²] = (1 + 2/ν)/σ² to first order, which is why
+        Student's t is wider than a normal distribution. ν is the links' redundancy, from which the gyroscope's
+        noise is learnt; the windows leave many times as much for the magnetometer's.
+        """
+        return 1 + 2 / max(self.noise_freedom, 1.0)
 
     @property
     def colour(self) -> float:
@@ -156,10 +168,13 @@ def adapt(fit: Fit, reject: bool, short_term: Noise | None, rounds: int = 20) ->
             np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
         )
         fit = replace(fit, weights=weights)
-        noise, gain = (fit.chain.noise, 0.0) if short_term is None else improved_noise(fit, short_term)
+        noise, gain, freedom = fit.chain.noise, 0.0, fit.noise_freedom
+        if short_term is not None:
+            noise, gain, freedom = improved_noise(fit, short_term)
         stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
         chain = replace(fit.chain, noise=noise)
-        fit = replace(fit, chain=chain, reduced=chain.eliminate(fit.state, weights), iterations=fit.iterations + 1)
+        reduced = chain.eliminate(fit.state, weights)
+        fit = replace(fit, chain=chain, reduced=reduced, iterations=fit.iterations + 1, noise_freedom=freedom)
         # The noise levels' gradient holds at a minimum only, so descend in every round.
         fit = descend(fit, _SETTLED if stable else NEAR)
         if stable or not fit.converged:
@@ -176,7 +191,7 @@ def _reweigh(fit: Fit) -> Weights:
     )
 
 
-def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float]:
+def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float, float]:
     """One average-information step on the restricted likelihood of the two noise levels.
 
     Gilmour, Thompson and Cullis (1995). With Q the weighted squares of a group and D its redundancy
@@ -190,7 +205,7 @@ def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float]:
     likelihood would else call the gyroscope bad and the magnetometer perfect, and the bias would wander.
 
     Returns:
-        The noise, and the step's squared length in its own sigmas.
+        The noise, the step's squared length in its own sigmas, and the links' redundancy D.
     """
     chain, weights, reduced = fit.chain, fit.weights, fit.reduced
     residuals = chain.residuals(fit.state)
@@ -214,12 +229,12 @@ def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float]:
     # A group with less than one degree of freedom of information, or at its bound, keeps the noise it has.
     kept = (np.diag(information) > 1.0) & ~((level <= low) & (gradient < 0)) & ~((level >= high) & (gradient > 0))
     if not kept.any():
-        return chain.noise, 0.0
+        return chain.noise, 0.0, float(redundancy[1])
     step = np.zeros(2)
     step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient[kept])
     better = np.clip(level * np.exp(0.5 * np.clip(step, -2.0, 2.0)), low, high)
     gain = float(np.abs(2 * np.log(better / level) * gradient)[kept].sum())
-    return Noise(*better.tolist()), gain
+    return Noise(*better.tolist()), gain, float(redundancy[1])
 
 
 def _shared(fit: Fit, whitened: Array, covariance: Array) -> float:

@@ -95,6 +95,8 @@ def sensor_model(fit: Quadric, data: Standardised) -> tuple[Array, Array] | None
 def fit_ellipsoid(samples: Array) -> tuple[Array, Array] | None:
     """K and b of the L2 fit to samples (n, 3) of any unit; None where the quadric is no ellipsoid.
 
+    One outlier can spoil it.
+
     min Σ g_j² with Frobenius norm 1: the last right singular vector of the (n, 10) design, by QR and the
     triangle's singular value decomposition.
     """
@@ -104,50 +106,51 @@ def fit_ellipsoid(samples: Array) -> tuple[Array, Array] | None:
     return sensor_model(quadric(np.linalg.svd(triangle)[2][-1] * scale), data)
 
 
-def calibrate_algebraic(
-    fit: Callable[[Array], tuple[Array, Array] | None],
-    recording: Recording,
+def algebraic(
     method: str,
-    field_strength: float | None,
-    progress: Callable[[float], None] | None,
+    fit: Callable[[Array], tuple[Array, Array] | None],
     covariance: Callable[[Array, Array, Array], Array | None] | None = None,
-) -> Calibration:
-    """A calibration by `fit`, samples (n, 3) → K and b or None where they lie on no ellipsoid.
-
-    `covariance` takes the samples, K and b; None is that of least squares.
-    """
-    report = progress or (lambda _: None)
-    report(0.0)
-    samples = normalised_field(recording)
-    found = fit(samples.value)
-    ellipsoid = (
-        Ellipsoid(np.full((3, 3), np.nan), np.zeros(3), False, _NOT_AN_ELLIPSOID)
-        if found is None
-        else Ellipsoid(
-            *found,
-            message="converged: a convex problem, solved at once",
-            covariance=covariance(samples.value, *found) if covariance else None,
-        )
-    )
-    result = to_calibration(recording, samples, ellipsoid, method=method, field_strength=field_strength)
-    report(1.0)
-    return result
-
-
-def calibrate_ellipsoid(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate the magnetometer by the L2 ellipsoid fit. One outlier can spoil it.
+) -> Callable[..., Calibration]:
+    """The entry point of an algebraic method.
 
     Args:
-        recording: with a magnetometer.
-        field_strength: T, strength of the true field; None: det soft iron = 1.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: too few samples, no spread in one of the axes, or a fit that is no ellipsoid.
+        method: its name in the registry.
+        fit: samples (n, 3) → K and b, or None where they lie on no ellipsoid.
+        covariance: samples, K and b → (9, 9); None is that of least squares.
     """
-    return calibrate_algebraic(fit_ellipsoid, recording, "ellipsoid", field_strength, progress)
+
+    def calibrate(
+        recording: Recording,
+        *,
+        field_strength: float | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> Calibration:
+        """Calibrate the magnetometer by an algebraic ellipsoid fit.
+
+        Args:
+            recording: with a magnetometer.
+            field_strength: T, strength of the true field; None: det soft iron = 1.
+            progress: called with the share done, 0 to 1.
+
+        Raises:
+            MagycError: too few samples, no spread in one of the axes, or a fit that is no ellipsoid.
+        """
+        samples = normalised_field(recording)
+        found = fit(samples.value)
+        ellipsoid = (
+            Ellipsoid(np.full((3, 3), np.nan), np.zeros(3), False, _NOT_AN_ELLIPSOID)
+            if found is None
+            else Ellipsoid(
+                *found,
+                message="converged: a convex problem, solved at once",
+                covariance=covariance(samples.value, *found) if covariance else None,
+            )
+        )
+        if progress:
+            progress(1.0)
+        return to_calibration(recording, samples, ellipsoid, method=method, field_strength=field_strength)
+
+    return calibrate
+
+
+calibrate_ellipsoid = algebraic("ellipsoid", fit_ellipsoid)

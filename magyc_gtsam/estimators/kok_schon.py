@@ -8,16 +8,13 @@ products, so the semidefinite program has ten unknowns whatever the number of sa
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import clarabel
 import numpy as np
 from scipy import sparse
 
-from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.ellipsoid import calibrate_algebraic, monomials, quadric, sensor_model, standardise
+from magyc_gtsam.estimators.ellipsoid import algebraic, monomials, quadric, sensor_model, standardise
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 
 UNKNOWNS = 10  # C11, C22, C33, C12, C13, C23, d, e
 _PACKED = [0, 3, 1, 4, 5, 2]  # of C: the upper triangle column by column, as Clarabel takes it
@@ -60,20 +57,4 @@ def fit_kok_schon(samples: Array) -> tuple[Array, Array] | None:
     return sensor_model(quadric(solve(gram, np.zeros(UNKNOWNS), *trace_and_cone())), data)
 
 
-def calibrate_kok_schon(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate the magnetometer by the L2 ellipsoid fit as a semidefinite program.
-
-    Args:
-        recording: with a magnetometer.
-        field_strength: T, strength of the true field; None: det soft iron = 1.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: too few samples, no spread in one of the axes, or a fit that is no ellipsoid.
-    """
-    return calibrate_algebraic(fit_kok_schon, recording, "kok-schon", field_strength, progress)
+calibrate_kok_schon = algebraic("kok-schon", fit_kok_schon)

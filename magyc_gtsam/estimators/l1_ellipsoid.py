@@ -7,18 +7,15 @@ The paper writes trace C = 1 "for enforcing C ≻ 0", which it does not; the con
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import clarabel
 import numpy as np
 from scipy import sparse
 from scipy.linalg.lapack import dposv
 
-from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.ellipsoid import (
     Standardised,
-    calibrate_algebraic,
+    algebraic,
     monomials,
     quadric,
     sensor_model,
@@ -26,7 +23,7 @@ from magyc_gtsam.estimators.ellipsoid import (
 )
 from magyc_gtsam.estimators.kok_schon import UNKNOWNS, solve, trace_and_cone
 from magyc_gtsam.estimators.m_estimate import distance_jacobian, l1_curvature, m_covariance
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 
 _PASSES = 30
 _SETTLED = 1e-2  # relative change of Σ|g| at which a start is good enough
@@ -34,7 +31,10 @@ _ROUNDED = 1e-2  # |g| below this share of its mean counts as that
 
 
 def fit_l1_ellipsoid(samples: Array) -> tuple[Array, Array] | None:
-    """K and b of (6) for samples (n, 3) of any unit; None where the best ellipsoid is flat or infinite."""
+    """K and b of (6) for samples (n, 3) of any unit; None where the best ellipsoid is flat or infinite.
+
+    It bears outliers, but makes no error in tesla small.
+    """
     data = standardise(samples)
     return _program(data, monomials(data.value))
 
@@ -118,22 +118,4 @@ def covariance_of_l1(samples: Array, matrix: Array, offset: Array) -> Array | No
     return m_covariance(jacobian, sigma * np.sign(g), l1_curvature(g, sigma))
 
 
-def calibrate_l1_ellipsoid(
-    recording: Recording,
-    *,
-    field_strength: float | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Calibration:
-    """Calibrate the magnetometer by the L1 ellipsoid fit; bears outliers, but squares no error in tesla.
-
-    Args:
-        recording: with a magnetometer.
-        field_strength: T, strength of the true field; None: det soft iron = 1.
-        progress: called with the share done, 0 to 1.
-
-    Raises:
-        MagycError: too few samples, no spread in one of the axes, or a fit that is no ellipsoid.
-    """
-    return calibrate_algebraic(
-        fit_l1_ellipsoid, recording, "l1-ellipsoid", field_strength, progress, covariance_of_l1
-    )
+calibrate_l1_ellipsoid = algebraic("l1-ellipsoid", fit_l1_ellipsoid, covariance_of_l1)

@@ -8,6 +8,7 @@ residuals (7) exactly and is replaced by its successor: both stay constant.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -120,6 +121,18 @@ class MagycGraph:
 
     def __len__(self) -> int:
         return self._residuals.samples
+
+    @property
+    def configuration(self) -> dict[str, Any]:
+        """The options it was made with."""
+        return {
+            "optimizer": self._optimizer,
+            "prior": self._prior,
+            "compressed": self._compressed,
+            "robust": self._robust,
+            "residual_sigma": self._residual_sigma,
+            "prior_sigma": self._prior_sigma,
+        }
 
     @property
     def result(self) -> IncrementalResult:

@@ -18,7 +18,7 @@ from magyc_gtsam.estimators.magyc_state import Prior, calibration_of
 from magyc_gtsam.factors import MagycError
 from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.runners.incremental import Method
+from magyc_gtsam.runners.incremental import Method, Status
 
 
 def calibrate_magyc_ifg(
@@ -57,6 +57,7 @@ def calibrate_magyc_ifg(
 
     Raises:
         MagycError: no gyroscope, an option that is wrong, too few windows, or no estimate by the end.
+        KeyboardInterrupt: interrupted before there was an estimate; later it ends with the one that there is.
     """
     check_estimate(estimate)
     report = progress or (lambda share: None)
@@ -72,10 +73,13 @@ def calibrate_magyc_ifg(
     count = len(windows.time)
     estimates = []
     for index, sample in enumerate(zip(*windows.in_gauss(), strict=True)):
-        graph.add(*sample)
+        if graph.add(*sample).status is Status.INTERRUPTED:
+            break
         estimates.append(graph.current())
         report((index + 1) / (count + 1))
     parameters = graph.mean() if estimate == "mean" else graph.current()
+    if parameters is None and graph.result.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
     if parameters is None:
         raise MagycError(f"magyc-ifg: no estimate after {graph.message}")
     updated = graph.result.updated
@@ -92,17 +96,8 @@ def calibrate_magyc_ifg(
             "windows": count,
             "settled_after": settled_after(estimates, recording),
         },
-        configuration={
-            "optimizer": optimizer,
-            "prior": prior,
-            "window": window,
-            "compressed": compressed,
-            "estimate": estimate,
-            "robust": robust,
-            "residual_sigma": residual_sigma,
-            "prior_sigma": prior_sigma,
-            "field_strength": field_strength,
-        },
+        configuration=graph.configuration
+        | {"window": window, "estimate": estimate, "field_strength": field_strength},
     )
     report(1.0)
     return calibration

@@ -100,7 +100,7 @@ def calibration_of(
     `colour` stands for the fit's own where that holds only the end of a longer chain.
     """
     colour = fit.colour if colour is None else colour
-    parameters, covariance = fit.state.parameters, fit.covariance * colour
+    parameters, covariance = fit.state.parameters, fit.covariance * (colour * fit.widening)
     soft_iron, unit, reported = fix_scale(unvech(parameters[:6]), covariance[:12, :12], field_strength)
     observability = assess(reported, soft_iron, unit, recording)
     reasons = _reasons(fit, rival, unit, observability)
@@ -124,6 +124,7 @@ def calibration_of(
             "cost": fit.reduced.cost,
             "trusted_share": float(fit.weights.window.mean()),
             "colour": colour,
+            "widening": fit.widening,
             "disturbed": _disturbed(fit),
         },
         configuration=configuration | ({} if field_strength is None else {"field_strength": field_strength}),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -55,17 +55,6 @@ class IncrementalMagyc:
     ) -> None:
         check_length(window)
         check_estimate(estimate)
-        self._configuration: dict[str, Any] = {
-            "optimizer": optimizer,
-            "prior": prior,
-            "window": window,
-            "compressed": compressed,
-            "estimate": estimate,
-            "robust": robust,
-            "residual_sigma": residual_sigma,
-            "prior_sigma": prior_sigma,
-            "field_strength": field_strength,
-        }
         self._graph = MagycGraph(
             compressed=compressed,
             optimizer=optimizer,
@@ -143,7 +132,8 @@ class IncrementalMagyc:
             converged=updated,
             field_strength=self._field_strength,
             diagnostics={"status": str(graph.result.status), "windows": len(graph)},
-            configuration=self._configuration,
+            configuration=graph.configuration
+            | {"window": self._window, "estimate": self._estimate, "field_strength": self._field_strength},
         )
 
     def converged(self) -> bool:

@@ -19,12 +19,14 @@ _COUNTS = ("tail", "done", "given_up", "next_sweep", "next_search", "settled", "
 
 
 class Estimate(NamedTuple):
-    """θ (13,), its covariance (13, 13) without colour, the noise levels, and the colour of the residuals."""
+    """θ (13,), its covariance (13, 13) without colour; of the last sweep the noise levels, the colour of the residuals,
+    and the degrees of freedom from which the gyroscope's noise was estimated."""
 
     parameters: Array
     covariance: Array
     noise: Noise
     colour: float
+    noise_freedom: float
 
 
 @dataclass
@@ -69,7 +71,7 @@ class Memory:
                 result |= {f"{name}/{k}": v for k, v in summary._asdict().items()}
         if self.estimate is not None:
             result["estimate"] = np.vstack([self.estimate.parameters, self.estimate.covariance])
-            result["levels"] = np.array([*self.estimate.noise, self.estimate.colour])
+            result["levels"] = np.array([*self.estimate.noise, self.estimate.colour, self.estimate.noise_freedom])
         if self.swept is not None:
             result["swept"] = self.swept
         rows = [[c.time, c.time_sigma, *c.step, *c.step_sigma] for c in self.changes]
@@ -92,9 +94,9 @@ class Memory:
             if f"{name}/parameters" in state:
                 setattr(result, name, Summary(*(state[f"{name}/{k}"] for k in Summary._fields)))
         if "estimate" in state:
-            magnetometer, gyroscope, colour = (float(v) for v in state["levels"])
+            magnetometer, gyroscope, *rest = (float(v) for v in state["levels"])
             result.estimate = Estimate(
-                state["estimate"][0].copy(), state["estimate"][1:].copy(), Noise(magnetometer, gyroscope), colour
+                state["estimate"][0].copy(), state["estimate"][1:].copy(), Noise(magnetometer, gyroscope), *rest
             )
         before = json.loads(str(state["before"]))
         for row, data in zip(state["changes"], before, strict=True):

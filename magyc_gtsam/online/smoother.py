@@ -44,7 +44,6 @@ _SWEEP, _SEARCH = 1.25, 1.5  # growth between two sweeps, and between two search
 _STILL = 1.5  # sigma of the sweep before by which a parameter may have moved for convergence
 _LEAST_STABLE = 80  # windows, below which the noise levels are too uncertain to look for steps
 _LEAST_CONVERGED = 120  # windows of the last sweep, below which they are too uncertain for an honest covariance
-_SHORT_DATA = 20  # windows; the covariance from n is too small by this over n, in simulated minutes
 _NOISE_WINDOWS = 60  # after a step, before the noise levels are estimated again
 _MOST_SAMPLES = 131072  # kept of a sensor, whatever the horizon
 _MOST_LOOKED_BACK = 400  # windows that are searched for steps when the estimate has converged
@@ -183,7 +182,7 @@ class OnlineSmoother:
         numbers, chain = self._kept(), _continued(fit)
         first = max(len(numbers) - _SHORTEST_TAIL, 2)
         m.head, m.tail = chain.condense(fit.state, fit.weights, first), int(numbers[first])
-        m.estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour)
+        m.estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
         was_stable, m.stable = m.stable, m.report.converged and count >= _LEAST_STABLE and self._stood_still()
         m.swept = np.array([m.estimate.parameters, np.sqrt(np.diag(m.estimate.covariance))])
         if self._detect and m.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
@@ -276,7 +275,7 @@ class OnlineSmoother:
     def _restart(self, numbers: Array, step: Step) -> None:
         """The hard iron is another one since `step` in the windows `numbers`."""
         m = self._memory
-        before = self._result(self._recording(int(numbers[step.window])), step.before, None, self._last.colour)
+        before = self._result(self._recording(int(numbers[step.window])), step.before, None, self._last)
         known = _observable(before)
         # Where nothing was known before, the step is known no better than the hard iron was.
         sigma = step.sigma if known else np.hypot(step.sigma, before.sigma["hard_iron"])
@@ -307,19 +306,17 @@ class OnlineSmoother:
             fit, rival, _ = self._fit_kept(recording, False)
             return self._result(recording, fit, rival, None)
         fit = self._fit_tail(self._buffer.closed(self._delay))
-        return self._result(recording, fit, None, self._last.colour)
+        return self._result(recording, fit, None, self._last)
 
-    def _result(self, recording: Recording, fit: Fit, rival: Fit | None, colour: float | None) -> Calibration:
+    def _result(self, recording: Recording, fit: Fit, rival: Fit | None, swept: Estimate | None) -> Calibration:
+        """Of a fit of all windows, or of the end of what was `swept`, from which its noise levels are."""
+        colour = None if swept is None else swept.colour
+        if swept is not None:
+            fit = replace(fit, noise_freedom=swept.noise_freedom)
         configuration = {name: value for name, value in self._fixed.items() if value is not None}
         result = calibration_of(recording, fit, rival, self._field_strength, configuration, colour)
         windows = self._memory.given_up + len(fit.chain.windows)
-        # From few windows the information is taken at a noisy estimate, and so too large (docs/online.md).
-        assert result.covariance is not None
-        return replace(
-            result,
-            covariance=result.covariance * (1 + _SHORT_DATA / windows),
-            diagnostics={**result.diagnostics, "windows": windows},
-        )
+        return replace(result, diagnostics={**result.diagnostics, "windows": windows})
 
     def converged(self) -> bool:
         """See `Engine.converged`."""
