@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
 from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
@@ -141,6 +142,13 @@ def _too_little_motion(base: Refit, weak: Weakness, calibration: Calibration | N
     )
 
 
+def _widened(result: Refit) -> Refit:
+    """With the covariance that the windows deserve where their misfit hangs together, as `smoother` has it."""
+    twin = result.twin
+    fit = Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
+    return replace(result, covariance=fit.colour * result.covariance)
+
+
 def _gap(
     recording: Recording,
     result: Search,
@@ -151,7 +159,8 @@ def _gap(
     seconds: float,
 ) -> Gap:
     strength = None if calibration is None else calibration.field_strength
-    first, last = result.first, result.last
+    first, last = result.first, replace(result.last, refit=_widened(result.last.refit))
+    base = _widened(base)
     extra = tuple(
         Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
         for f in result.found
