@@ -21,6 +21,7 @@ from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices
 from magyc_gtsam.factors.signals import STANDARD_GRAVITY, Signals
 
 Setting = Mapping[str, float]
+RATE_MATRIX = ("x", "y", "z", "xy", "xz", "yz")  # elements of a symmetric matrix on the rate
 
 
 class Form(NamedTuple):
@@ -113,18 +114,22 @@ def _eddy_plane(s: Signals, setting: Setting) -> Array:
 
 
 def _gyro_scale(s: Signals, setting: Setting) -> Array:
-    """The six symmetric matrices; `diagonal` keeps the three scales."""
+    """The six symmetric matrices, or those of `RATE_MATRIX` that the setting names."""
     x, y, z = s.need("rate")
     zero = np.zeros_like(x)
-    columns = [(x, zero, zero), (zero, y, zero), (zero, zero, z)]
-    if not setting.get("diagonal"):
-        columns += [(y, x, zero), (z, zero, x), (zero, z, y)]
-    return np.array(columns)
+    columns = np.array(
+        [(x, zero, zero), (zero, y, zero), (zero, zero, z), (y, x, zero), (z, zero, x), (zero, z, y)]
+    )
+    named = [element in setting for element in RATE_MATRIX]
+    return columns[named] if any(named) else columns
 
 
 def _gyro_quadratic(s: Signals, setting: Setting) -> Array:
+    """Of each axis, or of those that the setting names."""
     rate = s.need("rate")
-    return np.eye(3)[:, :, None] * (rate * np.abs(rate))
+    columns = np.eye(3)[:, :, None] * (rate * np.abs(rate))
+    named = [axis in setting for axis in "xyz"]
+    return columns[named] if any(named) else columns
 
 
 def _g_sensitivity(s: Signals, setting: Setting) -> Array:
@@ -132,7 +137,11 @@ def _g_sensitivity(s: Signals, setting: Setting) -> Array:
 
 
 def _field_gradient(s: Signals, setting: Setting) -> Array:
-    return _beyond_reference(s.need("position"), setting)[:, None] * s.need("field")
+    """Along the rows of the channel that the setting has references for; without any, along all."""
+    along = _beyond_reference(s.need("position"), setting)
+    some = [i for i in range(len(along)) if f"reference_{i}" in setting]
+    columns: Array = along[some or slice(None), None] * s.need("field")
+    return columns
 
 
 def _local_anomaly(s: Signals, setting: Setting) -> Array:

@@ -14,6 +14,7 @@ from magyc_gtsam.validation import EARTH_FIELD
 HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading in a mid-latitude field
 SOFT_IRON_LIMIT = 0.05
 GYRO_BIAS_LIMIT = 15e-3  # rad/s
+_UNDETERMINED = 100  # limits from which the size of a deviation says nothing more
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,10 @@ class Weakness:
     @property
     def sentence(self) -> str:
         """One line for terminal and page."""
-        return f"{self.what} ±{self.sigma:.2g} {self.unit} (limit {self.limit:g}): {self.remedy}"
+        limit = f"{self.limit:.2g}"
+        if self.sigma > _UNDETERMINED * self.limit:
+            return f"{self.what} is not determined (limit ±{limit} {self.unit}): {self.remedy}"
+        return f"{self.what} ±{self.sigma:.2g} {self.unit} (limit {limit}): {self.remedy}"
 
 
 @dataclass(frozen=True)

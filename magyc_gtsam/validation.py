@@ -14,6 +14,7 @@ Mask = NDArray[np.bool_]
 
 EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
 _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
+FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
 _FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT": 1e-3}
 
@@ -60,6 +61,12 @@ def check_field_unit(magnetic_field: Array) -> None:
     norm = float(np.median(np.linalg.norm(magnetic_field, axis=1)))
     low, high = _FIELD_LIMITS
     if low <= norm <= high:
+        beyond = np.flatnonzero((np.abs(magnetic_field) > FIELD_RANGE).any(axis=1))
+        if len(beyond):
+            raise MagycError(
+                f"magnetic_field: {len(beyond)} of {len(magnetic_field)} rows are beyond {FIELD_RANGE:g} T, which no "
+                f"magnetometer measures, the first is row {beyond[0]}; remove those rows"
+            )
         return
     centre = np.log(np.sqrt(EARTH_FIELD[0] * EARTH_FIELD[1]))
     unit = min(_FIELD_UNITS, key=lambda u: abs(np.log(max(norm, 1e-300) * _FIELD_UNITS[u]) - centre))
@@ -78,7 +85,7 @@ def check_rate_unit(time: Array, angular_rate: Array) -> None:
         row = int(largest.argmax())
         raise MagycError(
             f"angular_rate: {largest[row]:.4g} at row {row} ({time[row]:.3f} s) is beyond {_RATE_LIMIT:g} rad/s; "
-            "likely unit: deg/s; convert it, or say the unit (--angular-unit)"
+            "likely unit: deg/s or mrad/s; convert it, or say the unit (--angular-unit)"
         )
 
 

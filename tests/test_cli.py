@@ -7,6 +7,7 @@ import hashlib
 import json
 import logging
 import os
+import pkgutil
 import re
 import shlex
 import signal
@@ -16,6 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -249,6 +251,40 @@ def test_interrupted(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -
     assert process.returncode == 130
     assert errors == "magyc-gtsam: interrupted; no file is left half written\n"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("folder", ["new", "there"])
+@pytest.mark.parametrize(
+    "stage",
+    [
+        "magyc_gtsam.estimators.smoother.fit_field_chain",  # fitting
+        "magyc_gtsam.cli.calibrate.write_exports",  # writing: calibration.yaml is there, the page is not
+        "magyc_gtsam.cli.calibrate.write_page",
+    ],
+)
+def test_interrupted_later(
+    stage: str,
+    folder: str,
+    logs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """While it fits, and while it writes into a new folder or one that is there: nothing of it is left."""
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "calibration.yaml").write_text("an earlier one", encoding="utf-8")
+    ordinary = pkgutil.resolve_name(stage)
+
+    def interrupted(*given: Any, **options: Any) -> Any:
+        result = ordinary(*given, **options)
+        os.kill(os.getpid(), signal.SIGINT)
+        return result
+
+    monkeypatch.setattr(stage, interrupted)
+    assert cli.main(["calibrate", str(logs / "dive.mcap"), "-o", str(tmp_path / folder)]) == 130
+    assert capsys.readouterr().err == "magyc-gtsam: interrupted; no file is left half written\n"
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["calibration.yaml", "there"]
+    assert (tmp_path / "there" / "calibration.yaml").read_text(encoding="utf-8") == "an earlier one"
 
 
 @pytest.mark.parametrize("suffix", ["mcap", "csv"])

@@ -212,6 +212,28 @@ def test_an_interrupt_while_the_page_is_drawn_is_held(
     assert not Path("again").exists()
 
 
+def test_an_interrupt_while_the_methods_are_judged_is_held(
+    dive: mg.Simulation, monkeypatch: pytest.MonkeyPatch, here: Callable[..., tuple[int, str, str]]
+) -> None:
+    """After the last method was done: its result took the time and is written."""
+    write_mcap("dive.mcap", dive.recording)
+    ordinary = module._judged
+
+    def interrupted(recording: mg.Recording, result: module.Outcome, *more: Any) -> module.Outcome:
+        if result.method == "ellipsoid":
+            os.kill(os.getpid(), signal.SIGINT)
+        return ordinary(recording, result, *more)
+
+    monkeypatch.setattr(module, "_judged", interrupted)
+    code, _, error = here("compare", "dive.mcap", "--methods", "sar-ls,ellipsoid", "-o", "out", "--quiet")
+    assert code == 130
+    assert error == "magyc-gtsam: interrupted; the methods done by then are in out\n"
+    data = json.loads(Path("out/comparison.json").read_text(encoding="utf-8"))
+    assert [o["method"] for o in data["outcomes"]] == ["raw", "sar-ls", "ellipsoid"]
+    assert all(o["field_spread_T"] is not None for o in data["outcomes"])
+    assert Path("out/report.html").exists()
+
+
 def test_names_are_checked() -> None:
     recording = mg.simulate("wide", 30).recording
     with pytest.raises(mg.MagycError, match="'magic' is none of smoother"):

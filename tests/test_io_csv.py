@@ -196,6 +196,35 @@ def test_attitude_columns(tmp_path: Path) -> None:
     np.testing.assert_allclose(read(path).attitude, quaternion)  # type: ignore[arg-type]
 
 
+def test_what_a_driver_writes_without_a_field_is_left_out(tmp_path: Path) -> None:
+    """A quarter of zeros moved the hard iron by 4 µT, unnoticed; a value of 1 T stopped the whole log."""
+    field = FIELD.copy()
+    field[::4] = 0
+    field[5] = 1.0
+    back = read(write(tmp_path / "a.csv", "t,mx,my,mz", TIME, field))
+    kept = (field != 0).all(axis=1) & (np.arange(N) != 5)
+    np.testing.assert_array_equal(back.magnetic_field, FIELD[kept])
+    assert any(f"{-(-N // 4)} of {N} samples are zero on all axes and were left out" in n for n in back.notes)
+    assert any(f"1 of {N} samples are beyond 0.01 T and were left out" in n for n in back.notes)
+    with pytest.raises(MagycError, match="median norm 0 is not a field in tesla"):
+        read(write(tmp_path / "b.csv", "t,mx,my,mz", TIME, FIELD * 0))
+    with pytest.raises(MagycError, match="likely unit: µT"):
+        read(write(tmp_path / "c.csv", "t,mx,my,mz", TIME, FIELD * 1e6))
+
+
+@pytest.mark.parametrize(("unit", "size"), [("ms", 3), ("us", 6), ("ns", 9)])
+def test_stamps_since_1970_without_a_unit(tmp_path: Path, unit: str, size: int) -> None:
+    stamps = [1_700_000_000 * 10**size + k * 10 ** (size - 1) for k in range(N)]
+    path = tmp_path / "a.csv"
+    rows = (f"{stamp},{x!r},{y!r},{z!r}" for stamp, (x, y, z) in zip(stamps, FIELD.tolist(), strict=True))
+    path.write_text("\n".join(["time,mx,my,mz", *rows]), encoding="utf-8")
+    with pytest.raises(
+        MagycError, match=rf"line 2: .* beyond any date in s; likely unit: {unit}; .*time_unit='{unit}'"
+    ):
+        read(path)
+    np.testing.assert_allclose(read(path, time_unit=unit).time, np.arange(N) / 10, atol=1e-9)
+
+
 def test_xio(shared_data: Path) -> None:
     path = shared_data / "xio_hand_motion.csv"
     back = read(path)

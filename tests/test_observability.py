@@ -150,3 +150,12 @@ def test_a_motion_too_short_says_what_it_left_weak():
     assert worst.sentence in calibration.message
     error = np.abs(calibration.hard_iron - simulation.truth.hard_iron)
     assert (error < 5 * calibration.sigma["hard_iron"]).all()
+
+
+def test_a_deviation_beyond_all_measure_is_said_in_words():
+    weakness = Weakness("hard iron along y", 7.7e4, 3.5123, "µT", "turn")
+    assert weakness.sentence == "hard iron along y is not determined (limit ±3.5 µT): turn"
+    assert (
+        Weakness("soft iron along x", 7.25, 5.0, "%", "turn").sentence
+        == "soft iron along x ±7.2 % (limit 5): turn"
+    )

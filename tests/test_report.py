@@ -27,7 +27,7 @@ from magyc_gtsam.report.analysis import (
 )
 from magyc_gtsam.report.page import render
 from magyc_gtsam.report.plots import coverage_map
-from magyc_gtsam.report.words import stretch, uncertain
+from magyc_gtsam.report.words import advice, stretch, uncertain
 
 SOFT_IRON = np.array([[1.10, 0.10, 0.04], [0.10, 0.88, 0.02], [0.04, 0.02, 1.22]])
 HARD_IRON = np.array([2e-6, 12e-6, 9e-6])
@@ -313,6 +313,33 @@ def test_phone_page_does_not_scroll_sideways(opened: Any, tmp_path: Path, scheme
     assert (brightness[0] < brightness[1]) == (scheme == "light")
 
 
+def test_numbers_of_a_result_that_failed_stay_in_their_cards(opened: Any, tmp_path: Path) -> None:
+    """A fit that diverged has any size: 656 µT where 1 is usual, and deviations of thousands of degrees."""
+    failed = replace(bad(), soft_iron=SOFT_IRON * 1e-2, hard_iron=HARD_IRON * 1e3, covariance=np.eye(9) * 1e-3)
+    page = opened(write_report(tmp_path, simulated(), failed))
+    overflowing = page.evaluate(
+        "[...document.querySelectorAll('.number')].filter(n => n.scrollWidth > n.clientWidth).map(n => n.innerText)"
+    )
+    assert overflowing == []
+    text = page.inner_text("main")
+    assert "uncertain by all of it at worst" in text
+    assert not re.search(r"\d\.\d+e\+\d+°", text)
+
+
+def test_one_line_of_advice_for_each_remedy() -> None:
+    turn = "turn through all headings"
+    weak = tuple(
+        Weakness(f"hard iron along {axis}", 9.0, 1.0, "µT", remedy)
+        for axis, remedy in (("x", turn), ("z", "pitch"), ("y", turn))
+    )
+    calibration = replace(bad(), observability=Observability(False, weak))
+    lines = advice(simulated(), calibration, ())
+    assert lines[1:3] == [
+        "Turn through all headings: for hard iron along x, hard iron along y.",
+        "Pitch: for hard iron along z.",
+    ]
+
+
 def test_text_in_figures_can_be_read_on_a_phone(opened: Any, tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", simulated(), good(), residuals())
     sizes = opened(tmp_path / "report.html", 390).evaluate(
@@ -323,7 +350,9 @@ def test_text_in_figures_can_be_read_on_a_phone(opened: Any, tmp_path: Path) -> 
     assert min(sizes) > 11
 
 
-@pytest.mark.parametrize("seconds", [(20.0,), (20.0, 20.5), (20.0, 25.0), (20.0, 50.0), (0.1, 1.0, 40.0)])
+@pytest.mark.parametrize(
+    "seconds", [(20.0,), (20.0, 20.5), (20.0, 25.0), (20.0, 50.0), (0.1, 1.0, 40.0), (0.005, 0.2, 60.0)]
+)
 def test_the_map_of_directions_labels_little_time_too(seconds: tuple[float, ...]) -> None:
     """Also where one cell or few were visited, for almost the same time: one label or more, and none twice."""
     visited = np.zeros((12, 24))

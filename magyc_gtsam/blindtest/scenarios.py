@@ -30,6 +30,8 @@ RIVALS = (
 )
 # Effects that the level motion cannot show at the published strength, by the table of one-sigma sizes.
 INVISIBLE = {"moderate": ("g-sensitivity",)}
+# Channels that hold another as well.
+_ALSO_IN = {"depth": ("position",)}
 # Of these there is no half, or no pair: a discrete mounting error comes before everything else.
 _WHOLE = ("axis-order",)
 # What real recordings take: effects that need no attitude and are not there already.
@@ -115,7 +117,8 @@ def scenarios(
         hidden = [n for n in NAMED if set(EFFECTS[n].needs) - {"acceleration"}]
         for k in range(max(1, round(runs / 10))):
             name = hidden[k % len(hidden)]
-            add("withheld", f"{name}-{k:03d}", ((name, 1.0),), EFFECTS[name].needs)
+            channels = tuple(c for need in EFFECTS[name].needs for c in (need, *_ALSO_IN.get(need, ())))
+            add("withheld", f"{name}-{k:03d}", ((name, 1.0),), channels)
     return result
 
 

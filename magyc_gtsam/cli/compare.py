@@ -48,7 +48,7 @@ def run(
     """
     from magyc_gtsam.report.compare_page import render_comparison
     from magyc_gtsam.report.compare_words import csv_text, to_dict
-    from magyc_gtsam.study.comparison import checked_methods, compare
+    from magyc_gtsam.study.comparison import checked_methods, judge, run_methods
 
     field_strength = scale.tesla()
     names = checked_methods(None if methods is None else [name.strip() for name in methods.split(",")])
@@ -62,9 +62,10 @@ def run(
                 bars[method] = stage(method)
             bars[method](share)
 
-        comparison = compare(recording, names, field_strength=field_strength, progress=progress)
-        page = stage("drawing the page")
+        ran = run_methods(recording, names, field_strength, progress)
         with _one_interrupt_held() as held:
+            comparison = judge(recording, names, ran)
+            page = stage("drawing the page")
             (part / "comparison.csv").write_text(csv_text(comparison), encoding="utf-8")
             (part / "comparison.json").write_text(_json(to_dict(comparison)), encoding="utf-8")
             asked = {"methods": list(names), "field_strength": field_strength}

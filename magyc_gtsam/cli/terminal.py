@@ -76,6 +76,7 @@ def show_calibration(calibration: Calibration) -> None:
     if disturbed:
         longest = ", ".join(stretch((start, end)) for start, end in disturbed[:5])
         show(f"disturbed, and weighed down: {longest}{' and more' if len(disturbed) > 5 else ''}")
+    show(*(f"left out: {where}" for where in calibration.diagnostics.get("left_out", ())))
 
 
 def show_weak(sentences: Sequence[str]) -> None:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.gauge import check_field_strength
+from magyc_gtsam.estimators.gauge import check_field_strength, doubt_strength
+from magyc_gtsam.estimators.stuck import find_stuck, without_stuck
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
@@ -162,7 +163,7 @@ def calibrate(
         options: the method's own.
 
     Raises:
-        MagycError: unknown method or option, or data that the method cannot use.
+        MagycError: unknown method or option, a sensor that is stuck, or data that the method cannot use.
     """
     if method not in _METHODS:
         raise MagycError(f"method: {method!r} is none of {', '.join(_METHODS)}")
@@ -186,7 +187,16 @@ def calibrate(
         raise MagycError(
             f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
         )
-    result: Calibration = function(recording, progress=progress, **given)
+    stuck = find_stuck(recording, ("magnetic_field", *_METHODS[method].needs))
+    result: Calibration = function(without_stuck(recording, stuck), progress=progress, **given)
+    if stuck:
+        where = [s.where for s in stuck]
+        message = f"{result.message}; left out: {'; '.join(where)}"
+        result = replace(result, message=message, diagnostics={**result.diagnostics, "left_out": where})
+    if field_strength is None and result.field_strength is not None and result.trusted and not counts:
+        doubt = doubt_strength(result.field_strength)
+        if doubt:
+            result = replace(result, converged=False, message=f"{doubt}; {result.message}")
     if counts:
         result = replace(result, configuration={**result.configuration, "magnetic_field_unit": "counts"})
     return result

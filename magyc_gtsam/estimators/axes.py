@@ -15,6 +15,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
+_LEAST_SAMPLES = 60  # of the magnetometer: three numbers each, against nine unknowns and 144 arrangements
 _PAIRS = 3000  # pairs of samples that are compared
 _TURN = 0.25  # rad of rotation between the samples of a pair: above their noise, yet small
 _LAGS = (0.1, 2.0)  # s between them
@@ -26,7 +27,7 @@ _MATRICES = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
 ]
-_SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s read as deg/s": 180 / np.pi}
+_SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s": 180 / np.pi}
 
 
 class Arrangement(NamedTuple):
@@ -95,11 +96,13 @@ def _unexplained(normal: Array, matrix: Array) -> float:
 
 
 def check(recording: Recording) -> None:
-    """Compare the arrangements.
+    """Compare the arrangements; too few samples to choose between so many of them say nothing.
 
     Raises:
         MagycError: another arrangement than the given one explains the field's variation clearly better.
     """
+    if len(recording.magnetometer.time) < _LEAST_SAMPLES:
+        return
     ranked = arrangements(recording)
     still = _unexplained(_normal_matrix(*_pairs(recording, 1.0)), np.zeros((3, 3)))
     best = ranked[0]
@@ -112,7 +115,7 @@ def check(recording: Recording) -> None:
     if best.unit:
         raise MagycError(
             f"angular_rate: as given it explains {as_given} of the field's changes, read as {best.unit} "
-            f"{otherwise}; convert it, or say the unit (--angular-unit)"
+            f"{otherwise}; convert it, or say the right unit (--angular-unit)"
         )
     raise MagycError(
         f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains {as_given} of the "

@@ -9,6 +9,9 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import UPPER
 from magyc_gtsam.recording import Array
+from magyc_gtsam.validation import EARTH_FIELD
+
+_SCALE = 2.5  # by which an instrument's own scale may be off
 
 
 def check_field_strength(value: Any) -> None:
@@ -23,6 +26,20 @@ def check_field_strength(value: Any) -> None:
         raise MagycError(f"field_strength: {value!r} is no number of tesla")
     if not 1e-6 < value < 1e-3:
         raise MagycError(f"field_strength: {value:g} T is no field of the Earth (20e-6 to 70e-6 T)")
+
+
+def doubt_strength(strength: float) -> str:
+    """Why the strength that came out, in T, cannot be the true field's; "" where it can.
+
+    An instrument whose own scale is unknown may be off by a factor, but a unit taken for another is off by ten.
+    """
+    low, high = EARTH_FIELD[0] / _SCALE, EARTH_FIELD[1] * _SCALE
+    if low <= strength <= high:
+        return ""
+    return (
+        f"the calibrated field is {strength * 1e6:.3g} µT strong, the Earth's is 20 to 70 ({low * 1e6:.3g} to "
+        f"{high * 1e6:.3g} is accepted): likely the unit is another (--magnetic-unit)"
+    )
 
 
 def fix_scale(scaled: Array, covariance: Array, field_strength: float | None = None) -> tuple[Array, float, Array]:

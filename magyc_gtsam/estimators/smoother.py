@@ -135,11 +135,14 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
     """Why the result must not be trusted, the root cause first; empty where it may be."""
     reasons = []
     left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
-    if left > _MOST_UNEXPLAINED * field_strength or not positive(fit):
+    misfit = ""
+    if left > _MOST_UNEXPLAINED * field_strength:
+        misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field)"
+    elif not positive(fit):
+        misfit = "only a soft iron that mirrors the field fits, which no instrument has"
+    if misfit:
         reasons.append(
-            f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field is "
-            "tolerated): the field or the instrument changed during the recording; choose an interval "
-            "(--start, --end)"
+            f"{misfit}: the field or the instrument changed during the recording; choose an interval (--start, --end)"
         )
     trusted = float(fit.weights.window.mean())
     if trusted < _LEAST_TRUSTED:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from magyc_gtsam.estimators.axes import arrangements, check
+from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.naming import Found
 from magyc_gtsam.gap.noise_effects import NoiseScore, quantisation, sample_hold
 from magyc_gtsam.recording import Recording
 
 _COARSE = 0.2  # step in sigmas from which values repeat by chance
+_ONE_ROW = 1.2  # rows by which the ages of held samples differ, if they come on a clock
 _SECOND = 1.0  # s over which readings are averaged to see whether they move
 _REST = 10  # such means that hardly differ are a rest
 _SAME = 0.03  # of the field's spread over the recording: less is no move
@@ -22,12 +24,27 @@ _JUMP = 0.1  # of the field's spread
 _SPARED = 5.0  # s between the samples of a rest that count
 
 
-def rearranged(recording: Recording) -> tuple[Recording, Found | None]:
-    """The recording with its gyroscope in the magnetometer's axes, and the finding if they differed.
+def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tuple[NoiseScore, ...]]:
+    """The recording as its samples should be read, and the tests that say how.
 
     Raises:
         MagycError: the unit of the gyroscope is wrong.
     """
+    scores = []
+    if "axis-order" in names:
+        recording, scores = _rearranged(recording)
+    held = sample_hold(recording)
+    if "sample-hold" in names:
+        scores.append(held)
+    if held.significant:
+        recording = _on_own_clock(recording)
+    else:
+        recording = _unheld(recording, short_term_noise(recording).magnetometer)
+    return recording, tuple(scores)
+
+
+def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
+    """With the gyroscope in the magnetometer's axes, where they differed."""
     try:
         check(recording)
     except MagycError:
@@ -36,28 +53,63 @@ def rearranged(recording: Recording) -> tuple[Recording, Found | None]:
             raise
         assert recording.angular_rate is not None
         turned = replace(recording, angular_rate=recording.angular_rate @ best.matrix.T)
+        explained = 1 - best.unexplained
         score = NoiseScore(
             "axis-order",
-            1 - best.unexplained,
+            explained,
             0.5,
             1e6,
             True,
             best.matrix.ravel(),
             np.zeros(9),
-            {"explained": 1 - best.unexplained},
+            {"explained": explained},
         )
-        return turned, Found("axis-order", score.statistic, score.threshold, score.evidence, noise=score)
-    return recording, None
+        return turned, [score]
+    return recording, []
 
 
-def unheld(recording: Recording, noise: float) -> Recording:
+def _on_own_clock(recording: Recording) -> Recording:
+    """With the samples that are held stamped by the magnetometer's own clock, where they show one.
+
+    A sensor that measures every P s on a clock of its own is read in the first row after: the stamps of the rows are
+    late by up to a row, in a sawtooth that would pass for a delay, a tone, or a lag. The stamps lie on a line in the
+    number of the sample; the row that comes soonest after its sample says where.
+    """
+    row = float(np.median(np.diff(recording.time)))
+    time, field = recording.magnetometer
+    between = np.diff(time)
+    missed = np.ceil((between - _ONE_ROW * row) / between.mean())  # samples that happened to repeat the one before
+    number = np.concatenate([[0.0], np.cumsum(np.maximum(missed, 1.0))])
+    slope, start = np.polyfit(number[1:], time[1:] - time[0], 1)  # how long the first was held before is not seen
+    own = time[0] + start + slope * number
+    age = (time - own)[1:]
+    if slope < row or np.ptp(age) > _ONE_ROW * row:
+        return recording  # no clock is seen
+    own += float(age.min())
+    known = {k: np.isfinite(v).reshape(len(v), -1).all(axis=1) for k, v in recording.channels.items()}
+    channels = {
+        k: (recording.time[known[k]], v[known[k]]) for k, v in recording.channels.items() if known[k].sum() > 1
+    }
+    acceleration, attitude = recording.acceleration, recording.attitude
+    return Recording.from_streams(
+        (own, field),
+        (recording.time, recording.angular_rate),
+        acceleration=None if acceleration is None else (recording.time, acceleration),
+        attitude=None if attitude is None else (recording.time, attitude),
+        channels=channels,
+        name=recording.name,
+        notes=recording.notes,
+        angular_rate_is=recording.angular_rate_is,
+        magnetic_field_unit=recording.magnetic_field_unit,
+    )
+
+
+def _unheld(recording: Recording, noise: float) -> Recording:
     """With all rows as samples, where the magnetometer's repeat because its steps are coarse (noise T per sample).
 
     To leave such repeats out would keep the first of each, and so make the magnetometer seem early.
     """
-    if not recording.angular_rate_fresh.all() or sample_hold(recording).significant:
-        return recording
-    if quantisation(recording, noise).statistic < _COARSE:
+    if not recording.angular_rate_fresh.all() or quantisation(recording, noise).statistic < _COARSE:
         return recording
     return replace(recording, magnetic_field_fresh=np.ones(len(recording.time), dtype=bool))
 

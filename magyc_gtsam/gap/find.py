@@ -14,10 +14,11 @@ from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, s
 from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
-from magyc_gtsam.gap.discrete import moving, rearranged, unheld
+from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.metrics import measure
-from magyc_gtsam.gap.naming import Found
+from magyc_gtsam.gap.naming import as_found
+from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, as_calibration, refit
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, moved, verdict
@@ -25,6 +26,7 @@ from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
 from magyc_gtsam.gap.search import Search, look, search
 from magyc_gtsam.gap.simulated import compare
+from magyc_gtsam.gap.tones import silenced
 from magyc_gtsam.observability import Observability, Weakness, assess
 from magyc_gtsam.recording import Recording
 
@@ -58,10 +60,10 @@ def find_gap(
     report = progress or (lambda _: None)
     report(0.0)
     recording.gyroscope  # noqa: B018 - raises where there is none
-    given = recording
-    recording, turned = rearranged(recording) if "axis-order" in names else (recording, None)
+    recording, discrete = settled(recording, names)
+    tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
+    recording = silenced(recording, tones)
     short_term = short_term_noise(recording)
-    recording = unheld(recording, short_term.magnetometer)
     base = base_model(recording, calibration, short_term)
     report(0.2)
     motion = _determined(recording, base, short_term)
@@ -69,7 +71,7 @@ def find_gap(
         return _too_little_motion(base, motion.weak[0], calibration, clock.perf_counter() - started)
     result = search(recording, base.twin.problem, base, short_term, names, _problem, report)
     report(0.8)
-    gap = _gap(given, result, base, calibration, names, turned, clock.perf_counter() - started)
+    gap = _gap(result, base, calibration, names, discrete, clock.perf_counter() - started)
     if simulated is not None:
         allowed = tuple(name for name in names if name in TERMS)
         try:
@@ -106,7 +108,11 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
     free = np.ones(PARAMETERS, dtype=bool)
     terms: tuple[Active, ...] = ()
     if calibration is not None:
-        terms = tuple(Active(t.name, t.setting, t.value) for t in calibration.terms if t.side is not None)
+        terms = tuple(
+            Active(t.name, t.setting, t.value)
+            for t in calibration.terms
+            if t.side is not None and t.name != "tone"  # which is taken out of the readings
+        )
     free[DELAY] = any(term.name == "timing" for term in terms)
     return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
 
@@ -150,27 +156,30 @@ def _widened(result: Refit) -> Refit:
 
 
 def _gap(
-    recording: Recording,
     result: Search,
     base: Refit,
     calibration: Calibration | None,
     names: tuple[str, ...],
-    turned: Found | None,
+    discrete: tuple[NoiseScore, ...],
     seconds: float,
 ) -> Gap:
     strength = None if calibration is None else calibration.field_strength
     first, last = result.first, replace(result.last, refit=_widened(result.last.refit))
     base = _widened(base)
-    extra = tuple(
-        Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
-        for f in result.found
-        if f.noise is not None and f.name != "tone"
+    found = (*(as_found(score) for score in discrete if score.significant), *result.found)
+    again = {f.name for f in found}
+    known = tuple(
+        t
+        for t in (calibration.terms if calibration is not None else ())
+        if t.name == "tone" or (t.side is None and t.name not in again)
     )
-    if turned is not None and turned.noise is not None:
-        extra = (Term("axis-order", turned.noise.value, np.zeros((9, 9))), *extra)
-    started = as_calibration(base, strength)
-    final = as_calibration(last.refit, strength, extra)
-    found = result.found if turned is None else (turned, *result.found)
+    added = tuple(
+        Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
+        for f in found
+        if f.noise is not None
+    )
+    started = as_calibration(base, strength, known)
+    final = as_calibration(last.refit, strength, (*known, *added))
     word, sentence = verdict(found, result, last)
     applied = word in ("closed", "open")
     before = measure(first.refit.twin, started, first.fine.innovation, first.fine.rate, first.fine.level)
@@ -191,8 +200,8 @@ def _gap(
         sentence=sentence,
         effects=effects,
         untested=untested,
-        hypotheses=hypotheses(first, names, found, word),
-        remaining=hypotheses(last, names, (), word) if result.found else (),
+        hypotheses=hypotheses(first, names, found, word, discrete),
+        remaining=hypotheses(last, names, (), word, ()) if result.found else (),
         before=before,
         after=after,
         moved=moved(started, final) if applied else (),

@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.chain_search import preintegrate
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, sample_hold, spikes, tone
+from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, spikes, tone
 from magyc_gtsam.gap.problem import Model, Problem
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.recording import Recording
@@ -33,17 +33,21 @@ class Fine(NamedTuple):
 
 def fine_innovations(recording: Recording, model: Model) -> Fine:
     """Of a model on a recording, one window per magnetometer sample."""
-    if len(recording.magnetometer.time) > _MOST:
-        middle = 0.5 * (recording.time[0] + recording.time[-1]) - recording.time[0]
-        half = 0.5 * recording.duration * _MOST / len(recording.magnetometer.time)
-        recording = recording.between(middle - half, middle + half)
-    samples = preintegrate(recording, window=1e-9)
-    twin = Twin.of(Problem.of(recording, samples), model)
+    twin = fine_twin(recording, model)
     v = twin.residual()[:, 1:]
     time = twin.time[1:]
     scale = float(np.sqrt((v**2).mean()))
     rate = (len(time) - 1) / float(time[-1] - time[0])
     return Fine(v / scale, scale * model.noise.magnetometer, rate, time, _edge(twin.windows.need("field"), rate))
+
+
+def fine_twin(recording: Recording, model: Model) -> Twin:
+    """One window per magnetometer sample; the middle of what is longer than `_MOST`."""
+    if len(recording.magnetometer.time) > _MOST:
+        middle = 0.5 * (recording.time[0] + recording.time[-1]) - recording.time[0]
+        half = 0.5 * recording.duration * _MOST / len(recording.magnetometer.time)
+        recording = recording.between(middle - half, middle + half)
+    return Twin.of(Problem.of(recording, preintegrate(recording, window=1e-9)), model)
 
 
 def _edge(field: Array, rate: float) -> float:
@@ -65,5 +69,4 @@ def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseSc
         tone(calm, fine.rate, fine.level, limit, fine.edge),
         coloured_noise(calm, fine.rate, fine.level, limit),
         quantisation(recording, fine.level),
-        sample_hold(recording),
     ]

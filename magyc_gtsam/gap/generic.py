@@ -15,19 +15,22 @@ from magyc_gtsam.gap.twin import Columns, Twin
 
 _KNOTS = (12, 40)  # of the splines in time
 _SHORTEST = 4.0  # s between knots
+_SHARE_OF_RATE = 0.016  # to which a scale or an angle must be determined
 
 
 class Family(NamedTuple):
     """A generic family: its name, where it lives in words, its columns, and widths of parts to be tried alone.
 
     A narrow part finds a foreign effect where the whole family would pay for too many parameters. Families that hold
-    an effect of the catalogue have no parts: these would be the effect under another name.
+    an effect of the catalogue have no parts: these would be the effect under another name. Directions of the
+    values that the motion does not determine to `within` are left out: they would explain anything by absurd values.
     """
 
     name: str
     place: str
     columns: Callable[[Twin], Columns]
     parts: tuple[int, ...] = ()
+    within: float = np.inf
 
 
 def families(twin: Twin) -> list[Family]:
@@ -54,8 +57,14 @@ def families(twin: Twin) -> list[Family]:
         Family("rate:product", "the rate of turn, on the magnetometer", _on_field(_rate_products), (3, 1)),
         Family("rate×field", "rate of turn times field", _on_field(_rate_times_field)),
         Family("lag", "a lag that depends on the rate of turn", _uneven_lag, (3, 1)),
-        Family("rate:linear", "the rate of turn, on the gyroscope", _on_rate(lambda s: s.need("rate"))),
-        Family("rate:quadratic", "the rate of turn, on the gyroscope", _on_rate(_bent_rate)),
+        Family(
+            "rate:linear",
+            "the rate of turn, on the gyroscope",
+            _on_rate(lambda s: s.need("rate")),
+            (),
+            _SHARE_OF_RATE,
+        ),
+        Family("rate:quadratic", "the rate of turn, on the gyroscope", _on_rate(_bent_rate), (), _SHARE_OF_RATE),
         Family("rate:gyroscope", "products of rates of turn, on the gyroscope", _on_rate(_rate_squares), (3, 1)),
         Family("field:gyroscope", "attitude, on the gyroscope", _field_on_rate, (3,)),
     ]
@@ -138,7 +147,10 @@ def _rate_squares(signals: Signals) -> Array:
 
 
 def _bent_rate(signals: Signals) -> Array:
-    return _powers(signals.need("rate"), 1, 2, bent=True)
+    """In units of the mean rate, so that the values are shares of it."""
+    rate = signals.need("rate")
+    mean = max(float(np.sqrt((rate**2).sum(axis=0).mean())), 1e-9)
+    return mean * _powers(rate / mean, 1, 2, bent=True)
 
 
 def _uneven_lag(twin: Twin) -> Columns:

@@ -12,13 +12,14 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import NoiseScore
-from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.problem import Active, Model
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.score import Projector, Score, Variant, variant
 
 _ALIKE = 0.01  # probability below which a named effect adds something beyond its rival
 _REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks against the names given
 _SHAPE = 0.08  # share of what was explained that may remain, for effects are not quite of the catalogue's form
+_TRACE = 0.03  # share of an effect's statistic below which another may be its form, whatever the name
 _MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
 _FIRM = 0.7  # share of what a term's statistic should be beside whatever else is missing
 _WHOLE = 0.98  # share of a term's signature from which a family holds it
@@ -41,6 +42,18 @@ class Found:
     evidence: float
     rivals: tuple[str, ...] = ()
     noise: NoiseScore | None = None
+
+
+def as_found(score: NoiseScore, rivals: tuple[str, ...] = ()) -> Found:
+    """A noise effect that was found."""
+    return Found(score.name, score.statistic, score.threshold, score.evidence, rivals, score)
+
+
+def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:
+    """{place in `found`: place among the model's terms}, in order; a model given has its own terms before them."""
+    of_terms = [place for place, f in enumerate(found) if f.name in TERMS]
+    given = len(model.terms) - len(of_terms)
+    return {place: given + index for index, place in enumerate(of_terms)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +103,8 @@ def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> 
         near = score.name == term.name == "local-anomaly"
         if near and abs(at["time"] - term.setting["time"]) < _SPAN * (at["width"] + term.setting["width"]):
             return True
+    if score.statistic < _TRACE * max((f.statistic for f in found if f.name in TERMS), default=0.0):
+        return True
     if score.name == "hard-iron-step" and any(
         f.name == "hard-iron-drift" and score.statistic < f.statistic for f in found
     ):
@@ -104,13 +119,22 @@ def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> 
 
 
 def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
-    """Significant names beside which the chosen one adds nothing: this motion cannot tell them apart."""
+    """Names that this motion cannot tell from the chosen one.
+
+    Those beside which it adds nothing, and those it is known to be confused with that explain nearly as much.
+    """
     result = []
     for rival in now.scores:
-        if rival.generic or rival.name == choice.name or not rival.significant:
+        if rival.generic or rival.name == choice.name:
             continue
+        behind = choice.evidence - rival.evidence
+        # What has many shapes, as a drift, may have had another than those tried.
+        shapes = TERMS[choice.name].nested or TERMS[rival.name].nested
+        related = rival.name in TERMS[choice.name].rivals or choice.name in TERMS[rival.name].rivals
+        close = behind < min(_AHEAD + _SHAPE * choice.evidence, 0.5 * choice.evidence)
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
-        if rival.evidence > choice.evidence - _AHEAD and not _adds_beyond(choice.variant, rival.variant, now):
+        alike = rival.significant and behind < _AHEAD and not _adds_beyond(choice.variant, rival.variant, now)
+        if alike or (shapes and related and close):
             result.append(rival.name)
     return tuple(result)
 
@@ -133,29 +157,42 @@ def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str,
     """
     twin = current.twin
     term = twin.model.terms[index]
-    own = twin.whiten(twin.columns(term.name, term.setting))
+    columns = twin.columns(term.name, term.setting)
+    own = twin.whiten(columns)
     value, _ = current.value_of(index)
-    base = replace(twin, model=without_term(twin.model, index)).base_columns()
+    without = replace(twin, model=without_term(twin.model, index))
+    base, pull = without.base_columns(), without.base_pull()
     target = twin.residual().ravel() - value @ own  # as if the term were not there
-    project = Projector(base)
-    alone = variant(term.setting, own, project)
-    explained = _squared(alone.unit @ project(target[None])[0])
+    project = Projector(base, pull)
+    alone = variant(term.setting, own, project, columns.pull)
+    explained = _squared(alone.score(project(target[None])[0]))
     others = []
     for score in now.scores:
         if score.name not in left or score.name == term.name:
             continue
         held = _squared(alone.unit @ variant({}, score.variant.columns, project).unit.T) / len(alone.unit)
         if held < _WHOLE or score.statistic > _SHAPE * explained:
-            others.append(score.variant.columns)
-    project = Projector(np.concatenate([base, *others]))
-    beside = variant(term.setting, own, project)
+            others.append(score.variant)
+    project = Projector(
+        np.concatenate([base, *(o.columns for o in others)]), np.concatenate([pull, *(o.pull for o in others)])
+    )
+    beside = variant(term.setting, own, project, columns.pull)
     kept = _squared(project(alone.unit)) / len(alone.unit)
-    statistic = _squared(beside.unit @ project(target[None])[0])
+    statistic = _squared(beside.score(project(target[None])[0]))
     return statistic > max(_STRONG * found.threshold, _FIRM * kept * explained)
 
 
 def _squared(values: Array) -> float:
     return float(np.vdot(values, values))
+
+
+def switched(found: Sequence[Found]) -> tuple[str, ...]:
+    """The steps, where there are so many, or bumps beside them, that something else must switch them."""
+    names = [f.name for f in found]
+    steps = names.count("hard-iron-step")
+    if steps > 2 or (steps == 2 and "local-anomaly" in names):
+        return "hard-iron-step", "local-anomaly"
+    return ()
 
 
 def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) -> tuple[str, ...]:
@@ -166,7 +203,8 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
     explained = max((s.statistic for s in first.scores), default=0.0)
     result = _ahead_of_names(first, found)
     for score in now.scores:
-        limit = min(_REMAINDER, score.limit) if any(f.name in TERMS for f in found) else score.limit
+        named = any(f.name in TERMS for f in found)
+        limit = min(_REMAINDER, score.limit) if named and score.generic else score.limit
         if score.significance <= limit or now.gains.get(score.name, 0.0) <= 0:
             continue
         if found and score.statistic - len(score.variant.unit) < _SHAPE * explained:

@@ -14,9 +14,12 @@ from scipy.special import gammaincc
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.recording import Recording
 
-_MOST_SAMPLES = 60000
+_MEDIAN = 2.674  # of Gamma(3)
 CHANCE = 9.0  # nats by which two fitted parameters of a noise model can seem to gain (with room to spare)
 _SMOOTH = 201  # bins of the periodogram's running median
+_BESIDE = 10  # bins to each side of a line that must lie far below it: a resonance of the noise is no line
+UNSURE = 2.0  # nats more that a line must stand out, for the floor below it is estimated
+_LEAKS = 2  # bins to each side of a line into which it leaks
 _LOWEST_BINS = 5  # of a tone: slower ones are drifts
 _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
@@ -24,7 +27,8 @@ _SPIKE = 4.5  # sigmas
 _RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
 COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
-_TOGETHER = 0.6  # share of one axis' repeats that must be repeats of all
+_LOCALLY = 10.0  # s over which the chance of a repeat hardly changes
+_MOSTLY = 0.4  # share of the repeated rows that chance must leave over: its own part is not quite independent
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +61,13 @@ def tone(innovation: Array, rate: float, level: float, limit: float, edge: float
     Below `edge` Hz the motion itself makes lines of whatever is missing; one there is no tone by name.
     """
     power, frequency = _periodogram(innovation, rate)
-    floor = _running_median(power) / 2.674  # the median of Gamma(3)
+    floor = np.maximum(_running_median(power), _beside(power)) / _MEDIAN
     height = power / np.maximum(floor, 0.3)
     surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
     surprise[:_LOWEST_BINS] = 0.0
     best = int(np.argmax(surprise))
     evidence = float(surprise[best] - np.log(len(frequency)))
+    limit = limit + UNSURE
     needed = limit + np.log(len(frequency))
     amplitude = 2 * np.sqrt(power[best] / innovation.shape[1]) * level
     return NoiseScore(
@@ -95,10 +100,19 @@ def _running_median(values: Array) -> Array:
     return np.asarray(median_filter(values, size=size, mode="reflect"), dtype=float)
 
 
+def _beside(values: Array) -> Array:
+    """Median over the bins close to each, without those into which a line there would leak."""
+    from scipy.ndimage import median_filter
+
+    around = np.ones(2 * _BESIDE + 1, dtype=bool)
+    around[_BESIDE - _LEAKS : _BESIDE + _LEAKS + 1] = False
+    return np.asarray(median_filter(values, footprint=around, mode="reflect"), dtype=float)
+
+
 def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -> NoiseScore:
     """White noise plus noise of one correlation time, by Whittle's likelihood of the periodogram."""
     power, frequency = _periodogram(innovation, rate)
-    power = np.minimum(power, 12 * np.maximum(_running_median(power) / 2.674, 0.3))  # a line is no colour
+    power = np.minimum(power, 12 * np.maximum(_running_median(power) / _MEDIAN, 0.3))  # a line is no colour
     scale = power.mean() / 3
     best = (0.0, 0.0, 0.0, 1.0)
     for corner in np.geomspace(3 * frequency[0], 0.35 * rate, 14):
@@ -203,13 +217,15 @@ def _lattice(values: Array) -> float:
 
 
 def sample_hold(recording: Recording) -> NoiseScore:
-    """Rows that repeat the magnetometer's row before them exactly, in a table in which the gyroscope moves on."""
+    """Rows that repeat the magnetometer's row before them exactly, in a table in which the gyroscope moves on.
+
+    A hold repeats all axes together, a coarse step each by itself: of the rows that repeat, those count that the
+    repeats of the single axes do not explain by chance.
+    """
     stale = ~recording.magnetic_field_fresh
     one_table = recording.angular_rate is None or bool(recording.angular_rate_fresh.all())
-    share = float(stale.mean())
-    # A hold repeats all axes together; coarse steps repeat each by itself.
-    alone = (np.diff(recording.magnetic_field, axis=0) == 0).mean(axis=0)
-    held = one_table and share > HELD and share > _TOGETHER * float(alone.min())
+    share = _held_together(recording.time, np.diff(recording.magnetic_field, axis=0) == 0)
+    held = one_table and share > max(HELD, _MOSTLY * float(stale.mean()))
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
         "sample-hold",
@@ -221,3 +237,22 @@ def sample_hold(recording: Recording) -> NoiseScore:
         np.array([0.0]),
         {"share": share},
     )
+
+
+def _held_together(time: Array, repeats: np.ndarray) -> float:
+    """Share h of the steps (n, 3) at which all axes are held, beside repeats of each axis by itself.
+
+    With q_i the chance of a repeat of axis i where nothing is held, an axis repeats with p_i = h + (1 − h) q_i and
+    all three with h + (1 − h) q_x q_y q_z; solved for h in each stretch of the recording by bisection.
+    """
+    stretch = np.floor((time[1:] - time[0]) / _LOCALLY).astype(int)
+    _, starts, count = np.unique(stretch, return_index=True, return_counts=True)
+    each = np.add.reduceat(repeats, starts, axis=0, dtype=float) / count[:, None]
+    together = np.add.reduceat(repeats.all(axis=1), starts, dtype=float) / count
+    low, high = np.zeros(len(count)), each.min(axis=1)
+    for _ in range(30):
+        h = 0.5 * (low + high)
+        free = np.maximum(1 - h, 1e-9)
+        more = h + np.prod(np.maximum(each - h[:, None], 0.0) / free[:, None], axis=1) * free < together
+        low, high = np.where(more, h, low), np.where(more, high, h)
+    return float(np.average(0.5 * (low + high), weights=count))

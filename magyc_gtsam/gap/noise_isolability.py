@@ -13,7 +13,7 @@ from scipy.stats import chi2, ncx2, norm
 
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.gap.naming import NOISE_LIMIT
-from magyc_gtsam.gap.noise_effects import CHANCE, COARSE, HELD
+from magyc_gtsam.gap.noise_effects import CHANCE, COARSE, HELD, UNSURE
 from magyc_gtsam.gap.null import quantile
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.recording import Recording
@@ -65,7 +65,7 @@ def _solved(gain: Callable[[float], float], needed: float) -> float:
 
 def _tone(samples: int) -> float:
     """Amplitude: twice the height of a line is χ² of 6 degrees, not central by n a² / 2."""
-    level = quantile(NOISE_LIMIT + 2 * float(np.log(samples / 2)), 6)
+    level = quantile(NOISE_LIMIT + UNSURE + 2 * float(np.log(samples / 2)), 6)
     return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), _POWER)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.factors.effects import FORMS, Setting
 from magyc_gtsam.factors.field_chain import DELAY, FieldChain, Noise, Reduced, State
 from magyc_gtsam.factors.preintegration import FieldWindows, Preintegration
@@ -55,7 +56,8 @@ class Problem:
         recording: the data.
         samples: of both sensors, in windows.
         window_of: (M,) window of each magnetometer sample.
-        acceleration, channels: at the magnetometer's (`magnetometer`) and gyroscope's (`gyroscope`) samples.
+        magnetometer, gyroscope: acceleration and channels at each sensor's samples.
+        rate_noise: rad/s per sample, of the gyroscope itself: what else is missing raises the model's, not this.
     """
 
     recording: Recording
@@ -63,6 +65,7 @@ class Problem:
     window_of: np.ndarray
     magnetometer: Signals
     gyroscope: Signals
+    rate_noise: float
 
     @classmethod
     def of(cls, recording: Recording, samples: Preintegration) -> Problem:
@@ -75,6 +78,7 @@ class Problem:
             np.repeat(np.arange(len(starts)), count),
             _others(recording, samples.magnetometer_time),
             _others(recording, samples.gyroscope_time),
+            short_term_noise(recording).gyroscope,
         )
 
     def mean(self, values: Array) -> Array:

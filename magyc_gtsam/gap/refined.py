@@ -19,7 +19,7 @@ _FEW = 20  # settings up to which a neighbour is tried at all of them
 
 
 def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
-    """Neighbours of an effect beside which it does not explain the data clearly better.
+    """What an effect does not explain the data clearly better than: narrow parts of generic families, neighbours.
 
     Where it is a toss-up, another effect beside it may hide which it is: each is then judged with the one that
     explains most together with it.
@@ -39,7 +39,19 @@ def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
             known = closest.setdefault(family.name, tried)
             if surprise(tried, now.innovation) > surprise(known, now.innovation):
                 closest[family.name] = tried
+    chosen = next(s for s in now.scores if s.name == name)
     own = surprise(best, now.innovation)
+    evidence = chosen.evidence + own - surprise(chosen.variant, now.innovation)
+    parts = tuple(
+        s.name
+        for s in now.scores
+        if s.name in term.alike
+        and "width" in s.variant.setting
+        and s.evidence > evidence - _CLEARLY
+        and now.gains.get(s.name, 0.0) > 0
+    )
+    if parts:
+        return parts
     even = {n: tried for n, tried in closest.items() if surprise(tried, now.innovation) > own - _CLEARLY}
     if not even:
         return ()
@@ -50,13 +62,15 @@ def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
 def _paired(name: str, tried: Variant, now: Look) -> float:
     """Nats of a variant of an effect with the other named effect, no rival of it, with which they are most."""
     twin = now.refit.twin
-    base, residual = twin.base_columns(), twin.residual().ravel()
+    base, pull, residual = twin.base_columns(), twin.base_pull(), twin.residual().ravel()
     most = surprise(tried, now.innovation)
     for other in now.scores:
         if other.generic or other.name in (name, *TERMS[name].rivals) or not other.significant:
             continue
         if now.gains.get(other.name, 0.0) > 0:
-            project = Projector(np.concatenate([base, other.variant.columns]))
+            project = Projector(
+                np.concatenate([base, other.variant.columns]), np.concatenate([pull, other.variant.pull])
+            )
             beside = variant(tried.setting, tried.columns, project, tried.pull)
             together = surprise(other.variant, now.innovation) + surprise(beside, project(residual[None])[0])
             most = max(most, together)

@@ -9,14 +9,17 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.naming import Found, Look
+from magyc_gtsam.gap.naming import Found, Look, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Moved, Status, Verdict
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.search import Search
 
 _POWER = 0.8
+_IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
+_TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _MOVED = 2.0  # sigmas from which a parameter is reported as moved
 
 
@@ -49,16 +52,16 @@ def _place(left: Sequence[str], last: Look) -> str:
     return "something is missing"
 
 
-def _term_index(found: Sequence[Found], which: Found) -> int | None:
+def _term_index(found: Sequence[Found], which: Found, model: Model) -> int | None:
     """Its place among the model's terms; None for what is no term."""
-    terms = [f for f in found if f.name in TERMS or f.name == "tone"]
-    return terms.index(which) if which in terms else None
+    place = next(i for i, f in enumerate(found) if f is which)
+    return term_places(found, model).get(place)
 
 
 def _sentence(found: Found, refitted: Refit, everything: Sequence[Found]) -> str:
     if found.noise is not None:
         return _noise_sentence(found.noise)
-    index = _term_index(everything, found)
+    index = _term_index(everything, found, refitted.model)
     assert index is not None
     term = TERMS[found.name]
     value, covariance = refitted.value_of(index)
@@ -69,7 +72,8 @@ def _sentence(found: Found, refitted: Refit, everything: Sequence[Found]) -> str
 def _noise_sentence(noise: NoiseScore) -> str:
     value, setting = float(noise.value[0]), noise.setting
     if noise.name == "tone":
-        return f"a tone of {setting['frequency']:.2f} Hz, {value * 1e6:.2g} µT, is on the magnetometer"
+        size = float(np.linalg.norm(noise.value))
+        return f"a tone of {setting['frequency']:.2f} Hz, {size * 1e6:.2g} µT, is on the magnetometer"
     if noise.name == "coloured-noise":
         return (
             f"the magnetometer's noise hangs together over {setting['correlation_time']:.2g} s "
@@ -91,29 +95,23 @@ def describe(found: Sequence[Found], refitted: Refit, applied: bool) -> tuple[Ef
 
 
 def _described(found: Found, refitted: Refit, everything: Sequence[Found], applied: bool) -> Effect:
-    index = _term_index(everything, found)
+    index = _term_index(everything, found, refitted.model)
     sentence = _sentence(found, refitted, everything)
-    if found.noise is not None and index is None:
-        units = {"quantisation": ("µT", 1e6), "spikes": ("µT", 1e6), "coloured-noise": ("µT", 1e6)}
-        unit, scale = units.get(found.name, ("", 1.0))
-        value, sigma, setting = found.noise.value * scale, found.noise.sigma * scale, found.noise.setting
-        parameters = ("",) * len(value)
+    if found.noise is not None:
+        value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting
+        unit, scale = ("µT", 1e6) if found.name in _IN_TESLA else ("", 1.0)
+        parameters = _TONE if found.name == "tone" else ("",) * len(value)
     else:
         assert index is not None
         value, covariance = refitted.value_of(index)
         sigma, setting = np.sqrt(np.diag(covariance)), refitted.model.terms[index].setting
-        if found.name == "tone":
-            unit, scale = "µT", 1e6
-            parameters = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
-        else:
-            term = TERMS[found.name]
-            unit, scale, parameters = term.unit, term.scale, term.names(len(value))
-        value, sigma = value * scale, sigma * scale
+        term = TERMS[found.name]
+        unit, scale, parameters = term.unit, term.scale, term.names(len(value), setting)
     return Effect(
         found.name,
         LABELS[found.name],
-        value,
-        sigma,
+        value * scale,
+        sigma * scale,
         parameters,
         unit,
         dict(setting),
@@ -125,12 +123,14 @@ def _described(found: Found, refitted: Refit, everything: Sequence[Found], appli
     )
 
 
-def hypotheses(look: Look, names: Sequence[str], found: Sequence[Found], word: Verdict) -> tuple[Hypothesis, ...]:
-    """Every candidate with its evidence, strongest first."""
+def hypotheses(
+    look: Look, names: Sequence[str], found: Sequence[Found], word: Verdict, discrete: Sequence[NoiseScore]
+) -> tuple[Hypothesis, ...]:
+    """Every candidate with its evidence, strongest first; `discrete` are those that were settled before the look."""
     named = {f.name for f in found} if word in ("closed", "open") else set()
     rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
     result = [(s.evidence, _hypothesis(s, look, named, rivals)) for s in look.scores]
-    result += [(n.evidence, _noise_hypothesis(n, named)) for n in look.noise if n.name in names]
+    result += [(n.evidence, _noise_hypothesis(n, named)) for n in (*discrete, *look.noise) if n.name in names]
     return tuple(h for _, h in sorted(result, key=lambda pair: -pair[0]))
 
 
@@ -178,7 +178,7 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> 
 
 def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
     status: Status = "named" if noise.name in named else "explained" if noise.significant else "rejected"
-    scale = 1e6 if noise.name in ("tone", "coloured-noise", "spikes", "quantisation") else 1.0
+    scale = 1e6 if noise.name in _IN_TESLA else 1.0
     words = {"named": "named", "explained": "significant until the effects above were added"}
     return Hypothesis(
         name=noise.name,

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import ncx2
 
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import TERMS, EffectTerm
 from magyc_gtsam.gap.generic import Family, families
 from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
@@ -26,6 +26,7 @@ from magyc_gtsam.gap.twin import Twin
 
 DRAWS = 500
 FAMILY_WISE = 0.01
+DETERMINED = 4.0  # smallest values that matter, up to which a motion determines a value
 _DEPENDENT = 1e-6  # share of a column that must be left beside the base model
 _MUCH = 60.0  # statistic from which an effect is taken out before the colour is measured
 
@@ -40,7 +41,7 @@ class Variant:
         unit: (r, 3n) orthonormal, freed of the base model; r ≤ k.
         back: (k, r) from d to the expected value.
         left: share of the columns that the base model leaves, 0 to 1.
-        pull: (k,) expected score of the columns without any effect.
+        pull: (k,) expected score of the columns without any effect; `offset` (r,) that of `unit`.
     """
 
     setting: Mapping[str, float]
@@ -49,10 +50,11 @@ class Variant:
     back: Array
     left: float
     pull: Array
+    offset: Array
 
     def score(self, innovation: Array) -> Array:
         """(r,) d, of innovations freed of the base model."""
-        return self.unit @ innovation - self.back.T @ self.pull
+        return self.unit @ innovation - self.offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +104,23 @@ class Score:
 
 
 class Projector:
-    """Frees innovations of the base model's."""
+    """Frees innovations of the base model's, whose columns (q, 3n) have an expected score (q,) of their own."""
 
-    def __init__(self, base: Array) -> None:
+    def __init__(self, base: Array, pull: Array | None = None) -> None:
         scale = np.linalg.norm(base, axis=1)
-        q, r = np.linalg.qr((base / np.where(scale > 0, scale, 1.0)[:, None]).T)
+        scale = np.where(scale > 0, scale, 1.0)
+        q, r = np.linalg.qr((base / scale[:, None]).T)
         self._q = q[:, np.abs(np.diag(r)) > 1e-9]
+        pulled = np.zeros(len(base)) if pull is None else pull / scale
+        self._pull = np.linalg.lstsq(r.T, pulled, rcond=1e-9)[0][np.abs(np.diag(r)) > 1e-9]
 
     def __call__(self, rows: Array) -> Array:
         result: Array = rows - (rows @ self._q) @ self._q.T
+        return result
+
+    def shared_pull(self, rows: Array) -> Array:
+        """The part of the expected score of rows that the base model's columns have of it."""
+        result: Array = (rows @ self._q) @ self._pull
         return result
 
 
@@ -128,7 +138,9 @@ def variant(
     unit = (vector[:, good] / root).T @ free
     back = (vector[:, good] / root) / np.where(kept, size, 1.0)[:, None]
     left = float(np.sqrt(np.einsum("pn,pn->", free, free) / max(kept.sum(), 1)))
-    return Variant(setting, columns, unit, back, left, np.zeros(len(columns)) if pull is None else pull)
+    pull = np.zeros(len(columns)) if pull is None else pull
+    offset = back.T @ (pull - project.shared_pull(columns))
+    return Variant(setting, columns, unit, back, left, pull, offset)
 
 
 def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[str, tuple[str, list[Variant]]]:
@@ -142,11 +154,19 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
         if any(active.name == "timing" for active in twin.model.terms):
             settings = [s for s in settings if not s.get("full")]  # which would hold the delay once more
         if settings:
-            result[name] = ("", variants(twin, project, name, settings))
+            many = variants(twin, project, name, settings)
+            result[name] = ("", _determined(term, many) if term.nested else many)
     beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
     for family in (*families(twin), *{f.name: f for f in beside}.values()):
         result[family.name] = (family.place, _parts(family, twin, project))
     return result
+
+
+def _determined(term: EffectTerm, many: list[Variant]) -> list[Variant]:
+    """Those of nested variants whose every value the motion determines, or else the one that comes closest."""
+    worst = [float(np.sqrt((v.back**2).sum(axis=1).max(initial=0.0))) for v in many]
+    good = [v for v, sigma in zip(many, worst, strict=True) if sigma <= DETERMINED * term.matters]
+    return good or [many[int(np.argmin(worst))]]
 
 
 def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
@@ -154,6 +174,11 @@ def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
     columns = family.columns(twin)
     rows = twin.whiten(columns)
     pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
+    if np.isfinite(family.within):
+        free = project(rows)
+        information, direction = np.linalg.eigh(free @ free.T)
+        kept = direction[:, information >= family.within**-2].T
+        rows, pull = kept @ rows, kept @ pull
     result = [variant({}, rows, project, pull)]
     for width in family.parts:
         for first in range(0, len(rows), width):
@@ -179,7 +204,7 @@ def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str,
 
 def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tuple[list[Score], Array, Projector]:
     """Score every candidate against the twin's model, strongest first; the innovations freed of the base model."""
-    project = Projector(twin.base_columns())
+    project = Projector(twin.base_columns(), twin.base_pull())
     innovation = project(twin.residual().reshape(1, -1))[0]
     found = candidates(twin, project, names)
     flat = [(name, index) for name, (_, many) in found.items() for index in range(len(many))]

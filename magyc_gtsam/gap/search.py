@@ -9,15 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.effects import Setting
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
-from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, Look, choose, leftover, rivals_of, stands
+from magyc_gtsam.gap.naming import (
+    NOISE_LIMIT,
+    Found,
+    Look,
+    as_found,
+    choose,
+    leftover,
+    rivals_of,
+    stands,
+    switched,
+    term_places,
+)
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
@@ -29,10 +42,11 @@ from magyc_gtsam.gap.score import (
     interleaved,
     scan,
 )
+from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 4
-_DETERMINED = 4.0  # smallest values that matter, up to which a motion determines a value
+_WIDENINGS = 3  # of nested terms after each addition
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +56,7 @@ class Search:
     Attributes:
         recording, problem: the data, without what was found to be wrong samples.
         first, last: looks at the base model and at the final one.
-        found: effects in the order of adding; those of kind term stand in the same order in the model.
+        found: effects in the order of adding; see `naming.term_places`.
         leftover: names of what is significant in the last look and was neither added nor vetoed.
     """
 
@@ -88,7 +102,7 @@ def search(
     """Add effects until nothing is significant."""
     random = np.random.default_rng(seed)
     allowed = tuple(n for n in names if n in TERMS)
-    current = base
+    given, current = recording, base
     first = now = look(recording, current, allowed, random)
     found: list[Found] = []
     noted: set[str] = set()
@@ -101,17 +115,18 @@ def search(
             break
         if isinstance(choice, NoiseScore):
             noted.add(choice.name)
+            if choice.name == "quantisation":
+                noted.add("coloured-noise")  # the error of a coarse step hangs together as the reading does
             if choice.name == "tone":
-                term = Active("tone", {"frequency": choice.setting["frequency"]}, np.zeros(6))
-                ahead = _tried(problem, with_term(current.model, term), short_term)
-                if ahead is None:
-                    continue
-                current = ahead
+                line = heard(recording, current.model, choice.setting["frequency"])
+                recording = silenced(recording, [line])
+                choice = replace(choice, value=line.value, sigma=line.sigma, setting=line.setting)
             elif choice.name == "spikes":
                 recording = _without(recording, now.fine, choice)
+            if choice.name in ("tone", "spikes"):
                 problem = prepare(recording)
                 current = refit(problem, current.model, short_term)
-            found.append(Found(choice.name, choice.statistic, choice.threshold, choice.evidence, noise=choice))
+            found.append(as_found(choice))
         else:
             if len(current.model.terms) >= MOST_TERMS:
                 break
@@ -143,16 +158,25 @@ def search(
             ]
             current, found = _backwards(problem, current, found, short_term)
         now = look(recording, current, allowed, random)
-        fuller = _fuller(now)
-        if fuller is not None and (ahead := _tried(problem, fuller, short_term)) is not None:
+        for _ in range(_WIDENINGS):
+            wider = _wider(now)
+            ahead = None if wider is None else _tried(problem, wider.model, short_term)
+            if wider is None or ahead is None:
+                break
+            found = [_stronger(f, wider.score) if f.name == wider.score.name else f for f in found]
             current = ahead
             now = look(recording, current, allowed, random)
     # It is in no model, so that what is real of it is still there; of the rest another effect made it seem.
     loud = {noise.name for noise in now.noise if noise.significant}
     found = [f for f in found if f.name != "coloured-noise" or f.name in loud]
-    left = tuple(dict.fromkeys((*instead, *leftover(now, first, found, noted))))
+    left = tuple(dict.fromkeys((*instead, *switched(found), *leftover(now, first, found, noted))))
     if left:
+        toned = [f.name for f in found].count("tone")
         kept, found = _firm(problem, current, found, first, now, left, short_term)
+        if toned:  # nor is it to be taken out of the readings
+            recording = replace(recording, magnetic_field=given.magnetic_field)
+            problem = prepare(recording)
+            kept = refit(problem, kept.model, short_term)
         if kept is not current:
             current = kept
             now = look(recording, current, allowed, random)
@@ -169,39 +193,69 @@ def _firm(
     short_term: Noise,
 ) -> tuple[Refit, list[Found]]:
     """Without the terms that lean on what is missing: those that a generic family would absorb."""
-    places = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "tone"]
+    places = term_places(found, current.model)
     # A line at the motion's frequencies that is stronger than a name is what the name was mistaken for.
     line = max((n.evidence for n in first.noise if n.name == "tone" and not n.significant), default=0.0)
-    loose = [
-        index
-        for index, place in enumerate(places)
-        if found[place].name == "tone"
-        or found[place].evidence < line
+    loose = {
+        place: index
+        for place, index in places.items()
+        if found[place].evidence < line
         or found[place].name in left  # wanted oftener than it may be had: steps in a row are no step
         or found[place].name in {product_of(name) for name in left}
         or not stands(current, index, found[place], now, left)
-    ]
+    }
     model = current.model
-    for index in reversed(loose):
+    for index in reversed(loose.values()):
         model = without_term(model, index)
-    kept = [f for i, f in enumerate(found) if i not in {places[index] for index in loose}]
-    kept = [f for f in kept if f.name != "coloured-noise"]  # what is missing would pass for colour
+    kept = [f for i, f in enumerate(found) if i not in loose]
+    kept = [f for f in kept if f.name not in ("coloured-noise", "tone")]  # for which what is missing would pass
     return (refit(problem, model, short_term) if loose else current), kept
 
 
-def _fuller(now: Look) -> Model | None:
-    """The whole symmetric matrix in place of the gyroscope's three scales, where these leave something linear."""
-    linear = any(s.name == "rate:linear" and s.significant and now.gains.get(s.name, 0.0) > 0 for s in now.scores)
+class _Wider(NamedTuple):
+    """A model with more of the values of a nested term, and the score that wants them."""
+
+    model: Model
+    score: Score
+
+
+def _wider(now: Look) -> _Wider | None:
+    """For the first nested term in the model of which more is wanted."""
     model = now.refit.model
-    places = [i for i, t in enumerate(model.terms) if t.name == "gyro-scale" and t.setting.get("diagonal")]
-    if not linear or not places:
-        return None
-    sigma = np.sqrt(np.diag(now.refit.value_of(places[0])[1]))
-    if sigma.max() > _DETERMINED * TERMS["gyro-scale"].matters:
-        return None  # it would absorb anything
-    terms = list(model.terms)
-    terms[places[0]] = Active("gyro-scale", {}, np.concatenate([terms[places[0]].value, np.zeros(3)]))
-    return replace(model, terms=tuple(terms))
+    for index, term in enumerate(model.terms):
+        score = next((s for s in now.scores if s.name == term.name and s.significant), None)
+        if score is None or not TERMS[term.name].nested or now.gains.get(term.name, 0.0) <= 0:
+            continue
+        setting = _widened(term, score.variant.setting)
+        if setting is None:
+            continue
+        value = np.zeros(len(now.refit.twin.columns(term.name, setting).window))
+        value[_places(term, setting)] = term.value
+        terms = (*model.terms[:index], Active(term.name, setting, value), *model.terms[index + 1 :])
+        return _Wider(replace(model, terms=terms), score)
+    return None
+
+
+def _stronger(found: Found, more: Score) -> Found:
+    """An effect of which more was found."""
+    return replace(found, statistic=found.statistic + more.statistic, evidence=found.evidence + more.evidence)
+
+
+def _widened(term: Active, wanted: Setting) -> Setting | None:
+    """The setting of a nested term that holds what it has and what is wanted; None where it has it all."""
+    if "order" in term.setting:
+        return wanted if 0 < term.setting["order"] < wanted["order"] else None
+    setting = {**term.setting, **wanted} if wanted else {}
+    return setting if term.setting and setting != term.setting else None
+
+
+def _places(term: Active, setting: Setting) -> list[int]:
+    """Where the values of a nested term stand among those of a wider setting."""
+    if "order" in setting:
+        return list(range(len(term.value)))
+    every = TERMS[term.name].parameters
+    wide = [element for element in every if element in (setting or every)]
+    return [wide.index(element) for element in every if element in term.setting]
 
 
 def _terms(name: str, current: Refit, setting: dict[str, float]) -> list[Active]:
@@ -218,16 +272,16 @@ def _backwards(
     """Take out terms whose value has become insignificant beside the others."""
     while len(current.model.terms) > 1:
         weakest, least = -1, 1.0
-        places = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "tone"]
-        for index, place in enumerate(places):
+        places = term_places(found, current.model)
+        for place, index in places.items():
             value, covariance = current.value_of(index)
             strength = float(value @ np.linalg.pinv(covariance) @ value) / found[place].threshold
             if strength < least:
-                weakest, least = index, strength
+                weakest, least = place, strength
         if weakest < 0:
             break
-        current = refit(problem, without_term(current.model, weakest), short_term)
-        found = [f for i, f in enumerate(found) if i != places[weakest]]
+        current = refit(problem, without_term(current.model, places[weakest]), short_term)
+        found = [f for i, f in enumerate(found) if i != weakest]
     return current, found
 
 

@@ -171,7 +171,8 @@ class Twin:
 
         The gyroscope's noise η is in the regressor and in the link's residual alike. With J = ∂profile/∂ω, the
         link's residual −[g]× R η and its share 1 − h that the smoother leaves, the score is pulled by
-        −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would shrink the noise and so seem to fit better.
+        −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would shrink the noise and so seem to fit better. It is
+        the gyroscope's own noise that does so, not what else the model's noise level has to account for.
         """
         at = self._rates_at_windows
         pull = np.zeros(len(profile(at)))
@@ -185,7 +186,8 @@ class Twin:
             slope = profile(replace(at, rate=rate + step)) - profile(replace(at, rate=rate - step))
             middle = 0.5 * (slope[..., 1:] + slope[..., :-1]) / (2 * _DIFFERENCE)
             pull -= np.einsum("bn,pbn->p", weight[:, axis], middle)
-        return pull
+        own = min(1.0, self.problem.rate_noise / self.model.noise.gyroscope)
+        return own**2 * pull
 
     @cached_property
     def _link_redundancy(self) -> Array:

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.chain_search import preintegrate, short_term_noise
+from magyc_gtsam.estimators.chain_search import preintegrate
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import PARAMETERS, Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.soft_iron import vech
-from magyc_gtsam.gap.discrete import unheld
+from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.problem import Active, Model, Problem
@@ -49,7 +49,7 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
             turned = recording.angular_rate @ np.reshape(term.value, (3, 3)).T
             recording = replace(recording, angular_rate=turned)
     recording.gyroscope  # noqa: B018 - raises where there is none
-    recording = unheld(recording, short_term_noise(recording).magnetometer)
+    recording, _ = settled(recording, ())
     problem = Problem.of(recording, preintegrate(recording, _WINDOW))
     twin = _own_bias(problem, _model(problem, calibration))
     return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))

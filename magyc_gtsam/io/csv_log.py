@@ -134,7 +134,13 @@ def _stamps(table: Table, time: Column | None, request: Request) -> NDArray[np.i
         cell = table.cells(line)[time.index].strip()
         try:
             stamp[row] = int((Decimal(cell) * scale).to_integral_value())
-        except (InvalidOperation, ValueError, OverflowError):
+        except OverflowError:
+            likely = next((u for u, least in (("ns", 17), ("us", 14)) if Decimal(cell).adjusted() >= least), "ms")
+            raise MagycError(
+                f"{table.path}, line {table.numbers[row]}: time stamp {cell} is beyond any date in {unit or 's'}; "
+                f"likely unit: {likely}; say it (time_unit='{likely}')"
+            ) from None
+        except (InvalidOperation, ValueError):
             stamp[row] = _calendar(cell, table, row)
             unit = unit or "ISO 8601"
     step = float(np.median(np.abs(np.diff(stamp)))) / 1e9 if len(stamp) > 1 else 0.0
@@ -155,7 +161,9 @@ def _calendar(cell: str, table: Table, row: int) -> int:
         digits = cell.split(".")[1] if "." in cell else ""
         fraction = "".join(c for c in digits.split("+")[0].split("-")[0] if c.isdigit())[:9].ljust(9, "0")
     except ValueError:
-        raise MagycError(f"{table.path}, line {table.numbers[row]}: {cell!r} is no time stamp") from None
+        raise MagycError(
+            f"{table.path}, line {table.numbers[row]}: {cell!r} is no time stamp; repair or remove the line"
+        ) from None
     seconds = int(moment.astype(np.int64)) - (int(zone.total_seconds()) if zone else 0)
     return seconds * 1_000_000_000 + int(fraction)
 

@@ -142,7 +142,7 @@ def _records(path: Path, notes: list[str], report: Callable[[float], None]) -> I
             notes.append(f"the file is damaged at byte {file.tell()} ({error})")
         except (EndOfFile, InvalidMagic, struct.error) as error:
             if file.tell() <= 8:
-                raise MagycError(f"{path}: not an MCAP file ({error or 'it ends too early'})") from None
+                raise MagycError(f"{path}: not an MCAP file ({str(error) or 'it ends too early'})") from None
             if not whole:
                 notes.append(f"the file is cut off after {size} bytes (no footer)")
     report(1.0)

@@ -14,11 +14,13 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.validation import FIELD_RANGE
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SECOND = 1_000_000_000  # ns
+_MOST_WRONG = 0.5  # share of samples that can be left out as no field
 _YEAR_2000 = 946_684_800 * _SECOND  # stamps before it count from a boot, not from 1970
 
 
@@ -74,7 +76,8 @@ def assemble(
         start = end = None
     few = [k for k, s in sensors.items() if k in ("acceleration", "attitude") and len(s.stamp) < 2]
     said.extend(f"{k} left out: {sensors[k].name} has {len(sensors[k].stamp)} samples" for k in few)
-    clean = {k: _clean(s, k, said) for k, s in sensors.items() if k not in few}
+    counts = is_counts("magnetic_field", request.units.get("magnetic_field"))
+    clean = {k: _clean(s, k, said, in_tesla=not counts) for k, s in sensors.items() if k not in few}
     usable = {}
     for channel, stream in channels.items():
         try:
@@ -100,14 +103,16 @@ def assemble(
         name=name,
         notes=tuple(said),
         angular_rate_is=angular_rate_is,
-        magnetic_field_unit="counts" if is_counts("magnetic_field", request.units.get("magnetic_field")) else "T",
+        magnetic_field_unit="counts" if counts else "T",
     )
     return recording if start is None and end is None else recording.between(start, end)
 
 
-def _clean(stream: Stream, role: str, notes: list[str]) -> Stream:
+def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -> Stream:
     """Finite, ascending and without repeats; what had to be done for that goes to `notes`."""
     stream = _finite(stream, role, notes)
+    if role == "magnetic_field":
+        stream = _measured(stream, in_tesla, notes)
     if len(stream.stamp) < 2:
         raise MagycError(f"{stream.name}: {len(stream.stamp)} samples, at least 2 are needed")
     restarts = _restarts(stream.stamp)
@@ -142,6 +147,20 @@ def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
     keep = np.asarray(finite.all(axis=1))
     notes.append(f"{stream.name}: {(~keep).sum()} of {len(keep)} samples are not finite and were left out")
     return stream.rows(keep)
+
+
+def _measured(stream: Stream, in_tesla: bool, notes: list[str]) -> Stream:
+    """Without what a driver writes where it has no field: zeros on all axes, and single values of no magnetometer."""
+    zero: NDArray[np.bool_] = (stream.value == 0).all(axis=1)
+    beyond: NDArray[np.bool_] = np.abs(stream.value).max(axis=1) > (FIELD_RANGE if in_tesla else np.inf)
+    for wrong, what in ((zero, "are zero on all axes"), (beyond, f"are beyond {FIELD_RANGE:g} T")):
+        if (
+            wrong.any() and wrong.mean() < _MOST_WRONG
+        ):  # else the unit or the column is wrong, which is said elsewhere
+            notes.append(f"{stream.name}: {wrong.sum()} of {len(wrong)} samples {what} and were left out")
+        else:
+            wrong[:] = False
+    return stream.rows(~(zero | beyond)) if zero.any() or beyond.any() else stream
 
 
 def _without_repeats(stream: Stream, notes: list[str]) -> Stream:

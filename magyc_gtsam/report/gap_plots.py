@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from magyc_gtsam.gap.result import GapMap, Hypothesis, OpenLoop
 from magyc_gtsam.recording import Array
+from magyc_gtsam.report.gap_words import hypothesis_label
 from magyc_gtsam.report.plots import CALIBRATED, INK, RAW, clock, drawn
 
 _MICRO = 1e6
@@ -53,7 +54,9 @@ def evidence(figure: Figure, hypotheses: Sequence[Hypothesis]) -> None:
     axes.set(xscale="log", xlabel="Evidence / its 1 % threshold")
     _plain_ticks(axes, [*ratio, 1.0])
     for row, hypothesis in enumerate(shown):  # above its bar, which leaves the width of a phone to both
-        axes.annotate(hypothesis.label, (0, row + 0.25), (2, 0), ("axes fraction", "data"), "offset points")
+        axes.annotate(
+            hypothesis_label(hypothesis), (0, row + 0.33), (2, 0), ("axes fraction", "data"), "offset points"
+        )
     axes.set(yticks=[], ylim=(-0.5, len(shown) - 0.1))
 
 

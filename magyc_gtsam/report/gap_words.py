@@ -83,7 +83,11 @@ def key_numbers(gap: Gap) -> list[Number]:
             )
         )
     numbers += [
-        Number("Held-out log-likelihood", f"{after.held_out - before.held_out:+.3f}", "nats per window gained"),
+        Number(
+            "Unseen data explained better by",
+            f"{after.held_out - before.held_out:+.3f}",
+            "log-likelihood per window",
+        ),
         Number("Effects added", f"{sum(e.applied for e in gap.effects)}", f"of {len(gap.effects)} named"),
         Number("Hypotheses tested", f"{len(gap.hypotheses)}", f"{len(gap.untested)} could not be tested"),
     ]
@@ -99,12 +103,17 @@ def effect_value(effect: Effect) -> str:
     return text + "".join(f", {key} {value:.4g}" for key, value in effect.setting.items())
 
 
+def hypothesis_label(hypothesis: Hypothesis) -> str:
+    """In words; of the generic families, which share words, with the number of their parameters."""
+    return hypothesis.label + (f" ({hypothesis.parameters})" if hypothesis.generic else "")
+
+
 def hypothesis_rows(hypotheses: Sequence[Hypothesis]) -> list[list[str]]:
     """One row per hypothesis, the named first and then the strongest; see `HYPOTHESES`."""
     ordered = sorted(hypotheses, key=lambda h: (h.status != "named", -h.statistic / max(h.threshold, 1e-12)))
     return [
         [
-            h.label + (" (where, not what)" if h.generic else ""),
+            hypothesis_label(h),
             h.status,
             f"{h.statistic:.1f}",
             f"{h.threshold:.1f}",

@@ -171,7 +171,7 @@ def _turn_figure(turn: LevelTurn) -> Figure:
     if turn.sigma is None:
         caption += "This method states no uncertainty, so none is drawn for the calibrated heading."
     else:
-        caption += f"Calibrated: uncertain by at most {turn.sigma.max():.2g}° (1σ), by the covariance."
+        caption += f"Calibrated: uncertain by {words.worst_heading(turn)} at worst (1σ), by the covariance."
     return Figure(Markup(plots.level_turn_error(turn)), "Heading error over a level turn", caption)
 
 

@@ -84,7 +84,7 @@ def _svg(figure: Figure) -> str:
     return svg.replace(INK, "currentColor")
 
 
-@drawn(3.6, 3.7)
+@drawn(3.0, 3.1)
 def field_projection(
     figure: Figure, history: FieldHistory, soft_iron: Array, hard_iron: Array, plane: tuple[int, int]
 ) -> None:
@@ -112,13 +112,13 @@ def outlines(axes: Axes, matrix: Array, centre: Array, radius: float, unit: str,
     )
 
 
-@drawn(3.6, 3.7)
+@drawn(3.0, 3.1)
 def coverage_map(figure: Figure, coverage: Coverage) -> None:
     """Directions of the calibrated field in sensor axes, the whole sphere equal-area, shaded by time."""
     axes = figure.add_subplot(projection="polar")
     seconds = np.ma.masked_equal(coverage.seconds, 0)
     low, high = float(seconds.min()), float(seconds.max())
-    ticks: Locator = LogLocator(subs=(1, 2, 5))
+    ticks: Locator = LogLocator(subs=(1, 2, 5) if high < 300 * low else (1,))  # or their labels would touch
     if high < 3 * low:  # which may hold none of these, or many that overlap: its ends will do
         ticks = FixedLocator([low, high] if high > 1.2 * low else [np.sqrt(low * high)])
     mesh = axes.pcolormesh(
@@ -173,7 +173,8 @@ def level_turn_error(figure: Figure, turn: LevelTurn) -> None:
     grid[0].plot(turn.heading, np.where(jumps, np.nan, turn.error), color=RAW)
     grid[0].set_ylabel("Raw (°)")
     if turn.sigma is not None:
-        grid[1].fill_between(turn.heading, -turn.sigma, turn.sigma, color=CALIBRATED, alpha=0.4, linewidth=0)
+        sigma = np.minimum(turn.sigma, 180.0)  # more than all of it there is not
+        grid[1].fill_between(turn.heading, -sigma, sigma, color=CALIBRATED, alpha=0.4, linewidth=0)
         grid[1].set_ylabel("Calibrated\n±1σ (°)")
     for axes in grid:
         axes.axhline(0, color=INK, linewidth=1, linestyle="--")

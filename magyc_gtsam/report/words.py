@@ -64,7 +64,7 @@ def key_numbers(
     calibration: Calibration, history: FieldHistory, turn: LevelTurn, visited: Coverage
 ) -> list[Number]:
     """The numbers to see first."""
-    before, after = (f"{_spread(field) * _MICRO:.2f}" for field in (history.raw, history.calibrated))
+    before, after = (_three_digits(_spread(field) * _MICRO) for field in (history.raw, history.calibrated))
     numbers = [Number("Field strength varies by", f"{before} → {after} µT", "1σ, raw → calibrated")]
     if history.heading_error is not None:
         raw, calibrated = np.nanstd(history.heading_error, axis=0)
@@ -79,15 +79,30 @@ def key_numbers(
         largest = float(np.abs(turn.error).max())
         numbers.append(Number("Heading corrected by up to", f"{largest:.1f}°", "in a level turn"))
     if turn.sigma is not None:
-        worst = float(turn.sigma.max())
-        sigma = f"{worst:.2g}°" if worst < 90 else "all of it"
-        numbers.append(Number("Heading uncertain by", sigma, "1σ at worst in a level turn"))
+        numbers.append(Number("Heading uncertain by", worst_heading(turn), "1σ at worst in a level turn"))
     numbers += [
         Number("Field strength", f"{history.strength * _MICRO:.2f} µT", "of the calibrated field"),
-        Number("Hard iron", f"{np.linalg.norm(calibration.hard_iron) * _MICRO:.1f} µT", "its length"),
-        Number("Directions visited", f"{visited.share:.0%}", "of the sphere around the sensor"),
+        Number(
+            "Hard iron", f"{_three_digits(float(np.linalg.norm(calibration.hard_iron)) * _MICRO)} µT", "its length"
+        ),
+        Number(
+            "Directions visited",
+            f"{visited.share:.0%}" if visited.share >= 0.005 else "under 1%",
+            "of the sphere around the sensor",
+        ),
     ]
     return numbers
+
+
+def worst_heading(turn: LevelTurn) -> str:
+    """Largest standard deviation of the heading over a level turn, where the calibration states one."""
+    worst = float(np.max(turn.sigma)) if turn.sigma is not None else np.inf
+    return f"{worst:.2g}°" if worst < 90 else "all of it"
+
+
+def _three_digits(value: float) -> str:
+    """With three digits, as many of them decimals as a value of some units needs."""
+    return f"{value:.{int(np.clip(2 - np.floor(np.log10(max(value, 1e-9))), 0, 2))}f}"
 
 
 def uncertain(value: float, sigma: float) -> str:
@@ -140,7 +155,10 @@ def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[t
     if not calibration.trusted:
         lines.append("Do not paste the parameters below into the vehicle yet.")
     if calibration.observability is not None:
-        lines += [f"{weakness.what}: {weakness.remedy}" for weakness in calibration.observability.weak]
+        remedies: dict[str, list[str]] = {}
+        for weakness in calibration.observability.weak:
+            remedies.setdefault(weakness.remedy, []).append(weakness.what)
+        lines += [f"{remedy[0].upper()}{remedy[1:]}: for {', '.join(weak)}." for remedy, weak in remedies.items()]
     if disturbed:
         listed = ", ".join(stretch(seconds) for seconds in disturbed[:5])
         more = f" and {len(disturbed) - 5} more" if len(disturbed) > 5 else ""

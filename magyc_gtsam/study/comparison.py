@@ -122,10 +122,7 @@ def compare(
     field_strength: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Calibrate a recording with every method that it allows.
-
-    A method that fails, in whatever way, says so in its outcome and never stops the others. An interrupt does: what
-    has been done by then is kept, with the values so far of a method that has some.
+    """Calibrate a recording with every method that it allows: `run_methods`, then `judge`.
 
     Args:
         recording: the data.
@@ -137,7 +134,25 @@ def compare(
         MagycError: a name that is no method, or is given twice.
         KeyboardInterrupt: interrupted before the first method was done.
     """
-    known, asked = methods(), checked_methods(names)
+    asked = checked_methods(names)
+    return judge(recording, asked, run_methods(recording, asked, field_strength, progress))
+
+
+def run_methods(
+    recording: Recording,
+    asked: Sequence[str],
+    field_strength: float | None = None,
+    progress: Progress | None = None,
+) -> list[Outcome]:
+    """What each method makes of a recording, as in `compare`.
+
+    A method that fails, in whatever way, says so in its outcome and never stops the others. An interrupt does: what
+    has been done by then is kept, with the values so far of a method that has some.
+
+    Raises:
+        KeyboardInterrupt: interrupted before the first method was done.
+    """
+    known = methods()
     ran: list[Outcome] = []
     try:
         for name in asked:
@@ -147,11 +162,16 @@ def compare(
     except KeyboardInterrupt:
         if not ran:
             raise
+    return ran
+
+
+def judge(recording: Recording, asked: Sequence[str], ran: Sequence[Outcome]) -> Comparison:
+    """The outcomes of `run_methods` side by side: the spread of the field and the heading's error of each."""
     delay, delay_from = _delay(ran)
     inlier, inlier_from = _inliers(recording, ran)
     raw = Outcome("raw", Status.UNTRUSTED, "", calibration=UNCALIBRATED)
     judged = [_judged(recording, outcome, delay, inlier) for outcome in (raw, *ran)]
-    not_run = asked[len(ran) :]
+    not_run = tuple(asked[len(ran) :])
     return Comparison(recording, judged[0], tuple(judged[1:]), delay, delay_from, inlier, inlier_from, not_run)
 
 

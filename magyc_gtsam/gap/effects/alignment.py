@@ -70,6 +70,7 @@ MISALIGNMENT = EffectTerm(
     parameters=AXES,
     say=_say_misalignment,
     motion="turn about all three axes: pitch and roll by 45° or more",
+    alike=("field:quadratic",),
 )
 TIMING = EffectTerm(
     name="timing",

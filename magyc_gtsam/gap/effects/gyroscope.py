@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 
-from magyc_gtsam.factors.effects import Setting
+from magyc_gtsam.factors.effects import RATE_MATRIX, Setting
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 
-_SHEAR = ("xx", "yy", "zz", "xy", "xz", "yz")
+_SOME_AXES = [dict.fromkeys(some, 1.0) for count in (1, 2) for some in combinations(AXES, count)]
+
+_ALL_AXES = dict.fromkeys(AXES, 1.0)
+_EACH_SHEAR = [{element: 1.0} for element in RATE_MATRIX[3:]]
+
+
+def _along(value: Array, sigma: Array, setting: Setting, unit: str) -> str:
+    size = measured(value[0] / 10, sigma[0] / 10) if len(value) == 1 else vector(value[:3] / 10)
+    return f"{size} {unit} along {', '.join(e for e in RATE_MATRIX if e in (setting or AXES))}"
 
 
 def _say_scale(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope's scale is off by {vector(value[:3] / 10)} % along x, y, z"
+    return f"the gyroscope's scale is off by {_along(value, sigma, setting, '%')}"
 
 
 def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope's scale grows with the rate, by {vector(value / 10)} % per rad/s along x, y, z"
+    return f"the gyroscope's scale grows with the rate, by {_along(value, sigma, setting, '% per rad/s')}"
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
@@ -37,10 +47,11 @@ SCALE = EffectTerm(
     prior=1.0,
     equivalents=("symmetric gyroscope matrix",),
     rivals=("misalignment", "gyro-quadratic"),
-    parameters=_SHEAR,
+    parameters=RATE_MATRIX,
     say=_say_scale,
     motion="turn about all three axes, by several full turns each, slowly and fast",
-    settings=lambda twin: [{"diagonal": 1.0}, {}],
+    settings=lambda twin: [*_SOME_AXES, *_EACH_SHEAR, _ALL_AXES, {}],
+    nested=True,
 )
 QUADRATIC = EffectTerm(
     name="gyro-quadratic",
@@ -54,6 +65,8 @@ QUADRATIC = EffectTerm(
     parameters=AXES,
     say=_say_quadratic,
     motion="turn slowly and fast about each axis: the same turn at several rates",
+    settings=lambda twin: [*_SOME_AXES, _ALL_AXES],
+    nested=True,
 )
 TEMPERATURE = EffectTerm(
     name="temperature-gyro",

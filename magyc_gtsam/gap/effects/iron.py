@@ -14,6 +14,7 @@ from magyc_gtsam.gap.twin import Twin
 _STEPS = 100  # times at which a step is looked for
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s by which what warms up lies behind the thermometer
 _ENDS = 16  # times at which something may be attached or taken off
+_FEW_MODES, _MANY_MODES = (0, 2, 4, 6), (9, 12)  # of a drift
 _MARGIN = 4  # windows at both ends where a step would be no more than noise
 
 
@@ -60,7 +61,11 @@ def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 def _drifts(twin: Twin) -> list[dict[str, float]]:
     start, end = float(twin.time[0]), float(twin.time[-1])
-    return [{"order": float(order), "start": start, "end": end} for order in (0, 2, 4, 6)]
+    known = any(term.name == "hard-iron-drift" for term in twin.model.terms)
+    orders = (
+        _MANY_MODES if known else _FEW_MODES
+    )  # many would hold whatever changes, and are for a drift that is known
+    return [{"order": float(order), "start": start, "end": end} for order in orders]
 
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
@@ -145,5 +150,6 @@ DRIFT = EffectTerm(
     say=_say_drift,
     motion="record longer, and log the temperature",
     settings=_drifts,
+    nested=True,
     products=("reading", "gain"),
 )

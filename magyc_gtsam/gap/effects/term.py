@@ -45,6 +45,8 @@ class EffectTerm:
         refined: settings beside a found one, closer than the grid; empty where there is no grid.
         block: s, longest block of the held-out veto for a setting.
         most: how many of it one model may hold.
+        nested: settings hold more and more of the values; only those are tried whose values the motion determines.
+        alike: generic families a narrow part of which may look like it, so that it must explain clearly more.
         products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
     """
 
@@ -63,6 +65,8 @@ class EffectTerm:
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: 10.0
     most: int = 1
+    nested: bool = False
+    alike: tuple[str, ...] = ()
     products: tuple[str, ...] = ()
 
     @property
@@ -98,9 +102,11 @@ class EffectTerm:
         """(3, n) what it adds to the reading, T or rad/s."""
         return self.form.evaluate(signals, value, setting)
 
-    def names(self, count: int) -> tuple[str, ...]:
+    def names(self, count: int, setting: Setting) -> tuple[str, ...]:
         """(count,) what each value is."""
         base = self.parameters
+        if self.nested and len(setting) == count:  # the setting names them
+            return tuple(name for name in base if name in setting)
         if count <= len(base):
             return base[:count]
         return tuple(f"{base[i % len(base)]} {i // len(base) + 1}" for i in range(count))

@@ -12,7 +12,19 @@ from magyc_gtsam.gap.twin import Twin
 
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
 _SPACING = 1.2  # of the centres, in widths
+_ALIKE = 0.99  # correlation from which two rows of a channel are one
 _CENTRES = 170  # at most, of each width
+
+
+def _directions(twin: Twin) -> list[dict[str, float]]:
+    """Up and down by itself, and all rows of the channel; depth and the downward position are one."""
+    every = references(twin, "position")
+    if len(every) < 2:
+        return [every]
+    alike = np.abs(np.corrcoef(twin.windows.channels["position"])) > _ALIKE
+    own = [i for i in range(len(alike)) if not alike[i, :i].any()]
+    vertical = next((i for i in own if alike[i].sum() > 1), len(alike) - 1)
+    return [{f"reference_{i}": every[f"reference_{i}"] for i in some} for some in ([vertical], own)]
 
 
 def _bumps(twin: Twin) -> list[dict[str, float]]:
@@ -63,7 +75,7 @@ GRADIENT = EffectTerm(
     parameters=("gradient",),
     say=_say_gradient,
     motion="go up and down (or there and back) several times, turning at each depth",
-    settings=lambda twin: [references(twin, "position")],
+    settings=_directions,
 )
 ANOMALY = EffectTerm(
     name="local-anomaly",

@@ -57,10 +57,9 @@ def _held(shown: np.ndarray, scene: Scene, size: float, random: np.random.Genera
     """The magnetometer measures every 1 + size log periods on a clock of its own; rows show the last value."""
     step = float(np.median(np.diff(scene.row_time)))
     own = (1 + size) * step
-    tick = np.floor((scene.row_time - scene.row_time[0] + random.uniform(0, own)) / own)
-    _, first, again = np.unique(tick, return_index=True, return_inverse=True)
-    start = scene.row_time[0] + tick * own - (scene.row_time[0] + tick[0] * own - scene.row_time[0])
-    measured = np.clip(np.searchsorted(scene.time, start, side="right") - 1, 0, scene.rows[first][again])
+    start = scene.row_time[0] - random.uniform(0, own)
+    tick = start + np.floor((scene.row_time - start) / own) * own
+    measured = np.maximum(np.searchsorted(scene.time, tick, side="right") - 1, 0)
     return np.minimum(measured, shown), {"period": own}
 
 

@@ -1,0 +1,163 @@
+"""Sensors that fail and units that are mistaken: named, left out where that is enough, refused where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.cli import main
+from magyc_gtsam.estimators.stuck import find_stuck
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.simulation import Simulation
+
+ALL = slice(None)
+
+
+@pytest.fixture(scope="module")
+def wide() -> Simulation:
+    return mg.simulate("wide", seed=1)
+
+
+def frozen(recording: mg.Recording, sensor: str, axis: Any, start: float = 0.0, end: float = 1e9) -> mg.Recording:
+    """The same with an axis that keeps the value it has at `start`."""
+    value = getattr(recording, sensor).copy()
+    rows = np.flatnonzero((recording.time >= start) & (recording.time <= end))
+    value[rows, axis] = value[rows[0], axis]
+    return mg.Recording(
+        recording.time,
+        **{"magnetic_field": recording.magnetic_field, "angular_rate": recording.angular_rate, sensor: value},
+    )
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(("sensor", "name"), [("magnetic_field", "magnetometer"), ("angular_rate", "gyroscope")])
+def test_a_stuck_axis_is_refused_by_name(wide: Simulation, sensor: str, name: str, axis: int) -> None:
+    with pytest.raises(mg.MagycError) as refused:
+        mg.calibrate(frozen(wide.recording, sensor, axis))
+    message = str(refused.value)
+    assert message.startswith(f"{sensor}: axis {'xyz'[axis]} of the {name} is stuck at ")
+    assert "from 0.0 to 599.9 s, 100% of the recording, while its other axes show noise" in message
+    assert f"name another source ({sensor}=)" in message
+
+
+def test_two_axes_and_a_column_of_zeros(wide: Simulation) -> None:
+    rate = wide.recording.angular_rate * np.array([0.0, 0.0, 1.0])
+    with pytest.raises(
+        mg.MagycError, match=r"axes x, y are stuck at 0, 0 mrad/s .* while its other axis shows noise"
+    ):
+        mg.calibrate(mg.Recording(wide.recording.time, wide.recording.magnetic_field, rate))
+
+
+@pytest.mark.parametrize("value", [0.0, 0.01])
+@pytest.mark.parametrize("method", ["smoother", "magyc-bfg", "magyc-ifg", "sar-ls", "sar-kf"])
+@pytest.mark.filterwarnings("error")
+def test_a_dead_gyroscope(wide: Simulation, value: float, method: str) -> None:
+    dead = mg.Recording(wide.recording.time, wide.recording.magnetic_field, np.full((6000, 3), value))
+    with pytest.raises(mg.MagycError, match=r"angular_rate: axes x, y, z are stuck at .* while the field turned"):
+        mg.calibrate(dead, method)
+    without = mg.calibrate(mg.Recording(wide.recording.time, wide.recording.magnetic_field), "autocal")
+    np.testing.assert_array_equal(mg.calibrate(dead, "autocal").hard_iron, without.hard_iron)
+
+
+@pytest.mark.parametrize("motion", ["wide", "tiny"])
+@pytest.mark.parametrize("sensor", ["magnetic_field", "angular_rate"])
+def test_a_stretch_is_left_out(motion: str, sensor: str) -> None:
+    """The result is that of a log with a hole; unnoticed, the hard iron was 10 µT off and called trusted (tiny)."""
+    simulation = mg.simulate(motion, seed=1)
+    part = frozen(simulation.recording, sensor, 2, 180.0, 300.0)
+    calibration = mg.calibrate(part)
+    assert calibration.trusted, calibration.message
+    assert f"left out: {sensor}: axis z" in calibration.message
+    assert "from 180.0 to 300.0 s, 20% of the recording" in calibration.message
+    assert len(calibration.diagnostics["left_out"]) == 1
+    error = np.append(calibration.hard_iron, calibration.gyro_bias) - np.append(
+        simulation.truth.hard_iron, simulation.truth.gyro_bias
+    )
+    assert error @ np.linalg.solve(calibration.covariance[6:, 6:], error) < 22.5  # χ² of 6 at 99.9 %
+    hole = simulation.recording.rows(np.abs(simulation.recording.time - 240) > 60.01)
+    np.testing.assert_allclose(calibration.hard_iron, mg.calibrate(hole).hard_iron, atol=1e-8)
+
+
+def test_what_may_stand_still(wide: Simulation) -> None:
+    """Rest with a coarse sensor, a turn about one axis without noise, a slow or held sensor."""
+    random = np.random.default_rng(0)
+    time = np.arange(3000) / 50
+
+    def coarse(value: Any, step: float) -> Any:
+        return np.round(np.asarray(value) / step) * step
+
+    # At rest, noise of a quarter of a step: z lies in the middle of a step, x and y on an edge.
+    rest = mg.Recording(
+        time,
+        coarse([20e-6 + 0.15e-6, 5.15e-6, 40.05e-6] + random.normal(0, 0.07e-6, (3000, 3)), 0.3e-6),
+        coarse([1.5e-3, 0.0, 0.0] + random.normal(0, 0.2e-3, (3000, 3)), 1e-3),
+    )
+    assert (np.diff(rest.angular_rate[:, 1]) == 0).mean() > 0.9
+    assert find_stuck(rest) == []
+    level = np.stack([20e-6 * np.cos(0.3 * time), -20e-6 * np.sin(0.3 * time), np.full(3000, 40e-6)], axis=1)
+    assert find_stuck(mg.Recording(time, level, np.tile([0.0, 0.0, 0.3], (3000, 1)))) == []
+    assert (
+        find_stuck(
+            replace(
+                wide.recording,
+                magnetic_field=np.repeat(wide.recording.magnetic_field[::20], 20, 0),
+                magnetic_field_fresh=None,
+            )
+        )
+        == []
+    )
+
+
+def test_sample_held_and_quantised_axes_are_found(wide: Simulation) -> None:
+    recording = wide.recording
+    field = np.round(np.repeat(recording.magnetic_field[::3], 3, axis=0) / 0.3e-6) * 0.3e-6
+    field[1000:, 1] = field[1000, 1]
+    found = find_stuck(mg.Recording(recording.time, field, recording.angular_rate))
+    assert [(s.sensor, s.axes) for s in found] == [("magnetic_field", "y")]
+    assert found[0].stretches[0] == pytest.approx((100, 599.7), abs=0.5)
+
+
+def test_on_the_command_line(
+    wide: Simulation,
+    mistaken: Callable[[str, str], None],
+    tmp_path_factory: pytest.TempPathFactory,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    logs = tmp_path_factory.mktemp("logs")
+    write_mcap(logs / "stuck.mcap", frozen(wide.recording, "angular_rate", 0))
+    mistaken(f"calibrate {logs}/stuck.mcap -o out", "axis x of the gyroscope is stuck at 74.25 mrad/s")
+    write_mcap(logs / "part.mcap", frozen(wide.recording, "magnetic_field", 1, 60.0, 90.0))
+    assert main(["calibrate", f"{logs}/part.mcap", "-o", f"{logs}/out"]) == 0
+    assert "left out: magnetic_field: axis y of the magnetometer is stuck" in capsys.readouterr().out
+    page = Path(logs / "out" / "report.html").read_text(encoding="utf-8")
+    assert "axis y of the magnetometer is stuck" in page
+
+
+@pytest.mark.real
+def test_real_logs_have_none(shared_data: Path) -> None:
+    for log in sorted(shared_data.glob("*.*")):
+        if log.suffix in (".mcap", ".ulg", ".BIN", ".csv"):
+            assert find_stuck(mg.read(log)) == [], log.name
+
+
+def test_a_unit_taken_for_another(wide: Simulation) -> None:
+    """Milligauss read as microtesla: ten times the field, which no check of the samples can tell from hard iron."""
+    recording = wide.recording
+    wrong = mg.Recording(recording.time, 10 * recording.magnetic_field, recording.angular_rate)
+    calibration = mg.calibrate(wrong)
+    assert not calibration.trusted
+    assert "µT strong, the Earth's is 20 to 70" in calibration.message
+    assert "--magnetic-unit" in calibration.message
+
+
+def test_a_sample_of_no_magnetometer(wide: Simulation) -> None:
+    field = wide.recording.magnetic_field.copy()
+    field[70] = 1.0
+    with pytest.raises(mg.MagycError, match=r"1 of 6000 rows are beyond 0.01 T, .* the first is row 70"):
+        mg.Recording(wide.recording.time, field, wide.recording.angular_rate)
