@@ -215,7 +215,7 @@ def test_an_effect_of_the_gyroscope_in_batch_and_incremental_graphs() -> None:
     for start in range(0, 240, 60):
         samples = preintegrate(recording.between(start, start + 60), 1.0)
         signals = Signals(samples.gyroscope_time, rate=(samples.angular_rate - truth.gyro_bias).T / 1.01)
-        columns = FORMS["gyro-scale"].columns(signals, {"diagonal": 1.0})
+        columns = FORMS["gyro-scale"].columns(signals, dict.fromkeys("xyz", 1.0))
         noise = Noise(1e-6, 5e-3)
         factors.append(
             effect_chain_factor(

@@ -30,7 +30,7 @@ def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tupl
     Raises:
         MagycError: the unit of the gyroscope is wrong.
     """
-    scores = []
+    scores: list[NoiseScore] = []
     if "axis-order" in names:
         recording, scores = _rearranged(recording)
     held = sample_hold(recording)
@@ -93,7 +93,7 @@ def _on_own_clock(recording: Recording) -> Recording:
     acceleration, attitude = recording.acceleration, recording.attitude
     return Recording.from_streams(
         (own, field),
-        (recording.time, recording.angular_rate),
+        None if recording.angular_rate is None else (recording.time, recording.angular_rate),
         acceleration=None if acceleration is None else (recording.time, acceleration),
         attitude=None if attitude is None else (recording.time, attitude),
         channels=channels,

@@ -11,16 +11,18 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
+from magyc_gtsam.estimators.stuck import find_stuck, without_stuck
 from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.fine import fine_innovations
 from magyc_gtsam.gap.metrics import measure
-from magyc_gtsam.gap.naming import as_found
+from magyc_gtsam.gap.naming import as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import Refit, as_calibration, refit
+from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, without_term
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, moved, verdict
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
@@ -60,6 +62,7 @@ def find_gap(
     report = progress or (lambda _: None)
     report(0.0)
     recording.gyroscope  # noqa: B018 - raises where there is none
+    recording = without_stuck(recording, find_stuck(recording))
     recording, discrete = settled(recording, names)
     tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
     recording = silenced(recording, tones)
@@ -71,7 +74,7 @@ def find_gap(
         return _too_little_motion(base, motion.weak[0], calibration, clock.perf_counter() - started)
     result = search(recording, base.twin.problem, base, short_term, names, _problem, report)
     report(0.8)
-    gap = _gap(result, base, calibration, names, discrete, clock.perf_counter() - started)
+    gap = _gap(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
     if simulated is not None:
         allowed = tuple(name for name in names if name in TERMS)
         try:
@@ -158,6 +161,7 @@ def _widened(result: Refit) -> Refit:
 def _gap(
     result: Search,
     base: Refit,
+    short_term: Noise,
     calibration: Calibration | None,
     names: tuple[str, ...],
     discrete: tuple[NoiseScore, ...],
@@ -178,14 +182,26 @@ def _gap(
         for f in found
         if f.noise is not None
     )
+    open_places = {
+        place: index
+        for place, index in term_places(found, last.refit.model).items()
+        if not determined(last.refit, index)
+    }
+    corrected, fine = last.refit, last.fine
+    if open_places:
+        model = last.refit.model
+        for index in reversed(open_places.values()):
+            model = without_term(model, index)
+        corrected = _widened(refit(result.problem, model, short_term))
+        fine = fine_innovations(result.recording, model)
     started = as_calibration(base, strength, known)
-    final = as_calibration(last.refit, strength, (*known, *added))
-    word, sentence = verdict(found, result, last)
+    final = as_calibration(corrected, strength, (*known, *added))
+    word, sentence = verdict(found, result, last, open_places)
     applied = word in ("closed", "open")
     before = measure(first.refit.twin, started, first.fine.innovation, first.fine.rate, first.fine.level)
     after = before
     if applied and result.found:
-        after = measure(last.refit.twin, final, last.fine.innovation, last.fine.rate, last.fine.level)
+        after = measure(corrected.twin, final, fine.innovation, fine.rate, fine.level)
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     untested = tuple(
         Untested(
@@ -194,7 +210,7 @@ def _gap(
         for n in names
         if n in TERMS and TERMS[n].missing(base.twin)
     )
-    effects = describe(found, last.refit, applied) if word != "unknown" else ()
+    effects = describe(found, last.refit, open_places) if word != "unknown" else ()
     return Gap(
         verdict=word,
         sentence=sentence,
@@ -207,7 +223,7 @@ def _gap(
         moved=moved(started, final) if applied else (),
         calibration=final if applied else started,
         base=started,
-        next_manoeuvre=manoeuvre(first, found, word),
+        next_manoeuvre=manoeuvre(first, found, word, open_places),
         diagnostics={
             "windows": first.refit.twin.n,
             "draws": DRAWS,

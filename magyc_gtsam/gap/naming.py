@@ -129,7 +129,7 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
             continue
         behind = choice.evidence - rival.evidence
         # What has many shapes, as a drift, may have had another than those tried.
-        shapes = TERMS[choice.name].nested or TERMS[rival.name].nested
+        shapes = TERMS[choice.name].many_shapes or TERMS[rival.name].many_shapes
         related = rival.name in TERMS[choice.name].rivals or choice.name in TERMS[rival.name].rivals
         close = behind < min(_AHEAD + _SHAPE * choice.evidence, 0.5 * choice.evidence)
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.

@@ -14,6 +14,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.twin import Twin
 
@@ -21,6 +22,7 @@ _ROUNDS = 3  # of noise levels
 _STEPS = 8
 _SHORTER = (1.0, 0.5, 0.2, 0.05)
 _ROUNDING = 0.5  # of a cost, to second order of the rotations
+_HELD = 0.5  # of a prior's deviation, from which the prior has as much to say as the data
 _SETTLED = 1e-3  # squared length of a step, in sigmas
 
 
@@ -49,6 +51,13 @@ class Refit:
         return term.value, self.covariance[rows, rows]
 
 
+def determined(result: Refit, index: int) -> bool:
+    """Whether the data, not the prior, hold every direction of the values of the model's term `index`."""
+    _, covariance = result.value_of(index)
+    largest = float(np.linalg.eigvalsh(covariance)[-1])
+    return largest < (_HELD * TERMS[result.model.terms[index].name].prior) ** 2
+
+
 def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
     """Everything jointly, re-linearised at each step; noise levels in between (None keeps them).
 
@@ -61,14 +70,15 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
     for _ in range(_ROUNDS if short_term is not None else 1):
         for _ in range(_STEPS):
             base = twin.base_columns()
-            gradient = base @ twin.residual().ravel() - twin.base_pull()
-            information = base @ base.T
+            precision, value = _prior(model)
+            gradient = base @ twin.residual().ravel() - twin.base_pull() + precision * value
+            information = base @ base.T + np.diag(precision)
             if not np.isfinite(information).all():
                 raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no finite fit")
             scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-            value, vector = np.linalg.eigh(information * scale * scale[:, None])
-            value = np.maximum(value, 1e-13)
-            covariance = (vector / value) @ vector.T * scale * scale[:, None]
+            weight, vector = np.linalg.eigh(information * scale * scale[:, None])
+            weight = np.maximum(weight, 1e-13)
+            covariance = (vector / weight) @ vector.T * scale * scale[:, None]
             step = -covariance @ gradient
             length = float(step @ information @ step)
             converged = length < _SETTLED
@@ -99,10 +109,25 @@ def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | N
         except MagycError:
             continue  # a step too far for the chain to be factorised
         # The gyroscope's scale is not fitted by cost alone (`Twin.rate_pull`).
-        allowed = twin.reduced.cost + share * abs(float(pull @ step)) + _ROUNDING
-        if np.isfinite(ahead.reduced.cost) and ahead.reduced.cost <= allowed:
+        allowed = _cost(twin) + share * abs(float(pull @ step)) + _ROUNDING
+        if np.isfinite(ahead.reduced.cost) and _cost(ahead) <= allowed:
             return ahead
     return None
+
+
+def _prior(model: Model) -> tuple[Array, Array]:
+    """(q,) precision of the free parameters and the terms before anything was measured, and the values it holds to 0.
+
+    What a motion does not determine of a term stays where the data sheet has it.
+    """
+    base = np.zeros(int(model.free.sum()))
+    precision = [base] + [np.full(len(t.value), TERMS[t.name].prior ** -2) for t in model.estimated]
+    return np.concatenate(precision), np.concatenate([base, *(t.value for t in model.estimated)])
+
+
+def _cost(twin: Twin) -> float:
+    precision, value = _prior(twin.model)
+    return float(twin.reduced.cost + 0.5 * precision @ value**2)
 
 
 def _stepped(model: Model, step: Array) -> Model:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Sequence
 
 import numpy as np
 
@@ -20,24 +20,32 @@ from magyc_gtsam.gap.search import Search
 _POWER = 0.8
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
+_UNCORRECTED = "named, not corrected: this motion leaves part of it open"
 _MOVED = 2.0  # sigmas from which a parameter is reported as moved
 
 
-def verdict(found: Sequence[Found], result: Search, last: Look) -> tuple[Verdict, str]:
-    """One word, and one sentence for a navigator."""
+def verdict(
+    found: Sequence[Found], result: Search, last: Look, uncorrected: Container[int]
+) -> tuple[Verdict, str]:
+    """One word, and one sentence for a navigator; `uncorrected` are the places of what is named only."""
     left = result.leftover
     if not found and not left:
         return "none", "the model and the data agree: nothing that matters is missing"
+
+    def said(place: int) -> str:
+        return _sentence(found[place], last.refit, found) + (f" ({_UNCORRECTED})" if place in uncorrected else "")
+
     if left:
         where = _place(left, last)
-        firm = [f for f in found if f.name in TERMS or f.name == "axis-order"]
+        firm = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "axis-order"]
         if firm:
-            words = "; ".join(_sentence(f, last.refit, found) for f in firm)
+            words = "; ".join(said(i) for i in firm)
             return "open", f"{words}; beside that, {where}, and it is not in the catalogue"
         return "unknown", f"{where}, and it is not in the catalogue; nothing was changed"
     # What moves the heading comes before what concerns the noise.
-    ordered = sorted(found, key=lambda f: f.noise is not None and f.name != "axis-order")
-    return "closed", "; ".join(_sentence(f, last.refit, found) for f in ordered)
+    ordered = sorted(range(len(found)), key=lambda i: found[i].noise is not None and found[i].name != "axis-order")
+    word: Verdict = "open" if any(i in uncorrected for i in ordered) else "closed"
+    return word, "; ".join(said(i) for i in ordered)
 
 
 def _place(left: Sequence[str], last: Look) -> str:
@@ -89,14 +97,14 @@ def _noise_sentence(noise: NoiseScore) -> str:
     return f"the sensors' axes differ: read the gyroscope as {arrangement.axes}"
 
 
-def describe(found: Sequence[Found], refitted: Refit, applied: bool) -> tuple[Effect, ...]:
-    """The effects as values."""
-    return tuple(_described(f, refitted, found, applied) for f in found)
+def describe(found: Sequence[Found], refitted: Refit, uncorrected: Container[int]) -> tuple[Effect, ...]:
+    """The effects as values; `uncorrected` are the places of what is named only."""
+    return tuple(_described(f, refitted, found, i not in uncorrected) for i, f in enumerate(found))
 
 
 def _described(found: Found, refitted: Refit, everything: Sequence[Found], applied: bool) -> Effect:
     index = _term_index(everything, found, refitted.model)
-    sentence = _sentence(found, refitted, everything)
+    sentence = _sentence(found, refitted, everything) + ("" if applied else f" ({_UNCORRECTED})")
     if found.noise is not None:
         value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting
         unit, scale = ("µT", 1e6) if found.name in _IN_TESLA else ("", 1.0)
@@ -214,8 +222,11 @@ def moved(before: Calibration, after: Calibration) -> tuple[Moved, ...]:
     return tuple(sorted(rows, key=lambda row: -abs(row.sigmas)))
 
 
-def manoeuvre(look: Look, found: Sequence[Found], word: Verdict) -> Manoeuvre | None:
-    """The motion that separates a named effect from its rivals, or finds what could not be seen."""
+def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
+    """The motion that determines what is named only, separates an effect from its rivals, or finds the unseen."""
+    for place in uncorrected:
+        term = TERMS[found[place].name]
+        return Manoeuvre((term.name,), term.motion, f"to correct “{term.label}”: {term.motion}")
     for f in found:
         if f.rivals and f.name in TERMS and word == "closed":
             names = (f.name, *f.rivals)

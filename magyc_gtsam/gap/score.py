@@ -12,13 +12,13 @@ exponential and is extrapolated from their upper tenth; χ² tables know neither
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import ncx2
 
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.effects import TERMS, EffectTerm
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.generic import Family, families
 from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
@@ -155,18 +155,21 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
             settings = [s for s in settings if not s.get("full")]  # which would hold the delay once more
         if settings:
             many = variants(twin, project, name, settings)
-            result[name] = ("", _determined(term, many) if term.nested else many)
+            result[name] = (
+                "",
+                [_determined(v, DETERMINED * term.matters) for v in many] if term.many_shapes else many,
+            )
     beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
     for family in (*families(twin), *{f.name: f for f in beside}.values()):
         result[family.name] = (family.place, _parts(family, twin, project))
     return result
 
 
-def _determined(term: EffectTerm, many: list[Variant]) -> list[Variant]:
-    """Those of nested variants whose every value the motion determines, or else the one that comes closest."""
-    worst = [float(np.sqrt((v.back**2).sum(axis=1).max(initial=0.0))) for v in many]
-    good = [v for v, sigma in zip(many, worst, strict=True) if sigma <= DETERMINED * term.matters]
-    return good or [many[int(np.argmin(worst))]]
+def _determined(one: Variant, within: float) -> Variant:
+    """Without the directions of the values that the motion does not determine to `within`: absurd values would do."""
+    value, sigma, d = np.linalg.svd(one.back, full_matrices=False)
+    kept = sigma <= within
+    return replace(one, unit=d[kept] @ one.unit, back=(value * sigma)[:, kept], offset=d[kept] @ one.offset)
 
 
 def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
@@ -174,12 +177,7 @@ def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
     columns = family.columns(twin)
     rows = twin.whiten(columns)
     pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
-    if np.isfinite(family.within):
-        free = project(rows)
-        information, direction = np.linalg.eigh(free @ free.T)
-        kept = direction[:, information >= family.within**-2].T
-        rows, pull = kept @ rows, kept @ pull
-    result = [variant({}, rows, project, pull)]
+    result = [_determined(variant({}, rows, project, pull), family.within)]
     for width in family.parts:
         for first in range(0, len(rows), width):
             part = slice(first, first + width)

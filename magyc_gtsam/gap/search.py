@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import Setting
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
@@ -46,7 +45,6 @@ from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 4
-_WIDENINGS = 3  # of nested terms after each addition
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,11 +156,8 @@ def search(
             ]
             current, found = _backwards(problem, current, found, short_term)
         now = look(recording, current, allowed, random)
-        for _ in range(_WIDENINGS):
-            wider = _wider(now)
-            ahead = None if wider is None else _tried(problem, wider.model, short_term)
-            if wider is None or ahead is None:
-                break
+        wider = _wider(now)
+        if wider is not None and (ahead := _tried(problem, wider.model, short_term)) is not None:
             found = [_stronger(f, wider.score) if f.name == wider.score.name else f for f in found]
             current = ahead
             now = look(recording, current, allowed, random)
@@ -213,25 +208,26 @@ def _firm(
 
 
 class _Wider(NamedTuple):
-    """A model with more of the values of a nested term, and the score that wants them."""
+    """A model with more modes of a drift, and the score that wants them."""
 
     model: Model
     score: Score
 
 
 def _wider(now: Look) -> _Wider | None:
-    """For the first nested term in the model of which more is wanted."""
+    """With more modes of a drift that is in the model, where they are wanted."""
     model = now.refit.model
     for index, term in enumerate(model.terms):
+        if term.setting.get("order", 0) < 1:
+            continue
         score = next((s for s in now.scores if s.name == term.name and s.significant), None)
-        if score is None or not TERMS[term.name].nested or now.gains.get(term.name, 0.0) <= 0:
+        if score is None or now.gains.get(term.name, 0.0) <= 0:
             continue
-        setting = _widened(term, score.variant.setting)
-        if setting is None:
+        if score.variant.setting["order"] <= term.setting["order"]:
             continue
-        value = np.zeros(len(now.refit.twin.columns(term.name, setting).window))
-        value[_places(term, setting)] = term.value
-        terms = (*model.terms[:index], Active(term.name, setting, value), *model.terms[index + 1 :])
+        value = np.zeros(len(now.refit.twin.columns(term.name, score.variant.setting).window))
+        value[: len(term.value)] = term.value
+        terms = (*model.terms[:index], Active(term.name, score.variant.setting, value), *model.terms[index + 1 :])
         return _Wider(replace(model, terms=terms), score)
     return None
 
@@ -241,26 +237,12 @@ def _stronger(found: Found, more: Score) -> Found:
     return replace(found, statistic=found.statistic + more.statistic, evidence=found.evidence + more.evidence)
 
 
-def _widened(term: Active, wanted: Setting) -> Setting | None:
-    """The setting of a nested term that holds what it has and what is wanted; None where it has it all."""
-    if "order" in term.setting:
-        return wanted if 0 < term.setting["order"] < wanted["order"] else None
-    setting = {**term.setting, **wanted} if wanted else {}
-    return setting if term.setting and setting != term.setting else None
-
-
-def _places(term: Active, setting: Setting) -> list[int]:
-    """Where the values of a nested term stand among those of a wider setting."""
-    if "order" in setting:
-        return list(range(len(term.value)))
-    every = TERMS[term.name].parameters
-    wide = [element for element in every if element in (setting or every)]
-    return [wide.index(element) for element in every if element in term.setting]
-
-
 def _terms(name: str, current: Refit, setting: dict[str, float]) -> list[Active]:
-    """The term of a setting; of a thing attached and taken off, the two steps."""
-    settings = [setting]
+    """The term of a setting; of a thing attached and taken off, the two steps; of the gyroscope's matrix all of it.
+
+    A part of the matrix may be all that the motion shows, yet the rest of it is no better known: its prior holds it.
+    """
+    settings = [{} if name in ("gyro-scale", "gyro-quadratic") else setting]
     if "until" in setting:
         settings = [{"time": setting["time"]}, {"time": setting["until"]}]
     return [Active(name, each, np.zeros(len(current.twin.columns(name, each).window))) for each in settings]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.signals import Signals
 from magyc_gtsam.gap.fine import fine_twin
 from magyc_gtsam.gap.problem import Model
@@ -21,10 +22,10 @@ def heard(recording: Recording, model: Model, frequency: float) -> Term:
     twin = fine_twin(recording, model)
     v = twin.residual().ravel()
     bin_width = 1 / float(twin.time[-1] - twin.time[0])
-    best = -1.0, np.zeros(6), np.eye(6), frequency
+    best: tuple[float, Array, Array, float] = -1.0, np.zeros(6), np.eye(6), frequency
     for tried in frequency + np.linspace(-0.6, 0.6, _TRIED) * bin_width:
         columns = twin.whiten(twin.columns("tone", {"frequency": float(tried)}))
-        covariance = np.linalg.inv(columns @ columns.T)
+        covariance: Array = np.linalg.inv(columns @ columns.T)
         pull = columns @ v
         gain = float(pull @ covariance @ pull)
         if gain > best[0]:

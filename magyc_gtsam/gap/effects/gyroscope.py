@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import numpy as np
 
 from magyc_gtsam.factors.effects import RATE_MATRIX, Setting
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
-
-_SOME_AXES = [dict.fromkeys(some, 1.0) for count in (1, 2) for some in combinations(AXES, count)]
-
-_ALL_AXES = dict.fromkeys(AXES, 1.0)
-_EACH_SHEAR = [{element: 1.0} for element in RATE_MATRIX[3:]]
 
 
 def _along(value: Array, sigma: Array, setting: Setting, unit: str) -> str:
@@ -44,14 +37,14 @@ SCALE = EffectTerm(
     unit="10⁻³",
     scale=1e3,
     matters=4e-3,
-    prior=1.0,
+    prior=0.02,
     equivalents=("symmetric gyroscope matrix",),
     rivals=("misalignment", "gyro-quadratic"),
     parameters=RATE_MATRIX,
     say=_say_scale,
     motion="turn about all three axes, by several full turns each, slowly and fast",
-    settings=lambda twin: [*_SOME_AXES, *_EACH_SHEAR, _ALL_AXES, {}],
-    nested=True,
+    settings=lambda twin: [dict.fromkeys(AXES, 1.0), {}],
+    many_shapes=True,
 )
 QUADRATIC = EffectTerm(
     name="gyro-quadratic",
@@ -59,14 +52,13 @@ QUADRATIC = EffectTerm(
     unit="10⁻³ s/rad",
     scale=1e3,
     matters=0.02,
-    prior=1.0,
+    prior=0.3,
     equivalents=(),
     rivals=("gyro-scale",),
     parameters=AXES,
     say=_say_quadratic,
     motion="turn slowly and fast about each axis: the same turn at several rates",
-    settings=lambda twin: [*_SOME_AXES, _ALL_AXES],
-    nested=True,
+    many_shapes=True,
 )
 TEMPERATURE = EffectTerm(
     name="temperature-gyro",

@@ -150,6 +150,6 @@ DRIFT = EffectTerm(
     say=_say_drift,
     motion="record longer, and log the temperature",
     settings=_drifts,
-    nested=True,
+    many_shapes=True,
     products=("reading", "gain"),
 )

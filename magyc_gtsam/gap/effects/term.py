@@ -35,7 +35,7 @@ class EffectTerm:
         label: in words.
         unit, scale: shown value = SI value · scale, in `unit`.
         matters: the smallest value that matters, SI.
-        prior: standard deviation of the value before anything was measured, SI; wide enough not to matter.
+        prior: standard deviation of the value before anything was measured, SI.
         equivalents: other names for the same signature to first order.
         rivals: names it is known to be confused with.
         parameters: what each value is; repeated over what it stands for.
@@ -45,7 +45,7 @@ class EffectTerm:
         refined: settings beside a found one, closer than the grid; empty where there is no grid.
         block: s, longest block of the held-out veto for a setting.
         most: how many of it one model may hold.
-        nested: settings hold more and more of the values; only those are tried whose values the motion determines.
+        many_shapes: its values make many shapes, of which only those are tried that the motion determines.
         alike: generic families a narrow part of which may look like it, so that it must explain clearly more.
         products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
     """
@@ -65,7 +65,7 @@ class EffectTerm:
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: 10.0
     most: int = 1
-    nested: bool = False
+    many_shapes: bool = False
     alike: tuple[str, ...] = ()
     products: tuple[str, ...] = ()
 
@@ -105,7 +105,7 @@ class EffectTerm:
     def names(self, count: int, setting: Setting) -> tuple[str, ...]:
         """(count,) what each value is."""
         base = self.parameters
-        if self.nested and len(setting) == count:  # the setting names them
+        if all(name in base for name in setting) and len(setting) == count:  # the setting names them
             return tuple(name for name in base if name in setting)
         if count <= len(base):
             return base[:count]

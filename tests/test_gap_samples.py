@@ -1,0 +1,190 @@
+"""What single samples show, and what a motion leaves open: tones, held rows, scales named but not corrected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.gap.discrete import settled
+from magyc_gtsam.gap.effects import NAMES, TERMS
+from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, switched, term_places
+from magyc_gtsam.gap.noise_effects import coloured_noise, sample_hold, tone
+from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.refit import determined, refit, with_term
+from magyc_gtsam.gap.score import Projector, variants
+from magyc_gtsam.simulation.environment import CHANNELS
+
+
+def test_a_tone_faster_than_the_windows_is_sized_and_taken_out() -> None:
+    base = mg.simulate("wide", duration=400, seed=31).recording
+    cosine, sine = np.array([3e-7, -1e-7, 2e-7]), np.array([-1e-7, 2e-7, 0.5e-7])
+    phase = 2 * np.pi * 3.98 * base.time[:, None]
+    humming = replace(base, magnetic_field=base.magnetic_field + cosine * np.cos(phase) + sine * np.sin(phase))
+    gap = mg.find_gap(humming)
+    assert gap.names == ("tone",)
+    (effect,) = gap.effects
+    assert effect.setting["frequency"] == pytest.approx(3.98, abs=5e-4)
+    assert effect.sigma.max() < 0.05  # µT; means over windows of a second would know it to 1.6
+    # Phase and frequency hang together: what counts is what is taken out.
+    (term,) = gap.calibration.terms
+    taken = np.concatenate([term.value[:3], term.value[3:]])
+    turn = 2 * np.pi * term.setting["frequency"] * base.time[:, None]
+    left = taken[:3] * np.cos(turn) + taken[3:] * np.sin(turn) - cosine * np.cos(phase) - sine * np.sin(phase)
+    assert np.sqrt((left**2).mean()) < 0.03e-6
+    assert gap.after.heading is not None
+    assert gap.before.heading is not None
+    assert gap.after.heading < 1.02 * gap.before.heading
+    assert mg.find_gap(humming, calibration=gap.calibration).verdict == "none"
+
+
+def test_a_resonance_of_the_noise_is_no_line() -> None:
+    radius, turn = 0.97, 2 * np.pi * 0.17 / 10
+    named = 0
+    for seed in range(10):
+        white = np.random.default_rng(seed).standard_normal((3, 6000))
+        ringing = lfilter([1.0], [1, -2 * radius * np.cos(turn), radius**2], white, axis=1)
+        v = ringing / ringing.std() + white
+        v /= v.std()
+        assert coloured_noise(v, 10.0, 1e-6, NOISE_LIMIT).evidence > 100
+        named += tone(v, 10.0, 1e-6, NOISE_LIMIT).significant
+    assert named == 0
+
+
+@pytest.mark.parametrize(("period", "seed"), [(0.1175, 1), (0.17, 2), (0.2413, 3)])
+def test_held_samples_are_stamped_by_the_clock_that_they_show(period: float, seed: int) -> None:
+    """A magnetometer that measures every `period` s, read in the rows of a log of 10 Hz."""
+    fine = mg.simulate("wide", duration=300, seed=seed, rate=200.0, magnetometer_noise=1e-6).recording
+    rows = np.arange(40, len(fine.time), 20)  # what was measured before the first row is known, too
+    start = fine.time[rows[0]] - 0.07
+    tick = start + np.floor((fine.time[rows] - start) / period) * period
+    shown = np.searchsorted(fine.time, tick)
+    assert fine.angular_rate is not None
+    held = mg.Recording(fine.time[rows], fine.magnetic_field[shown], fine.angular_rate[rows])
+    assert sample_hold(held).significant
+    own, scores = settled(held, NAMES)
+    assert [s.name for s in scores if s.significant] == ["sample-hold"]
+    stamps = own.magnetometer.time
+    true = np.unique(tick)
+    nearest = true[np.abs(stamps[:, None] - true).argmin(axis=1)]
+    assert np.abs(stamps - nearest).max() < 0.008  # of 200 Hz
+    gap = mg.find_gap(held)
+    assert gap.names[0] == "sample-hold"
+    (late,) = (h for h in gap.hypotheses if h.name == "timing")
+    assert abs(late.expected[0]) < 10  # ms; by the stamps of the rows it would be 50
+
+
+def test_coarse_steps_are_no_hold() -> None:
+    recording = mg.simulate("wide", duration=200, seed=4).recording
+    coarse = replace(
+        recording, magnetic_field=np.round(recording.magnetic_field / 6e-6) * 6e-6, magnetic_field_fresh=None
+    )
+    assert (~coarse.magnetic_field_fresh).mean() > 0.3
+    assert not sample_hold(coarse).significant
+
+
+def test_a_fitted_scale_leaves_no_pull() -> None:
+    """Beside a scale that is in the model the rest of the matrix is expected at nothing, on level motion as well."""
+    statistics = []
+    for seed in range(5):
+        recording = mg.simulate("moderate", duration=300, seed=seed).recording
+        short_term = short_term_noise(recording)
+        base = base_model(recording, None, short_term)
+        scaled = refit(
+            base.twin.problem, with_term(base.model, Active("gyro-scale", {"z": 1.0}, np.zeros(1))), short_term
+        )
+        twin = scaled.twin
+        project = Projector(twin.base_columns(), twin.base_pull())
+        (rest,) = variants(twin, project, "gyro-scale", [{}])
+        d = rest.score(project(twin.residual().reshape(1, -1))[0])
+        statistics.append(float(d @ d))
+        assert len(d) == 5
+    assert np.mean(statistics) < 10
+    assert max(statistics) < chi2.isf(1e-4, 5)
+
+
+def test_terms_of_a_given_calibration_keep_their_places() -> None:
+    base = mg.simulate("wide", duration=400, seed=32, delay=0.04).recording
+    late = mg.find_gap(base).calibration
+    jump = np.array([-2e-6, 1e-6, 3e-6]) * (base.time > 180)[:, None]
+    gap = mg.find_gap(replace(base, magnetic_field=base.magnetic_field + jump), calibration=late)
+    assert gap.names == ("hard-iron-step",)
+    np.testing.assert_allclose(gap.effects[0].value, [-2, 1, 3], atol=0.3)
+    assert [t.name for t in gap.calibration.terms] == ["timing", "hard-iron-step"]
+    assert gap.calibration.delay == pytest.approx(0.04, abs=0.02)
+
+
+def test_places_of_terms_count_those_that_were_given() -> None:
+    recording = mg.simulate("wide", 120, seed=1).recording
+    model = base_model(recording, None, short_term_noise(recording)).model
+    for name in ("timing", "cubic", "misalignment"):
+        model = with_term(model, Active(name, {}, np.zeros(1 if name == "timing" else 3)))
+    found = [Found(name, 50.0, 20.0, 20.0) for name in ("spikes", "cubic", "misalignment")]
+    assert term_places(found, model) == {1: 1, 2: 2}
+
+
+def test_what_the_motion_leaves_open_is_named_and_not_corrected() -> None:
+    """Level turns know the difference of the level axes' scales, and hardly their sum."""
+    simulation = mg.simulate("moderate", seed=5, effects=[("gyro-scale", 2.0)])
+    gap = mg.find_gap(simulation.recording)
+    assert gap.names == ("gyro-scale",)
+    (effect,) = gap.effects
+    assert not effect.applied
+    assert "not corrected" in effect.sentence
+    assert "not corrected" in gap.sentence
+    assert gap.verdict == "open"
+    assert gap.calibration.terms == ()
+    assert gap.next_manoeuvre is not None
+    assert gap.next_manoeuvre.separates == ("gyro-scale",)
+    wide = mg.find_gap(mg.simulate("wide", seed=5, effects=[("gyro-scale", 2.0)]).recording)
+    assert wide.verdict == "closed"
+    assert wide.effects[0].applied
+    matrix = simulation.effects[0].drawn["matrix"]
+    upright = np.array([matrix[i][j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))])
+    assert np.abs(upright).max() > 0.02
+    np.testing.assert_array_less(np.abs(wide.effects[0].value), 80)
+
+
+def test_a_prior_holds_what_the_data_do_not() -> None:
+    recording = mg.simulate("moderate", duration=300, seed=6).recording
+    short_term = short_term_noise(recording)
+    base = base_model(recording, None, short_term)
+    scaled = refit(base.twin.problem, with_term(base.model, Active("gyro-scale", {}, np.zeros(6))), short_term)
+    _, covariance = scaled.value_of(0)
+    prior = TERMS["gyro-scale"].prior
+    assert 0.5 * prior < np.sqrt(np.linalg.eigvalsh(covariance)[-1]) <= prior
+    assert not determined(scaled, 0)
+    late = refit(base.twin.problem, with_term(base.model, Active("timing", {}, np.zeros(1))), short_term)
+    assert determined(late, 0)
+
+
+def test_what_is_switched_again_and_again_is_no_step() -> None:
+    step, bump = Found("hard-iron-step", 90.0, 25.0, 30.0), Found("local-anomaly", 60.0, 25.0, 15.0)
+    assert switched([step, step]) == ()
+    assert switched([step, bump]) == ()
+    assert "hard-iron-step" in switched([step, step, step])
+    assert "hard-iron-step" in switched([step, step, bump])
+
+
+@pytest.mark.parametrize(
+    ("hidden", "factor", "seed", "said"),
+    [("axis-product", 0.5, 1, "unknown"), ("misalignment", 0.5, 1, "misalignment")],
+)
+def test_a_product_of_axes_is_no_misalignment(hidden: str, factor: float, seed: int, said: str) -> None:
+    gap = mg.find_gap(mg.simulate("wide", seed=seed, effects=[(hidden, factor)], channels=CHANNELS).recording)
+    assert (gap.names or (gap.verdict,)) == (said,)
+
+
+def test_a_drift_that_looks_like_a_step_is_said_to_be_one_of_both() -> None:
+    base = mg.simulate("wide", duration=400, seed=33).recording
+    share = (base.time - base.time[0]) / 400
+    drift = np.array([0.5e-6, -0.3e-6, 0.2e-6]) * np.tanh(8 * (share - 0.5))[:, None]
+    gap = mg.find_gap(replace(base, magnetic_field=base.magnetic_field + drift))
+    named = {gap.effects[0].name, *gap.effects[0].ambiguous_with}
+    assert {"hard-iron-step", "hard-iron-drift"} <= named
