@@ -3,7 +3,8 @@
     python benchmarks/online.py mission [--hours 10]     update time and memory, hour by hour
     python benchmarks/online.py batch [--runs 100]       end result against batch, efficiency and NEES, at the end and
                                                          when it first says converged
-    python benchmarks/online.py steps [--runs 100]       steps of 2 µT found within 30 s
+    python benchmarks/online.py steps [--runs 100]       steps of 2 µT found within 30 s; their time and size
+    python benchmarks/online.py walks [--runs 20]        a hard iron that walks, followed
     python benchmarks/online.py alarms [--hours 100]     false alarms in clean motion
     python benchmarks/online.py kills [--runs 1000]      killed and resumed again and again
     python benchmarks/online.py real FOLDER              real recordings against batch (see real_recordings.py)
@@ -73,7 +74,7 @@ def peer(recording, minutes):
 
 
 def mission(arguments):
-    """Median, mean and largest time of an update with one window's samples, and memory."""
+    """Median, mean and largest time of an update with one window's samples, of a reading a minute, and memory."""
     hours = arguments.hours or 10
     recording = mg.simulate("wide", duration=3600 * hours, seed=0).recording
     for minutes in (1, 5, 10, 20):
@@ -81,19 +82,25 @@ def mission(arguments):
         if took is not None:
             print(f"magyc_ifg, {minutes} min: {took:.1f} s, {took / (60 * minutes) * 1e3:.1f} ms per window")
     online, block = mg.OnlineCalibrator(), 15
-    took, first = np.zeros(len(recording.time) // block), None
-    print("            median ms   mean ms    max ms    memory MB")
+    took, first, read = np.zeros(len(recording.time) // block), None, []
+    print("            median ms   mean ms    max ms   read: median ms    max ms    memory MB")
     for i in range(len(took)):
         rows = slice(i * block, (i + 1) * block)
         start = time.process_time()
         online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
         took[i] = time.process_time() - start
+        if (i + 1) % 40 == 0:
+            start = time.process_time()
+            _ = online.calibration
+            read.append(time.process_time() - start)
         if (i + 1) % 2400 == 0 or i == 399:
             part = took[i - 399 : i + 1] if i == 399 else took[i - 2399 : i + 1]
             name = "10 min" if i == 399 else f"hour {(i + 1) // 2400}"
             first = first or np.median(part)
             times = f"{np.median(part) * 1e3:11.3f}{part.mean() * 1e3:10.3f}{part.max() * 1e3:10.1f}"
-            print(f"{name:10s}{times}{memory():13.2f}", flush=True)
+            reads = f"{np.median(read) * 1e3:18.1f}{np.max(read) * 1e3:10.1f}"
+            print(f"{name:10s}{times}{reads}{memory():13.2f}", flush=True)
+            read.clear()
     print(f"median of the last hour over that of the first ten minutes: {np.median(took[-2400:]) / first:.2f}")
     print(
         f"against batch: {distance(online.calibration, mg.calibrate(recording)):.3f} sigma; steps {len(online.changes)}"
@@ -125,7 +132,7 @@ def batch(arguments):
     runs = arguments.runs or 100
     half = 1.96 * np.sqrt(2 * FREEDOMS / runs)
     print(f"NEES band {FREEDOMS - half:.2f} to {FREEDOMS + half:.2f}")
-    for motion in MOTIONS:
+    for motion in arguments.motion or MOTIONS:
         at_end, at_first, when, apart, wrong = [], [], [], [], 0
         for seed in range(arguments.seed, arguments.seed + runs):
             simulation = mg.simulate(motion, seed=seed)
@@ -148,14 +155,15 @@ def batch(arguments):
 
 
 def steps(arguments):
-    """Steps of 2 µT in a random direction."""
+    """Steps of 2 µT (`--size`) in a random direction."""
     runs = arguments.runs or 100
-    for motion in MOTIONS:
-        late, found, wrong = [], 0, []
-        for seed in range(runs):
+    print("motion    found in 30 s  after   time: error / stated  rms z    step: rms z  max z   false")
+    for motion in arguments.motion or MOTIONS:
+        late, times, values, false = [], [], [], 0
+        for seed in range(arguments.seed, arguments.seed + runs):
             random = np.random.default_rng(seed)
             at, step = random.uniform(200, 250), random.standard_normal(3)
-            step *= 2e-6 / np.linalg.norm(step)
+            step *= arguments.size * 1e-6 / np.linalg.norm(step)
             simulation = mg.simulate(motion, duration=290, seed=seed)
             recording = simulation.recording
             field = recording.magnetic_field + (recording.time >= at)[:, None] * step
@@ -167,15 +175,63 @@ def steps(arguments):
                 1.0,
                 lambda t, o=online, s=seen: o.changes and s.append(t),
             )
-            if seen and seen[0] - at <= 30:
-                found += 1
+            changes = online.changes
+            false += max(len(changes) - 1, 0)
+            if seen:
                 late.append(seen[0] - at)
-                wrong.append(online.changes[0].time - at)
+                times.append((changes[0].time - at, changes[0].time_sigma))
+                values.append((changes[0].step - step) / changes[0].step_sigma)
+        (error, sigma), score = np.array(times).T, np.array(values)
         print(
-            f"{motion:10s}{found} of {runs} found within 30 s, after {np.median(late):.0f} s (median); "
-            f"timed within {np.abs(wrong).max():.1f} s",
+            f"{motion:10s}{np.sum(np.array(late) <= 30):4d} of {runs:3d}{np.median(late):8.0f} s"
+            f"{rms(error):10.3f} s / {rms(sigma):.3f} s{rms(error / sigma):10.2f}"
+            f"{rms(score):11.2f}{np.abs(score).max():10.1f}{false:8d}",
             flush=True,
         )
+
+
+def rms(values):
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def walks(arguments):
+    """A hard iron that walks at random by `--size` µT per √h, followed with the option and without."""
+    runs, walk, hours = arguments.runs or 20, arguments.size * 1e-6, arguments.hours or 0.5
+    print("hard iron, from its convergence on, every five minutes: rms error µT, stated µT, rms of error / stated")
+    for motion in arguments.motion or MOTIONS:
+        for option in ({"hard_iron_walk": walk}, {}):
+            squares, stated, score, false = [], [], [], 0
+            for seed in range(arguments.seed, arguments.seed + runs):
+                simulation = mg.simulate(motion, duration=3600 * hours, seed=seed)
+                recording, truth = simulation.recording, simulation.truth.hard_iron
+                random = np.random.default_rng(10_000 + seed).standard_normal((len(recording.time), 3))
+                moved = walk * np.cumsum(random * np.sqrt(np.median(np.diff(recording.time)) / 3600), axis=0)
+                online, last = (
+                    mg.OnlineCalibrator(**option),
+                    np.searchsorted(recording.time, np.arange(300, 3600 * hours + 1, 300)),
+                )
+                for start, end in pairwise(np.concatenate([[0], last])):
+                    rows = slice(start, end)
+                    online.update(
+                        recording.time[rows],
+                        recording.magnetic_field[rows] + moved[rows],
+                        recording.angular_rate[rows],
+                    )
+                    calibration = online.calibration
+                    if calibration is not None and online.converged:
+                        error = calibration.hard_iron - truth - moved[end - 1]
+                        covariance = calibration.covariance[6:9, 6:9]
+                        squares.append(error @ error / 3)
+                        stated.append(np.trace(covariance) / 3)
+                        score.append(error @ np.linalg.solve(covariance, error) / 3)
+                false += len(online.changes)
+            print(
+                f"{motion:10s}{'with' if option else 'without':8s}{1e6 * np.sqrt(np.mean(squares)):8.3f}"
+                f"{1e6 * np.sqrt(np.mean(stated)):8.3f}{np.sqrt(np.mean(score)):8.2f}"
+                f"  ({runs} runs, {len(squares)} readings, steps {false})",
+                flush=True,
+            )
 
 
 def alarms(arguments):
@@ -214,12 +270,21 @@ def kills(arguments):
 
 
 def real(arguments):
-    """Real recordings, each against batch on the same interval."""
+    """Real recordings, each against batch on the same interval, and read every second."""
     for name, interval in INTERVALS.items():
         recording = mg.read(arguments.folder / f"{name}.mcap").between(*interval)
-        online = feed(mg.OnlineCalibrator(), recording)
+        online, read = mg.OnlineCalibrator(), []
+
+        def look(_, online=online, read=read):
+            start = time.process_time()
+            _ = online.calibration
+            read.append(time.process_time() - start)
+
+        feed(online, recording, after=look)
         calibration, whole = online.calibration, mg.calibrate(recording)
-        said = f"converged {online.converged}; steps {len(online.changes)}"
+        said = (
+            f"converged {online.converged}; steps {len(online.changes)}; read in at most {max(read) * 1e3:.0f} ms"
+        )
         print(f"{name:30s} {distance(calibration, whole):.4f} sigma; {said}")
     recording = mg.read(arguments.folder / "broad_32_attached_magnet_1cm.mcap")
     for change in feed(mg.OnlineCalibrator(), recording).changes:
@@ -232,12 +297,14 @@ def real(arguments):
 def main() -> None:
     """Run one part and print its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = {part.__name__: part for part in (mission, batch, steps, alarms, kills, real)}
+    parts = {part.__name__: part for part in (mission, batch, steps, walks, alarms, kills, real)}
     parser.add_argument("part", choices=parts)
     parser.add_argument("folder", type=Path, nargs="?", default=Path("."))
     parser.add_argument("--runs", type=int)
     parser.add_argument("--hours", type=float)
-    parser.add_argument("--seed", type=int, default=0, help="batch: the first one")
+    parser.add_argument("--size", type=float, default=2.0, help="steps: µT; walks: µT per √h")
+    parser.add_argument("--seed", type=int, default=0, help="batch, steps, walks: the first one")
+    parser.add_argument("--motion", action="append", choices=MOTIONS, help="batch, steps, walks: only this one")
     arguments = parser.parse_args()
     parts[arguments.part](arguments)
 

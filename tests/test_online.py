@@ -97,7 +97,7 @@ def test_what_is_given_up_is_not_lost():
     recording = simulate("wide", duration=900, seed=0).recording
     kept = []
     online = OnlineCalibrator(horizon=480.0)
-    feed(online, recording, after=lambda _: kept.append(len(online._engine._buffer.magnetometer.time)))
+    feed(online, recording, after=lambda _: kept.append(len(online._engine._kept.buffer.magnetometer.time)))
     assert max(kept) < 5000
     assert max(kept[110:]) < 1100
     batch = calibrate(recording)

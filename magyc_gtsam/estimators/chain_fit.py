@@ -74,12 +74,17 @@ class Fit:
         A field that varies over the room or a filtered magnetometer leaves residuals that hang together,
         so that the windows count for fewer than they are; taken in the sensor's and in the world's axes.
         """
+        return max(colour_of(residual) for residual in self.whitened)
+
+    @property
+    def whitened(self) -> tuple[Array, Array]:
+        """(3, n) twice: the windows' residuals over their sigmas, in the sensor's and in the world's axes."""
         whitened = self.chain.residuals(self.state).window * np.sqrt(self.weights.window) / self.chain.window_sigma
-        turned = np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
-        return max(_colour(whitened), _colour(turned))
+        return whitened, np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
 
 
-def _colour(residual: Array) -> float:
+def colour_of(residual: Array) -> float:
+    """1 + 2 Σ ρ_k of whitened residuals (3, n), up to the first lag at which they do not hang together."""
     total = float(np.vdot(residual, residual))
     factor = 1.0
     for lag in range(1, residual.shape[1] // 4):

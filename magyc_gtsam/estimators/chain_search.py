@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -74,7 +75,7 @@ def fit_field_chain(
             fit = _descended(samples, begin(chain, parameters, free))
             fits.append(_adapted(samples, fit, reject, short_term))
         best, rival = _lowest(fits)
-    if reject and best.weights.window.mean() < _UNDISTURBED:
+    if reject and disturbed(best):
         progress(0.8)
         # Shorter windows lose less at the edges of disturbed stretches.
         samples = preintegrate(recording, shortened(window), turn)
@@ -83,6 +84,11 @@ def fit_field_chain(
         rival = next((fit for fit in others if _close(weigh(finer.chain, fit.state.parameters), finer)), None)
         best = finer
     return best, rival
+
+
+def disturbed(fit: Fit) -> bool:
+    """Whether so much is weighed down that shorter windows lose less."""
+    return bool(fit.weights.window.mean() < _UNDISTURBED)
 
 
 def shortened(window: float) -> float:
@@ -133,7 +139,7 @@ def _adapted(samples: Preintegration, fit: Fit, reject: bool, short_term: Noise 
     """At the minimum with its own noise and weights, the gyroscope integrated close to it."""
     for _ in range(4):
         fit = adapt(fit, reject, short_term)
-        if not _moved(fit):
+        if not moved(fit):
             return _upright(fit)
         fit = _descended(samples, fit)
     return replace(_upright(fit), converged=False)
@@ -147,22 +153,39 @@ def positive(fit: Fit) -> bool:
 def preintegrate(recording: Recording, window: float = 1.5, turn: float | None = None) -> Preintegration:
     """The recording's samples, cut into windows."""
     magnetometer, gyroscope = recording.magnetometer, recording.gyroscope
-    if turn is None:
-        # Rotation inside a window costs information where it is not small against the field's spread over
-        # the whole log; at these values some 2 % of the weakest parameter's sigma.
-        thin = magnetometer.value[:: max(len(magnetometer.value) // 500, 1)]
-        spread = np.linalg.eigvalsh(np.cov(thin.T))
-        turn = float(np.clip(1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30)), 0.15, 0.4))
     return Preintegration(
         *magnetometer,
         *gyroscope,
         interval_mean=recording.angular_rate_is == "interval-mean",
         length=window,
-        turn=turn,
+        turn=suitable_turn(magnetometer.value) if turn is None else turn,
     )
 
 
-def short_term_noise(recording: Recording) -> Noise:
+def suitable_turn(field: Array) -> float:
+    """rad, the largest rotation inside a window, from the spread of the measured field (N, 3).
+
+    Rotation inside a window costs information where it is not small against the field's spread over the whole log;
+    at these values some 2 % of the weakest parameter's sigma.
+    """
+    spread = np.linalg.eigvalsh(np.cov(field[:: max(len(field) // 500, 1)].T))
+    turn = 1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30))
+    # In steps: two ways of cutting a log differ by up to a third of a sigma, which a few samples more must not cause.
+    steps = np.round(np.log(max(turn, 0.1) / 0.15) / np.log(1.2))
+    return float(np.clip(0.15 * 1.2**steps, 0.15, 0.4))
+
+
+class Streams(Protocol):
+    """Both sensors' own samples, as a `Recording` holds them."""
+
+    @property
+    def magnetometer(self) -> Samples: ...
+
+    @property
+    def gyroscope(self) -> Samples: ...
+
+
+def short_term_noise(recording: Streams) -> Noise:
     """Noise per sample and axis from second differences, which smooth motion does not enter."""
 
     def level(samples: Samples, least: float) -> float:
@@ -180,7 +203,7 @@ def _descended(samples: Preintegration, fit: Fit) -> Fit:
     """At the minimum for the noise and weights at hand, the gyroscope integrated close to it."""
     fit = descend(fit, settled=NEAR)
     for _ in range(8):
-        if not _moved(fit):
+        if not moved(fit):
             break
         parameters = fit.state.parameters
         chain = replace(fit.chain, windows=samples.integrate(parameters[9:12], parameters[DELAY]))
@@ -190,7 +213,7 @@ def _descended(samples: Preintegration, fit: Fit) -> Fit:
     return _upright(fit)
 
 
-def _moved(fit: Fit) -> bool:
+def moved(fit: Fit) -> bool:
     """Whether bias or delay are so far from where the gyroscope was integrated that second order matters."""
     windows, parameters = fit.chain.windows, fit.state.parameters
     turned = np.einsum("ijn,j->in", windows.lever[:, :, windows.linked], parameters[9:12] - windows.bias)

@@ -15,7 +15,8 @@ from magyc_gtsam.online.summary import Summary
 from magyc_gtsam.online.values import Change
 from magyc_gtsam.recording import Array
 
-_COUNTS = ("tail", "done", "given_up", "next_sweep", "next_search", "settled", "stable")
+FIRST = 12  # windows before the first fit
+_COUNTS = ("front_at", "tail", "done", "given_up", "next_sweep", "next_search", "settled", "stable", "undecided")
 
 
 class Estimate(NamedTuple):
@@ -35,38 +36,46 @@ class Memory:
 
     Attributes:
         past, head: summaries of the windows given up, and of all windows up to the tail.
+        front: where parameters walk, the summary of all windows up to number `front_at`, walked until then.
         tail, done: numbers of the tail's first window and of the first window not yet taken.
         given_up: windows in the past.
         next_sweep, next_search: windows kept at which everything is fitted afresh, from several starts.
         estimate: what the last fit said; None before the motion determined anything.
+        origin: (4,) bias and delay at which the gyroscope was integrated in the last sweep.
         swept: θ and its sigmas (2, 13) at the last sweep.
         report: the result of the last sweep.
         settled: the head joins the past as it grows.
         stable: converged.
+        undecided: something happened in the tail that may yet turn out to be a step.
         problem: why there is no estimate.
         changes: steps found; their `after` is left open.
     """
 
     past: Summary | None = None
     head: Summary | None = None
+    front: Summary | None = None
+    front_at: int = 0
     tail: int = 0
     done: int = 0
     given_up: int = 0
-    next_sweep: int = 0
-    next_search: int = 0
+    next_sweep: int = FIRST
+    next_search: int = FIRST
     estimate: Estimate | None = None
+    origin: Array = field(default_factory=lambda: np.zeros(4))
     swept: Array | None = None
     report: Calibration | None = None
     settled: bool = False
     stable: bool = False
+    undecided: bool = False
     problem: str = ""
     changes: list[Change] = field(default_factory=list)
 
     def to_arrays(self) -> dict[str, Array]:
         """Everything, for `from_arrays`."""
         result: dict[str, Array] = {"counts": np.array([int(getattr(self, name)) for name in _COUNTS])}
+        result["origin"] = self.origin
         result["words"] = np.array(json.dumps([self.problem, _data(self.report)]))
-        for name, summary in (("past", self.past), ("head", self.head)):
+        for name, summary in (("past", self.past), ("head", self.head), ("front", self.front)):
             if summary is not None:
                 result |= {f"{name}/{k}": v for k, v in summary._asdict().items()}
         if self.estimate is not None:
@@ -85,12 +94,13 @@ class Memory:
         counts = dict(zip(_COUNTS, (int(v) for v in state["counts"]), strict=True))
         problem, report = json.loads(str(state["words"]))
         result = cls(
-            **counts | {"settled": bool(counts["settled"]), "stable": bool(counts["stable"])},  # type: ignore[arg-type]
+            **counts | {name: bool(counts[name]) for name in ("settled", "stable", "undecided")},  # type: ignore[arg-type]
             problem=problem,
             report=_calibration(report),
+            origin=state["origin"],
             swept=state.get("swept"),
         )
-        for name in ("past", "head"):
+        for name in ("past", "head", "front"):
             if f"{name}/parameters" in state:
                 setattr(result, name, Summary(*(state[f"{name}/{k}"] for k in Summary._fields)))
         if "estimate" in state:

@@ -15,7 +15,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 
-_FORMAT = "magyc-gtsam online state 2"
+_FORMAT = "magyc-gtsam online state 3"
 
 
 def write(

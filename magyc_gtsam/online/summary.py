@@ -37,6 +37,14 @@ class Summary(NamedTuple):
     information: Array
     gradient: Array
 
+    @property
+    def minimum(self) -> Array:
+        """θ (13,) of least cost."""
+        scale = 1 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
+        scaled = self.information * scale * scale[:, None]
+        away = -scale * np.linalg.solve(scaled + 1e-12 * np.eye(len(scale)), scale * self.gradient)
+        return self.parameters + away[:PARAMETERS]
+
     def forget(self, rows: slice) -> Summary:
         """Nothing is known of these parameters any more; what they say of the others is marginalised."""
         return self.widen(rows, np.inf)
@@ -45,15 +53,19 @@ class Summary(NamedTuple):
         """These three parameters have since walked by `sigma` each."""
         if sigma == 0.0:
             return self
-        cross, block = self.information[:, rows], self.information[rows, rows]
-        # Λ' = Λ − Λ_w (Λ_ww + Q⁻¹)⁻¹ Λ_w; scaled, for fields are 1e-6 and rates 1e-3.
-        scale = 1 / np.sqrt(np.maximum(np.diag(block), 1e-300))
-        inner = block * scale * scale[:, None] + np.diag(scale**2 / sigma**2 + 1e-14)
-        gain = (cross * scale) @ np.linalg.inv(inner) * scale
-        return self._replace(
-            information=_symmetric(self.information - gain @ cross.T),
-            gradient=self.gradient - gain @ self.gradient[rows],
-        )
+        information, gain = widened(self.information, rows, sigma)
+        return self._replace(information=information, gradient=self.gradient - gain @ self.gradient[rows])
+
+
+def widened(information: Array, rows: slice, sigma: float) -> tuple[Array, Array]:
+    """The information when three parameters have walked by `sigma` each; and what to take off the gradient per unit
+    of theirs."""
+    cross, block = information[:, rows], information[rows, rows]
+    # Λ' = Λ − Λ_w (Λ_ww + Q⁻¹)⁻¹ Λ_w; scaled, for fields are 1e-6 and rates 1e-3.
+    scale = 1 / np.sqrt(np.maximum(np.diag(block), 1e-300))
+    inner = block * scale * scale[:, None] + np.diag(scale**2 / sigma**2 + 1e-14)
+    gain = (cross * scale) @ np.linalg.inv(inner) * scale
+    return _symmetric(information - gain @ cross.T), gain
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,86 @@
+"""Reading the online smoother: as the batch method, from windows that are integrated once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_online import distance, feed
+
+from magyc_gtsam import OnlineCalibrator, calibrate, simulate
+from magyc_gtsam.estimators.chain_search import preintegrate, suitable_turn
+from magyc_gtsam.factors.preintegration import Preintegration
+from magyc_gtsam.online import reading
+from magyc_gtsam.online.compressed import in_frame_of, joined
+
+
+def test_blocks_joined_are_the_windows_of_the_whole():
+    recording = simulate("tiny", duration=200, seed=4).recording
+    samples = preintegrate(recording)
+    whole = samples.integrate(np.array([3e-3, -2e-3, 1e-3]), 0.01)
+    count = len(samples.starts)
+    parts = []
+    for first, last in ((0, 40), (40, 90), (90, count)):
+        begin = int(samples.starts[max(first - 1, 0)])
+        end = int(samples.starts[last]) if last < count else len(samples.magnetometer_time)
+        gyro = slice(max(begin - 9, 0), end + 9)
+        distance_before = _distance(samples)[gyro.start]
+        part = Preintegration(
+            samples.magnetometer_time[begin:end],
+            samples.magnetic_field[begin:end],
+            samples.gyroscope_time[gyro],
+            samples.angular_rate[gyro],
+            length=samples.length,
+            turn=samples.turn,
+            begun=distance_before,
+        ).integrate(whole.bias, whole.delay)
+        parts.append(in_frame_of(parts[-1], part) if parts else part)
+    blocks = joined(parts)
+    np.testing.assert_allclose(blocks.time, whole.time)
+    turn = np.linalg.solve(whole.rotation[:, :, 0], blocks.rotation[:, :, 0])
+    for name, same in (
+        ("field", whole.field),
+        ("rotation", np.einsum("ijn,jk->ikn", whole.rotation, turn)),
+        ("rotation_rate", np.einsum("ijn,jk->ikn", whole.rotation_rate, turn)),
+        ("rotation_bias", np.einsum("ijbn,jk->ikbn", whole.rotation_bias, turn)),
+        ("lever", np.einsum("ji,jkn->ikn", turn, whole.lever)),
+        ("link_time", whole.link_time),
+    ):
+        np.testing.assert_allclose(getattr(blocks, name), same, atol=1e-9 * np.abs(same).max(), err_msg=name)
+
+
+def _distance(samples: Preintegration):
+    speed = np.linalg.norm(samples.angular_rate, axis=1)
+    progress = np.maximum(0.5 * (speed[1:] + speed[:-1]) / samples.turn, 1 / samples.length) * samples.step
+    return np.concatenate([[0.0], np.cumsum(progress)])
+
+
+def test_when_it_is_read_does_not_matter():
+    recording = simulate("wide", duration=260, seed=8).recording
+    often, once = OnlineCalibrator(), OnlineCalibrator()
+    feed(often, recording, after=lambda _: often.progress)
+    feed(once, recording)
+    assert often.calibration.to_dict() == once.calibration.to_dict()
+    assert once.calibration is once.calibration  # without new samples nothing is computed
+
+
+@pytest.mark.parametrize("motion", ["wide", "moderate"])
+def test_a_long_log_is_read_from_its_end(motion, monkeypatch):
+    """Beyond some number of windows the tail is fitted, given all before it, with the last sweep's noise levels."""
+    recording = simulate(motion, duration=500, seed=9).recording
+    online = feed(OnlineCalibrator(), recording)
+    whole = online.calibration
+    monkeypatch.setattr(reading, "_MOST_REFITTED", 10)
+    online.update(recording.time[-1] + 1e-3, recording.magnetic_field[-1] + 1e-9, recording.angular_rate[-1])
+    ending = online.calibration
+    assert ending.to_dict() != whole.to_dict()
+    assert ending.diagnostics["windows"] == pytest.approx(whole.diagnostics["windows"], abs=1)
+    assert distance(ending, calibrate(recording)) < 0.15  # 0.05 where it applies, beyond six times as many windows
+    np.testing.assert_allclose(np.diag(ending.covariance), np.diag(whole.covariance), rtol=0.25)
+
+
+def test_windows_are_cut_alike_while_the_spread_changes_little():
+    random = np.random.default_rng(0)
+    field = random.standard_normal((4000, 3)) * [30e-6, 30e-6, 3e-6]
+    assert len({suitable_turn(field[:n]) for n in range(3000, 4000, 50)}) == 1
+    assert suitable_turn(field * [1, 1, 20]) == 0.4
+    assert suitable_turn(field * [1, 1, 0.1]) == 0.15
