@@ -24,6 +24,7 @@ _LOWEST_BINS = 5  # of a tone: slower ones are drifts
 _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
 _SPIKE = 4.5  # sigmas
+_ALONE = 0.3  # share of them that have no neighbour
 _RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
 COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
@@ -166,12 +167,12 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
         share = float(np.clip(belongs.mean(), 1e-6, 0.5))
         scale = float(((1 - belongs) @ square) / (3 * max((1 - belongs).sum(), 1)))
         wide = max(float((belongs @ square) / (3 * max(belongs.sum(), 1e-9))), 1.5 * scale)
-    # A spike stands alone: what comes in stretches is a disturbance, not a wrong sample.
+    # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
     hit = square > (_SPIKE**2) * scale
     neighbours = np.concatenate([[False], hit[:-1]]) | np.concatenate([hit[1:], [False]])
     alone = float((hit & ~neighbours).sum() / max(hit.sum(), 1))
     evidence = gain - CHANCE
-    significant = evidence > limit and hit.sum() >= 2 and alone > 0.6 and share < _RARE
+    significant = evidence > limit and hit.sum() >= 2 and alone > _ALONE and share < _RARE
     height = float(np.sqrt(wide)) * level
     return NoiseScore(
         "spikes",
