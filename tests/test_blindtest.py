@@ -174,6 +174,7 @@ def scenario(kind: str, *names: str, factor: float = 1.0, motion: str = "wide") 
         ),
         (scenario("foreign", "servo-magnet"), "closed", [("hard-iron-drift", ())], "wrong"),
         (scenario("withheld", "motor-current"), "closed", [("hard-iron-drift", ())], "wrong"),
+        (scenario("withheld", "motor-current"), "closed", [("hard-iron-drift", ("motor-current",))], "in its set"),
         (scenario("withheld", "motor-current"), "unknown", [], "unknown"),
         (scenario("withheld", "temperature-hard-iron"), "closed", [("hard-iron-drift", ())], "right"),
         (scenario("single", "axis-order"), "refused", [], "refused"),

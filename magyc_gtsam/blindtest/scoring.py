@@ -154,7 +154,8 @@ def judged(scenario: Scenario, verdict: str, named: Sequence[tuple[str, tuple[st
         return WRONG
     truth = list(scenario.names)
     if scenario.set == "withheld":
-        truth = [fair for name in truth for fair in _FAIR_WITHOUT_CHANNEL.get(name, ())]
+        # Nothing can be given a name whose channel is missing, but it may be said to be possible.
+        truth += [fair for name in truth for fair in _FAIR_WITHOUT_CHANNEL.get(name, ())]
     beside = {also for name in truth for also in _CONSEQUENCE.get(name, ())} - set(truth)
     named = [n for n in named if n[0] not in beside]
     exact, extra = True, False

@@ -15,6 +15,7 @@ from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.score import Projector, Score, Variant, variant
+from magyc_gtsam.gap.twin import Twin
 
 _ALIKE = 0.01  # probability below which a named effect adds something beyond its rival
 _REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks against the names given
@@ -121,7 +122,8 @@ def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> 
 def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
     """Names that this motion cannot tell from the chosen one.
 
-    Those beside which it adds nothing, and those it is known to be confused with that explain nearly as much.
+    Those beside which it adds nothing, those it is known to be confused with that explain nearly as much, and of what
+    changes the hard iron with time those whose channel is missing.
     """
     result = []
     for rival in now.scores:
@@ -136,7 +138,14 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         alike = rival.significant and behind < _AHEAD and not _adds_beyond(choice.variant, rival.variant, now)
         if alike or (shapes and related and close):
             result.append(rival.name)
-    return tuple(result)
+    return (*result, *_untested(choice.name, now.refit.twin))
+
+
+def _untested(name: str, twin: Twin) -> list[str]:
+    """What might have changed the hard iron as well, were its channel there to tell."""
+    if name not in ("hard-iron-step", "hard-iron-drift"):
+        return []
+    return [other for other in ("motor-current", "temperature-hard-iron") if TERMS[other].missing(twin)]
 
 
 def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:

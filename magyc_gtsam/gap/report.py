@@ -230,7 +230,8 @@ def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: It
     for f in found:
         if f.rivals and f.name in TERMS and word == "closed":
             names = (f.name, *f.rivals)
-            motion = TERMS[f.name].motion
+            needed = TERMS[f.rivals[0]].missing(look.refit.twin)
+            motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion
             labels = " from ".join(LABELS[n] for n in names[:2])
             return Manoeuvre(names, motion, f"to tell {labels}: {motion}")
     if word == "unknown":

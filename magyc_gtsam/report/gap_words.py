@@ -181,11 +181,15 @@ def assumption_rows(gap: Gap) -> list[list[str]]:
 def confusion_sentences(gap: Gap) -> list[str]:
     """What each name could be mistaken for, and what would settle it."""
     sentences = []
+    untested = {u.name for u in gap.untested}
     for effect in gap.effects:
-        if effect.ambiguous_with:
-            rivals = ", ".join(effect.ambiguous_with)
-            sentences.append(f"{effect.label}: this motion cannot tell it from {rivals}.")
-        else:
+        alike = ", ".join(name for name in effect.ambiguous_with if name not in untested)
+        unseen = ", ".join(name for name in effect.ambiguous_with if name in untested)
+        if alike:
+            sentences.append(f"{effect.label}: this motion cannot tell it from {alike}.")
+        if unseen:
+            sentences.append(f"{effect.label}: it may be {unseen} as well, whose channel is not in the recording.")
+        if not effect.ambiguous_with:
             sentences.append(f"{effect.label}: no other candidate explains these data as well.")
     return sentences
 
