@@ -25,7 +25,7 @@ def heard(recording: Recording, model: Model, frequency: float) -> Term:
     best: tuple[float, Array, Array, float] = -1.0, np.zeros(6), np.eye(6), frequency
     for tried in frequency + np.linspace(-0.6, 0.6, _TRIED) * bin_width:
         columns = twin.whiten(twin.columns("tone", {"frequency": float(tried)}))
-        covariance: Array = np.linalg.inv(columns @ columns.T)
+        covariance = np.asarray(np.linalg.inv(columns @ columns.T), dtype=float)
         pull = columns @ v
         gain = float(pull @ covariance @ pull)
         if gain > best[0]:
