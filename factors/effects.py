@@ -31,7 +31,6 @@ class Form(NamedTuple):
     needs: tuple[str, ...]
     columns: Callable[[Signals, Setting], Array]
     rotates: bool = False  # the value is a rotation vector that turns the rate, to all orders
-    fast: bool = False  # changes within a window: to be evaluated sample by sample
 
     def evaluate(self, signals: Signals, value: Array, setting: Setting) -> Array:
         """(3, n) what it adds, in T or rad/s."""
@@ -125,11 +124,8 @@ def _gyro_scale(s: Signals, setting: Setting) -> Array:
 
 
 def _gyro_quadratic(s: Signals, setting: Setting) -> Array:
-    """Of each axis, or of those that the setting names."""
     rate = s.need("rate")
-    columns = np.eye(3)[:, :, None] * (rate * np.abs(rate))
-    named = [axis in setting for axis in "xyz"]
-    return columns[named] if any(named) else columns
+    return np.eye(3)[:, :, None] * (rate * np.abs(rate))
 
 
 def _g_sensitivity(s: Signals, setting: Setting) -> Array:
@@ -207,7 +203,7 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "saturation": Form("magnetometer", ("field", "hard_iron"), _saturation),
         "cubic": Form("magnetometer", ("field", "hard_iron"), _cubic),
         "hysteresis": Form("magnetometer", ("field",), _hysteresis),
-        "tone": Form("magnetometer", ("time",), _tone, fast=True),
+        "tone": Form("magnetometer", ("time",), _tone),
     }
 )
 

@@ -45,9 +45,9 @@ class Found:
     noise: NoiseScore | None = None
 
 
-def as_found(score: NoiseScore, rivals: tuple[str, ...] = ()) -> Found:
+def as_found(score: NoiseScore) -> Found:
     """A noise effect that was found."""
-    return Found(score.name, score.statistic, score.threshold, score.evidence, rivals, score)
+    return Found(score.name, score.statistic, score.threshold, score.evidence, noise=score)
 
 
 def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:

@@ -162,14 +162,7 @@ def build(
     for _ in range(2 if terms else 1):
         if terms:
             signals = window_signals(problem, windows, state, rate)
-            added = sum(_added(problem, signals, t) for t in terms)
+            added = sum(FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms)
             chain_ = FieldChain(replace(windows, field=windows.field - added), model.noise)
         state, reduced = chain_.settle(chain_.start(model.parameters), chain_.unweighted())
     return chain_, state, reduced, rate
-
-
-def _added(problem: Problem, signals: Signals, term: Active) -> Array:
-    form = FORMS[term.name]
-    if form.fast:
-        return problem.mean(form.evaluate(problem.magnetometer, term.value, term.setting))
-    return form.evaluate(signals, term.value, term.setting)

@@ -114,7 +114,7 @@ def _described(found: Found, refitted: Refit, everything: Sequence[Found], appli
         value, covariance = refitted.value_of(index)
         sigma, setting = np.sqrt(np.diag(covariance)), refitted.model.terms[index].setting
         term = TERMS[found.name]
-        unit, scale, parameters = term.unit, term.scale, term.names(len(value), setting)
+        unit, scale, parameters = term.unit, term.scale, term.names(len(value))
     return Effect(
         found.name,
         LABELS[found.name],

@@ -26,7 +26,7 @@ from magyc_gtsam.gap.twin import Twin
 
 DRAWS = 500
 FAMILY_WISE = 0.01
-DETERMINED = 4.0  # smallest values that matter, up to which a motion determines a value
+_DETERMINED = 4.0  # smallest values that matter, up to which a motion determines a value
 _DEPENDENT = 1e-6  # share of a column that must be left beside the base model
 _MUCH = 60.0  # statistic from which an effect is taken out before the colour is measured
 
@@ -157,7 +157,7 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
             many = variants(twin, project, name, settings)
             result[name] = (
                 "",
-                [_determined(v, DETERMINED * term.matters) for v in many] if term.many_shapes else many,
+                [_determined(v, _DETERMINED * term.matters) for v in many] if term.many_shapes else many,
             )
     beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
     for family in (*families(twin), *{f.name: f for f in beside}.values()):

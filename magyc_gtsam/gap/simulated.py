@@ -93,7 +93,7 @@ def _effects(measured: list[Score], simulated: list[Score]) -> Iterator[_Row]:
         term = TERMS[score.name]
         sigma = np.sqrt(np.diag(score.covariance) + np.diag(other.covariance))
         worst = int(np.argmax(np.abs(score.expected - other.expected) / np.maximum(sigma, 1e-300)))
-        part = term.names(len(score.expected), score.variant.setting)[worst]
+        part = term.names(len(score.expected))[worst]
         values = other.expected[worst] * term.scale, score.expected[worst] * term.scale
         yield (
             f"{term.label}, {part}",

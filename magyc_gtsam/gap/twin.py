@@ -131,8 +131,6 @@ class Twin:
     def columns(self, name: str, setting: Setting) -> Columns:
         """Regressors of a form."""
         form = FORMS[name]
-        if form.fast:
-            return Columns(self.problem.mean(form.columns(self.problem.magnetometer, setting)), None)
         if form.side == "magnetometer":
             return Columns(form.columns(self.windows, setting), None)
         return self.of_profile(lambda signals: form.columns(signals, setting))

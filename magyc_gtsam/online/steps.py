@@ -32,17 +32,13 @@ from magyc_gtsam.online.summary import HARD_IRON, ContinuedChain, Summary, take
 
 LIMIT = 40.0  # of λ; benchmarks/online.py counts the false alarms
 MARGIN = 20.0  # by which λ tells a step in the sensor from one in the world
-ALIKE, TURNED = (
-    5.0,
-    2.5,
-)  # λ and rad, after such a turn a step that looks alike in both is taken to be the sensor's
+ALIKE = 5.0  # of λ by which the world may lead where the sensor turned by
+TURNED = 2.5  # rad since: what looks alike in both is then taken to be the sensor's
 NO_PLACE = 0.5  # of the field strength, a change of the field that no place explains
 SMALLEST = 1.5e-6  # T, smaller steps are not worth a new beginning; the field of a room varies by as much
 _AFTER = 5  # windows after a step before it is believed
 _BEFORE = 3
-_MENDINGS = (
-    3  # times the step is taken off and estimated again, so that nothing of it is left in the linearisation
-)
+_MENDINGS = 3  # times the step is taken off and estimated again, so that the linearisation holds nothing of it
 _NOTHING = 1e-6  # samples, of a window whose field is left out
 
 

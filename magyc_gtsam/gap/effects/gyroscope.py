@@ -7,20 +7,15 @@ import numpy as np
 from magyc_gtsam.factors.effects import RATE_MATRIX, Setting
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
-
-
-def _along(value: Array, sigma: Array, setting: Setting, unit: str) -> str:
-    size = measured(value[0] / 10, sigma[0] / 10) if len(value) == 1 else vector(value[:3] / 10)
-    return f"{size} {unit} along {', '.join(e for e in RATE_MATRIX if e in (setting or AXES))}"
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 
 
 def _say_scale(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope's scale is off by {_along(value, sigma, setting, '%')}"
+    return f"the gyroscope's scale is off by {vector(value[:3] / 10)} % along x, y, z"
 
 
 def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope's scale grows with the rate, by {_along(value, sigma, setting, '% per rad/s')}"
+    return f"the gyroscope's scale grows with the rate, by {vector(value / 10)} % per rad/s along x, y, z"
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:

@@ -102,11 +102,9 @@ class EffectTerm:
         """(3, n) what it adds to the reading, T or rad/s."""
         return self.form.evaluate(signals, value, setting)
 
-    def names(self, count: int, setting: Setting) -> tuple[str, ...]:
+    def names(self, count: int) -> tuple[str, ...]:
         """(count,) what each value is."""
         base = self.parameters
-        if all(name in base for name in setting) and len(setting) == count:  # the setting names them
-            return tuple(name for name in base if name in setting)
         if count <= len(base):
             return base[:count]
         return tuple(f"{base[i % len(base)]} {i // len(base) + 1}" for i in range(count))
