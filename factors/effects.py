@@ -104,10 +104,15 @@ def _timing(s: Signals, setting: Setting) -> Array:
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
     """E = value normalᵀ: the change of the field across a plate drives currents, whose field may lie otherwise.
 
-    `full` takes any E (9 values, row by row): several plates, or a bent one.
+    `full` takes any E (9 values, column by column): several plates, or a bent one; `uneven` any of trace zero, which
+    holds no delay (8 values, without the last of the diagonal).
     """
-    if setting.get("full"):
-        return per_axis(s.need("field_rate"))
+    if setting.get("full") or setting.get("uneven"):
+        columns = -per_axis(s.need("field_rate"))
+        if setting.get("full"):
+            return columns
+        columns[[0, 4]] -= columns[8]
+        return columns[:8]
     normal = np.array([setting["x"], setting["y"], setting["z"]])
     return -np.eye(3)[:, :, None] * (normal @ s.need("field_rate"))
 

@@ -100,7 +100,7 @@ def test_a_fitted_scale_leaves_no_pull() -> None:
             base.twin.problem, with_term(base.model, Active("gyro-scale", {"z": 1.0}, np.zeros(1))), short_term
         )
         twin = scaled.twin
-        project = Projector(twin.base_columns(), twin.base_pull())
+        project = Projector(twin.base_columns, twin.base_pull)
         (rest,) = variants(twin, project, "gyro-scale", [{}])
         d = rest.score(project(twin.residual().reshape(1, -1))[0])
         statistics.append(float(d @ d))

@@ -30,7 +30,7 @@ def twin() -> Twin:
 def test_the_twins_likelihood_is_the_field_chains(twin: Twin) -> None:
     innovation = twin.residual()
     assert 0.5 * np.vdot(innovation, innovation) == pytest.approx(twin.reduced.cost, rel=1e-4)
-    base = twin.base_columns()
+    base = twin.base_columns
     information = twin.reduced.information[:12, :12]
     scale = np.sqrt(np.diag(information))
     np.testing.assert_allclose(
@@ -47,7 +47,7 @@ def test_innovations_are_white_where_the_model_is_right(twin: Twin) -> None:
 def test_a_constant_error_of_the_rate_is_the_bias(twin: Twin) -> None:
     constant = np.eye(3)[:, :, None] * np.ones(len(twin.gyroscope.time))
     mine = twin.whiten(twin.on_gyroscope(constant))
-    np.testing.assert_allclose(mine, twin.base_columns()[9:12], atol=1e-6 * np.abs(mine).max())
+    np.testing.assert_allclose(mine, twin.base_columns[9:12], atol=1e-6 * np.abs(mine).max())
 
 
 def test_the_slow_form_of_a_rate_error_is_close_to_the_exact_one(twin: Twin) -> None:
@@ -101,8 +101,8 @@ def test_eliminating_the_candidate_last_in_gtsam_gives_the_same_statistic(twin: 
     ordering.push_back(base)
     ordering.push_back(value)
     last = graph.eliminateSequential(ordering).at(n + 1)
-    mine = variant({}, twin.whiten(columns), Projector(twin.base_columns()))
-    d = mine.score(Projector(twin.base_columns())(twin.residual().reshape(1, -1))[0])
+    mine = variant({}, twin.whiten(columns), Projector(twin.base_columns))
+    d = mine.score(Projector(twin.base_columns)(twin.residual().reshape(1, -1))[0])
     assert last.d() @ last.d() == pytest.approx(d @ d, rel=2e-3)
     np.testing.assert_allclose(np.linalg.solve(last.R(), last.d()), -mine.back @ d, rtol=2e-2, atol=1e-3)
 
@@ -111,7 +111,7 @@ def test_the_score_test_promises_what_the_refit_finds() -> None:
     simulation = mg.simulate("wide", duration=300, seed=6, delay=0.02)
     short_term = short_term_noise(simulation.recording)
     base = base_model(simulation.recording, None, short_term)
-    project = Projector(base.twin.base_columns())
+    project = Projector(base.twin.base_columns)
     (late,) = variants(base.twin, project, "timing", [{}])
     d = late.score(project(base.twin.residual().reshape(1, -1))[0])
     promised = float((-late.back @ d)[0])
@@ -127,7 +127,7 @@ def test_the_gyroscopes_noise_pulls_no_scale() -> None:
     for seed in range(6):
         recording = mg.simulate("moderate", duration=300, seed=seed).recording
         twin = base_model(recording, None, short_term_noise(recording)).twin
-        project = Projector(twin.base_columns())
+        project = Projector(twin.base_columns)
         (scale,) = variants(twin, project, "gyro-scale", [{}])
         d = scale.score(project(twin.residual().reshape(1, -1))[0])
         statistics.append(float(d @ d))
@@ -145,7 +145,7 @@ def test_columns_are_derivatives_of_the_innovations(twin: Twin) -> None:
     from magyc_gtsam.gap.find import _problem
 
     other = Twin.of(_problem(moved), twin.model)
-    base = twin.base_columns()
+    base = twin.base_columns
     change = Projector(base)((other.residual() - twin.residual()).reshape(1, -1))[0]
     column = Projector(base)(size[None] @ twin.whiten(twin.columns("gyro-scale", {})))[0]
     # The data have more of it, the residual is model less data.

@@ -53,7 +53,7 @@ def measure(
 
 def held_out(twin: Twin, innovation: Array) -> float:
     """Log-likelihood per window (nats) on blocks that the parameters were not fitted to."""
-    base, block = twin.base_columns(), interleaved(twin.time, _BLOCK)
+    base, block = twin.base_columns, interleaved(twin.time, _BLOCK)
     flat = innovation.ravel()
     size = np.maximum(np.linalg.norm(base, axis=1), 1e-300)[:, None]
     square = 0.0

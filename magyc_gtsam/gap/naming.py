@@ -22,8 +22,8 @@ _REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks 
 _SHAPE = 0.08  # share of what was explained that may remain, for effects are not quite of the catalogue's form
 _TRACE = 0.03  # share of an effect's statistic below which another may be its form, whatever the name
 _MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
-_FIRM = 0.7  # share of what a term's statistic should be beside whatever else is missing
-_WHOLE = 0.98  # share of a term's signature from which a family holds it
+_FIRM = 0.7  # share of what a term should explain beside whatever else is missing
+_LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
 _STRONG = 5.0  # thresholds that a term must pass where something else is missing too
 _AHEAD = 9.0  # nats of evidence from which a rival is behind
 _BEATS = 3.0  # nats by which a generic family must be ahead of all that was named
@@ -110,6 +110,8 @@ def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> 
         f.name == "hard-iron-drift" and score.statistic < f.statistic for f in found
     ):
         return True  # a slow change that is steeper here than there, not something that jumped
+    if at.get("uneven"):
+        return False  # no filter of all axes alike leaves something else on each
     rivals = TERMS[score.name].rivals
     return any(
         f.name in TERMS
@@ -161,34 +163,41 @@ def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
 def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str, ...]) -> bool:
     """Whether a term keeps its evidence when the families that are still significant are in the model too.
 
-    A term that is right keeps the share of its statistic that the families do not hold of its signature. A family
-    that holds the whole signature, and of which next to nothing is left, is the term itself in other words.
+    A term that is right keeps the share of its statistic that the families do not hold of its signature. Of those that
+    hold most of it, it must explain the most itself: what may lie along any of so many values would hardly lie along
+    the few of the term by chance.
     """
     twin = current.twin
     term = twin.model.terms[index]
     columns = twin.columns(term.name, term.setting)
     own = twin.whiten(columns)
+    pull = np.zeros(len(own)) if columns.pull is None else columns.pull
     value, _ = current.value_of(index)
     without = replace(twin, model=without_term(twin.model, index))
-    base, pull = without.base_columns(), without.base_pull()
     target = twin.residual().ravel() - value @ own  # as if the term were not there
-    project = Projector(base, pull)
-    alone = variant(term.setting, own, project, columns.pull)
-    explained = _squared(alone.score(project(target[None])[0]))
-    others = []
-    for score in now.scores:
-        if score.name not in left or score.name == term.name:
-            continue
-        held = _squared(alone.unit @ variant({}, score.variant.columns, project).unit.T) / len(alone.unit)
-        if held < _WHOLE or score.statistic > _SHAPE * explained:
-            others.append(score.variant)
-    project = Projector(
-        np.concatenate([base, *(o.columns for o in others)]), np.concatenate([pull, *(o.pull for o in others)])
-    )
-    beside = variant(term.setting, own, project, columns.pull)
-    kept = _squared(project(alone.unit)) / len(alone.unit)
-    statistic = _squared(beside.score(project(target[None])[0]))
-    return statistic > max(_STRONG * found.threshold, _FIRM * kept * explained)
+
+    def explained(rows: Array, pulls: Array, beside: list[tuple[Array, Array]]) -> tuple[float, Array]:
+        """The statistic of columns beside others, and their directions."""
+        project = Projector(np.concatenate([b for b, _ in beside]), np.concatenate([p for _, p in beside]))
+        result = variant(term.setting, rows, project, pulls)
+        return _squared(result.score(project(target[None])[0])), result.unit
+
+    beside = [(without.base_columns, without.base_pull)]
+    all_of_it, alone = explained(own, pull, beside)
+    holding = []
+    for other in (s.variant for s in now.scores if s.name in left and s.name != term.name):
+        _, unit = explained(other.columns, other.pull, beside[:1])
+        holds = _squared(alone @ unit.T) > (1 - _LITTLE) * len(alone)
+        (holding if holds else beside).append((other.columns, other.pull))
+    statistic, rest = explained(own, pull, beside)
+    kept = _squared(alone @ rest.T) / len(alone)
+    if statistic <= max(_STRONG * found.threshold, _FIRM * kept * all_of_it):
+        return False
+    if not holding:
+        return True
+    rows, pulls = (np.concatenate(part) for part in zip(*holding, strict=True))
+    more, unit = explained(rows, pulls, [*beside, (own, pull)])
+    return statistic > _FIRM * (statistic + more - len(unit))
 
 
 def _squared(values: Array) -> float:

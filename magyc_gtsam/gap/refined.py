@@ -62,7 +62,7 @@ def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
 def _paired(name: str, tried: Variant, now: Look) -> float:
     """Nats of a variant of an effect with the other named effect, no rival of it, with which they are most."""
     twin = now.refit.twin
-    base, pull, residual = twin.base_columns(), twin.base_pull(), twin.residual().ravel()
+    base, pull, residual = twin.base_columns, twin.base_pull, twin.residual().ravel()
     most = surprise(tried, now.innovation)
     for other in now.scores:
         if other.generic or other.name in (name, *TERMS[name].rivals) or not other.significant:

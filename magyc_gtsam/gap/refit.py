@@ -69,9 +69,9 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
     covariance = np.zeros((0, 0))
     for _ in range(_ROUNDS if short_term is not None else 1):
         for _ in range(_STEPS):
-            base = twin.base_columns()
+            base = twin.base_columns
             precision, value = _prior(model)
-            gradient = base @ twin.residual().ravel() - twin.base_pull() + precision * value
+            gradient = base @ twin.residual().ravel() - twin.base_pull + precision * value
             information = base @ base.T + np.diag(precision)
             if not np.isfinite(information).all():
                 raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no finite fit")
@@ -84,7 +84,7 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
             converged = length < _SETTLED
             if converged:
                 break
-            ahead = _advance(problem, twin, step, twin.base_pull())
+            ahead = _advance(problem, twin, step, twin.base_pull)
             if ahead is None:
                 return Refit(twin, covariance, False)
             twin = ahead

@@ -151,8 +151,6 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
         if term.missing(twin):
             continue
         settings = term.settings(twin)
-        if any(active.name == "timing" for active in twin.model.terms):
-            settings = [s for s in settings if not s.get("full")]  # which would hold the delay once more
         if settings:
             many = variants(twin, project, name, settings)
             result[name] = (
@@ -202,7 +200,7 @@ def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str,
 
 def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tuple[list[Score], Array, Projector]:
     """Score every candidate against the twin's model, strongest first; the innovations freed of the base model."""
-    project = Projector(twin.base_columns(), twin.base_pull())
+    project = Projector(twin.base_columns, twin.base_pull)
     innovation = project(twin.residual().reshape(1, -1))[0]
     found = candidates(twin, project, names)
     flat = [(name, index) for name, (_, many) in found.items() for index in range(len(many))]

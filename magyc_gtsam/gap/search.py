@@ -44,7 +44,8 @@ from magyc_gtsam.gap.score import (
 from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
-MOST_TERMS = 4
+MOST_TERMS = 5
+_BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,8 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
 def _gain(refitted: Refit, score: Score, innovation: Array) -> float:
     twin = refitted.twin
     length = 10.0 if score.generic else TERMS[score.name].block(score.variant.setting)
-    return held_out_gain(twin.base_columns(), score.variant.columns, innovation, interleaved(twin.time, length))
+    length = min(length, (twin.time[-1] - twin.time[0]) / _BLOCKS)
+    return held_out_gain(twin.base_columns, score.variant.columns, innovation, interleaved(twin.time, length))
 
 
 def search(

@@ -106,6 +106,7 @@ class Twin:
         link = None if columns.link is None else columns.link * self.chain.link_scale
         return self._filter(window, link).reshape(len(window), -1)
 
+    @cached_property
     def base_columns(self) -> Array:
         """(q, 3n) whitened regressors of the free parameters, then of the model's terms."""
         free = np.flatnonzero(self.model.free)
@@ -116,6 +117,7 @@ class Twin:
         parts += [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
         return np.concatenate(parts)
 
+    @cached_property
     def base_pull(self) -> Array:
         """(q,) expected score of `base_columns` without any effect."""
         parts = [np.zeros(int(self.model.free.sum()))]

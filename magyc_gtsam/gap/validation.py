@@ -91,7 +91,7 @@ def _own_bias(problem: Problem, model: Model) -> Twin:
     """The twin with the bias at its minimum."""
     twin = Twin.of(problem, model)
     for _ in range(_STEPS):
-        columns = twin.base_columns()[:3]
+        columns = twin.base_columns[:3]
         step = -np.linalg.solve(columns @ columns.T, columns @ twin.residual().ravel())
         if float(step @ (columns @ columns.T) @ step) < _SETTLED:
             break

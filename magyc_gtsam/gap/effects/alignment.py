@@ -30,11 +30,13 @@ def directions_nearby(setting: Setting) -> list[dict[str, float]]:
 
 
 def _plates(twin: Twin) -> list[dict[str, float]]:
-    return [*directions(), {"full": 1.0}]
+    """One plate, or any number; beside a delay without what would hold it once more."""
+    late = any(active.name == "timing" for active in twin.model.terms)
+    return [*directions(), {"uneven" if late else "full": 1.0}]
 
 
 def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    return [] if setting.get("full") else directions_nearby(setting)
+    return directions_nearby(setting) if "x" in setting else []
 
 
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
@@ -48,7 +50,7 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
-    if setting.get("full"):
+    if "x" not in setting:
         return f"eddy currents in the hull hold the field back, by up to {np.abs(value).max():.2g} ms"
     normal = [setting[a] for a in AXES]
     size = float(np.linalg.norm(value))
