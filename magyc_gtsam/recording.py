@@ -244,6 +244,23 @@ class Recording:
             magnetic_field_unit=magnetic_field_unit,
         )
 
+    def with_samples(self, magnetic_field: Stream, angular_rate: Stream | None) -> Recording:
+        """The recording with other samples of its two sensors, and everything else brought to their rows."""
+        optional = {"acceleration": self.acceleration, "attitude": self.attitude, **self.channels}
+        known = {k: np.isfinite(v).reshape(len(v), -1).all(axis=1) for k, v in optional.items() if v is not None}
+        others = {k: (self.time[rows], optional[k][rows]) for k, rows in known.items() if rows.sum() > 1}
+        return Recording.from_streams(
+            magnetic_field,
+            angular_rate,
+            acceleration=others.pop("acceleration", None),
+            attitude=others.pop("attitude", None),
+            channels=others,
+            name=self.name,
+            notes=self.notes,
+            angular_rate_is=self.angular_rate_is,
+            magnetic_field_unit=self.magnetic_field_unit,
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _rebuilt, (
             {f.name: getattr(self, f.name) for f in fields(self)} | {"channels": dict(self.channels)},

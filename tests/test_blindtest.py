@@ -276,9 +276,21 @@ def test_effects_are_put_into_recordings() -> None:
     assert plain.recording.attitude is None
     np.testing.assert_allclose(plain.recording.magnetic_field, real.magnetic_field, rtol=1e-12)
     change = np.linalg.norm(stepped.recording.magnetic_field - real.magnetic_field, axis=1)
-    assert change.max() == pytest.approx(6e-7)
+    # Two minutes instead of ten: what stands out as far is larger by the root of five, or a little more.
+    assert 2.0 < change.max() / 6e-7 < 3.5
     assert change.min() < 1e-12
     assert isinstance(stepped.recording, Recording)
+
+
+def test_what_a_real_recording_holds_anyway_is_not_judged(tmp_path: Path) -> None:
+    """A recording that is late as it is: its delay is no wrong name beside a step, and to find one is no success."""
+    real = simulate("wide", 120, seed=3, effects=(("timing", 4.0),)).recording
+    chosen = [s for s in real_scenarios(["log"], 1) if s.label in ("nothing", "hard-iron-step", "timing")]
+    run(tmp_path, chosen, {"log": real})
+    outcomes = {o.scenario.label: o for o in score(tmp_path)}
+    assert outcomes.keys() == {"nothing", "hard-iron-step"}
+    assert [name for name, _ in outcomes["nothing"].named] == ["timing"]
+    assert outcomes["hard-iron-step"].kind in ("right", "in its set")
 
 
 def test_a_small_blind_test_from_end_to_end(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
+from magyc_gtsam.estimators.clipped import find_clipped
 from magyc_gtsam.estimators.stuck import find_stuck
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.simulation import Simulation
@@ -137,6 +138,53 @@ def test_on_the_command_line(
     assert "left out: magnetic_field: axis y of the magnetometer is stuck" in capsys.readouterr().out
     page = Path(logs / "out" / "report.html").read_text(encoding="utf-8")
     assert "axis y of the magnetometer is stuck" in page
+
+
+def test_turns_beyond_the_gyroscopes_full_scale_are_left_out() -> None:
+    """Seeds at which the fit is off by two and five sigma with them."""
+    for seed, axes in ((1, "y"), (2, "z")):
+        simulation = mg.simulate("wide", 300, rate=50.0, seed=seed)
+        rate = simulation.recording.angular_rate
+        full = 0.9 * np.abs(rate).max()
+        clipped = replace(simulation.recording, angular_rate=np.clip(rate, -full, full))
+        found = find_clipped(clipped)
+        assert found is not None
+        assert found.axes == axes
+        assert found.level == pytest.approx(full)
+        assert found.share < 0.2
+        calibration = mg.calibrate(clipped)
+        assert calibration.trusted
+        assert f"axis {axes} of the gyroscope cut off at" in calibration.message
+        sigma = np.sqrt(np.diag(calibration.covariance)[6:9])
+        error = np.abs(calibration.hard_iron - simulation.truth.hard_iron) / sigma
+        assert error.max() < 2.0
+    with pytest.raises(mg.MagycError, match="raise the gyroscope's full scale"):
+        mg.calibrate(replace(clipped, angular_rate=np.clip(rate, -0.3 * full, 0.3 * full)))
+
+
+def test_turns_that_level_off_are_not_cut_off() -> None:
+    for motion in ("wide", "moderate", "low", "tiny", "multi"):
+        recording = mg.simulate(motion, 600, seed=1).recording
+        assert find_clipped(recording) is None
+        for step in (1e-3, 5e-3, 0.02):
+            coarse = replace(recording, angular_rate=np.round(recording.angular_rate / step) * step)
+            assert find_clipped(coarse) is None, (motion, step)
+    # A simulator that turns at one rate, stops, and turns again.
+    time = np.arange(0, 300, 0.1)
+    even = np.where((time // 50) % 2 == 0, 0.3, 0.0)[:, None] * [0.0, 0.0, 1.0]
+    angle = 0.1 * np.cumsum(even[:, 2])
+    field = 2e-5 * np.stack([np.cos(angle), -np.sin(angle), 2 + 0.01 * np.sin(time)], axis=1)
+    assert find_clipped(mg.Recording(time, field, even)) is None
+
+
+@pytest.mark.real
+def test_a_clipped_real_log(shared_data: Path) -> None:
+    """Turned by hand faster than ±250 °/s twice."""
+    found = find_clipped(mg.read(shared_data / "breakout_boards_hand_rotation.mcap"))
+    assert found is not None
+    assert (found.axes, len(found.times)) == ("x", 22)
+    assert found.level == pytest.approx(np.deg2rad(250), rel=2e-3)
+    assert find_clipped(mg.read(shared_data / "broad_06_fast_rotation.mcap")) is None
 
 
 @pytest.mark.real

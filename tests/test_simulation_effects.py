@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam import MagycError
+from magyc_gtsam import MagycError, Recording, calibrate
 from magyc_gtsam.estimators.chain_search import fit_field_chain
 from magyc_gtsam.simulation import FIELD, MILLIGAUSS, inject, simulate
 from magyc_gtsam.simulation.effects import EFFECTS, FOREIGN, NAMED, STRENGTHS
@@ -203,6 +203,20 @@ def test_injection_into_a_recording_is_what_simulation_gives():
     blind = simulate("wide", 60).recording
     with pytest.raises(MagycError, match="local-anomaly needs the attitude"):
         inject(type(blind)(blind.time, blind.magnetic_field, blind.angular_rate), plain.truth, ("local-anomaly",))
+
+
+def test_injection_keeps_the_sensors_own_clocks():
+    """What takes time takes the same time whatever the rows of the table are; the samples keep their stamps."""
+    fast = simulate("wide", 120, rate=50.0, seed=4, magnetometer_noise=1e-9, gyroscope_noise=1e-5)
+    time, field, rate = fast.recording.time, fast.recording.magnetic_field, fast.recording.angular_rate
+    shown = Recording.from_streams((time[::3], field[::3]), (time[1::2], rate[1::2]))
+    late, _ = inject(shown, fast.truth, ("timing",), seed=6)
+    for sensor in ("magnetometer", "gyroscope"):
+        kept, given = getattr(late, sensor).time, getattr(shown, sensor).time
+        assert np.isin(kept, given).all()
+        assert len(kept) >= len(given) - 1  # the rows begin and end where both sensors have been heard
+    assert calibrate(shown).delay == pytest.approx(0.0, abs=2e-4)
+    assert calibrate(late).delay == pytest.approx(0.04, abs=2e-3)
 
 
 def test_stages_cover_all_effects():

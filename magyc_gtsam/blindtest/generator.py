@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.blindtest.scenarios import Scenario
+from magyc_gtsam.blindtest.visibility import factor_in
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.json_types import json_types
@@ -43,11 +44,13 @@ def generate(scenario: Scenario, real: Recording | None = None) -> Hidden:
 
     Args:
         scenario: what to hide.
-        real: the recording to hide it in, of the set "real".
+        real: the recording to hide it in, of the set "real"; the factors are on what stands out there as far as the
+            published strength does of a simulated recording.
     """
     if real is not None:
         calibration = _calibration(real)
-        recording, applied = inject(real, calibration, scenario.effects, scenario.seed, CHANNELS)
+        effects = [(n, f * factor_in(real, calibration, n, scenario.seed)) for n, f in scenario.effects]
+        recording, applied = inject(real, calibration, effects, scenario.seed, CHANNELS)
         return Hidden(_blinded(recording, scenario), calibration, applied, real.attitude)
     simulation = simulate(
         scenario.motion,

@@ -96,16 +96,19 @@ def score(
         if result.exists():
             truth = opened(folder, number, manifest)
             pairs.append((number, _scenario(truth), json.loads(result.read_text(encoding="utf-8"))))
-    already = {
-        s.motion: {e["name"] for e in result["effects"]}
-        for _, s, result in pairs
-        if s.set == "real" and not s.effects
-    }
+    already = {s.motion: _there(result) for _, s, result in pairs if s.set == "real" and not s.effects}
     outcomes = []
     for done, (number, scenario, result) in enumerate(pairs):
-        outcomes.append(_outcome(number, scenario, result, already.get(scenario.motion, set()), heading))
+        there = already.get(scenario.motion, set())
+        if there.isdisjoint(scenario.names):  # else it would be found without
+            outcomes.append(_outcome(number, scenario, result, there, heading))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
+
+
+def _there(result: dict[str, Any]) -> set[str]:
+    """What a real recording holds as it is: the names given, and those left that could not be given."""
+    return {e["name"] for e in result["effects"]} | set(result.get("diagnostics", {}).get("leftover", ()))
 
 
 def _scenario(truth: dict[str, Any]) -> Scenario:
@@ -120,7 +123,7 @@ def _outcome(
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
     if scenario.set == "real" and scenario.effects:
-        named = tuple(n for n in named if n[0] not in already - set(scenario.names))
+        named = tuple(n for n in named if n[0] not in already)
     verdict = result["verdict"]
     excess = None
     if "before" in result:

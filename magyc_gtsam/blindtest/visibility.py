@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from magyc_gtsam.blindtest.scenarios import MOTIONS
-from magyc_gtsam.estimators.chain_search import fit_field_chain
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.chain_search import fit_field_chain, short_term_noise
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.simulation import MILLIGAUSS, simulate
+from magyc_gtsam.recording import Recording
+from magyc_gtsam.simulation import MILLIGAUSS, inject, simulate
 from magyc_gtsam.simulation.effects import EFFECTS
+from magyc_gtsam.simulation.environment import CHANNELS
 
 _NOISE = (10 * MILLIGAUSS, 5e-3)
+_SAMPLES = 6000  # of a simulated recording
 _QUIET = {"magnetometer_noise": 1e-3 * _NOISE[0], "gyroscope_noise": 1e-3 * _NOISE[1]}
+# What is done to single samples stands out of the noise of single samples.
+_OF_SAMPLES = ("coloured-noise", "spikes", "tone", "quantisation")
+_ROUNDS = 6
+_NEAR = 1.1
+_LARGEST = 8.0
 
 
 def visibility(name: str, motion: str, seed: int = 0) -> float:
@@ -36,6 +46,49 @@ def table(
     """{effect: {motion: median visibility over seeds}}."""
     result: dict[str, dict[str, float]] = {}
     for done, name in enumerate(EFFECTS):
-        result[name] = {m: float(np.median([visibility(name, m, s) for s in range(seeds)])) for m in motions}
+        result[name] = {m: _median(name, m, seeds) for m in motions}
         progress((done + 1) / len(EFFECTS))
     return result
+
+
+@lru_cache
+def _median(name: str, motion: str, seeds: int) -> float:
+    return float(np.median([visibility(name, motion, seed) for seed in range(seeds)]))
+
+
+def factor_in(recording: Recording, calibration: Calibration, name: str, seed: int) -> float:
+    """Factor on the published strength at which an effect stands out of a real recording as far as of a simulated one.
+
+    Out of what the recording leaves of the twelve parameters and the delay as it is, that is, its colour accounted
+    for; the simulated one is on the wide motion. At most `_LARGEST`: what a short recording cannot show at that is
+    not made to show.
+
+    Args:
+        recording, calibration: as of `inject`.
+        name: of the effect.
+        seed: of what is drawn.
+    """
+    level = short_term_noise(recording).magnetometer / _NOISE[0]
+    if name == "tone":
+        return float(level * np.sqrt(_SAMPLES / recording.magnetic_field_fresh.sum()))
+    if name in _OF_SAMPLES:
+        return float(level)
+    if name == "axis-order":
+        return 1.0
+    base, _ = fit_field_chain(recording, robust=False, delay=calibration.delay)
+
+    def stands_out(factor: float) -> float:
+        changed, _ = inject(recording, calibration, [(name, factor)], seed, CHANNELS)
+        try:
+            fit, _ = fit_field_chain(changed, noise=base.chain.noise, robust=False, delay=calibration.delay)
+        except MagycError:
+            return np.inf  # so much is missing that nothing fits
+        return float(np.sqrt(max(2 * (fit.reduced.cost - base.reduced.cost) / base.colour, 0.0)))
+
+    factor, wanted = 1.0, _median(name, "wide", 4)
+    for _ in range(_ROUNDS):
+        share = wanted / max(stands_out(factor), 0.2 * wanted)
+        factor = float(np.clip(factor * max(share, 0.2), 0.0, _LARGEST))
+        if 1 / _NEAR < share < _NEAR:
+            break
+    return factor

@@ -100,7 +100,7 @@ def _of_sensor(sensor: str, samples: Samples, recording: Recording, shown: float
     runs = [_runs(time, column) for column in value.T]
     if not any(runs):
         return []
-    step = _step(value)
+    step = resolution(value)
     whole = _common(time, runs) if sensor == "angular_rate" else []
     groups = {tuple(run for run in whole if _turned(recording, *run)): "xyz"}
     for axis, name in enumerate("xyz"):
@@ -131,7 +131,7 @@ def _common(time: Array, runs: Sequence[Sequence[tuple[int, int]]]) -> list[tupl
     return [(i, j) for i, j in found if j - i >= _LEAST_SAMPLES and time[j - 1] - time[i] >= _LEAST_DURATION]
 
 
-def _step(value: Array) -> float:
+def resolution(value: Array) -> float:
     """The smallest change of any axis between neighbours: the sensor's resolution, or less."""
     change = np.abs(np.diff(value, axis=0))
     return float(change[change > 0].min(initial=np.inf))

@@ -86,22 +86,8 @@ def _on_own_clock(recording: Recording) -> Recording:
     if slope < row or np.ptp(age) > _ONE_ROW * row:
         return recording  # no clock is seen
     own += float(age.min())
-    known = {k: np.isfinite(v).reshape(len(v), -1).all(axis=1) for k, v in recording.channels.items()}
-    channels = {
-        k: (recording.time[known[k]], v[known[k]]) for k, v in recording.channels.items() if known[k].sum() > 1
-    }
-    acceleration, attitude = recording.acceleration, recording.attitude
-    return Recording.from_streams(
-        (own, field),
-        None if recording.angular_rate is None else (recording.time, recording.angular_rate),
-        acceleration=None if acceleration is None else (recording.time, acceleration),
-        attitude=None if attitude is None else (recording.time, attitude),
-        channels=channels,
-        name=recording.name,
-        notes=recording.notes,
-        angular_rate_is=recording.angular_rate_is,
-        magnetic_field_unit=recording.magnetic_field_unit,
-    )
+    rates = None if recording.angular_rate is None else (recording.time, recording.angular_rate)
+    return recording.with_samples((own, field), rates)
 
 
 def _unheld(recording: Recording, noise: float) -> Recording:

@@ -11,6 +11,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
+from magyc_gtsam.estimators.clipped import find_clipped, without_clipped
 from magyc_gtsam.estimators.stuck import find_stuck, without_stuck
 from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
@@ -22,7 +23,7 @@ from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.naming import as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, without_term
+from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, tempered, without_term
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, moved, verdict
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
@@ -62,7 +63,7 @@ def find_gap(
     report = progress or (lambda _: None)
     report(0.0)
     recording.gyroscope  # noqa: B018 - raises where there is none
-    recording = without_stuck(recording, find_stuck(recording))
+    recording = without_clipped(without_stuck(recording, find_stuck(recording)), find_clipped(recording))
     recording, discrete = settled(recording, names)
     tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
     recording = silenced(recording, tones)
@@ -168,8 +169,9 @@ def _gap(
     seconds: float,
 ) -> Gap:
     strength = None if calibration is None else calibration.field_strength
-    first, last = result.first, replace(result.last, refit=_widened(result.last.refit))
-    base = _widened(base)
+    first, plain = result.first, _widened(result.last.refit)
+    base, held = _widened(base), tempered(result.problem, result.last.refit, short_term)
+    last = replace(result.last, refit=_widened(held))
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
     again = {f.name for f in found}
     known = tuple(
@@ -183,17 +185,16 @@ def _gap(
         if f.noise is not None
     )
     open_places = {
-        place: index
-        for place, index in term_places(found, last.refit.model).items()
-        if not determined(last.refit, index)
+        place: index for place, index in term_places(found, plain.model).items() if not determined(plain, index)
     }
     corrected, fine = last.refit, last.fine
     if open_places:
-        model = last.refit.model
+        model = held.model
         for index in reversed(open_places.values()):
             model = without_term(model, index)
         corrected = _widened(refit(result.problem, model, short_term))
-        fine = fine_innovations(result.recording, model)
+    if corrected.model is not result.last.refit.model:
+        fine = fine_innovations(result.recording, corrected.model)
     started = as_calibration(base, strength, known)
     final = as_calibration(corrected, strength, (*known, *added))
     word, sentence = verdict(found, result, last, open_places)

@@ -23,12 +23,13 @@ _SHAPE = 0.08  # share of what was explained that may remain, for effects are no
 _TRACE = 0.03  # share of an effect's statistic below which another may be its form, whatever the name
 _MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
 _FIRM = 0.7  # share of what a term should explain beside whatever else is missing
+_MOSTLY = 0.8  # share that a term must explain of what families that hold its signature could explain
 _LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
 _STRONG = 5.0  # thresholds that a term must pass where something else is missing too
 _AHEAD = 9.0  # nats of evidence from which a rival is behind
 _BEATS = 3.0  # nats by which a generic family must be ahead of all that was named
 _SPAN = 2.5  # widths within which a second bump belongs to the first
-_LEFT = 0.2  # share of an effect's statistic that a rival may pick up after it
+LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
 _SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
 NOISE_LIMIT = float(np.log(22 / 0.01))
 
@@ -116,7 +117,7 @@ def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> 
     return any(
         f.name in TERMS
         and (f.name in rivals or score.name in TERMS[f.name].rivals or f.name == score.name)
-        and score.statistic < _LEFT * f.statistic
+        and score.statistic < LEFT * f.statistic
         for f in found
     )
 
@@ -197,7 +198,7 @@ def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str,
         return True
     rows, pulls = (np.concatenate(part) for part in zip(*holding, strict=True))
     more, unit = explained(rows, pulls, [*beside, (own, pull)])
-    return statistic > _FIRM * (statistic + more - len(unit))
+    return statistic > _MOSTLY * (statistic + more - len(unit))
 
 
 def _squared(values: Array) -> float:

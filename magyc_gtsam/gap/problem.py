@@ -26,11 +26,15 @@ _PASSES = 4  # for gyroscope terms that read the true rate
 
 @dataclass(frozen=True, eq=False)
 class Active:
-    """A term in the model: its name, setting and value (k,) in SI units."""
+    """A term in the model: its name, setting and value (k,) in SI units.
+
+    prior: deviation with which the value is held to 0; None is the catalogue's.
+    """
 
     name: str
     setting: Setting
     value: Array
+    prior: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.score import Projector, Score, Variant, variant, variants
 
 _CLEARLY = 1.0  # nats by which a name must be ahead of each neighbour; less is a toss-up
+_SAME = 0.95  # squared cosine between what two explain, from which they are the same
 _FEW = 20  # settings up to which a neighbour is tried at all of them
 
 
@@ -52,11 +53,21 @@ def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
     )
     if parts:
         return parts
-    even = {n: tried for n, tried in closest.items() if surprise(tried, now.innovation) > own - _CLEARLY}
+    even = {
+        n: tried
+        for n, tried in closest.items()
+        if surprise(tried, now.innovation) > own - _CLEARLY and not _same(best, tried, now.innovation)
+    }
     if not even:
         return ()
     paired = _paired(name, best, now)
     return tuple(n for n, tried in even.items() if _paired(name, tried, now) > paired - _CLEARLY)
+
+
+def _same(one: Variant, other: Variant, innovation: Array) -> bool:
+    """Whether what two variants explain is one thing to this recording: a gain of a hard iron is a hard iron."""
+    first, second = (v.unit.T @ v.score(innovation) for v in (one, other))
+    return float(first @ second) ** 2 > _SAME * float(first @ first) * float(second @ second)
 
 
 def _paired(name: str, tried: Variant, now: Look) -> float:

@@ -22,7 +22,9 @@ _ROUNDS = 3  # of noise levels
 _STEPS = 8
 _SHORTER = (1.0, 0.5, 0.2, 0.05)
 _ROUNDING = 0.5  # of a cost, to second order of the rotations
-_HELD = 0.5  # of a prior's deviation, from which the prior has as much to say as the data
+_HELD = 0.75  # of a prior's deviation, up to which the data have told something of every direction
+_FEW = 3  # values of one vector, which the motion determines alike
+_GRID = 81
 _SETTLED = 1e-3  # squared length of a step, in sigmas
 
 
@@ -101,6 +103,34 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
     return Refit(twin, covariance, converged)
 
 
+def tempered(problem: Problem, result: Refit, short_term: Noise) -> Refit:
+    """With every effect of many values held by a deviation of its own values, refitted (empirical Bayes).
+
+    A weak effect of many values is mostly noise in those that the motion hardly determines; to apply it would do more
+    harm than good. The deviation is the one under which the data are most likely.
+    """
+    terms = list(result.model.terms)
+    for index, term in enumerate(terms):
+        if len(term.value) > _FEW:
+            value, covariance = result.value_of(index)
+            terms[index] = replace(term, prior=_spread(value, covariance, TERMS[term.name].prior))
+    if terms == list(result.model.terms):
+        return result
+    return refit(problem, replace(result.model, terms=tuple(terms)), short_term)
+
+
+def _spread(value: Array, covariance: Array, prior: float) -> float:
+    """The most likely deviation of values that are estimated with this covariance, of which `prior` is a part."""
+    precision = np.linalg.pinv(covariance, hermitian=True)
+    known, direction = np.linalg.eigh(precision - np.eye(len(value)) / prior**2)
+    known = np.maximum(known, 0.0)
+    pull = direction.T @ (precision @ value)
+    deviation = prior * np.logspace(-4, 0, _GRID)[:, None]
+    widened = 1 + deviation**2 * known
+    likelihood = 0.5 * (deviation**2 * pull**2 / widened - np.log(widened)).sum(axis=1)
+    return float(deviation[np.argmax(likelihood), 0])
+
+
 def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | None:
     """The twin after a step, shortened until the cost does not rise; None where no step helps."""
     for share in _SHORTER:
@@ -121,7 +151,7 @@ def _prior(model: Model) -> tuple[Array, Array]:
     What a motion does not determine of a term stays where the data sheet has it.
     """
     base = np.zeros(int(model.free.sum()))
-    precision = [base] + [np.full(len(t.value), TERMS[t.name].prior ** -2) for t in model.estimated]
+    precision = [base] + [np.full(len(t.value), (t.prior or TERMS[t.name].prior) ** -2) for t in model.estimated]
     return np.concatenate(precision), np.concatenate([base, *(t.value for t in model.estimated)])
 
 

@@ -10,6 +10,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.naming import Found, Look, term_places
+from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
@@ -54,7 +55,7 @@ def _place(left: Sequence[str], last: Look) -> str:
     for score in last.scores:
         if score.name in names and score.generic:
             return f"something that lives in {score.place} is missing"
-    for name in left:
+    for name in (product_of(name) or name for name in left):
         if name in LABELS:
             return f"something like “{LABELS[name]}” is missing"
     return "something is missing"

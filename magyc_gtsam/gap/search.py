@@ -19,6 +19,7 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import (
+    LEFT,
     NOISE_LIMIT,
     Found,
     Look,
@@ -45,6 +46,7 @@ from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 5
+_PASSES_FOR = ("coloured-noise", "tone")  # what is missing
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
@@ -56,7 +58,8 @@ class Search:
         recording, problem: the data, without what was found to be wrong samples.
         first, last: looks at the base model and at the final one.
         found: effects in the order of adding; see `naming.term_places`.
-        leftover: names of what is significant in the last look and was neither added nor vetoed.
+        leftover: names of what is significant in the last look and was neither added nor vetoed, and of noise that
+            what is missing may pass for.
     """
 
     recording: Recording
@@ -168,9 +171,10 @@ def search(
     found = [f for f in found if f.name != "coloured-noise" or f.name in loud]
     left = tuple(dict.fromkeys((*instead, *switched(found), *leftover(now, first, found, noted))))
     if left:
-        toned = [f.name for f in found].count("tone")
+        loose = [f.name for f in found if f.name in _PASSES_FOR]
         kept, found = _firm(problem, current, found, first, now, left, short_term)
-        if toned:  # nor is it to be taken out of the readings
+        left = (*left, *loose)
+        if "tone" in loose:  # nor is it to be taken out of the readings
             recording = replace(recording, magnetic_field=given.magnetic_field)
             problem = prepare(recording)
             kept = refit(problem, kept.model, short_term)
@@ -197,7 +201,7 @@ def _firm(
         place: index
         for place, index in places.items()
         if found[place].evidence < line
-        or found[place].name in left  # wanted oftener than it may be had: steps in a row are no step
+        or _again(found[place], now, left)
         or found[place].name in {product_of(name) for name in left}
         or not stands(current, index, found[place], now, left)
     }
@@ -205,8 +209,14 @@ def _firm(
     for index in reversed(loose.values()):
         model = without_term(model, index)
     kept = [f for i, f in enumerate(found) if i not in loose]
-    kept = [f for f in kept if f.name not in ("coloured-noise", "tone")]  # for which what is missing would pass
+    kept = [f for f in kept if f.name not in _PASSES_FOR]
     return (refit(problem, model, short_term) if loose else current), kept
+
+
+def _again(one: Found, now: Look, left: tuple[str, ...]) -> bool:
+    """Whether an effect is wanted oftener than it may be had, and nearly as much: steps in a row are no step."""
+    more = max((s.statistic for s in now.scores if s.name == one.name), default=np.inf)
+    return one.name in left and more > LEFT * one.statistic
 
 
 class _Wider(NamedTuple):

@@ -6,14 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation.effects import chosen
 from magyc_gtsam.simulation.environment import CHANNELS, measured
 from magyc_gtsam.simulation.scene import Applied, Chain, Scene, Stage
+
+_FINER = 2  # grid points between two samples of the faster sensor
 
 
 def inject(
@@ -26,7 +28,7 @@ def inject(
     """A recording as it would have been with these effects.
 
     Args:
-        recording: with a gyroscope; its rows keep their stamps and masks.
+        recording: with a gyroscope; its samples keep their stamps.
         calibration: of it, which says what of the measured field is iron and what is Earth.
         effects, seed: as in `simulate`.
         channels: simulated surroundings to record beside; "current", "temperature", "depth", "position".
@@ -37,41 +39,52 @@ def inject(
     wanted = chosen(effects, seed)
     if recording.angular_rate is None or calibration.gyro_bias is None:
         raise MagycError("effects are put into recordings with a gyroscope and a calibration of its bias")
-    time = recording.time - recording.time[0]
-    rows = np.arange(len(time))
     attitude = None
     if recording.attitude is not None and np.isfinite(recording.attitude).all():
-        attitude = Rotation.from_quat(recording.attitude)
-    angular_rate = recording.angular_rate - calibration.gyro_bias
+        attitude = Slerp(recording.time, Rotation.from_quat(recording.attitude))
     lacking = [w.name for w in wanted if attitude is None and (w.effect.attitude or w.effect.stage is Stage.WORLD)]
     if lacking:
         raise MagycError(f"effects: {', '.join(lacking)} needs the attitude at every row of {recording.name!r}")
-    body = calibration.apply(recording.magnetic_field)
-    field = np.zeros(3) if attitude is None else np.median(attitude.apply(body), axis=0)
-    scene = Scene(time, attitude, angular_rate, field, rows, seed)
-    chain = Chain(wanted, scene)
 
-    if attitude is not None:
-        world = np.tile(field, (len(time), 1))
-        body = body + attitude.inv().apply(chain.pass_through(Stage.WORLD, world) - world)
+    # The physics goes on between the samples: on a grid, of which only the changes are put into them.
+    when, reading = recording.magnetometer
+    turned, rates = recording.gyroscope
+    grid = _grid(recording, min(float(np.median(np.diff(t))) for t in (when, turned)) / _FINER)
+    rate = _at(grid, turned, rates) - calibration.gyro_bias
+    before = _at(grid, when, reading)
+    body = calibration.apply(before)
+    turn = None if attitude is None else attitude(grid)
+    field = np.zeros(3) if turn is None else np.median(turn.apply(body), axis=0)
+    rows = np.clip(np.searchsorted(grid, when), 0, len(grid) - 1)
+    scene = Scene(grid - grid[0], turn, rate, field, rows, seed)
+    chain = Chain(wanted, scene)
+    if turn is not None:
+        world = np.tile(field, (len(grid), 1))
+        body = body + turn.inv().apply(chain.pass_through(Stage.WORLD, world) - world)
     iron = chain.pass_through(Stage.BODY, body) @ calibration.soft_iron.T + calibration.hard_iron
     seen = chain.pass_through(Stage.ELECTRONICS, chain.pass_through(Stage.IRON, iron))
-    shown = chain.pass_through(Stage.SAMPLING, rows)
+    felt = chain.pass_through(Stage.GYROSCOPE, rate)
+
+    sampling = Chain(wanted, replace(scene, time=when - grid[0], rows=np.arange(len(when))))
+    shown = sampling.pass_through(Stage.SAMPLING, np.arange(len(when)))
     _, first, again = np.unique(shown, return_index=True, return_inverse=True)
-    reading = chain.pass_through(Stage.READING, seen[shown])
-    magnetic_field = chain.pass_through(Stage.QUANTISED, reading[first[again]])
-    felt = chain.pass_through(Stage.GYROSCOPE, angular_rate) + calibration.gyro_bias
-    fresh = recording.magnetic_field_fresh.copy()
-    fresh[1:] &= (magnetic_field[1:] != magnetic_field[:-1]).any(axis=1)
+    sample = (reading + _at(when, grid, seen - before))[shown]
+    sample = sampling.pass_through(Stage.READING, sample)
+    sample = sampling.pass_through(Stage.QUANTISED, sample[first[again]])
+    rates = sampling.pass_through(Stage.AXES, rates + _at(turned, grid, felt - rate))
+    changed = recording.with_samples((when, sample), (turned, rates))
+
     recorded = [name for name in CHANNELS if name in {*channels, *(n for w in wanted for n in w.effect.needs)}]
-    changed = replace(
-        recording,
-        magnetic_field=magnetic_field,
-        magnetic_field_fresh=fresh,
-        angular_rate=chain.pass_through(Stage.AXES, felt),
-        channels={
-            **recording.channels,
-            **{name: measured(scene.environment, name, rows, seed) for name in recorded},
-        },
-    )
-    return changed, tuple(chain.applied)
+    every = np.clip(np.searchsorted(grid, changed.time), 0, len(grid) - 1)
+    simulated = {name: measured(scene.environment, name, every, seed) for name in recorded}
+    changed = replace(changed, channels={**changed.channels, **simulated})
+    return changed, (*chain.applied, *sampling.applied)
+
+
+def _grid(recording: Recording, step: float) -> Array:
+    """Evenly from the first row to the last, by about `step` s."""
+    return np.linspace(recording.time[0], recording.time[-1], 1 + int(np.ceil(recording.duration / step)))
+
+
+def _at(time: Array, grid: Array, values: Array) -> Array:
+    return np.stack([np.interp(time, grid, axis) for axis in values.T], axis=1)
