@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dpbtrs
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise, Reduced, State, Weights
 from magyc_gtsam.factors.rotations import Array
 
@@ -116,7 +117,10 @@ def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
             reduced = reduced._replace(cost=reduced.cost - 0.5 * (length + ahead_of_directions))
             state, converged = trial, True
             break
-        ahead = fit.chain.eliminate(trial, fit.weights)
+        try:
+            ahead = fit.chain.eliminate(trial, fit.weights)
+        except MagycError:  # so far off that a direction has no curvature: the step was too long
+            ahead = reduced._replace(cost=np.inf)
         spent += 1
         if ahead.cost <= reduced.cost * (1 + 1e-10) + _ROUNDING and np.isfinite(ahead.cost):
             state, reduced = trial, ahead
