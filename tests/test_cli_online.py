@@ -182,6 +182,7 @@ def test_a_file_that_another_process_writes(log: Path, expected: mg.Calibration,
     output, errors = process.communicate(timeout=PATIENCE)
     assert errors == "" or process.returncode == 1
     last = json.loads(output.splitlines()[-1])
+    assert last["stuck"] == []
     assert last["final"]
     assert last["end"] == "the input is complete"
     assert last["exit_code"] == process.returncode

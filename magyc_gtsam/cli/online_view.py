@@ -160,6 +160,7 @@ class Json(Quiet):
             "duration": progress.duration,
             "windows": progress.windows,
             "left_out": progress.left_out,
+            "stuck": [stuck.where for stuck in progress.stuck],
             "coverage": progress.coverage,
             "converged": progress.converged,
             "sentence": progress.sentence,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg.lapack import dpbtrs
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Noise, Reduced, State, Weights
 from magyc_gtsam.factors.rotations import Array
 
@@ -45,7 +47,7 @@ class Fit:
     converged: bool = False
     noise_freedom: float = np.inf
 
-    @property
+    @cached_property
     def covariance(self) -> Array:
         """(13, 13) inverse information; zeros for fixed parameters, infinite where it is singular."""
         result = np.zeros((PARAMETERS, PARAMETERS))
@@ -67,7 +69,7 @@ class Fit:
         """
         return 1 + 2 / max(self.noise_freedom, 1.0)
 
-    @property
+    @cached_property
     def colour(self) -> float:
         """1 + 2 Σ ρ_k: by how much neighbouring windows repeat each other's misfit; 1 for white residuals.
 
@@ -76,7 +78,7 @@ class Fit:
         """
         return max(colour_of(residual) for residual in self.whitened)
 
-    @property
+    @cached_property
     def whitened(self) -> tuple[Array, Array]:
         """(3, n) twice: the windows' residuals over their sigmas, in the sensor's and in the world's axes."""
         whitened = self.chain.residuals(self.state).window * np.sqrt(self.weights.window) / self.chain.window_sigma
@@ -115,7 +117,10 @@ def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
             reduced = reduced._replace(cost=reduced.cost - 0.5 * (length + ahead_of_directions))
             state, converged = trial, True
             break
-        ahead = fit.chain.eliminate(trial, fit.weights)
+        try:
+            ahead = fit.chain.eliminate(trial, fit.weights)
+        except MagycError:  # so far off that a direction has no curvature: the step was too long
+            ahead = reduced._replace(cost=np.inf)
         spent += 1
         if ahead.cost <= reduced.cost * (1 + 1e-10) + _ROUNDING and np.isfinite(ahead.cost):
             state, reduced = trial, ahead
@@ -225,7 +230,7 @@ def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float, float]:
             2 * weights.link[chain.windows.linked].sum() - (unknowns - absorbed),
         ]
     )
-    shared = _shared(fit, residuals.window / chain.window_sigma * np.sqrt(weights.window), covariance)
+    shared = explained(fit, residuals.window / chain.window_sigma * np.sqrt(weights.window), covariance)
     information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
     gradient = squares - redundancy
     level = np.array(chain.noise)
@@ -242,8 +247,11 @@ def improved_noise(fit: Fit, short_term: Noise) -> tuple[Noise, float, float]:
     return Noise(*better.tolist()), gain, float(redundancy[1])
 
 
-def _shared(fit: Fit, whitened: Array, covariance: Array) -> float:
-    """gᵀ K⁻¹ g for the gradient g of the windows' squares, by the elimination at hand."""
+def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
+    """How much of the square of `whitened` (3, n) on the windows directions and θ can explain.
+
+    gᵀ K⁻¹ g for the gradient g that it leaves in them, by the elimination at hand.
+    """
     reduced = fit.reduced
     on_direction = np.einsum("ian,in->na", reduced.on_direction, whitened).ravel()
     on_parameters = reduced.on_parameters.reshape(PARAMETERS, -1) @ whitened.ravel()

@@ -10,6 +10,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import starts
 from magyc_gtsam.estimators.chain_fit import weigh
 from magyc_gtsam.estimators.chain_search import preintegrate, short_term_noise
+from magyc_gtsam.estimators.clock_drift import restamped
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import FieldChain, Noise
 from magyc_gtsam.recording import Array, Recording
@@ -42,6 +43,7 @@ def window_residuals(recording: Recording, calibration: Calibration) -> WindowRe
         raise MagycError(
             f"method {calibration.method!r} estimates no gyroscope bias, so there are no window residuals"
         )
+    recording = restamped(recording, calibration.configuration.get("clock_drift", 0.0))
     samples = preintegrate(recording)
     windows = samples.integrate(calibration.gyro_bias, calibration.delay)
     noise = short_term_noise(recording)

@@ -7,6 +7,7 @@ attitude and no noise level is asked of the user.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,13 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import Progress, fit_field_chain, positive
+from magyc_gtsam.estimators.clock_drift import MOST, find_drift, restamped
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY
 from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.observability import Observability, assess
-from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording import Array, Recording
 
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
 _LEAST_TRUSTED = 0.5  # share of the windows' weight below which the result must not be trusted
@@ -34,6 +36,7 @@ def calibrate_smoother(
     delay: float | None = None,
     window: float = 1.5,
     turn: float | None = None,
+    clock_drift: float = 0.0,
     progress: Progress | None = None,
 ) -> Calibration:
     """Calibrate by the field smoother.
@@ -46,45 +49,75 @@ def calibrate_smoother(
         delay: s by which the magnetometer lags; None estimates it, a number fixes it.
         window: s, longest window.
         turn: rad, largest rotation inside a window; None chooses it from the spread of the data.
+        clock_drift: s/s that the magnetometer's clock gains on the gyroscope's, taken out of its stamps from the first
+            row on. What is left of one is found, and a result that it harms is not trusted.
         progress: called with the share done, 0 to 1.
 
     Raises:
         MagycError: no gyroscope, too few samples, or sensors whose axes or units disagree.
     """
     check_options(noise, robust, delay, window, turn)
+    _number("clock_drift", clock_drift, -MOST, MOST, "s/s")
     report = progress or (lambda _: None)
     report(0.0)
-    fit, rival = fit_field_chain(
-        recording, noise=noise, robust=robust, delay=delay, window=window, turn=turn, progress=report
-    )
-    configuration: dict[str, Any] = {"window": window, "turn": turn, "robust": robust is not False, "delay": delay}
+    options: dict[str, Any] = {"noise": noise, "robust": robust, "delay": delay, "window": window, "turn": turn}
+    configuration = options | {"robust": robust is not False}
+    del configuration["noise"]
     if noise is not None:
         configuration["noise"] = list(noise)
+    if clock_drift:
+        configuration["clock_drift"] = clock_drift
+        recording = restamped(recording, clock_drift)
+    fit, rival = fit_field_chain(recording, **options, progress=report)
     calibration = calibration_of(recording, fit, rival, field_strength, configuration)
+
+    def refit(again: Recording, start: Array | None) -> tuple[Fit, bool]:
+        fit, rival = fit_field_chain(again, **options, start=start)
+        return fit, calibration_of(again, fit, rival, field_strength, configuration).converged
+
+    drift = find_drift(recording, fit, calibration.converged, refit)
+    if drift is not None:
+        drift = drift._replace(known=clock_drift)
+        trusted = calibration.converged and not drift.harms
+        words = [calibration.message, drift.sentence]
+        if not trusted:
+            words = [drift.sentence] if calibration.converged else words[::-1]
+        calibration = replace(
+            calibration,
+            converged=trusted,
+            message="; ".join(words),
+            diagnostics={**calibration.diagnostics, "clock_drift": [drift.rate, drift.sigma]},
+        )
     report(1.0)
     return calibration
 
 
 def check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any) -> None:
-    def number(name: str, value: Any, low: float, high: float, unit: str) -> None:
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
-            raise MagycError(f"{name}: {value!r} is no number between {low:g} and {high:g} {unit}")
+    """Refuse what is no option.
 
+    Raises:
+        MagycError: an option that is out of range.
+    """
     if robust not in (None, True, False):
         raise MagycError(
             f"robust: {robust!r} is neither True nor False; this method has one rejection of its own, the kernels "
             "of magyc_gtsam.factors.KERNELS are for graphs"
         )
-    number("window", window, 0.0, 60.0, "s")
+    _number("window", window, 0.0, 60.0, "s")
     if turn is not None:
-        number("turn", turn, 0.0, np.pi, "rad")
+        _number("turn", turn, 0.0, np.pi, "rad")
     if delay is not None:
-        number("delay", delay, -1.0, 1.0, "s")
+        _number("delay", delay, -1.0, 1.0, "s")
     if noise is not None:
         if not isinstance(noise, (tuple, list)) or len(noise) != 2:
             raise MagycError(f"noise: {noise!r} is no pair (magnetometer T, gyroscope rad/s)")
-        number("noise of the magnetometer", noise[0], 0.0, 1e-3, "T")
-        number("noise of the gyroscope", noise[1], 0.0, 10.0, "rad/s")
+        _number("noise of the magnetometer", noise[0], 0.0, 1e-3, "T")
+        _number("noise of the gyroscope", noise[1], 0.0, 10.0, "rad/s")
+
+
+def _number(name: str, value: Any, low: float, high: float, unit: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
+        raise MagycError(f"{name}: {value!r} is no number between {low:g} and {high:g} {unit}")
 
 
 def calibration_of(

@@ -16,9 +16,9 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording, Samples
 
-_LEAST_SAMPLES = 100  # in a row; with noise of half a step a working axis repeats that often once in 10¹⁵
-_LEAST_DURATION = 2.0  # s
-_NOISY = 1.5  # steps of the sensor from which noise on one axis must show on another
+LEAST_SAMPLES = 100  # in a row; with noise of half a step a working axis repeats that often once in 10¹⁵
+LEAST_DURATION = 2.0  # s
+NOISY = 1.5  # steps of the sensor from which noise on one axis must show on another
 _ALTERNATES = 0.55  # share of sign changes of second differences; 0.73 for white noise, near 0 for motion
 _TURNED = 0.2  # sweep of the field over its median strength that no gyroscope at rest goes with
 _MOST = 0.5  # share of the recording from which no calibration is tried
@@ -50,7 +50,8 @@ class Stuck:
         more = f" and {len(self.stretches) - 1} more times" if len(self.stretches) > 1 else ""
         name = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}[self.sensor]
         which = f"axis {self.axes} of the {name} is" if len(self.axes) == 1 else f"axes {', '.join(self.axes)} are"
-        others = {1: "its other axes show noise", 2: "its other axis shows noise", 3: "the field turned"}
+        turned = "the gyroscope turned" if self.sensor == "magnetic_field" else "the field turned"
+        others = {1: "its other axes show noise", 2: "its other axis shows noise", 3: turned}
         return (
             f"{self.sensor}: {which} stuck at {self.value} from {start:.1f} to {end:.1f} s{more}, "
             f"{self.share:.0%} of the recording, while {others[len(self.axes)]}"
@@ -105,30 +106,35 @@ def _of_sensor(sensor: str, samples: Samples, recording: Recording, shown: float
     groups = {tuple(run for run in whole if _turned(recording, *run)): "xyz"}
     for axis, name in enumerate("xyz"):
         others = np.delete(value, axis, axis=1)
-        own = tuple(run for run in runs[axis] if _noise(others[slice(*run)]) >= _NOISY * step)
+        own = tuple(run for run in runs[axis] if white_noise(others[slice(*run)]) >= NOISY * step)
         groups[own] = groups.get(own, "") + name
     result = []
     for stretches, axes in groups.items():
         if stretches:
             times = sorted(((float(time[i]), float(time[j - 1])) for i, j in stretches), key=lambda s: s[0] - s[1])
             share = sum(end - start for start, end in times) / recording.duration
-            at = ", ".join(f"{value[stretches[0][0], 'xyz'.index(a)] * shown:.4g}" for a in axes)
+            at = shown_value(value[stretches[0][0]] * shown, axes)
             result.append(Stuck(sensor, axes, f"{at} {unit}", tuple(times), share))
     return result
+
+
+def shown_value(value: Array, axes: str) -> str:
+    """The values (3,) of the named axes, in words."""
+    return ", ".join(f"{value['xyz'.index(axis)]:.4g}" for axis in axes)
 
 
 def _runs(time: Array, column: Array) -> list[tuple[int, int]]:
     """[first, past the last) of the stretches in which a column repeats exactly for long."""
     edges = np.concatenate([[0], np.flatnonzero(column[1:] != column[:-1]) + 1, [len(column)]])
-    long = np.flatnonzero(np.diff(edges) >= _LEAST_SAMPLES)
+    long = np.flatnonzero(np.diff(edges) >= LEAST_SAMPLES)
     pairs = [(int(edges[i]), int(edges[i + 1])) for i in long]
-    return [(i, j) for i, j in pairs if time[j - 1] - time[i] >= _LEAST_DURATION]
+    return [(i, j) for i, j in pairs if time[j - 1] - time[i] >= LEAST_DURATION]
 
 
 def _common(time: Array, runs: Sequence[Sequence[tuple[int, int]]]) -> list[tuple[int, int]]:
     """The stretches in which all three axes repeat."""
     found = [(max(i, k, m), min(j, n, p)) for i, j in runs[0] for k, n in runs[1] for m, p in runs[2]]
-    return [(i, j) for i, j in found if j - i >= _LEAST_SAMPLES and time[j - 1] - time[i] >= _LEAST_DURATION]
+    return [(i, j) for i, j in found if j - i >= LEAST_SAMPLES and time[j - 1] - time[i] >= LEAST_DURATION]
 
 
 def resolution(value: Array) -> float:
@@ -137,16 +143,18 @@ def resolution(value: Array) -> float:
     return float(change[change > 0].min(initial=np.inf))
 
 
-def _noise(value: Array) -> float:
+def white_noise(value: Array) -> float:
     """Largest deviation of white noise per sample on any of the axes; 0 where what changes is smooth."""
     levels = []
     for column in value.T:
         second = np.diff(column, 2)
         moved = np.sign(second[second != 0])
-        alternates = float((moved[1:] != moved[:-1]).mean()) if len(moved) > _LEAST_SAMPLES // 2 else 0.0
+        alternates = float((moved[1:] != moved[:-1]).mean()) if len(moved) > LEAST_SAMPLES // 2 else 0.0
+        if alternates < _ALTERNATES:
+            levels.append(0.0)
+            continue
         # The median passes over spikes and motion; 2.45 is the gain of second differences.
-        level = float(np.median(np.abs(second))) / (0.6745 * np.sqrt(6))
-        levels.append(level if alternates >= _ALTERNATES else 0.0)
+        levels.append(float(np.median(np.abs(second))) / (0.6745 * np.sqrt(6)))
     return max(levels)
 
 
@@ -155,9 +163,14 @@ def _turned(recording: Recording, first: int, past: int) -> bool:
     gyroscope, rate = recording.gyroscope
     time, field = recording.magnetometer
     field = field[(time >= gyroscope[first]) & (time <= gyroscope[past - 1])]
+    strength = float(np.median(np.linalg.norm(recording.magnetic_field, axis=1)))
+    return field_turned(field, strength, rate[first])
+
+
+def field_turned(field: Array, strength: float, rate: Array) -> bool:
+    """Whether a field (n, 3) turned by more than a gyroscope would go with that stands at `rate` (3,)."""
     if len(field) < 3:
         return False
-    strength = float(np.median(np.linalg.norm(recording.magnetic_field, axis=1)))
     low, high = np.percentile(field, (5, 95), axis=0)
     turned = float(np.linalg.norm(high - low)) > _TURNED * strength
-    return turned and (not rate[first].any() or _noise(field) > 0)
+    return turned and (not rate.any() or white_noise(field) > 0)

@@ -16,6 +16,7 @@ from magyc_gtsam.online import state_file
 from magyc_gtsam.online.engine import Engine
 from magyc_gtsam.online.intake import Intake, vector
 from magyc_gtsam.online.values import Change, Progress
+from magyc_gtsam.online.watch import Watch
 from magyc_gtsam.recording import Array
 
 _ENGINES = {  # method → "module:class"; the class takes the method's options as keywords
@@ -58,6 +59,7 @@ class OnlineCalibrator:
         self.options = dict(options)
         self._engine: Engine = engine(**options)
         self._intake = Intake()
+        self._watch = Watch()
         self._waiting: list[tuple[float, Array, Array]] = []  # single samples, taken together
 
     def update(
@@ -89,19 +91,23 @@ class OnlineCalibrator:
                 self._catch_up()
             return
         self._catch_up()
-        self._engine.update(*self._intake.take(time, magnetic_field, angular_rate))
+        self._take(time, magnetic_field, angular_rate)
 
     def _catch_up(self) -> None:
         """Take the single samples that wait."""
         if self._waiting:
             rows, self._waiting = self._waiting, []
-            self._engine.update(*self._intake.take(*(np.array(column) for column in zip(*rows, strict=True))))
+            self._take(*(np.array(column) for column in zip(*rows, strict=True)))
+
+    def _take(self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None) -> None:
+        magnetometer, gyroscope = self._intake.take(time, magnetic_field, angular_rate)
+        self._engine.update(*self._watch.take(magnetometer, gyroscope, self._intake.repeated))
 
     @property
     def calibration(self) -> Calibration | None:
         """The current estimate with its covariance, `converged` and `message`; None before there is one."""
         self._catch_up()
-        return self._engine.calibration()
+        return self._watch.marked(self._engine.calibration(), self._intake.duration)
 
     @property
     def converged(self) -> bool:
@@ -113,7 +119,7 @@ class OnlineCalibrator:
     def progress(self) -> Progress:
         """How far it is, what is weak, and the motion that helps."""
         self._catch_up()
-        return self._intake.counted(self._engine.progress())
+        return self._watch.noted(self._intake.counted(self._engine.progress()))
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -135,7 +141,8 @@ class OnlineCalibrator:
         self._catch_up()
         engine = {f"engine/{name}": value for name, value in self._engine.state().items()}
         intake = {f"intake/{name}": value for name, value in self._intake.state().items()}
-        state_file.write(path, self.method, self.options, engine | intake)
+        watch = {f"watch/{name}": value for name, value in self._watch.state().items()}
+        state_file.write(path, self.method, self.options, engine | intake | watch)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> OnlineCalibrator:
@@ -147,7 +154,8 @@ class OnlineCalibrator:
         method, options, state = state_file.read(path)
         try:
             result = cls(method, **options)
-            for part, owner in (("engine/", result._engine), ("intake/", result._intake)):
+            parts = (("engine/", result._engine), ("intake/", result._intake), ("watch/", result._watch))
+            for part, owner in parts:
                 owner.restore({k.removeprefix(part): v for k, v in state.items() if k.startswith(part)})
         except (LookupError, TypeError, ValueError) as error:
             raise MagycError(

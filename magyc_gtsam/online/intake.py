@@ -20,9 +20,14 @@ _WIDTH = (_FIELD_LIMIT, _RATE_LIMIT)
 
 
 class Intake:
-    """Takes rows of both sensors apart into two clean streams; keeps the last sample of each."""
+    """Takes rows of both sensors apart into two clean streams; keeps the last sample of each.
+
+    Attributes:
+        repeated: (n,) s, stamps of the last rows taken at which the magnetometer repeated the one before.
+    """
 
     def __init__(self) -> None:
+        self.repeated = np.empty(0)
         self._last = {name: (-np.inf, np.full(3, np.nan)) for name in _NAMES}
         self._left_out = 0
         self._first = np.nan
@@ -42,6 +47,7 @@ class Intake:
             if value is not None
         }
         taken, last, left_out = {}, dict(self._last), self._left_out
+        repeated = np.empty(0)
         for name, limit in zip(_NAMES, _WIDTH, strict=True):
             if name not in rows:
                 taken[name] = Samples(np.empty(0), np.empty((0, 3)))
@@ -79,9 +85,10 @@ class Intake:
                 else:
                     fresh = np.ones(len(when), dtype=bool)
                 last[name] = (float(when[-1]), value[-1].copy())
+                repeated = np.append(repeated, when[~fresh])
                 when, value = when[fresh], value[fresh]
             taken[name] = Samples(when, value)
-        self._last, self._left_out = last, left_out
+        self._last, self._left_out, self.repeated = last, left_out, repeated
         if np.isnan(self._first):
             firsts = [s.time[0] for s in taken.values() if len(s.time)]
             self._first = float(min(firsts)) if firsts else np.nan
@@ -93,12 +100,17 @@ class Intake:
         (magnetometer, _), (gyroscope, _) = (self._last[name] for name in _NAMES)
         return magnetometer, gyroscope
 
+    @property
+    def duration(self) -> float:
+        """s from the first sample to the last."""
+        last = max(self.until)
+        return last - self._first if np.isfinite(last) else 0.0
+
     def counted(self, progress: Progress) -> Progress:
         """The engine's progress with what only the intake knows."""
-        last = max(time for time, _ in self._last.values())
-        if not np.isfinite(last):
-            return replace(progress, left_out=self._left_out)
-        return replace(progress, time=last, duration=last - self._first, left_out=self._left_out)
+        last = max(self.until)
+        time = last if np.isfinite(last) else progress.time
+        return replace(progress, time=time, duration=self.duration, left_out=self._left_out)
 
     def state(self) -> Mapping[str, Array]:
         """For `restore`."""

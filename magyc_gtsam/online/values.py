@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.stuck import Stuck
 from magyc_gtsam.observability import Weakness
 from magyc_gtsam.recording import Array
 
@@ -22,7 +23,8 @@ class Progress:
             weak and which motion helps, or that it has converged.
         weak: the weak directions, worst first, each with the motion that would determine it.
         coverage: share of the sphere of field directions (sensor frame) visited, 0 to 1.
-        left_out: samples left out so far: repeated or late stamps, values that are not finite.
+        left_out: samples left out so far: repeated or late stamps, values that are not finite, axes that stood still.
+        stuck: axes that stood still so far, or do so now, the largest share first; nothing is learnt from them.
     """
 
     time: float | None
@@ -33,6 +35,7 @@ class Progress:
     weak: tuple[Weakness, ...] = ()
     coverage: float = 0.0
     left_out: int = 0
+    stuck: tuple[Stuck, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,115 @@
+"""Clocks that drift apart: named with their rate where they harm, taken out on request, silent where they do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.cli import main
+from magyc_gtsam.estimators.clock_drift import restamped
+from magyc_gtsam.estimators.residuals import window_residuals
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.simulation import AMPLITUDES, disturb
+from magyc_gtsam.study.efficiency import error, nees
+
+CHI2_11 = 31.3  # 99.9 % point of χ² of 11 degrees of freedom
+
+
+def drifting(recording: mg.Recording, rate: float) -> mg.Recording:
+    """The same with a magnetometer whose clock gains `rate` s/s from the first row on."""
+    time = recording.time
+    stamps = time[0] + (time - time[0]) * (1 + rate)
+    return mg.Recording.from_streams((stamps, recording.magnetic_field), (time, recording.angular_rate))
+
+
+@pytest.mark.parametrize("rate", [1e-3, -3e-3])
+@pytest.mark.parametrize("motion", AMPLITUDES)
+def test_a_drift_is_named_and_taken_out(motion: str, rate: float) -> None:
+    """Unnoticed, 0.1 % put the hard iron of `moderate` 8 µT off, 8 of its sigmas."""
+    simulation = mg.simulate(motion, seed=1)
+    recording = drifting(simulation.recording, rate)
+    calibration = mg.calibrate(recording)
+    assert not calibration.trusted
+    assert calibration.message.startswith(f"the magnetometer's clock {'gains' if rate > 0 else 'loses'} 0.")
+    assert "--option clock_drift=" in calibration.message
+    found, sigma = calibration.diagnostics["clock_drift"]
+    assert found == pytest.approx(rate / (1 + rate), abs=4 * sigma)
+    assert sigma < 2e-5
+    corrected = mg.calibrate(recording, clock_drift=found)
+    assert corrected.trusted, corrected.message
+    assert "clock_drift" not in corrected.diagnostics
+    assert corrected.configuration["clock_drift"] == found
+    assert nees(error(corrected, simulation.truth), corrected.covariance) < CHI2_11
+
+
+def test_what_is_left_of_a_drift_is_added_to_what_was_taken_out() -> None:
+    recording = drifting(mg.simulate("tiny", seed=1).recording, 4e-3)
+    half = mg.calibrate(recording, clock_drift=2e-3)
+    assert not half.trusted
+    remedy = float(half.message.split("clock_drift=")[1].split(")")[0])
+    assert remedy == pytest.approx(4e-3 / 1.004, abs=4e-5)
+    assert mg.calibrate(recording, clock_drift=remedy).trusted
+
+
+@pytest.mark.parametrize(("motion", "rate"), [("wide", 1e-2), ("moderate", -1e-2), ("low", -1e-2), ("tiny", 1e-2)])
+def test_one_percent_is_never_trusted(motion: str, rate: float) -> None:
+    assert not mg.calibrate(drifting(mg.simulate(motion, seed=1).recording, rate)).trusted
+
+
+@pytest.mark.parametrize(("motion", "rate"), [("moderate", 1e-5), ("low", 3e-4), ("tiny", 3e-5)])
+def test_a_drift_without_effect_harms_no_trust(motion: str, rate: float) -> None:
+    simulation = mg.simulate(motion, seed=0)
+    calibration = mg.calibrate(drifting(simulation.recording, rate))
+    assert calibration.trusted, calibration.message
+    assert calibration.message.startswith("converged in")
+    assert nees(error(calibration, simulation.truth), calibration.covariance) < CHI2_11
+    assert ("which moves no parameter by more than 0.5 sigma" in calibration.message) == (rate == 3e-4)
+
+
+@pytest.mark.parametrize("motion", AMPLITUDES)
+def test_neither_disturbances_nor_a_short_log_pass_for_a_drift(motion: str) -> None:
+    for seed in range(5):
+        for recording in (
+            disturb(mg.simulate(motion, seed=seed).recording, 0.2, seed=seed),
+            mg.simulate(motion, duration=90, seed=seed).recording,
+            mg.simulate(motion, duration=300, seed=seed, effects=("gyro-scale", "hard-iron-drift")).recording,
+        ):
+            assert "clock_drift" not in mg.calibrate(recording).diagnostics
+
+
+def test_a_drift_among_disturbances() -> None:
+    recording = drifting(disturb(mg.simulate("wide", seed=3).recording, 0.1, seed=3), 1e-3)
+    calibration = mg.calibrate(recording)
+    assert calibration.message.startswith("the magnetometer's clock gains 0.099 %")
+    assert mg.calibrate(recording, clock_drift=calibration.diagnostics["clock_drift"][0]).trusted
+
+
+def test_the_residuals_are_those_of_the_stamps_that_were_used() -> None:
+    simulation = mg.simulate("wide", seed=1)
+    recording = drifting(simulation.recording, 3e-3)
+    corrected = mg.calibrate(recording, clock_drift=3e-3 / 1.003)
+    residuals = window_residuals(recording, corrected)
+    chi2 = np.square(residuals.magnetic_field / residuals.magnetic_sigma[:, None]).sum(axis=1).mean()
+    assert chi2 < 3.5
+    again = restamped(recording, 3e-3 / 1.003)
+    np.testing.assert_allclose(again.magnetometer.time, simulation.recording.time[: len(again.magnetometer.time)])
+
+
+def test_no_number_is_refused() -> None:
+    recording = mg.simulate("wide", duration=60).recording
+    with pytest.raises(mg.MagycError, match=r"clock_drift: 0\.5 is no number between -0\.1 and 0\.1 s/s"):
+        mg.calibrate(recording, clock_drift=0.5)
+
+
+def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "drifting.mcap"
+    write_mcap(log, drifting(mg.simulate("moderate", seed=1).recording, 1e-3))
+    assert main(["calibrate", str(log), "-o", str(tmp_path / "first")]) == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "must not be trusted: the magnetometer's clock gains 0.10" in said
+    remedy = said.split("(--option ")[1].split(")")[0]
+    assert main(["calibrate", str(log), "-o", str(tmp_path / "second"), "--option", remedy]) == 0
+    assert mg.Calibration.load(tmp_path / "second" / "calibration.yaml").trusted
