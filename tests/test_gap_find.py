@@ -182,12 +182,6 @@ def test_isolability_says_what_a_motion_can_tell() -> None:
     assert "eddy-plane" in wide["timing"].sentence
 
 
-@pytest.mark.real
-def test_axes_of_breakout_boards_are_found(shared_data: Path) -> None:
-    gap = mg.find_gap(mg.read(shared_data / "breakout_boards_hand_rotation.mcap"))
-    assert gap.effects[0].name == "axis-order"
-
-
 def test_a_log_that_stands_still_is_refused_with_the_reason() -> None:
     base = recording(21)
     random = np.random.default_rng(21)

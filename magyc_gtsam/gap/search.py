@@ -46,7 +46,6 @@ from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 5
-_PASSES_FOR = ("coloured-noise", "tone")  # what is missing
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
@@ -58,8 +57,8 @@ class Search:
         recording, problem: the data, without what was found to be wrong samples.
         first, last: looks at the base model and at the final one.
         found: effects in the order of adding; see `naming.term_places`.
-        leftover: names of what is significant in the last look and was neither added nor vetoed, and of noise that
-            what is missing may pass for.
+        leftover: names of what is significant in the last look and was neither added nor vetoed, and colour for which
+            what is missing may pass.
     """
 
     recording: Recording
@@ -105,7 +104,7 @@ def search(
     """Add effects until nothing is significant."""
     random = np.random.default_rng(seed)
     allowed = tuple(n for n in names if n in TERMS)
-    given, current = recording, base
+    current = base
     first = now = look(recording, current, allowed, random)
     found: list[Found] = []
     noted: set[str] = set()
@@ -171,13 +170,9 @@ def search(
     found = [f for f in found if f.name != "coloured-noise" or f.name in loud]
     left = tuple(dict.fromkeys((*instead, *switched(found), *leftover(now, first, found, noted))))
     if left:
-        loose = [f.name for f in found if f.name in _PASSES_FOR]
+        coloured = tuple(f.name for f in found if f.name == "coloured-noise")
         kept, found = _firm(problem, current, found, first, now, left, short_term)
-        left = (*left, *loose)
-        if "tone" in loose:  # nor is it to be taken out of the readings
-            recording = replace(recording, magnetic_field=given.magnetic_field)
-            problem = prepare(recording)
-            kept = refit(problem, kept.model, short_term)
+        left = (*left, *coloured)
         if kept is not current:
             current = kept
             now = look(recording, current, allowed, random)
@@ -209,7 +204,7 @@ def _firm(
     for index in reversed(loose.values()):
         model = without_term(model, index)
     kept = [f for i, f in enumerate(found) if i not in loose]
-    kept = [f for f in kept if f.name not in _PASSES_FOR]
+    kept = [f for f in kept if f.name != "coloured-noise"]  # for which what is missing would pass
     return (refit(problem, model, short_term) if loose else current), kept
 
 

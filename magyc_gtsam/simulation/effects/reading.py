@@ -59,7 +59,7 @@ def _held(shown: np.ndarray, scene: Scene, size: float, random: np.random.Genera
     own = (1 + size) * step
     start = scene.row_time[0] - random.uniform(0, own)
     tick = start + np.floor((scene.row_time - start) / own) * own
-    measured = np.maximum(np.searchsorted(scene.time, tick, side="right") - 1, 0)
+    measured = np.maximum(np.searchsorted(scene.time, tick + 0.5 * scene.step, side="right") - 1, 0)
     return np.minimum(measured, shown), {"period": own}
 
 

@@ -1,0 +1,102 @@
+"""The gap workflow on real recordings: what is known to be missing in them is found, and so is what is put in."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam import metrics
+from magyc_gtsam.simulation import inject
+
+pytestmark = pytest.mark.real
+
+TURNED = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+
+
+def heading(recording: mg.Recording, calibration: mg.Calibration) -> float:
+    """Degrees against the optical attitude."""
+    known = np.isfinite(recording.attitude).all(axis=1) & recording.magnetic_field_fresh
+    field = calibration.apply(recording)[known]
+    return float(metrics.heading_deviation(field, recording.attitude[known]))
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "end", "low", "high"),
+    [
+        ("broad_01_slow_rotation.mcap", 36, 100, 8.5, 12.5),
+        ("broad_06_fast_rotation.mcap", 40, 100, 9.5, 11.5),
+        ("nexus5_augmented_reality.mcap", None, None, 20, 60),
+        ("nexus5_calibration_d1.mcap", None, None, 20, 60),
+    ],
+)
+def test_a_late_magnetometer_is_found(
+    shared_data: Path, name: str, start: float | None, end: float | None, low: float, high: float
+) -> None:
+    """Without a delay in the model that the search begins with."""
+    recording = mg.read(shared_data / name).between(start, end)
+    gap = mg.find_gap(recording)
+    late = next(effect for effect in gap.effects if effect.name == "timing")
+    assert low < late.value[0] < high
+    assert gap.verdict in ("closed", "open")
+    if recording.attitude is not None:
+        assert heading(recording, gap.calibration) < heading(recording, gap.base)
+
+
+def test_one_instrument_has_one_delay_and_one_misalignment(shared_data: Path) -> None:
+    """Of two recordings of it, one slow and one fast, whose rooms differ."""
+    slow = mg.find_gap(mg.read(shared_data / "broad_01_slow_rotation.mcap").between(36, 154))
+    fast = mg.find_gap(mg.read(shared_data / "broad_06_fast_rotation.mcap").between(40, 155))
+    for name, size in (("timing", 1.0), ("misalignment", 4.0)):
+        first, second = (next(e for e in gap.effects if e.name == name) for gap in (slow, fast))
+        np.testing.assert_allclose(first.value, second.value, atol=size)
+
+
+def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:
+    """Attached by hand and taken off again; its field is (−6, −1, 58) µT."""
+    gap = mg.find_gap(mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap"))
+    on, off = sorted((e for e in gap.effects if e.name == "hard-iron-step"), key=lambda e: e.setting["time"])
+    assert on.setting["time"] == pytest.approx(38, abs=1)
+    assert off.setting["time"] == pytest.approx(95, abs=1)
+    np.testing.assert_allclose(on.value, [-6, -1, 58], atol=3)
+    np.testing.assert_allclose(off.value, [6, 1, -58], atol=3)
+
+
+@pytest.mark.parametrize(
+    ("name", "start", "end"),
+    [
+        ("nexus5_augmented_reality.mcap", None, None),
+        ("nexus5_calibration_d1.mcap", None, None),
+        ("broad_32_attached_magnet_1cm.mcap", 41.5, 92),
+    ],
+)
+def test_a_step_and_exchanged_axes_that_were_put_in(
+    shared_data: Path, name: str, start: float | None, end: float | None
+) -> None:
+    """A step of 6 µT, and the gyroscope's axes in another order with other signs."""
+    recording = mg.read(shared_data / name).between(start, end)
+    stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 10.0)], seed=7)
+    found = [e for e in mg.find_gap(stepped).effects if e.name == "hard-iron-step"]
+    assert len(found) == 1
+    since = found[0].setting["time"] - recording.time[0]
+    assert since == pytest.approx(truth.drawn["time"], abs=1.0)
+    np.testing.assert_allclose(found[0].value, 6.0 * truth.drawn["direction"], atol=1.0)
+    turned = mg.find_gap(replace(recording, angular_rate=recording.angular_rate @ TURNED.T))
+    assert turned.effects[0].name == "axis-order"
+    np.testing.assert_array_equal(turned.effects[0].value.reshape(3, 3), TURNED.T)
+
+
+def test_the_axes_of_breakout_boards_and_a_delay_put_in(shared_data: Path) -> None:
+    """Their gyroscope is cut off at 250 °/s twice; as they are they have no delay that shows."""
+    recording = mg.read(shared_data / "breakout_boards_hand_rotation.mcap")
+    gap = mg.find_gap(recording)
+    assert gap.effects[0].name == "axis-order"
+    np.testing.assert_array_equal(gap.effects[0].value.reshape(3, 3), np.diag([-1.0, -1.0, 1.0]))
+    assert "timing" not in [e.name for e in gap.effects]
+    right = replace(recording, angular_rate=recording.angular_rate * [-1.0, -1.0, 1.0])
+    late, _ = inject(right, mg.calibrate(right), [("timing", 1.5)], seed=7)
+    found = next(e for e in mg.find_gap(late).effects if e.name == "timing")
+    assert found.value[0] == pytest.approx(60, abs=8)
