@@ -247,8 +247,12 @@ class Recording:
     def with_samples(self, magnetic_field: Stream, angular_rate: Stream | None) -> Recording:
         """The recording with other samples of its two sensors, and everything else brought to their rows."""
         optional = {"acceleration": self.acceleration, "attitude": self.attitude, **self.channels}
-        known = {k: np.isfinite(v).reshape(len(v), -1).all(axis=1) for k, v in optional.items() if v is not None}
-        others = {k: (self.time[rows], optional[k][rows]) for k, rows in known.items() if rows.sum() > 1}
+        others = {}
+        for name, values in optional.items():
+            if values is not None:
+                known = np.isfinite(values).reshape(len(values), -1).all(axis=1)
+                if known.sum() > 1:
+                    others[name] = (self.time[known], values[known])
         return Recording.from_streams(
             magnetic_field,
             angular_rate,

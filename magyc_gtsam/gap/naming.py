@@ -185,7 +185,7 @@ def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str,
 
     beside = [(without.base_columns, without.base_pull)]
     all_of_it, alone = explained(own, pull, beside)
-    holding = []
+    holding: list[tuple[Array, Array]] = []
     for other in (s.variant for s in now.scores if s.name in left and s.name != term.name):
         _, unit = explained(other.columns, other.pull, beside[:1])
         holds = _squared(alone @ unit.T) > (1 - _LITTLE) * len(alone)
