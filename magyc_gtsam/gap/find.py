@@ -73,7 +73,7 @@ def find_gap(
     motion = _determined(recording, base, short_term)
     if not motion.observable:
         return _too_little_motion(base, motion.weak[0], calibration, clock.perf_counter() - started)
-    result = search(recording, base.twin.problem, base, short_term, names, _problem, report)
+    result = search(recording, base, short_term, names, _problem, report)
     report(0.8)
     gap = _gap(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
     if simulated is not None:

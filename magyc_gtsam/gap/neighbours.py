@@ -29,16 +29,20 @@ def neighbours(twin: Twin, name: str, setting: Setting) -> list[Family]:
     term = TERMS.get(name)
     if term is None:
         return []
-    return [
-        Family(f"{name}×{by}", f"{term.label}, times {_WORDS[by]}", partial(_columns, name, setting, by))
-        for by in term.products
-    ]
+    names = [(f"{name}×{by}", by) for by in term.products]
+    return [Family(n, label_of(n), partial(_columns, name, setting, by)) for n, by in names]
 
 
 def product_of(name: str) -> str | None:
     """The effect whose neighbour a family is; None for other families."""
     effect = name.partition("×")[0]
     return effect if effect in TERMS and effect != name else None
+
+
+def label_of(name: str) -> str:
+    """A neighbour in words."""
+    effect, _, by = name.partition("×")
+    return f"{TERMS[effect].label}, times {_WORDS[by]}"
 
 
 def _columns(name: str, setting: Setting, by: str, twin: Twin) -> Columns:

@@ -10,7 +10,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.naming import Found, Look, term_places
-from magyc_gtsam.gap.neighbours import product_of
+from magyc_gtsam.gap.neighbours import label_of, product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
@@ -41,8 +41,8 @@ def verdict(
         firm = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "axis-order"]
         if firm:
             words = "; ".join(said(i) for i in firm)
-            return "open", f"{words}; beside that, {where}, and it is not in the catalogue"
-        return "unknown", f"{where}, and it is not in the catalogue; nothing was changed"
+            return "open", f"{words}; beside that, {where}"
+        return "unknown", f"{where}; nothing was changed"
     # What moves the heading comes before what concerns the noise.
     ordered = sorted(range(len(found)), key=lambda i: found[i].noise is not None and found[i].name != "axis-order")
     word: Verdict = "open" if any(i in uncorrected for i in ordered) else "closed"
@@ -54,11 +54,11 @@ def _place(left: Sequence[str], last: Look) -> str:
     names = set(left)
     for score in last.scores:
         if score.name in names and score.generic:
-            return f"something that lives in {score.place} is missing"
-    for name in (product_of(name) or name for name in left):
-        if name in LABELS:
-            return f"something like “{LABELS[name]}” is missing"
-    return "something is missing"
+            return f"something that lives in {score.place} is missing, and it is not in the catalogue"
+    label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
+    if not label:
+        return "something is missing, and it is not in the catalogue"
+    return f"something like “{label}” is missing, but not quite of its form"
 
 
 def _term_index(found: Sequence[Found], which: Found, model: Model) -> int | None:

@@ -182,8 +182,12 @@ def confusion_sentences(gap: Gap) -> list[str]:
     """What each name could be mistaken for, and what would settle it."""
     sentences = []
     untested = {u.name for u in gap.untested}
+    named = {effect.name for effect in gap.effects}
     for effect in gap.effects:
         alike = ", ".join(name for name in effect.ambiguous_with if name not in untested)
+        if alike and named.issuperset(effect.ambiguous_with):
+            sentences.append(f"{effect.label}: it was told from {alike} only where both are in the model.")
+            continue
         unseen = ", ".join(name for name in effect.ambiguous_with if name in untested)
         if alike:
             sentences.append(f"{effect.label}: this motion cannot tell it from {alike}.")

@@ -1,0 +1,142 @@
+"""The steps of a search: what the choice of one effect does to the data, the model and the names found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.gap.fine import Fine
+from magyc_gtsam.gap.naming import Found, Look, as_found, rivals_of, term_places
+from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.problem import Active, Model, Problem
+from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
+from magyc_gtsam.gap.score import Score, Variant
+from magyc_gtsam.gap.tones import heard, silenced
+from magyc_gtsam.recording import Recording
+
+Prepare = Callable[[Recording], Problem]
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """How far a search is.
+
+    Attributes:
+        recording, problem: the data, without what was found to be wrong samples, and without tones.
+        current: the model at its minimum.
+        found: the names, in the order of adding; see `naming.term_places`.
+        short_term: noise of the sensors between neighbouring samples.
+    """
+
+    recording: Recording
+    problem: Problem
+    current: Refit
+    found: tuple[Found, ...]
+    short_term: Noise
+
+    def refitted(self, model: Model) -> Refit | None:
+        """Another model at its minimum; None where the data do not determine its terms beside the rest."""
+        try:
+            ahead = refit(self.problem, model, self.short_term)
+        except MagycError:
+            return None
+        return ahead if ahead.converged else None
+
+
+def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
+    """With an effect on the noise named; a tone is taken out of the readings, wrong samples are left out."""
+    recording = state.recording
+    if choice.name == "tone":
+        line = heard(recording, state.current.model, choice.setting["frequency"])
+        recording = silenced(recording, [line])
+        choice = replace(choice, value=line.value, sigma=line.sigma, setting=line.setting)
+    elif choice.name == "spikes":
+        recording = _without(recording, now.fine, choice)
+    found = (*state.found, as_found(choice))
+    if recording is state.recording:
+        return replace(state, found=found)
+    problem = prepare(recording)
+    current = refit(problem, state.current.model, state.short_term)
+    return replace(state, recording=recording, problem=problem, current=current, found=found)
+
+
+def with_effect(state: State, now: Look, choice: Score, sharp: Variant) -> State | None:
+    """With an effect added at its sharpest setting, and what has become superfluous taken out; None: not determined."""
+    added = _terms(choice.name, state.current, dict(sharp.setting))
+    model = state.current.model
+    for term in added:
+        model = with_term(model, term)
+    ahead = state.refitted(model)
+    if ahead is None:
+        return None
+    share, rivals = 1 / len(added), rivals_of(choice, now)
+    strength = (choice.statistic * share, choice.threshold * share, choice.evidence * share)
+    found = (*state.found, *(Found(choice.name, *strength, rivals) for _ in added))
+    return _backwards(replace(state, current=ahead, found=found))
+
+
+def with_more_modes(state: State, now: Look) -> State | None:
+    """With more modes of a drift that is in the model; None where they are not wanted."""
+    model = now.refit.model
+    for index, term in enumerate(model.terms):
+        if term.setting.get("order", 0) < 1:
+            continue
+        score = next((s for s in now.scores if s.name == term.name and s.significant), None)
+        if score is None or now.gains.get(term.name, 0.0) <= 0:
+            continue
+        if score.variant.setting["order"] <= term.setting["order"]:
+            continue
+        value = np.zeros(len(now.refit.twin.columns(term.name, score.variant.setting).window))
+        value[: len(term.value)] = term.value
+        terms = (*model.terms[:index], Active(term.name, score.variant.setting, value), *model.terms[index + 1 :])
+        ahead = state.refitted(replace(model, terms=terms))
+        if ahead is None:
+            return None
+        found = tuple(_stronger(f, score) if f.name == score.name else f for f in state.found)
+        return replace(state, current=ahead, found=found)
+    return None
+
+
+def _stronger(found: Found, more: Score) -> Found:
+    """An effect of which more was found."""
+    return replace(found, statistic=found.statistic + more.statistic, evidence=found.evidence + more.evidence)
+
+
+def _terms(name: str, current: Refit, setting: dict[str, float]) -> list[Active]:
+    """The term of a setting; of a thing attached and taken off, the two steps; of the gyroscope's matrix all of it.
+
+    A part of the matrix may be all that the motion shows, yet the rest of it is no better known: its prior holds it.
+    """
+    settings = [{} if name in ("gyro-scale", "gyro-quadratic") else setting]
+    if "until" in setting:
+        settings = [{"time": setting["time"]}, {"time": setting["until"]}]
+    return [Active(name, each, np.zeros(len(current.twin.columns(name, each).window))) for each in settings]
+
+
+def _backwards(state: State) -> State:
+    """Take out terms whose value has become insignificant beside the others."""
+    current, found = state.current, state.found
+    while len(current.model.terms) > 1:
+        weakest, least = -1, 1.0
+        places = term_places(found, current.model)
+        for place, index in places.items():
+            value, covariance = current.value_of(index)
+            strength = float(value @ np.linalg.pinv(covariance) @ value) / found[place].threshold
+            if strength < least:
+                weakest, least = place, strength
+        if weakest < 0:
+            break
+        current = refit(state.problem, without_term(current.model, places[weakest]), state.short_term)
+        found = tuple(f for i, f in enumerate(found) if i != weakest)
+    return replace(state, current=current, found=found)
+
+
+def _without(recording: Recording, fine: Fine, spikes: NoiseScore) -> Recording:
+    """The recording without its wrong samples."""
+    assert spikes.rows is not None
+    wrong = np.isin(recording.time, fine.time[spikes.rows])
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong)
