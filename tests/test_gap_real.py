@@ -10,6 +10,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import metrics
+from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.simulation import inject
 
 pytestmark = pytest.mark.real
@@ -95,6 +96,8 @@ def test_the_axes_of_breakout_boards_and_a_delay_put_in(shared_data: Path) -> No
     gap = mg.find_gap(recording)
     assert gap.effects[0].name == "axis-order"
     np.testing.assert_array_equal(gap.effects[0].value.reshape(3, 3), np.diag([-1.0, -1.0, 1.0]))
+    assert [fault for fault in gap.diagnostics["left_out"] if "axis x of the gyroscope cut off" in fault]
+    assert "Left out: angular_rate: axis x" in render_gap(recording, gap)
     assert "timing" not in [e.name for e in gap.effects]
     right = replace(recording, angular_rate=recording.angular_rate * [-1.0, -1.0, 1.0])
     late, _ = inject(right, mg.calibrate(right), [("timing", 1.5)], seed=7)

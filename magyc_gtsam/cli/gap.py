@@ -119,6 +119,7 @@ def run(
         show(f"{reading.log.name}: {recording.duration:.1f} s", "")
         _show(gap, validation)
         show(
+            *(f"left out: {fault}" for fault in gap.diagnostics["left_out"]),
             *(f"note: {note}" for note in recording.notes),
             "",
             f"results: {folder}",

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.clipped import find_clipped, without_clipped
+from magyc_gtsam.estimators.faults import without_faults
 from magyc_gtsam.estimators.gauge import check_field_strength, doubt_strength
-from magyc_gtsam.estimators.stuck import find_stuck, without_stuck
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
@@ -188,14 +187,11 @@ def calibrate(
         raise MagycError(
             f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
         )
-    stuck = find_stuck(recording, ("magnetic_field", *_METHODS[method].needs))
-    clipped = find_clipped(recording) if _METHODS[method].needs else None
-    usable = without_clipped(without_stuck(recording, stuck), clipped)
+    usable, left_out = without_faults(recording, ("magnetic_field", *_METHODS[method].needs))
     result: Calibration = function(usable, progress=progress, **given)
-    where = [fault.where for fault in (*stuck, clipped) if fault is not None]
-    if where:
-        message = f"{result.message}; left out: {'; '.join(where)}"
-        result = replace(result, message=message, diagnostics={**result.diagnostics, "left_out": where})
+    if left_out:
+        message = f"{result.message}; left out: {'; '.join(left_out)}"
+        result = replace(result, message=message, diagnostics={**result.diagnostics, "left_out": left_out})
     if field_strength is None and result.field_strength is not None and result.trusted and not counts:
         doubt = doubt_strength(result.field_strength)
         if doubt:

@@ -11,8 +11,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
-from magyc_gtsam.estimators.clipped import find_clipped, without_clipped
-from magyc_gtsam.estimators.stuck import find_stuck, without_stuck
+from magyc_gtsam.estimators.faults import without_faults
 from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
@@ -63,7 +62,7 @@ def find_gap(
     report = progress or (lambda _: None)
     report(0.0)
     recording.gyroscope  # noqa: B018 - raises where there is none
-    recording = without_clipped(without_stuck(recording, find_stuck(recording)), find_clipped(recording))
+    recording, left_out = without_faults(recording, ("magnetic_field", "angular_rate"))
     recording, discrete = settled(recording, names)
     tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
     recording = silenced(recording, tones)
@@ -72,7 +71,8 @@ def find_gap(
     report(0.2)
     motion = _determined(recording, base, short_term)
     if not motion.observable:
-        return _too_little_motion(base, motion.weak[0], calibration, clock.perf_counter() - started)
+        gap = _too_little_motion(base, motion.weak[0], calibration, clock.perf_counter() - started)
+        return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out})
     result = search(recording, base, short_term, names, _problem, report)
     report(0.8)
     gap = _gap(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
@@ -85,7 +85,7 @@ def find_gap(
             raise MagycError(f"simulated: {problem}") from None
         gap = replace(gap, assumptions=compare(result.first, against))
     report(1.0)
-    return gap
+    return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out})
 
 
 def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:

@@ -249,7 +249,7 @@ class Gap:
         base: the twelve-parameter calibration the search began with.
         assumptions: of the user's simulator, where one was given.
         next_manoeuvre: None where there is nothing to tell apart.
-        diagnostics: numbers about the run: "windows", "draws", "seconds", …
+        diagnostics: about the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …
     """
 
     verdict: Verdict
