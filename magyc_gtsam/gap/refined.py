@@ -15,7 +15,7 @@ from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.score import Projector, Score, Variant, variant, variants
 
 _CLEARLY = 1.0  # nats by which a name must be ahead of each neighbour; less is a toss-up
-_SAME = 0.98  # squared cosine between what two explain, from which they are the same
+_SAME = 0.99  # squared cosine between what two explain, from which they are the same
 _FEW = 20  # settings up to which a neighbour is tried at all of them
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.naming import Found, Look, as_found, rivals_of, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
@@ -19,6 +20,7 @@ from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 Prepare = Callable[[Recording], Problem]
+_PASSES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ class State:
 
 
 def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
-    """With an effect on the noise named; a tone is taken out of the readings, wrong samples are left out."""
+    """With an effect on the noise named; tones and coarse steps are taken out of the readings, wrong samples are left out."""
     recording = state.recording
     if choice.name == "tone":
         line = heard(recording, state.current.model, choice.setting["frequency"])
@@ -56,12 +58,28 @@ def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) ->
         choice = replace(choice, value=line.value, sigma=line.sigma, setting=line.setting)
     elif choice.name == "spikes":
         recording = _without(recording, now.fine, choice)
-    found = (*state.found, as_found(choice))
+    elif choice.name == "quantisation":
+        return _with_steps(state, now, choice, prepare)
+    return _with_recording(replace(state, found=(*state.found, as_found(choice))), recording, prepare)
+
+
+def _with_steps(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
+    """With coarse steps named and what they add on average taken out, by a model that is then a better one."""
+    result = replace(state, found=(*state.found, as_found(choice)))
+    for _ in range(_PASSES):
+        smooth = unrounded(
+            result.recording, state.recording, result.current.model, float(choice.value[0]), now.fine.level
+        )
+        result = _with_recording(result, smooth, prepare)
+    return result
+
+
+def _with_recording(state: State, recording: Recording, prepare: Prepare) -> State:
     if recording is state.recording:
-        return replace(state, found=found)
+        return state
     problem = prepare(recording)
     current = refit(problem, state.current.model, state.short_term)
-    return replace(state, recording=recording, problem=problem, current=current, found=found)
+    return replace(state, recording=recording, problem=problem, current=current)
 
 
 def with_effect(state: State, now: Look, choice: Score, sharp: Variant) -> State | None:
