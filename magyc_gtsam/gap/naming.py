@@ -30,6 +30,7 @@ _AHEAD = 9.0  # nats of evidence from which a rival is behind
 _BEATS = 3.0  # nats by which a generic family must be ahead of all that was named
 _SPAN = 2.5  # widths within which a second bump belongs to the first
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
+_SLOW = 0.5  # Hz, which windows of a second still show
 _SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
 NOISE_LIMIT = float(np.log(22 / 0.01))
 
@@ -79,7 +80,7 @@ def choose(
     options: list[tuple[float, Score | NoiseScore]] = [
         (noise.evidence, noise)
         for noise in now.noise
-        if noise.significant and noise.name in names and noise.name not in noted
+        if noise.significant and noise.name in names and noise.name not in noted and not _slow_motion(noise, now)
     ]
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
@@ -96,6 +97,13 @@ def choose(
             if simpler.name == "timing" and simpler.statistic > _MOST_OF * best.statistic:
                 return simpler
     return best
+
+
+def _slow_motion(noise: NoiseScore, now: Look) -> bool:
+    """Whether a tone is so slow that the windows show it, and a generic family explains them half as well."""
+    if noise.name != "tone" or noise.setting["frequency"] > _SLOW:
+        return False
+    return any(s.generic and s.significant and s.evidence > 0.5 * noise.evidence for s in now.scores)
 
 
 def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> bool:
@@ -220,7 +228,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
     To this belong generic families that explained the data clearly better than all names together.
     """
     explained = max((s.statistic for s in first.scores), default=0.0)
-    result = _ahead_of_names(first, found)
+    result = ahead_of_names(first, found)
     for score in now.scores:
         named = any(f.name in TERMS for f in found)
         limit = min(_REMAINDER, score.limit) if named and score.generic else score.limit
@@ -238,7 +246,8 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
     return tuple(dict.fromkeys(result))
 
 
-def _ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
+def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
+    """The generic families that explained the data clearly better than all names together."""
     named = sum(f.evidence for f in found if f.name in TERMS)
     if not named:
         return []

@@ -21,6 +21,7 @@ from magyc_gtsam.gap.naming import (
     NOISE_LIMIT,
     Found,
     Look,
+    ahead_of_names,
     choose,
     leftover,
     stands,
@@ -31,12 +32,13 @@ from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import nearer, sharpened, sharpest
-from magyc_gtsam.gap.refit import Refit, refit, without_term
+from magyc_gtsam.gap.refit import Refit, determined, refit, without_term
 from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_effect, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 5
+_CERTAIN = 2.0  # limits that the significance of what the motion does not determine must pass
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
@@ -123,6 +125,9 @@ def search(
             if ahead is None:
                 failed.add(choice.name)
                 continue
+            if choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
+                instead = (choice.name,)  # too little of too much that the motion leaves open
+                break
             state = ahead
         now = seen(state)
         wider = with_more_modes(state, now)
@@ -156,6 +161,8 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
         or found[place].name in {product_of(name) for name in left}
         or not stands(current, index, found[place], now, left)
     }
+    if ahead_of_names(first, [f for i, f in enumerate(found) if i not in loose]):
+        loose = term_places(found, current.model)  # what is left of the names is not the best that can be said
     model = current.model
     for index in reversed(loose.values()):
         model = without_term(model, index)

@@ -20,7 +20,7 @@ from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 Prepare = Callable[[Recording], Problem]
-_PASSES = 2
+_PASSES = 2  # of the model, from readings with steps to one without
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class State:
 
 
 def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
-    """With an effect on the noise named; tones and coarse steps are taken out of the readings, wrong samples are left out."""
+    """With an effect on the noise named; tones and steps are taken out of the readings, wrong samples left out."""
     recording = state.recording
     if choice.name == "tone":
         line = heard(recording, state.current.model, choice.setting["frequency"])
