@@ -43,11 +43,11 @@ def unrounded(recording: Recording, rounded: Recording, model: Model, step: floa
     origin = step * np.angle(np.exp(2j * np.pi * steps / step).mean(axis=0)) / (2 * np.pi)
     field = recording.magnetic_field.copy()
     rows = np.flatnonzero(recording.magnetic_field_fresh)[known]
-    field[rows] = rounded.magnetic_field[rows] - _added(expected - origin, step, noise)
+    field[rows] = rounded.magnetic_field[rows] - rounding(expected - origin, step, noise)
     return replace(recording, magnetic_field=field)
 
 
-def _added(reading: Array, step: float, noise: float) -> Array:
+def rounding(reading: Array, step: float, noise: float) -> Array:
     """e(x) for readings (n, 3) from a step."""
     result = np.zeros_like(reading)
     for k in range(1, _TERMS + 1):

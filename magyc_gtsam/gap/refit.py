@@ -113,13 +113,13 @@ def tempered(problem: Problem, result: Refit, short_term: Noise) -> Refit:
     for index, term in enumerate(terms):
         if len(term.value) > _FEW:
             value, covariance = result.value_of(index)
-            terms[index] = replace(term, prior=_spread(value, covariance, TERMS[term.name].prior))
+            terms[index] = replace(term, prior=spread(value, covariance, TERMS[term.name].prior))
     if terms == list(result.model.terms):
         return result
     return refit(problem, replace(result.model, terms=tuple(terms)), short_term)
 
 
-def _spread(value: Array, covariance: Array, prior: float) -> float:
+def spread(value: Array, covariance: Array, prior: float) -> float:
     """The most likely deviation of values that are estimated with this covariance, of which `prior` is a part."""
     precision = np.linalg.pinv(covariance, hermitian=True)
     known, direction = np.linalg.eigh(precision - np.eye(len(value)) / prior**2)

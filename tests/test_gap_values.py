@@ -1,0 +1,122 @@
+"""The gap workflow's values: of many with little in them, of coarse steps, of several plates beside a delay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import magyc_gtsam as mg
+from magyc_gtsam.factors.effects import FORMS
+from magyc_gtsam.factors.signals import Signals
+from magyc_gtsam.gap.coarse import rounding
+from magyc_gtsam.gap.refit import spread
+from magyc_gtsam.simulation import MILLIGAUSS
+
+
+def test_what_rounding_adds_on_average() -> None:
+    """Against a million roundings, for noise of a tenth to a half of the step."""
+    random = np.random.default_rng(0)
+    step = 6e-6
+    reading = np.linspace(-step, step, 9)
+    for noise in (0.1 * step, 0.2 * step, 0.5 * step):
+        noisy = reading + noise * random.standard_normal((1_000_000, len(reading)))
+        measured = (step * np.round(noisy / step)).mean(axis=0) - reading
+        np.testing.assert_allclose(rounding(reading, step, noise), measured, atol=5e-3 * step)
+    assert np.abs(rounding(reading, step, step)).max() < 1e-6 * step
+
+
+@pytest.mark.parametrize(("motion", "seed"), [("wide", 1), ("moderate", 2), ("multi", 3)])
+def test_coarse_steps_bend_no_other_name(motion: str, seed: int) -> None:
+    """Steps of six times the noise; a misalignment of 2.6° beside them is found, and of its size."""
+    coarse = mg.find_gap(mg.simulate(motion, seed=seed, effects=[("quantisation", 2.0)]).recording)
+    assert [effect.name for effect in coarse.effects] == ["quantisation"]
+    simulation = mg.simulate("wide", seed=seed, effects=["misalignment", ("quantisation", 2.0)])
+    both = mg.find_gap(simulation.recording)
+    assert sorted(effect.name for effect in both.effects) == ["misalignment", "quantisation"]
+    askew = next(effect for effect in both.effects if effect.name == "misalignment")
+    assert np.linalg.norm(askew.value) == pytest.approx(1e3 * np.deg2rad(2.6), rel=0.1)
+
+
+def test_the_spread_of_values_is_found() -> None:
+    """Of forty values with a deviation of their own, measured with different sigmas, one hardly at all."""
+    random = np.random.default_rng(1)
+    prior, true = 0.02, 0.003
+    sigma = np.geomspace(0.0005, 0.5, 40)
+    value = true * random.standard_normal(40) + sigma * random.standard_normal(40)
+    kept = prior**2 / (prior**2 + sigma**2)  # with the prior as a part of the estimate
+    found = spread(kept * value, np.diag(kept * sigma**2), prior)
+    assert 0.6 * true < found < 1.6 * true
+    none = sigma * random.standard_normal(40)
+    assert spread(kept * none, np.diag(kept * sigma**2), prior) < 0.3 * true
+
+
+def test_a_weak_scale_is_corrected_to_the_good() -> None:
+    """On a motion that leaves one direction of the matrix weak."""
+    gains = []
+    for seed in range(1, 4):
+        simulation = mg.simulate("multi", seed=seed, effects=["gyro-scale"])
+        gap = mg.find_gap(simulation.recording)
+        assert [e.name for e in gap.effects] in (["gyro-scale"], ["gyro-quadratic"]), gap.sentence
+        truth = simulation.truth.hard_iron
+        gains.append([np.linalg.norm(c.hard_iron - truth) for c in (gap.base, gap.calibration)])
+    before, after = np.sqrt(np.mean(np.square(gains), axis=0))
+    assert after < 0.85 * before
+
+
+def test_several_plates_beside_a_delay() -> None:
+    """Any matrix of eddy currents is a delay and one of trace zero."""
+    random = np.random.default_rng(2)
+    signals = Signals(np.arange(50.0), field_rate=random.standard_normal((3, 50)))
+    whole = FORMS["eddy-plane"].columns(signals, {"full": 1.0})
+    uneven = FORMS["eddy-plane"].columns(signals, {"uneven": 1.0})
+    late = FORMS["timing"].columns(signals, {})
+    value = random.standard_normal((3, 3))
+    delay = np.trace(value) / 3
+    beyond = (value - delay * np.eye(3)).T.ravel()[:8]  # column by column
+    parts = np.tensordot(beyond, uneven, 1) + delay * late[0]
+    np.testing.assert_allclose(parts, np.tensordot(value.T.ravel(), whole, 1), atol=1e-12)
+    assert np.linalg.matrix_rank(np.concatenate([uneven, late]).reshape(9, -1)) == 9
+
+
+def test_a_fast_hand_finds_plates_beside_a_delay() -> None:
+    """As in a real instrument turned by hand at some rad/s: late by 10 ms, and 2 ms from x to z and from z to x."""
+    time = np.arange(0, 120, 0.002)
+    random = np.random.default_rng(5)
+    rate = np.stack([3 * np.sin(w * time + p) for w, p in ((1.3, 0.0), (1.7, 1.0), (0.9, 2.0))], axis=1)
+    attitude = [Rotation.identity()]
+    for step in Rotation.from_rotvec(0.001 * (rate[1:] + rate[:-1])):
+        attitude.append(attitude[-1] * step)
+    body = Rotation.concatenate(attitude).inv().apply([20e-6, 0.0, 40e-6])
+    late = np.stack([np.interp(time - 0.01, time, axis) for axis in body.T], axis=1)
+    plates = np.zeros((3, 3))
+    plates[0, 2] = plates[2, 0] = 2e-3
+    field = (late - np.gradient(late, time, axis=0) @ plates.T)[::10]
+    field += 0.1e-6 * random.standard_normal(field.shape)
+    time, rate = time[::10], rate[::10] + 2e-3 * random.standard_normal(field.shape)
+    inside = slice(5, -5)  # before the first sample nothing is known of the field
+    gap = mg.find_gap(mg.Recording(time[inside], field[inside], rate[inside]))
+    found = {effect.name: effect for effect in gap.effects}
+    assert found.keys() == {"timing", "eddy-plane"}
+    assert found["timing"].value[0] == pytest.approx(10, abs=0.5)
+    expected = np.zeros(8)
+    expected[[2, 6]] = 2.0
+    np.testing.assert_allclose(found["eddy-plane"].value, expected, atol=0.3)
+
+
+def test_a_strong_step_stays_beside_weak_ones() -> None:
+    """A name is not taken back because a fifth of it is wanted once more."""
+    recording = mg.simulate("wide", seed=4).recording
+    since = recording.time - recording.time[0]
+    field = recording.magnetic_field.copy()
+    for start, size in ((100, 1.5), (250, -12.0), (400, 1.5), (520, -1.5)):
+        field[since > start] += size * 10 * MILLIGAUSS * np.array([1.0, 0.0, 0.0])
+    gap = mg.find_gap(replace(recording, magnetic_field=field))
+    strong = max(
+        (e for e in gap.effects if e.name == "hard-iron-step"), key=lambda e: abs(e.value[0]), default=None
+    )
+    assert strong is not None, gap.sentence
+    assert strong.setting["time"] - recording.time[0] == pytest.approx(250, abs=2)
+    assert strong.value[0] == pytest.approx(-12.0, abs=2.0)
