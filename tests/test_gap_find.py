@@ -112,7 +112,12 @@ def test_two_steps_of_the_hard_iron_are_timed_and_sized() -> None:
     times = sorted(e.setting["time"] for e in gap.effects)
     np.testing.assert_allclose(times, [120.0, 250.0], atol=3.0)
     for effect in gap.effects:
-        assert effect.ambiguous_with == ("motor-current", "temperature-hard-iron")  # of which there is no channel
+        assert effect.ambiguous_with == (
+            "motor-current",
+            "temperature-hard-iron",
+            "temperature-gyro",
+            "field-gradient",
+        )  # of which there is no channel
         sign = 1 if effect.setting["time"] < 200 else -1
         np.testing.assert_allclose(effect.value, sign * jump * 1e6, atol=5 * effect.sigma.max() + 0.1)
 

@@ -100,10 +100,10 @@ def choose(
 
 
 def _slow_motion(noise: NoiseScore, now: Look) -> bool:
-    """Whether a tone is so slow that the windows show it, and a generic family explains them half as well."""
+    """Whether a tone is so slow that the windows show it, and a generic family holds some of it: the motion's."""
     if noise.name != "tone" or noise.setting["frequency"] > _SLOW:
         return False
-    return any(s.generic and s.significant and s.evidence > 0.5 * noise.evidence for s in now.scores)
+    return any(s.generic and s.significant for s in now.scores)
 
 
 def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> bool:
@@ -133,8 +133,8 @@ def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> 
 def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
     """Names that this motion cannot tell from the chosen one.
 
-    Those beside which it adds nothing, those it is known to be confused with that explain nearly as much, and of what
-    changes the hard iron with time those whose channel is missing.
+    Those beside which it adds nothing, those it is known to be confused with that explain nearly as much, and for what
+    changes with time those whose channel is missing.
     """
     result = []
     for rival in now.scores:
@@ -153,10 +153,10 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
 
 
 def _untested(name: str, twin: Twin) -> list[str]:
-    """What might have changed the hard iron as well, were its channel there to tell."""
-    if name not in ("hard-iron-step", "hard-iron-drift"):
+    """What else might have changed something with time, were its channel there to tell."""
+    if name not in ("hard-iron-step", "hard-iron-drift", "local-anomaly"):
         return []
-    return [other for other in ("motor-current", "temperature-hard-iron") if TERMS[other].missing(twin)]
+    return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
 
 
 def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
