@@ -67,17 +67,12 @@ class Drift(NamedTuple):
 
 
 def restamped(recording: Recording, drift: float) -> Recording:
-    """The same with the magnetometer's clock slowed down by `drift` s/s from the first row on; without channels."""
+    """The same with the magnetometer's clock slowed down by `drift` s/s from the first row on."""
     if not drift:
         return recording
     time, field = recording.magnetometer
     start = recording.time[0]
-    return Recording.from_streams(
-        (start + (time - start) * (1 - drift), field),
-        recording.gyroscope,
-        name=recording.name,
-        angular_rate_is=recording.angular_rate_is,
-    )
+    return recording.with_samples((start + (time - start) * (1 - drift), field), recording.gyroscope)
 
 
 def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit) -> Drift | None:
