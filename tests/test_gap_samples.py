@@ -171,7 +171,9 @@ def test_what_is_switched_again_and_again_is_no_step() -> None:
     assert switched([step, step]) == ()
     assert switched([step, bump]) == ()
     assert "hard-iron-step" in switched([step, step, step])
-    assert "hard-iron-step" in switched([step, step, bump])
+    for slow in (bump, replace(bump, name="hard-iron-drift"), replace(bump, name="temperature-hard-iron")):
+        assert "hard-iron-step" in switched([step, step, slow])
+    assert switched([step, step, replace(bump, name="timing")]) == ()
 
 
 @pytest.mark.parametrize(

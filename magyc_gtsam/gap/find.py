@@ -22,7 +22,7 @@ from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.naming import as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, tempered, without_term
+from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, tempered, unmoved, without_term
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, moved, verdict
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
@@ -196,7 +196,7 @@ def _gap(
     if corrected.model is not result.last.refit.model:
         fine = fine_innovations(result.recording, corrected.model)
     started = as_calibration(base, strength, known)
-    final = as_calibration(corrected, strength, (*known, *added))
+    final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
     word, sentence = verdict(found, result, last, open_places)
     applied = word in ("closed", "open")
     before = measure(first.refit.twin, started, first.fine.innovation, first.fine.rate, first.fine.level)

@@ -32,6 +32,7 @@ _SPAN = 2.5  # widths within which a second bump belongs to the first
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
 _SLOW = 0.5  # Hz, which windows of a second still show
 _SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
+_CHANGING = frozenset({"local-anomaly", "hard-iron-drift", "temperature-hard-iron"})
 NOISE_LIMIT = float(np.log(22 / 0.01))
 
 
@@ -61,7 +62,10 @@ def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One look at a model: all scores, strongest first, with the held-out gains of those that matter."""
+    """One look at a model: all scores, strongest first, with the held-out gains of those that matter.
+
+    A gain of 0 is that of a channel which explains no more than it would at other times.
+    """
 
     refit: Refit
     scores: list[Score]
@@ -214,11 +218,11 @@ def _squared(values: Array) -> float:
 
 
 def switched(found: Sequence[Found]) -> tuple[str, ...]:
-    """The steps, where there are so many, or bumps beside them, that something else must switch them."""
+    """The steps, where there are so many, or other changes with time beside them, that something else switches them."""
     names = [f.name for f in found]
     steps = names.count("hard-iron-step")
-    if steps > 2 or (steps == 2 and "local-anomaly" in names):
-        return "hard-iron-step", "local-anomaly"
+    if steps > 2 or (steps == 2 and not _CHANGING.isdisjoint(names)):
+        return "hard-iron-step", *_CHANGING
     return ()
 
 

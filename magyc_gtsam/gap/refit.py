@@ -25,6 +25,7 @@ _ROUNDING = 0.5  # of a cost, to second order of the rotations
 _HELD = 0.75  # of a prior's deviation, up to which the data have told something of every direction
 _FEW = 3  # values of one vector, which the motion determines alike
 _GRID = 81
+_WORTH = 0.3  # sigma, in the mean, by which the iron must move to be moved
 _SETTLED = 1e-3  # squared length of a step, in sigmas
 
 
@@ -129,6 +130,20 @@ def spread(value: Array, covariance: Array, prior: float) -> float:
     widened = 1 + deviation**2 * known
     likelihood = 0.5 * (deviation**2 * pull**2 / widened - np.log(widened)).sum(axis=1)
     return float(deviation[np.argmax(likelihood), 0])
+
+
+def unmoved(before: Calibration, after: Calibration) -> Calibration:
+    """`after` with the soft and hard iron of `before`, where they hardly differ against what is known of them.
+
+    An effect that moves the iron by little of its sigma was none of the heading's error; to follow it is to follow the
+    noise as often as not.
+    """
+    change = [after.soft_iron - before.soft_iron, after.hard_iron - before.hard_iron]
+    sigmas = [after.sigma["soft_iron"], after.sigma["hard_iron"]]
+    moved = np.concatenate([(c / np.maximum(s, 1e-300)).ravel() for c, s in zip(change, sigmas, strict=True)])
+    if float(np.sqrt((moved**2).mean())) > _WORTH:
+        return after
+    return replace(after, soft_iron=before.soft_iron, hard_iron=before.hard_iron)
 
 
 def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | None:

@@ -22,6 +22,10 @@ _POWER = 0.8
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _UNCORRECTED = "named, not corrected: this motion leaves part of it open"
+_VETOED = (
+    "significant, but it predicts nothing on data it was not fitted to",
+    "significant, but its channel, shifted in time, would explain as much",
+)
 _MOVED = 2.0  # sigmas from which a parameter is reported as moved
 
 
@@ -152,7 +156,7 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> 
     if score.name in named:
         status, words = "named", "named and added"
     elif score.significant and gain <= 0:
-        status, words = "vetoed", "significant, but it predicts nothing on data it was not fitted to"
+        status, words = "vetoed", _VETOED[gain == 0]
     elif score.significant and score.name in rivals:
         status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
     elif score.significant:

@@ -30,6 +30,7 @@ from magyc_gtsam.gap.naming import (
 )
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import nearer, sharpened, sharpest
 from magyc_gtsam.gap.refit import Refit, determined, refit, without_term
@@ -73,6 +74,10 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
     fine = fine_innovations(recording, refitted.model)
     noise = noise_scores(recording, fine, NOISE_LIMIT)
     gains = {s.name: _gain(refitted, s, innovation) for s in scores if s.evidence > 3.0}
+    for s in scores:
+        tried = s.significant and not s.generic and gains[s.name] > 0
+        if tried and not in_its_own_time(s, refitted.twin, innovation, projector):
+            gains[s.name] = 0.0
     return Look(refitted, scores, noise, fine, innovation, projector, gains)
 
 
