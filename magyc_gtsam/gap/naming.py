@@ -32,7 +32,8 @@ _SPAN = 2.5  # widths within which a second bump belongs to the first
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
 _SLOW = 0.5  # Hz, which windows of a second still show
 _SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
-_CHANGING = frozenset({"local-anomaly", "hard-iron-drift", "temperature-hard-iron"})
+_CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-hard-iron")
+_CHANGES = 2  # with time, that one recording may hold
 NOISE_LIMIT = float(np.log(22 / 0.01))
 
 
@@ -218,12 +219,9 @@ def _squared(values: Array) -> float:
 
 
 def switched(found: Sequence[Found]) -> tuple[str, ...]:
-    """The steps, where there are so many, or other changes with time beside them, that something else switches them."""
-    names = [f.name for f in found]
-    steps = names.count("hard-iron-step")
-    if steps > 2 or (steps == 2 and not _CHANGING.isdisjoint(names)):
-        return "hard-iron-step", *_CHANGING
-    return ()
+    """What changes with time, where that is so much that something else must switch or move it all."""
+    changing = [f.name for f in found if f.name in _CHANGING]
+    return tuple(dict.fromkeys(changing)) if len(changing) > _CHANGES else ()
 
 
 def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) -> tuple[str, ...]:
