@@ -18,7 +18,7 @@ class Card:
 
     outcome: Outcome
     summary: str
-    cautions: tuple[str, ...]
+    caution: str
     ellipsoids: tuple[Figure, ...]
     figures: tuple[Figure, ...]
 
@@ -83,8 +83,8 @@ def _card(comparison: Comparison, outcome: Outcome, samples: compare_plots.Cloud
         svg = compare_plots.heading(comparison.raw.heading, outcome.heading)
         figures.append(Figure(Markup(svg), "Heading error before and after"))
     summary = _changes(comparison.raw, outcome, scale, unit)
-    cautions = compare_words.cautions(comparison, outcome)
-    return Card(outcome, ", ".join(summary), tuple(cautions), tuple(ellipsoids), tuple(figures))
+    caution = "" if outcome.status is Status.TRUSTED else outcome.reason
+    return Card(outcome, ", ".join(summary), caution, tuple(ellipsoids), tuple(figures))
 
 
 def _changes(raw: Outcome, outcome: Outcome, scale: float, unit: str) -> Iterable[str]:

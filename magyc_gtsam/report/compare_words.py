@@ -8,13 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.words import uncertain
 from magyc_gtsam.study.comparison import Comparison, Outcome, Status
 
 _HUGE = 1e5  # in the unit shown, from where digits behind the point say nothing
-_WORSE = 1.05  # spread after over spread before, from which a calibration made it worse
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
@@ -149,35 +147,11 @@ def parameter_rows(comparison: Comparison) -> list[list[str]]:
     return rows
 
 
-def cautions(comparison: Comparison, outcome: Outcome) -> list[str]:
-    """Why to doubt a method's result, its own verdict first; capitals and stops are left to the reader."""
-    said = [] if outcome.status is Status.TRUSTED else [outcome.reason]
-    before, after = comparison.raw.inlier_spread, outcome.inlier_spread
-    if before is not None and after is not None and after > _WORSE * before:
-        said.append("the strength of the calibrated field varies more than that of the raw field")
-    reference = comparison.reference
-    if outcome.status is not Status.TRUSTED or reference is None or reference.strength is None:
-        return said
-    if outcome.calibration is not None and reference.calibration is not None:
-        scale, unit = comparison.recording.field_shown
-        apart = float(np.linalg.norm(outcome.calibration.hard_iron - reference.calibration.hard_iron))
-        limit = HARD_IRON_LIMIT * reference.strength
-        if apart > limit:
-            said.append(
-                f"its hard iron is {apart * scale:.1f} {unit} from that of {reference.method} (more than the "
-                f"{limit * scale:.1f} that make three degrees of heading)"
-            )
-    return said
-
-
 def remarks(comparison: Comparison) -> list[str]:
     """A sentence for each method that is to be doubted or gave nothing, and for what only some got to see."""
-    sentences = []
-    for outcome in comparison.outcomes:
-        said = cautions(comparison, outcome)
-        if said:
-            status = "doubtful" if outcome.status is Status.TRUSTED else str(outcome.status)
-            sentences.append(f"{outcome.method} {status}: {'; '.join(said)}")
+    sentences = [
+        f"{o.method} {o.status}: {o.reason}" for o in comparison.outcomes if o.status is not Status.TRUSTED
+    ]
     if comparison.not_run:
         sentences.append(f"interrupted before {', '.join(comparison.not_run)}")
     notes = dict.fromkeys(o.note for o in comparison.outcomes if o.note)

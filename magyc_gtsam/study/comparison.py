@@ -13,6 +13,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import Method, calibrate, methods
 from magyc_gtsam.estimators.autocal import inliers
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Mask, Recording
 from magyc_gtsam.runners.batch import Status as Ended
 from magyc_gtsam.study.heading import HeadingError, heading_error
@@ -22,6 +23,7 @@ Progress = Callable[[str, float], None]
 MOST_SAMPLES = 50_000  # of the methods that take samples in any order; more cost time and win next to nothing
 ROBUST = ("autocal", "smoother")  # which tell disturbed samples from others
 REFERENCES = ("smoother", "autocal")  # the most accurate with and without a gyroscope
+_WORSE = 1.05  # spread after over spread before, from which a calibration made it worse
 UNCALIBRATED = Calibration(np.eye(3), np.zeros(3), method="raw")
 _NEEDS = {  # what a method may need, whether a recording has it, and how to say that it has not
     "angular_rate": (lambda r: r.angular_rate is not None, "a gyroscope"),
@@ -34,6 +36,7 @@ class Status(StrEnum):
     """What became of a method."""
 
     TRUSTED = "trusted"
+    DOUBTFUL = "doubtful"
     UNTRUSTED = "not trusted"
     FAILED = "failed"
     IMPOSSIBLE = "not possible"
@@ -46,7 +49,7 @@ class Outcome:
     Attributes:
         method: its name in `methods()`; "raw" for the recording as it is.
         status: what became of it.
-        reason: why it is not trusted, failed or is not possible; else what the method says of its end.
+        reason: why it is doubtful, not trusted, failed or is not possible; else what the method says of its end.
         note: what was done to the data for this method only, "" for nothing.
         calibration: None where there is none.
         seconds: run time, wall clock; None where it did not run.
@@ -172,7 +175,10 @@ def judge(recording: Recording, asked: Sequence[str], ran: Sequence[Outcome]) ->
     raw = Outcome("raw", Status.UNTRUSTED, "", calibration=UNCALIBRATED)
     judged = [_judged(recording, outcome, delay, inlier) for outcome in (raw, *ran)]
     not_run = tuple(asked[len(ran) :])
-    return Comparison(recording, judged[0], tuple(judged[1:]), delay, delay_from, inlier, inlier_from, not_run)
+    comparison = Comparison(
+        recording, judged[0], tuple(judged[1:]), delay, delay_from, inlier, inlier_from, not_run
+    )
+    return replace(comparison, outcomes=tuple(_doubted(comparison, outcome) for outcome in comparison.outcomes))
 
 
 def checked_methods(names: Sequence[str] | None) -> tuple[str, ...]:
@@ -209,7 +215,8 @@ def _run(
     try:
         result = calibrate(used, name, field_strength=field_strength, progress=report)
     except MagycError as error:
-        return Outcome(name, Status.FAILED, str(error), note, seconds=time.perf_counter() - start)
+        reason = str(error).removeprefix(f"method {name!r} failed: ")
+        return Outcome(name, Status.FAILED, reason, note, seconds=time.perf_counter() - start)
     except Exception as error:  # noqa: BLE001 - a method's own defect is its outcome, not the end of the others
         if isinstance(error.__cause__, KeyboardInterrupt):  # met while an extension module was being loaded
             raise error.__cause__ from None
@@ -275,3 +282,34 @@ def _judged(recording: Recording, outcome: Outcome, delay: float, inlier: Mask) 
         strength=float(norm.mean()),
         heading=heading_error(recording, outcome.calibration, delay) if reference else None,
     )
+
+
+def _doubted(comparison: Comparison, outcome: Outcome) -> Outcome:
+    """With what the others show and the method itself has not noticed."""
+    doubts = [] if outcome.status is Status.TRUSTED else [outcome.reason]
+    before, after = comparison.raw.inlier_spread, outcome.inlier_spread
+    if before is not None and after is not None and after > _WORSE * before:
+        doubts.append("the strength of the calibrated field varies more than that of the raw field")
+    if outcome.status is Status.TRUSTED:
+        doubts += _apart(comparison, outcome)
+    if not doubts:
+        return outcome
+    status = Status.DOUBTFUL if outcome.status is Status.TRUSTED else outcome.status
+    return replace(outcome, status=status, reason="; ".join(doubts))
+
+
+def _apart(comparison: Comparison, outcome: Outcome) -> list[str]:
+    """Whether its hard iron is far from that of the most accurate method."""
+    reference = comparison.reference
+    if reference is None or reference.calibration is None or outcome.calibration is None:
+        return []
+    assert reference.strength is not None
+    scale, unit = comparison.recording.field_shown
+    apart = float(np.linalg.norm(outcome.calibration.hard_iron - reference.calibration.hard_iron))
+    limit = HARD_IRON_LIMIT * reference.strength
+    if apart <= limit:
+        return []
+    return [
+        f"its hard iron is {apart * scale:.1f} {unit} from that of {reference.method} (more than the "
+        f"{limit * scale:.1f} that make three degrees of heading)"
+    ]
