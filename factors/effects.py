@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices
@@ -70,9 +71,10 @@ def _lagged(time: Array, rows: Array, lag: float) -> Array:
     if lag <= 0:
         return rows
     decay = np.exp(-np.diff(time) / lag)
-    result = rows.copy()
-    for k, share in enumerate(decay):  # a state that remembers: sequential by nature
-        result[:, k + 1] = rows[:, k + 1] + (result[:, k] - rows[:, k + 1]) * share
+    # yₖ = decayₖ yₖ₋₁ + (1 − decayₖ) xₖ, as a bidiagonal system
+    band = np.array([np.ones(len(time)), np.append(-decay, 0.0)])
+    driven = np.column_stack([rows[:, :1], (1 - decay) * rows[:, 1:]])
+    result: Array = solve_banded((1, 0), band, driven.T).T
     return result
 
 
