@@ -71,9 +71,12 @@ def _lagged(time: Array, rows: Array, lag: float) -> Array:
     if lag <= 0:
         return rows
     decay = np.exp(-np.diff(time) / lag)
-    # yₖ = decayₖ yₖ₋₁ + (1 − decayₖ) xₖ, as a bidiagonal system
-    band = np.array([np.ones(len(time)), np.append(-decay, 0.0)])
-    driven = np.column_stack([rows[:, :1], (1 - decay) * rows[:, 1:]])
+    return _remembered(decay, np.column_stack([rows[:, :1], (1 - decay) * rows[:, 1:]]))
+
+
+def _remembered(decay: Array, driven: Array) -> Array:
+    """(k, n) yₙ = decayₙ yₙ₋₁ + drivenₙ, y₀ = driven₀, as a bidiagonal system; decay (n − 1,)."""
+    band = np.array([np.ones(driven.shape[1]), np.append(-decay, 0.0)])
     result: Array = solve_banded((1, 0), band, driven.T).T
     return result
 
@@ -180,10 +183,8 @@ def _hysteresis(s: Signals, setting: Setting) -> Array:
     y = along @ field / setting["width"]
     step = np.diff(y)
     decay, sign = np.exp(-np.abs(step)), np.sign(step)
-    gain = sign * (1 - decay)
-    z = np.zeros_like(y)
-    for k in range(step.shape[1]):  # a state that remembers: sequential by nature
-        z[:, k + 1] = gain[:, k] + z[:, k] * decay[:, k]
+    gain = np.column_stack([np.zeros(len(y)), sign * (1 - decay)])
+    z = np.concatenate([_remembered(each, driven[None]) for each, driven in zip(decay, gain, strict=True)])
     return np.eye(3)[:, :, None] * z
 
 
