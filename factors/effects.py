@@ -38,7 +38,13 @@ class Form(NamedTuple):
         if self.rotates:
             turn = exponential_matrices(np.asarray(value, dtype=float)[:, None])[:, :, 0]
             return (turn - np.eye(3)) @ signals.need("rate")
-        result: Array = np.tensordot(np.asarray(value, dtype=float), self.columns(signals, setting), axes=1)
+        columns = self.columns(signals, setting)
+        if len(columns) != len(value):
+            raise MagycError(
+                f"{' and '.join(self.needs)}: an effect of {len(value)} values meets data for {len(columns)}; the "
+                "recording must have the same channels as the one that was calibrated"
+            )
+        result: Array = np.tensordot(np.asarray(value, dtype=float), columns, axes=1)
         return result
 
 
@@ -52,12 +58,14 @@ def per_axis(profile: Array) -> Array:
 
 
 def _beyond_reference(channel: Array, setting: Setting) -> Array:
-    """A channel (k, n) less its references, the settings `reference_0`, `reference_1`, …"""
-    return channel - np.array([[setting.get(f"reference_{i}", 0.0)] for i in range(len(channel))])
+    """A channel (k, n) less its references, the settings `reference_0`, …; only the rows that have one, if any has."""
+    rows = [i for i in range(len(channel)) if f"reference_{i}" in setting] or list(range(len(channel)))
+    result: Array = channel[rows] - np.array([[setting.get(f"reference_{i}", 0.0)] for i in rows])
+    return result
 
 
 def _motor_current(s: Signals, setting: Setting) -> Array:
-    return per_axis(s.need("current"))
+    return per_axis(_beyond_reference(s.need("current"), setting))
 
 
 def _temperature(s: Signals, setting: Setting) -> Array:
@@ -144,9 +152,7 @@ def _g_sensitivity(s: Signals, setting: Setting) -> Array:
 
 def _field_gradient(s: Signals, setting: Setting) -> Array:
     """Along the rows of the channel that the setting has references for; without any, along all."""
-    along = _beyond_reference(s.need("position"), setting)
-    some = [i for i in range(len(along)) if f"reference_{i}" in setting]
-    columns: Array = along[some or slice(None), None] * s.need("field")
+    columns: Array = _beyond_reference(s.need("position"), setting)[:, None] * s.need("field")
     return columns
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -56,21 +57,29 @@ class Signals:
 
 CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "current": ("current", "amp", "motor", "throttle"),
-        "temperature": ("temp",),
+        "current": ("current", "curr", "amp", "amps", "motor", "throttle"),
+        "temperature": ("temperature", "temp"),
         "position": ("position", "depth", "altitude", "height"),
     }
 )
-"""What a channel must be called, in part, to count as one of a kind."""
+"""What a channel must be called to count as one of a kind: long words may be a part of a word, short ones may not."""
+_LONG = 5  # letters
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
     """{kind: (k, n)} from {name: (n,) or (n, k)}, the names in alphabetical order."""
     result = {}
     for kind, words in CHANNELS.items():
-        found = [channels[name] for name in sorted(channels) if any(word in name.lower() for word in words)]
+        found = [channels[name] for name in sorted(channels) if _is_called(name, words)]
         if found:
             result[kind] = np.concatenate(
                 [np.asarray(value, dtype=float).reshape(len(value), -1).T for value in found]
             )
     return result
+
+
+def _is_called(name: str, words: Sequence[str]) -> bool:
+    """Whether a channel's name holds one of the words; "timestamp" holds no "amp"."""
+    parts = [part.lower() for part in _WORDS.findall(name)]
+    return any(word in part if len(word) >= _LONG else word == part for word in words for part in parts)

@@ -148,7 +148,11 @@ class Calibration:
         """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`."""
         if self.configuration.get("magnetic_field_unit") == "counts":
             raise MagycError("the calibration is of raw counts, which no instrument takes; calibrate in tesla")
-        return export(target, self.soft_iron, self.hard_iron, self.gyro_bias)
+        bias = self.gyro_bias
+        for term in self.terms:
+            if term.name == "axis-order" and bias is not None:
+                bias = term.value.reshape(3, 3).T @ bias  # from the magnetometer's axes to the gyroscope's
+        return export(target, self.soft_iron, self.hard_iron, bias, [term.name for term in self.terms])
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_dict, (self.to_dict(),)
@@ -246,13 +250,22 @@ def _as_signals(rows: int, given: Mapping[str, Any]) -> Signals:
     def columns(name: str) -> Array | None:
         return None if given.get(name) is None else np.atleast_2d(_vectors(name, given[name])).T
 
-    time = given.get("time")
+    time = np.full(rows, np.nan) if given.get("time") is None else np.asarray(given["time"], dtype=np.float64)
+    channels = channels_by_kind(given.get("channels") or {})
     return Signals(
-        np.full(rows, np.nan) if time is None else np.asarray(time, dtype=np.float64),
+        time,
         rate=columns("angular_rate"),
         acceleration=columns("acceleration"),
-        channels=channels_by_kind(given.get("channels") or {}),
+        channels={kind: np.stack([_filled(time, row) for row in value]) for kind, value in channels.items()},
     )
+
+
+def _filled(time: Array, row: Array) -> Array:
+    """A channel without its gaps: between its samples on a line, all of it 0 where there are none."""
+    known = np.isfinite(row)
+    if known.all() or not np.isfinite(time).all():
+        return row
+    return np.interp(time, time[known], row[known]) if known.any() else np.zeros_like(row)
 
 
 def _vectors(name: str, value: ArrayLike) -> Array:

@@ -7,7 +7,7 @@ strength that `soft_iron` implies is kept.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,14 +24,21 @@ _ARDUPILOT_DIAGONAL = (0.2, 5.0)  # what ArduPilot's own calibration accepts
 _ARDUPILOT_OFF_DIAGONAL = 1.0
 
 
-def export(target: str, soft_iron: ArrayLike, hard_iron: ArrayLike, gyro_bias: ArrayLike | None = None) -> str:
+def export(
+    target: str,
+    soft_iron: ArrayLike,
+    hard_iron: ArrayLike,
+    gyro_bias: ArrayLike | None = None,
+    terms: Sequence[str] = (),
+) -> str:
     """Text to paste into `target`.
 
     Args:
         target: "px4", "ardupilot", "vectornav" or "ros".
         soft_iron: (3, 3).
         hard_iron: (3,) T.
-        gyro_bias: (3,) rad/s; None leaves the gyroscope out.
+        gyro_bias: (3,) rad/s, in the gyroscope's own axes; None leaves the gyroscope out.
+        terms: effects of the calibration beyond these; no target holds them, and the text says so.
 
     Raises:
         MagycError: unknown target, or a calibration that the target cannot hold.
@@ -41,7 +48,8 @@ def export(target: str, soft_iron: ArrayLike, hard_iron: ArrayLike, gyro_bias: A
     matrix = np.linalg.inv(np.asarray(soft_iron, dtype=np.float64))
     offset = np.asarray(hard_iron, dtype=np.float64)
     bias = None if gyro_bias is None else np.asarray(gyro_bias, dtype=np.float64)
-    return "\n".join(TARGETS[target](matrix, offset, bias)) + "\n"
+    limit = [f"# LIMIT: not in here: {', '.join(terms)}. Only `magyc-gtsam apply` takes it out."] if terms else []
+    return "\n".join([*limit, *TARGETS[target](matrix, offset, bias)]) + "\n"
 
 
 def _px4(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:

@@ -14,7 +14,7 @@ from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.factors.effects import FORMS
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.noise_effects import coloured_noise, quantisation, sample_hold, spikes, tone
-from magyc_gtsam.gap.null import autoregression
+from magyc_gtsam.gap.null import memory
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import refit, with_term
 from magyc_gtsam.gap.score import Projector, held_out_gain, interleaved, variant, variants
@@ -40,7 +40,7 @@ def test_the_twins_likelihood_is_the_field_chains(twin: Twin) -> None:
 
 def test_innovations_are_white_where_the_model_is_right(twin: Twin) -> None:
     innovation = twin.residual()
-    assert not len(autoregression(innovation))
+    assert memory(innovation) == 0
     assert kstest(innovation.ravel(), "norm").pvalue > 1e-3
 
 

@@ -31,8 +31,9 @@ def run(
 ) -> int:
     """Apply a calibration to a log.
 
-    Time stamps and all other data stay as they are. The gyroscope's bias is subtracted where the method
-    estimated one. Read the log as it was read for the calibration (units, axes).
+    Time stamps and all other data stay as they are. The gyroscope's bias is subtracted where the method estimated
+    one, and what `magyc-gtsam gap` found is taken out: a late field is read later. Read the log as it was read for
+    the calibration (units, axes); an effect of a current or a temperature needs that channel.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.factors.errors import MagycError
@@ -46,10 +47,8 @@ def run(
         recording = reading.recording(stage("reading"))
         rate = recording.angular_rate
         if rate is not None and calibration.gyro_bias is not None:
-            rate = calibration.apply_gyroscope(rate)
-        calibrated = replace(
-            recording, magnetic_field=calibration.apply(recording.magnetic_field), angular_rate=rate
-        )
+            rate = calibration.apply_gyroscope(recording)
+        calibrated = replace(recording, magnetic_field=calibration.apply(recording), angular_rate=rate)
         writing = stage("writing")
         if output.suffix.lower() == ".mcap":
             from magyc_gtsam.io import write_mcap

@@ -167,8 +167,7 @@ def _channel_field(kind: str) -> Callable[[Twin], Columns]:
     """The field as it is times the channel first, then each of its components."""
 
     def columns(twin: Twin) -> Columns:
-        value = twin.windows.channels[kind]
-        value = (value - value.mean(axis=1)[:, None]) / value.std(axis=1)[:, None]
+        value = _moving(twin.windows, kind)
         unit = _unit(twin)
         scaled = value[:, None] * unit
         each = np.eye(3)[:, :, None] * unit
@@ -202,6 +201,13 @@ def _field_on_rate(twin: Twin) -> Columns:
 
 
 def _channel(signals: Signals, kind: str) -> Array:
-    value = signals.channels[kind]
-    value = (value - value.mean(axis=1)[:, None]) / value.std(axis=1)[:, None]
+    value = _moving(signals, kind)
     return np.concatenate([value, value**2])
+
+
+def _moving(signals: Signals, kind: str) -> Array:
+    """The rows of a channel that do not stand still, with zero mean and unit deviation."""
+    value = signals.channels[kind]
+    value = value[value.std(axis=1) > 0]
+    result: Array = (value - value.mean(axis=1)[:, None]) / value.std(axis=1)[:, None]
+    return result

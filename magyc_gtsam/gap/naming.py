@@ -146,8 +146,8 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         if rival.generic or rival.name == choice.name:
             continue
         behind = choice.evidence - rival.evidence
-        # What has many shapes, as a drift, may have had another than those tried.
-        shapes = TERMS[choice.name].many_shapes or TERMS[rival.name].many_shapes
+        # What has many shapes, as a drift or what comes and goes, may have had another than those tried.
+        shapes = any(TERMS[s.name].many_shapes or "until" in s.variant.setting for s in (choice, rival))
         related = rival.name in TERMS[choice.name].rivals or choice.name in TERMS[rival.name].rivals
         close = behind < min(_AHEAD + _SHAPE * choice.evidence, 0.5 * choice.evidence)
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 from scipy.special import gammaincc, gammainccinv, gammaln
 
@@ -16,31 +17,34 @@ _COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
 def colour(innovation: Array, white: Draws) -> Draws:
-    """White draws (3n, draws) given the autocorrelation of the innovations (3, n), where it is significant."""
-    coefficients = autoregression(innovation)
-    if not len(coefficients):
+    """White draws (3n, draws) given the autocorrelation of the innovations (3, n), where it is significant.
+
+    Each axis has its own: what the gyroscope leaves open, the innovations show less of.
+    """
+    order = memory(innovation)
+    if not order:
         return white
-    n = innovation.shape[1]
-    shaped = lfilter([1.0], np.concatenate([[1.0], -coefficients]), white.reshape(3, n, -1), axis=1)
-    shaped = shaped.reshape(white.shape)
-    return (shaped / shaped.std()).astype(np.float32)
+    overall, shaped = innovation.std(), []
+    for row, draws in zip(innovation, white.reshape(3, innovation.shape[1], -1), strict=True):
+        drawn = lfilter([1.0], np.concatenate([[1.0], -autoregression(row, order)]), draws, axis=0)
+        shaped.append(drawn * (row.std() / (overall * drawn.std())))
+    return np.concatenate(shaped).astype(np.float32)
 
 
-def autoregression(innovation: Array) -> Array:
-    """(order,) coefficients by Yule–Walker, the three axes pooled; empty where the innovations are white."""
+def memory(innovation: Array) -> int:
+    """The longest lag at which innovations (3, n), all axes together, still hang together significantly; 0 for white."""
     n = innovation.shape[1]
     total = float(np.vdot(innovation, innovation))
-    rho = [1.0]
-    for lag in range(1, min(_ORDER, n // 4) + 1):
-        value = float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total
-        rho.append(value)
-    significant = np.flatnonzero(np.abs(rho[1:]) > _COLOURED / np.sqrt(innovation.size))
-    if not len(significant):
-        return np.zeros(0)
-    order = int(significant[-1]) + 1
-    r = np.array(rho[: order + 1])
-    toeplitz = r[np.abs(np.subtract.outer(np.arange(order), np.arange(order)))]
-    return np.linalg.solve(toeplitz, r[1:])
+    lags = range(1, min(_ORDER, n // 4) + 1)
+    rho = np.array([float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total for lag in lags])
+    significant = np.flatnonzero(np.abs(rho) > _COLOURED / np.sqrt(innovation.size))
+    return int(significant[-1]) + 1 if len(significant) else 0
+
+
+def autoregression(row: Array, order: int) -> Array:
+    """(order,) coefficients of innovations (n,) by Yule–Walker."""
+    r = np.array([float(row[lag:] @ row[: len(row) - lag]) for lag in range(order + 1)])
+    return solve_toeplitz(r[:-1], r[1:])
 
 
 def surprises(statistic: Array, ranks: Array) -> Array:

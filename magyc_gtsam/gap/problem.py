@@ -93,7 +93,10 @@ class Problem:
 
 
 def _others(recording: Recording, at: Array) -> Signals:
-    """Acceleration and channels at given times; channels with too little data, or that stand still, left out."""
+    """Acceleration and channels at given times.
+
+    Rows with too little data, or that stand still, tell nothing and are 0; a kind of which all are so is left out.
+    """
     time = recording.time
 
     def interpolated(rows: Array) -> Array:
@@ -102,11 +105,9 @@ def _others(recording: Recording, at: Array) -> Signals:
     acceleration = None if recording.acceleration is None else interpolated(recording.acceleration.T)
     channels = {}
     for kind, rows in channels_by_kind(recording.channels).items():
-        usable = [
-            r for r in rows if np.isfinite(r).mean() > 0.5 and np.nanstd(r) > 1e-9 * (1 + abs(np.nanmean(r)))
-        ]
-        if usable:
-            channels[kind] = interpolated(np.stack(usable))
+        usable = [np.isfinite(r).mean() > 0.5 and np.nanstd(r) > 1e-9 * (1 + abs(np.nanmean(r))) for r in rows]
+        if any(usable):
+            channels[kind] = interpolated(np.where(np.array(usable)[:, None], rows, 0.0))
     return Signals(at, acceleration=acceleration, channels=channels)
 
 

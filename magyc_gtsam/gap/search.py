@@ -40,6 +40,7 @@ from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 5
 _CERTAIN = 2.0  # limits that the significance of what the motion does not determine must pass
+_ON_AND_OFF = ("hard-iron-step", "local-anomaly")  # alike, and on grids too coarse to say which
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
@@ -66,10 +67,11 @@ class Search:
 def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: np.random.Generator) -> Look:
     """Score everything against a model."""
     scores, innovation, projector = scan(refitted.twin, names, random)
-    scores = [
-        sharpened(s, refitted, innovation, projector) if s.significant and "until" in s.variant.setting else s
-        for s in scores
-    ]
+    if any(s.significant and "until" in s.variant.setting for s in scores):
+        scores = [
+            sharpened(s, refitted, innovation, projector) if s.significant and s.name in _ON_AND_OFF else s
+            for s in scores
+        ]
     scores.sort(key=lambda s: -s.evidence)
     fine = fine_innovations(recording, refitted.model)
     noise = noise_scores(recording, fine, NOISE_LIMIT)

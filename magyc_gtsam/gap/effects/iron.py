@@ -18,10 +18,22 @@ _FEW_MODES, _MANY_MODES = (0, 2, 4, 6), (9, 12)  # of a drift
 _MARGIN = 4  # windows at both ends where a step would be no more than noise
 
 
+def _moving(twin: Twin, kind: str) -> dict[int, Array]:
+    """{place: row} of a channel's rows that do not stand still."""
+    return {i: row for i, row in enumerate(twin.windows.channels.get(kind, ())) if row.std() > 0}
+
+
 def references(twin: Twin, kind: str) -> dict[str, float]:
-    """The means of a channel, so that the hard iron stays that of the mean."""
-    channel = twin.windows.channels.get(kind)
-    return {} if channel is None else {f"reference_{i}": float(row.mean()) for i, row in enumerate(channel)}
+    """The means of a channel's rows that move, so that the hard iron stays that of the mean."""
+    return {f"reference_{i}": float(row.mean()) for i, row in _moving(twin, kind).items()}
+
+
+def _circuits(twin: Twin) -> list[dict[str, float]]:
+    """All currents, or those that flow."""
+    moving = _moving(twin, "current")
+    return [
+        {} if len(moving) == len(twin.windows.channels["current"]) else {f"reference_{i}": 0.0 for i in moving}
+    ]
 
 
 def lagged(twin: Twin) -> list[dict[str, float]]:
@@ -102,6 +114,7 @@ MOTOR_CURRENT = EffectTerm(
     parameters=AXES,
     say=_say_current,
     motion="switch the load on and off several times at rest and under way, not in step with the turns",
+    settings=_circuits,
     products=("reading", "gain", "field"),
 )
 TEMPERATURE = EffectTerm(

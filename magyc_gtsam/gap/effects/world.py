@@ -21,10 +21,13 @@ def _directions(twin: Twin) -> list[dict[str, float]]:
     every = references(twin, "position")
     if len(every) < 2:
         return [every]
-    alike = np.abs(np.corrcoef(twin.windows.channels["position"])) > _ALIKE
+    rows = twin.windows.channels["position"]
+    rows = rows[rows.std(axis=1) > 0]
+    alike = np.abs(np.corrcoef(rows)) > _ALIKE
     own = [i for i in range(len(alike)) if not alike[i, :i].any()]
     vertical = next((i for i in own if alike[i].sum() > 1), len(alike) - 1)
-    return [{f"reference_{i}": every[f"reference_{i}"] for i in some} for some in ([vertical], own)]
+    names = list(every)
+    return [{names[i]: every[names[i]] for i in some} for some in ([vertical], own)]
 
 
 def _bumps(twin: Twin) -> list[dict[str, float]]:

@@ -1,0 +1,91 @@
+"""Terms of a calibration where a user meets them: `apply` on a log, exports, and channels as logs name them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import magyc_gtsam as mg
+from magyc_gtsam.cli.app import app
+from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.factors.signals import channels_by_kind
+from magyc_gtsam.io import write_mcap
+
+
+@pytest.mark.parametrize(
+    "effect", ["hard-iron-step", "motor-current", "timing", "temperature-gyro", "misalignment"]
+)
+def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
+    """On the command line as in Python, from a file to a file."""
+    log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
+    write_mcap(log, mg.simulate("wide", 300, seed=8, effects=[(effect, 2.0)]).recording)
+    recording = mg.read(log)
+    gap = mg.find_gap(recording)
+    assert effect in [e.name for e in gap.effects]
+    gap.calibration.save(tmp_path / "cal.yaml")
+    done = CliRunner().invoke(
+        app, ["apply", str(tmp_path / "cal.yaml"), str(log), "--output", str(out), "--quiet"]
+    )
+    assert done.exit_code in (0, 1), done.output
+    applied = mg.read(out)
+    np.testing.assert_allclose(applied.magnetic_field, gap.calibration.apply(recording), atol=1e-12)
+    np.testing.assert_allclose(applied.angular_rate, gap.calibration.apply_gyroscope(recording), atol=1e-9)
+    without = replace(gap.calibration, terms=())
+    assert (
+        max(
+            np.abs(applied.magnetic_field - without.apply(recording)).max() / 1e-7,
+            np.abs(applied.angular_rate - without.apply_gyroscope(recording)).max() / 1e-3,
+        )
+        > 1
+    )
+
+
+def test_exports_say_what_they_do_not_hold() -> None:
+    """And the bias of exchanged axes is written in the gyroscope's own."""
+    order = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    plain = mg.calibrate(mg.simulate("wide", 120, seed=1).recording)
+    term = Term("axis-order", order.ravel(), np.zeros((9, 9)), {})
+    turned = replace(plain, terms=(term,))
+    rate = np.array([[0.1, -0.2, 0.3]])
+    subtracted = rate - turned.apply_gyroscope(rate)
+    for target in ("px4", "ardupilot", "vectornav", "ros"):
+        text = turned.export(target)
+        assert text.startswith("# LIMIT: not in here: axis-order.")
+        assert "LIMIT: not in here" not in plain.export(target)
+    lines = [
+        line.split("\t") for line in turned.export("px4").splitlines() if "CAL_GYRO0" in line and "\t" in line
+    ]
+    written = {line[2]: float(line[3]) for line in lines}
+    np.testing.assert_allclose([written[f"CAL_GYRO0_{a}OFF"] for a in "XYZ"], subtracted[0], atol=1e-7)
+
+
+def test_channels_are_known_by_words_not_by_letters() -> None:
+    rows = np.zeros(3)
+    kind = {
+        "current": ("motor_current_A", "batteryCurrent", "BAT.Curr", "amps", "throttle0", "ESC Amp"),
+        "temperature": ("temp", "IMU.Temp", "imuTemp", "water_temperature"),
+        "position": ("depth", "position_x", "gps.altitude"),
+        None: ("timestamp_sample", "sample_count", "attempt", "template", "lamp", "device_timestamp", "swamp"),
+    }
+    for expected, names in kind.items():
+        for name in names:
+            assert list(channels_by_kind({name: rows})) == ([expected] if expected else []), name
+
+
+def test_a_channel_that_stands_still_beside_one_that_moves() -> None:
+    """It tells nothing and is left alone; gaps of the other are filled. Where more currents flow, it is refused."""
+    recording = mg.simulate("wide", 300, seed=3, effects=[("motor-current", 2.0)]).recording
+    gone = recording.channels["current"].copy()
+    gone[1000:1020] = np.nan
+    both = replace(recording, channels={"current": gone, "current_of_light": np.full(len(recording.time), 0.5)})
+    gap = mg.find_gap(both)
+    assert [effect.name for effect in gap.effects] == ["motor-current"]
+    assert np.isfinite(gap.calibration.apply(both)).all()
+    alone = mg.find_gap(recording)
+    np.testing.assert_allclose(gap.calibration.apply(recording), alone.calibration.apply(recording), atol=5e-8)
+    with pytest.raises(mg.MagycError, match="same channels"):
+        alone.calibration.apply(both)
