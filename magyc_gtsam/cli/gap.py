@@ -54,7 +54,10 @@ def run(
     ] = None,
     calibration: Annotated[
         Path | None,
-        typer.Option(metavar="CALIBRATION", help="calibration.yaml to start from. Default: calibrated first."),
+        typer.Option(
+            metavar="CALIBRATION",
+            help="calibration.yaml to start from; what the data contradict in it is said. Default: none.",
+        ),
     ] = None,
     candidates: Annotated[
         str | None, typer.Option(metavar="A,B,C", help="Effects to look for. Default: the whole catalogue.")
@@ -80,11 +83,11 @@ def run(
 
     Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html.
     Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
-    was too little to look for one, or the result does not hold on OTHER_LOG at all.
+    was too little to look for one, or the result does not hold on OTHER_LOG.
     """
     from magyc_gtsam import Calibration, find_gap
     from magyc_gtsam.report.gap_page import render_gap
-    from magyc_gtsam.report.gap_words import closed, foreign
+    from magyc_gtsam.report.gap_words import closed, contradicted
 
     start = None if calibration is None else Calibration.load(calibration)
     names = None if candidates is None else [name.strip() for name in candidates.split(",")]
@@ -129,7 +132,7 @@ def run(
     if gap.verdict in ("unknown", "open"):
         doubts = [f"the gap is left open: {gap.sentence}"]
     if validation is not None:
-        doubts += foreign(gap, validation)
+        doubts += contradicted(gap, validation)
     if not doubts:
         return 0
     typer.echo(f"magyc-gtsam: {'; '.join(doubts)}", err=True)

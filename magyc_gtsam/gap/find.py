@@ -19,11 +19,12 @@ from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.fine import fine_innovations
 from magyc_gtsam.gap.metrics import measure
-from magyc_gtsam.gap.naming import as_found, term_places
+from magyc_gtsam.gap.moved import against, contradiction, moved
+from magyc_gtsam.gap.naming import Look, as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, tempered, unmoved, without_term
-from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, moved, verdict
+from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verdict
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
 from magyc_gtsam.gap.search import Search, look, search
@@ -47,8 +48,8 @@ def find_gap(
     Args:
         recording: with magnetometer and gyroscope; other channels (current, temperature, depth, position) and
             the acceleration let more effects be tested.
-        calibration: the model to begin with, its delay and terms included; None begins with the twelve parameters
-            and no delay.
+        calibration: the model to begin with, its delay and terms included. All of it is fitted anew; what the data
+            contradict is said and in `Gap.moved`. None begins with the twelve parameters and no delay.
         simulated: a recording of the user's own simulator on the same or a similar motion, compared directly.
         candidates: names to choose from; None is the whole catalogue.
         progress: called with the share done, 0 to 1.
@@ -58,6 +59,7 @@ def find_gap(
             no error but a verdict, "not enough information".
     """
     started = clock.perf_counter()
+    _check_types(recording, calibration, simulated)
     names = _names(candidates)
     report = progress or (lambda _: None)
     report(0.0)
@@ -78,19 +80,30 @@ def find_gap(
     gap = _gap(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
     if simulated is not None:
         allowed = tuple(name for name in names if name in TERMS)
-        try:
-            model = base_model(simulated, None, short_term_noise(simulated))
-            against = look(simulated, model, allowed, np.random.default_rng(0))
-        except MagycError as problem:
-            raise MagycError(f"simulated: {problem}") from None
-        gap = replace(gap, assumptions=compare(result.first, against))
+        theirs = _first_look(simulated, allowed, "simulated: ")
+        ours = result.first if calibration is None else _first_look(recording, allowed)
+        gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out})
+
+
+def _check_types(recording: object, calibration: object, simulated: object) -> None:
+    for name, value, kind, made in (
+        ("recording", recording, Recording, "mg.read"),
+        ("calibration", calibration, Calibration, "mg.Calibration.load"),
+        ("simulated", simulated, Recording, "mg.read"),
+    ):
+        if not isinstance(value, kind) and (value is not None or name == "recording"):
+            raise MagycError(f"{name}: a {kind.__name__} is needed, got {type(value).__name__}; {made} gives one")
 
 
 def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
     if candidates is None:
         return NAMES
+    if isinstance(candidates, str) or not candidates:
+        raise MagycError(
+            f"candidates: a list of names is needed, got {candidates!r}; None takes the whole catalogue"
+        )
     unknown = [name for name in candidates if name not in NAMES]
     if unknown:
         raise MagycError(f"candidates: {', '.join(map(repr, unknown))} unknown; there are {', '.join(NAMES)}")
@@ -119,6 +132,24 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
         )
     free[DELAY] = any(term.name == "timing" for term in terms)
     return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
+
+
+def _first_look(recording: Recording, names: tuple[str, ...], what: str = "") -> Look:
+    """All candidates against the twelve parameters alone.
+
+    Raises:
+        MagycError: what is wrong with the recording, after `what` it is.
+    """
+    try:
+        recording, _ = without_faults(recording, ("magnetic_field", "angular_rate"))
+        short_term = short_term_noise(recording)
+        base = base_model(recording, None, short_term)
+        motion = _determined(recording, base, short_term)
+        if not motion.observable:
+            raise MagycError(f"too little motion: {motion.weak[0].sentence}; {motion.weak[0].remedy}")
+        return look(recording, base, names, np.random.default_rng(0))
+    except MagycError as problem:
+        raise MagycError(f"{what}{problem}") from None
 
 
 def _determined(recording: Recording, base: Refit, short_term: Noise) -> Observability:
@@ -197,11 +228,13 @@ def _gap(
         fine = fine_innovations(result.recording, corrected.model)
     started = as_calibration(base, strength, known)
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
-    word, sentence = verdict(found, result, last, open_places)
+    catalogue = "in the catalogue" if names == NAMES else "among the candidates"
+    word, sentence = verdict(found, result, last, open_places, catalogue)
     applied = word in ("closed", "open")
+    effects = describe(found, last.refit, open_places) if word != "unknown" else ()
     before = measure(first.refit.twin, started, first.fine.innovation, first.fine.rate, first.fine.level)
     after = before
-    if applied and result.found:
+    if any(effect.applied for effect in effects) and result.found:
         after = measure(corrected.twin, final, fine.innovation, fine.rate, fine.level)
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     untested = tuple(
@@ -211,17 +244,20 @@ def _gap(
         for n in names
         if n in TERMS and TERMS[n].missing(base.twin)
     )
-    effects = describe(found, last.refit, open_places) if word != "unknown" else ()
+    tested = hypotheses(first, names, found, word, discrete)
+    if word == "none":
+        sentence = f"{sentence}; {unseen(tested, len(untested))}"
+    contradicted = () if calibration is None else against(calibration, started)
     return Gap(
         verdict=word,
-        sentence=sentence,
+        sentence=contradiction(contradicted) + sentence,
         effects=effects,
         untested=untested,
-        hypotheses=hypotheses(first, names, found, word, discrete),
+        hypotheses=tested,
         remaining=hypotheses(last, names, (), word, ()) if result.found else (),
         before=before,
         after=after,
-        moved=moved(started, final) if applied else (),
+        moved=contradicted + (moved(started, final) if applied else ()),
         calibration=final if applied else started,
         base=started,
         next_manoeuvre=manoeuvre(first, found, word, open_places),

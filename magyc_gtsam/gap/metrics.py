@@ -47,7 +47,7 @@ def measure(
         lines=lines,
         heading=heading_error(twin.problem.recording, calibration),
         noise=dict(calibration.noise),
-        maps=maps(twin, v, calibration),
+        maps=maps(twin, v),
     )
 
 
@@ -123,7 +123,7 @@ def heading_error(recording: Recording, calibration: Calibration) -> float | Non
     return heading_deviation(field[fresh], attitude(time[fresh] - calibration.delay).as_quat())
 
 
-def maps(twin: Twin, innovation: Array, calibration: Calibration) -> tuple[GapMap, ...]:
+def maps(twin: Twin, innovation: Array) -> tuple[GapMap, ...]:
     """The misfit over everything that is known about a window."""
     signals = twin.windows
     square = (innovation**2).sum(axis=0)
@@ -142,11 +142,8 @@ def maps(twin: Twin, innovation: Array, calibration: Calibration) -> tuple[GapMa
     for kind, unit in (("temperature", "unit of the channel"), ("current", "unit of the channel")):
         if kind in signals.channels:
             over.append((kind, unit, signals.channels[kind][0]))
-    corrected = np.linalg.inv(unvech(twin.state.parameters[:6])) @ (
-        twin.chain.windows.field - twin.state.parameters[6:9, None]
-    )
-    strength = np.linalg.norm(corrected, axis=0) * (calibration.field_strength or 1.0)
-    over.append(("field strength", "µT", strength * 1e6))
+    reading = field + twin.state.parameters[6:9, None]
+    over.append(("field strength", "µT", np.linalg.norm(reading, axis=0) * 1e6))
     result = [_binned(name, unit, value, square) for name, unit, value in over]
     return (*result, _spectrum(twin, innovation))
 

@@ -32,7 +32,7 @@ def colour(innovation: Array, white: Draws) -> Draws:
 
 
 def memory(innovation: Array) -> int:
-    """The longest lag at which innovations (3, n), all axes together, still hang together significantly; 0 for white."""
+    """The longest lag at which innovations (3, n), all axes together, significantly hang together; 0 for white."""
     n = innovation.shape[1]
     total = float(np.vdot(innovation, innovation))
     lags = range(1, min(_ORDER, n // 4) + 1)

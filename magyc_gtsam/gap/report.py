@@ -6,7 +6,6 @@ from collections.abc import Container, Iterable, Sequence
 
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.axes import Arrangement
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.naming import Found, Look, term_places
@@ -14,9 +13,10 @@ from magyc_gtsam.gap.neighbours import label_of, product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
-from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Moved, Status, Verdict
+from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Status, Verdict
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.search import Search
+from magyc_gtsam.gap.step_time import step_time_sigma
 
 _POWER = 0.8
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
@@ -26,22 +26,25 @@ _VETOED = (
     "significant, but it predicts nothing on data it was not fitted to",
     "significant, but its channel, shifted in time, would explain as much",
 )
-_MOVED = 2.0  # sigmas from which a parameter is reported as moved
+_SPELLED = 3  # effects named one by one
 
 
 def verdict(
-    found: Sequence[Found], result: Search, last: Look, uncorrected: Container[int]
+    found: Sequence[Found], result: Search, last: Look, uncorrected: Container[int], catalogue: str
 ) -> tuple[Verdict, str]:
-    """One word, and one sentence for a navigator; `uncorrected` are the places of what is named only."""
+    """One word, and one sentence for a navigator.
+
+    `uncorrected` are the places of what is named only, `catalogue` is what the names were chosen from, in words.
+    """
     left = result.leftover
     if not found and not left:
-        return "none", "the model and the data agree: nothing that matters is missing"
+        return "none", "the model and the data agree"
 
     def said(place: int) -> str:
         return _sentence(found[place], last.refit, found) + (f" ({_UNCORRECTED})" if place in uncorrected else "")
 
     if left:
-        where = _place(left, last)
+        where = _place(left, last, catalogue)
         firm = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "axis-order"]
         if firm:
             words = "; ".join(said(i) for i in firm)
@@ -53,15 +56,28 @@ def verdict(
     return word, "; ".join(said(i) for i in ordered)
 
 
-def _place(left: Sequence[str], last: Look) -> str:
+def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
+    """What a verdict that nothing was found does not say: which effects could not have been seen."""
+    blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
+    parts = []
+    if blind:
+        named = ", ".join(blind[:_SPELLED])
+        more = f" and {len(blind) - _SPELLED} more" if len(blind) > _SPELLED else ""
+        parts.append(f"this motion could not have shown all that matters of {named}{more}")
+    if untested:
+        parts.append(f"{untested} effects lack their channel")
+    return "; ".join(parts) or "whatever of the catalogue matters would have been seen"
+
+
+def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
     """Where the strongest of what is left lives, in words."""
     names = set(left)
     for score in last.scores:
         if score.name in names and score.generic:
-            return f"something that lives in {score.place} is missing, and it is not in the catalogue"
+            return f"something that lives in {score.place} is missing, and it is not {catalogue}"
     label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
     if not label:
-        return "something is missing, and it is not in the catalogue"
+        return f"something is missing, and it is not {catalogue}"
     return f"something like “{label}” is missing, but not quite of its form"
 
 
@@ -78,8 +94,15 @@ def _sentence(found: Found, refitted: Refit, everything: Sequence[Found]) -> str
     assert index is not None
     term = TERMS[found.name]
     value, covariance = refitted.value_of(index)
-    setting = refitted.model.terms[index].setting
-    return term.say(value * term.scale, np.sqrt(np.diag(covariance)) * term.scale, setting)
+    return term.say(value * term.scale, np.sqrt(np.diag(covariance)) * term.scale, _setting(refitted, index))
+
+
+def _setting(refitted: Refit, index: int) -> dict[str, float]:
+    """What was searched over, with the deviation of a time."""
+    term = refitted.model.terms[index]
+    if term.name != "hard-iron-step":
+        return dict(term.setting)
+    return {**term.setting, "time_sigma": step_time_sigma(refitted, index)}
 
 
 def _noise_sentence(noise: NoiseScore) -> str:
@@ -117,7 +140,7 @@ def _described(found: Found, refitted: Refit, everything: Sequence[Found], appli
     else:
         assert index is not None
         value, covariance = refitted.value_of(index)
-        sigma, setting = np.sqrt(np.diag(covariance)), refitted.model.terms[index].setting
+        sigma, setting = np.sqrt(np.diag(covariance)), _setting(refitted, index)
         term = TERMS[found.name]
         unit, scale, parameters = term.unit, term.scale, term.names(len(value))
     return Effect(
@@ -150,17 +173,19 @@ def hypotheses(
 def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> Hypothesis:
     term = TERMS.get(score.name)
     power = score.power(term.matters) if term else 1.0
-    gain = look.gains.get(score.name, 0.0)
+    gain = look.gains.get(score.name, np.nan)
     scale = term.scale if term else 1.0
     status: Status
     if score.name in named:
         status, words = "named", "named and added"
-    elif score.significant and gain <= 0:
+    elif score.significant and not gain > 0:
         status, words = "vetoed", _VETOED[gain == 0]
     elif score.significant and score.name in rivals:
         status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
+    elif score.significant and named:
+        status, words = "explained", "significant until the effects above were added"
     elif score.significant:
-        status, words = "explained", "significant until the effects above were added" if named else "significant"
+        status, words = "significant", "significant"
     elif term and power < _POWER:
         status, words = (
             "not enough information",
@@ -176,6 +201,7 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> 
         generic=score.generic,
         statistic=score.statistic,
         threshold=score.threshold,
+        significant=score.significant,
         parameters=len(score.expected),
         expected=score.expected * scale,
         sigma=sigma * scale,
@@ -190,15 +216,24 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> 
 
 
 def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
-    status: Status = "named" if noise.name in named else "explained" if noise.significant else "rejected"
     scale = 1e6 if noise.name in _IN_TESLA else 1.0
-    words = {"named": "named", "explained": "significant until the effects above were added"}
+    status: Status
+    if noise.name in named:
+        status, words = "named", "named"
+    elif noise.significant:
+        status, words = (
+            ("explained", "significant until the effects above were added") if named else ("significant",) * 2
+        )
+    else:
+        of_form = "not significant" if noise.statistic < noise.threshold else "strong, but not of its form"
+        status, words = "rejected", of_form
     return Hypothesis(
         name=noise.name,
         label=LABELS[noise.name],
         generic=False,
         statistic=noise.statistic,
         threshold=noise.threshold,
+        significant=noise.significant,
         parameters=len(noise.value),
         expected=noise.value * scale,
         sigma=noise.sigma * scale,
@@ -206,25 +241,10 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
         setting=dict(noise.setting),
         power=1.0,
         matters=0.0,
-        held_out_gain=0.0,
+        held_out_gain=np.nan,
         status=status,
-        sentence=words.get(status, "not significant"),
+        sentence=words,
     )
-
-
-def moved(before: Calibration, after: Calibration) -> tuple[Moved, ...]:
-    """Parameters of the base model that the effects moved, most first."""
-    rows = []
-    for name, unit, scale in (("soft_iron", "%", 1e2), ("hard_iron", "µT", 1e6), ("gyro_bias", "mrad/s", 1e3)):
-        one, two, sigma = getattr(before, name), getattr(after, name), after.sigma[name]
-        where = [(i, j) for i in range(3) for j in range(i, 3)] if one.ndim == 2 else [(i,) for i in range(3)]
-        for at in where:
-            label = f"{name.replace('_', ' ')} {''.join('xyz'[i] for i in at)}"
-            rows.append(
-                Moved(label, float(one[at]) * scale, float(two[at]) * scale, float(sigma[at]) * scale, unit)
-            )
-    rows = [row for row in rows if abs(row.sigmas) > _MOVED]
-    return tuple(sorted(rows, key=lambda row: -abs(row.sigmas)))
 
 
 def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
@@ -233,7 +253,7 @@ def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: It
         term = TERMS[found[place].name]
         return Manoeuvre((term.name,), term.motion, f"to correct “{term.label}”: {term.motion}")
     for f in found:
-        if f.rivals and f.name in TERMS and word == "closed":
+        if f.rivals and f.name in TERMS and word in ("closed", "open"):
             names = (f.name, *f.rivals)
             needed = TERMS[f.rivals[0]].missing(look.refit.twin)
             motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion

@@ -10,7 +10,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.recording import Array
 
 Verdict = Literal["none", "closed", "unknown", "open", "not enough information"]
-Status = Literal["named", "ambiguous", "vetoed", "explained", "rejected", "not enough information"]
+Status = Literal["named", "ambiguous", "vetoed", "explained", "significant", "rejected", "not enough information"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,15 +63,17 @@ class Hypothesis:
         generic: a family without physical meaning that says WHERE something is missing.
         statistic: twice the gain in log-likelihood, at the best grid point.
         threshold: its family-wise 1 % level, by the bootstrap of the twin.
+        significant: whether it passes; an effect on the noise must be of its form as well.
         parameters: number of parameters.
         expected, sigma: (k,) the values to expect if it were added, in `unit`.
         unit: of them; empty for a generic family.
         setting: the best grid point.
         power: probability of finding the smallest effect that matters, `matters` in `unit`.
-        held_out_gain: gain in log-likelihood on data it was not fitted to, nats.
-        status: "named", "ambiguous" (a rival of a named effect), "vetoed" (no held-out gain), "explained"
-            (significant until a named effect was added), "rejected" (not significant although it would
-            have been found), "not enough information" (would not have been found).
+        held_out_gain: gain in log-likelihood on data it was not fitted to, nats; NaN where it was not tried.
+        status: "named", "ambiguous" (a rival of a named effect), "vetoed" (no held-out gain, or its channel
+            explains no more than it would at other times), "explained" (significant until a named effect was
+            added), "significant" (and nothing was named), "rejected" (not significant although it would have been
+            found), "not enough information" (would not have been found).
         sentence: the status in words.
     """
 
@@ -80,6 +82,7 @@ class Hypothesis:
     generic: bool
     statistic: float
     threshold: float
+    significant: bool
     parameters: int
     expected: Array
     sigma: Array
@@ -91,18 +94,14 @@ class Hypothesis:
     status: Status
     sentence: str
 
-    @property
-    def significant(self) -> bool:
-        """Whether the statistic passes its threshold."""
-        return self.statistic > self.threshold
-
 
 @dataclass(frozen=True, eq=False)
 class GapMap:
     """Where the gap is: the misfit over one variable.
 
     Attributes:
-        over: "time", "frequency", "heading", "pitch", "rate", "temperature", "current" or "field strength".
+        over: "time", "frequency", "heading", "pitch", "rate", "temperature", "current" or "field strength" (of the
+            reading that the model predicts: the reading itself holds the misfit that is to be shown).
         unit: of the variable: "s", "Hz", "°", "rad/s", ….
         centre: (n,) of the bins.
         level: (n,) root mean square of the innovations in sigmas; 1 where the model is right.
@@ -244,7 +243,8 @@ class Gap:
             first.
         remaining: the same against the final model.
         before, after: metrics of the base model and of the final one (the same object where nothing was added).
-        moved: parameters of the base model that the effects moved, most first.
+        moved: parameters of the base model that the effects moved, most first; of a calibration that was given,
+            those which the data contradict.
         calibration: with the effects as `terms`; the base calibration where nothing was added.
         base: the twelve-parameter calibration the search began with.
         assumptions: of the user's simulator, where one was given.

@@ -38,9 +38,9 @@ def render_gap(recording: Recording, gap: Gap, validation: gap_words.Validation 
             "Evidence",
             "Over its threshold, which the upright marks show; orange: significant.",
         ),
-        hypothesis_header=gap_words.HYPOTHESES,
-        significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant]),
-        other_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if not h.significant]),
+        hypothesis_header=(*gap_words.HYPOTHESES, "in words"),
+        significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant], explained=True),
+        other_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if not h.significant], explained=True),
         confusions=gap_words.confusion_sentences(gap),
         metric_header=gap_words.METRICS,
         metric_rows=gap_words.metric_rows(gap.before, gap.after),
@@ -85,7 +85,7 @@ def _loops(gap: Gap, name: str, validation: gap_words.Validation | None) -> list
 
 def _advice(gap: Gap) -> list[str]:
     lines = {
-        "none": ["Use the calibration as it is: simulation and measurement agree to within the noise."],
+        "none": ["Use the calibration as it is: in all that this motion shows, the data agree with it."],
         "closed": [
             "Use the calibration with its terms; the parameters of other autopilots cannot hold them.",
             "Record again and give the new log with --validate: the gap should stay closed.",

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Isolability, Metrics
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
+_WORSE = 0.005  # nats per window, by which what was found may make another recording worse
 _FOREIGN = 0.1  # of the field; a prediction beyond it is no matter of effects that were not found
 _TITLES = {
-    "none": "Nothing is missing",
+    "none": "Nothing was found missing",
     "closed": "Gap found and closed",
     "unknown": "Something is missing, and it has no name",
     "open": "Gap found, not closed",
@@ -40,12 +42,18 @@ def closed(gap: Gap) -> bool:
     return gap.verdict in ("none", "closed")
 
 
-def foreign(gap: Gap, validation: Validation) -> list[str]:
-    """Why the other recording cannot be of the same instrument and iron; empty where it may be."""
+def contradicted(gap: Gap, validation: Validation) -> list[str]:
+    """Why the result does not hold on the other recording; empty where it does."""
     loop, strength = validation.after.open_loop, gap.calibration.field_strength
     assert strength is not None
     if not loop.rms > max(_FOREIGN * strength, 3 * loop.floor):
-        return []
+        before, after = validation.before.held_out, validation.after.held_out
+        if after > before - _WORSE:
+            return []
+        return [
+            f"the result does not hold on {validation.name}: with it the log-likelihood per window falls from "
+            f"{before:.3f} to {after:.3f}: what was found is not there, or is no property of the instrument"
+        ]
     return [
         f"the result does not hold on {validation.name}: its {loop.horizon:g} s prediction is off by "
         f"{loop.rms * 1e6:.1f} µT, at most {_FOREIGN:.0%} of the field is tolerated: another instrument, another "
@@ -74,6 +82,8 @@ def key_numbers(gap: Gap) -> list[Number]:
             f"{after.open_loop.floor * _MICRO:.2f} µT is what noise leaves",
         )
     ]
+    if not len(loop.time):
+        numbers = []  # the recording is shorter
     if before.heading is not None and after.heading is not None:
         numbers.append(
             Number(
@@ -108,8 +118,8 @@ def hypothesis_label(hypothesis: Hypothesis) -> str:
     return hypothesis.label + (f" ({hypothesis.parameters})" if hypothesis.generic else "")
 
 
-def hypothesis_rows(hypotheses: Sequence[Hypothesis]) -> list[list[str]]:
-    """One row per hypothesis, the named first and then the strongest; see `HYPOTHESES`."""
+def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -> list[list[str]]:
+    """One row per hypothesis, the named first and then the strongest; see `HYPOTHESES`. `explained`: why, in words."""
     ordered = sorted(hypotheses, key=lambda h: (h.status != "named", -h.statistic / max(h.threshold, 1e-12)))
     return [
         [
@@ -119,6 +129,7 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis]) -> list[list[str]]:
             f"{h.threshold:.1f}",
             f"{h.held_out_gain:+.1f}" if h.significant and np.isfinite(h.held_out_gain) else "",
             _expected(h),
+            *([h.sentence] if explained else []),
         ]
         for h in ordered
     ]
@@ -134,10 +145,14 @@ def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
             f"{after.open_loop.rms * _MICRO:.3f}",
         ],
         [
-            "of which noise explains (µT)",
+            "expected of noise alone (µT)",
             f"{loop.floor * _MICRO:.3f}",
             f"{after.open_loop.floor * _MICRO:.3f}",
         ],
+    ]
+    if not len(loop.time):
+        rows = []  # the recording is shorter
+    rows += [
         ["Held-out log-likelihood per window", f"{before.held_out:.4f}", f"{after.held_out:.4f}"],
         ["Whiteness of the innovations (1 is white)", f"{before.whiteness:.2f}", f"{after.whiteness:.2f}"],
     ]
@@ -154,7 +169,11 @@ def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
 
 def line_sentences(metrics: Metrics) -> list[str]:
     """What stands out of the spectrum."""
-    return [f"A line at {line.frequency:.3g} Hz, {line.amplitude * _MICRO:.2f} µT." for line in metrics.lines]
+    return [
+        f"A line at {line.frequency:.3g} Hz, {line.amplitude * _MICRO:.2f} µT, stands out of the misfit's spectrum: a "
+        "tone, or the rhythm of the motion where something is missing."
+        for line in metrics.lines
+    ]
 
 
 def moved_rows(gap: Gap) -> list[list[str]]:
@@ -193,7 +212,7 @@ def confusion_sentences(gap: Gap) -> list[str]:
             sentences.append(f"{effect.label}: this motion cannot tell it from {alike}.")
         if unseen:
             sentences.append(f"{effect.label}: it may be {unseen} as well, whose channel is not in the recording.")
-        if not effect.ambiguous_with:
+        if not effect.ambiguous_with and effect.name in TERMS:
             sentences.append(f"{effect.label}: no other candidate explains these data as well.")
     return sentences
 

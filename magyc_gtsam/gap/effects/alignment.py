@@ -41,7 +41,7 @@ def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
     angle = np.rad2deg(np.linalg.norm(value) * 1e-3)
-    return f"the magnetometer is mounted {angle:.2f}° askew of the gyroscope, about {vector(value)} mrad"
+    return f"the magnetometer is mounted {angle:.2f}° askew of the gyroscope, about {vector(value, sigma)} mrad"
 
 
 def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:

@@ -11,15 +11,18 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 
 
 def _say_scale(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope's scale is off by {vector(value[:3] / 10)} % along x, y, z"
+    return f"the gyroscope's scale is off by {vector(value[:3] / 10, sigma[:3] / 10)} % along x, y, z"
 
 
 def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope's scale grows with the rate, by {vector(value / 10)} % per rad/s along x, y, z"
+    return (
+        f"the gyroscope's scale grows with the rate, by {vector(value / 10, sigma / 10)} % per rad/s along x, y, z"
+    )
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope's bias moves with temperature, by {vector(value[:3])} mrad/s per unit of the channel"
+    by = vector(value[:3], sigma[:3])
+    return f"the gyroscope's bias moves with temperature, by {by} mrad/s per unit of the channel"
 
 
 def _say_g(value: Array, sigma: Array, setting: Setting) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.factors.effects import Setting
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.twin import Twin
 
 _STEPS = 100  # times at which a step is looked for
@@ -82,22 +82,21 @@ def _drifts(twin: Twin) -> list[dict[str, float]]:
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
     strength = np.linalg.norm(value[:3])
-    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value[:3])} µT"
+    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value[:3], sigma[:3])} µT"
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the hard iron moves with temperature, by {vector(value[:3])} µT per unit of the temperature channel"
+    return f"the hard iron moves with temperature, by {vector(value[:3], sigma[:3])} µT per unit of it"
 
 
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
-    return (
-        f"the hard iron jumped by {vector(value)} µT at {setting['time']:.1f} s: something was moved or switched"
-    )
+    when = measured(setting["time"], setting.get("time_sigma", 0.05))
+    return f"the hard iron jumped by {vector(value, sigma)} µT at {when} s: something was moved or switched"
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
     if setting["order"] == 0:
-        return f"the hard iron drifted by {vector(value[:3])} µT over the recording"
+        return f"the hard iron drifted by {vector(value[:3], sigma[:3])} µT over the recording"
     spread = np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2)
     return f"the hard iron wandered slowly, by {vector(spread)} µT (standard deviation) over the recording"
 

@@ -45,13 +45,12 @@ def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_cubic(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the magnetometer is not linear: {vector(value)} µT off at a reading of 50 µT on x, y, z"
+    return f"the magnetometer is not linear: {vector(value, sigma)} µT off at a reading of 50 µT on x, y, z"
 
 
 def _say_hysteresis(value: Array, sigma: Array, setting: Setting) -> str:
-    return (
-        f"iron near the magnetometer remembers the last direction (hysteresis), by {vector(value)} µT on x, y, z"
-    )
+    by = vector(value, sigma)
+    return f"iron near the magnetometer remembers the last direction (hysteresis), by {by} µT on x, y, z"
 
 
 SATURATION = EffectTerm(

@@ -120,9 +120,12 @@ def measured(value: float, sigma: float) -> str:
     return f"{value:.{digits}f} ± {sigma:.{digits}f}"
 
 
-def vector(value: Sequence[float] | Array) -> str:
-    """ "(1.2, −0.3, 4.0)"."""
+def vector(value: Sequence[float] | Array, sigma: Sequence[float] | Array | None = None) -> str:
+    """ "(1.2, −0.3, 4.0)", or "(1.2 ± 0.1, …)"."""
     array = np.asarray(value, dtype=float)
+    if sigma is not None:
+        each = [measured(float(v), float(s)) for v, s in zip(array, sigma, strict=True)]
+        return "(" + ", ".join(each).replace("-", "−") + ")"
     largest = float(np.abs(array).max(initial=0.0))
     digits = int(np.clip(2 - np.floor(np.log10(largest)), 0, 4)) if largest > 0 else 1
     return "(" + ", ".join(f"{v:.{digits}f}".replace("-", "−") for v in array) + ")"

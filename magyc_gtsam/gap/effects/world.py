@@ -55,7 +55,7 @@ def _say_gradient(value: Array, sigma: Array, setting: Setting) -> str:
     return (
         f"the field's strength changes by {measured(value[0], sigma[0])} % per unit of depth or position"
         if len(value) == 1
-        else f"the field's strength changes with position, by {vector(value)} % per unit"
+        else f"the field's strength changes with position, by {vector(value, sigma)} % per unit"
     )
 
 

@@ -1,0 +1,66 @@
+"""What moved: parameters by the effects found, and what the data contradict in a calibration that was given."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.result import Moved
+
+_MOVED = 2.0  # sigmas from which a parameter is reported as moved
+_CONTRADICTED = 4.0  # sigmas by which the data contradict a parameter that was given
+_PARAMETERS = (("soft_iron", "%", 1e2), ("hard_iron", "µT", 1e6), ("gyro_bias", "mrad/s", 1e3))
+_BIAS = "gyro bias"
+
+
+def moved(before: Calibration, after: Calibration) -> tuple[Moved, ...]:
+    """Parameters of the base model that the effects moved, most first."""
+    return _beyond(_MOVED, _parameters(before, after))
+
+
+def against(given: Calibration, refitted: Calibration) -> tuple[Moved, ...]:
+    """What the data contradict in a calibration that was given: parameters and values of its terms, most first."""
+    return _beyond(_CONTRADICTED, [*_parameters(given, refitted, given), *_terms(given, refitted)])
+
+
+def contradiction(rows: Sequence[Moved]) -> str:
+    """`against` in words; empty where nothing is contradicted but the gyroscope's bias, which no two days share."""
+    lasting = [row for row in rows if not row.name.startswith(_BIAS)]
+    if not lasting:
+        return ""
+    worst = lasting[0]
+    more = f" and {len(lasting) - 1} more" if len(lasting) > 1 else ""
+    return (
+        f"the calibration given does not fit these data, {worst.name} is off by {worst.after - worst.before:.3g} "
+        f"{worst.unit} ({abs(worst.sigmas):.0f} sigmas){more}, and was fitted anew; "
+    )
+
+
+def _beyond(limit: float, rows: Sequence[Moved] | Iterator[Moved]) -> tuple[Moved, ...]:
+    return tuple(sorted((r for r in rows if abs(r.sigmas) > limit), key=lambda row: -abs(row.sigmas)))
+
+
+def _parameters(before: Calibration, after: Calibration, uncertain: Calibration | None = None) -> Iterator[Moved]:
+    """All of both, by the sigmas of `after`, and of `uncertain` too."""
+    for name, unit, scale in _PARAMETERS:
+        one, two = getattr(before, name), getattr(after, name)
+        if one is None or two is None:
+            continue
+        sigma = np.hypot(after.sigma[name], 0.0 if uncertain is None else uncertain.sigma.get(name, 0.0)) * scale
+        for at in [(i, j) for i in range(3) for j in range(i, 3)] if one.ndim == 2 else [(i,) for i in range(3)]:
+            label = f"{name.replace('_', ' ')} {''.join('xyz'[i] for i in at)}"
+            yield Moved(label, float(one[at]) * scale, float(two[at]) * scale, float(sigma[at]), unit)
+
+
+def _terms(given: Calibration, refitted: Calibration) -> Iterator[Moved]:
+    """The values of the terms given, in the order in which the model took them over."""
+    known = [term for term in given.terms if term.side is not None and term.name != "tone"]
+    for old, new in zip(known, refitted.terms, strict=False):
+        term = TERMS[old.name]
+        sigma = np.hypot(old.sigma, new.sigma) * term.scale
+        for i, part in enumerate(term.names(len(old.value))):
+            values = float(old.value[i]) * term.scale, float(new.value[i]) * term.scale
+            yield Moved(f"{term.label}, {part}", *values, float(sigma[i]), term.unit)

@@ -1,0 +1,136 @@
+"""The gap workflow says what it could not have seen, what contradicts what it was given, how well it knows a time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam import cli
+from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.report import gap_words
+
+
+@pytest.fixture(scope="module")
+def clean() -> mg.Recording:
+    return mg.simulate("wide", seed=4).recording
+
+
+@pytest.fixture(scope="module")
+def nothing(clean: mg.Recording) -> Gap:
+    return mg.find_gap(clean)
+
+
+def test_silence_says_what_it_could_not_have_heard() -> None:
+    """Level turns cannot show what comes of acceleration, and the words say so."""
+    gap = mg.find_gap(mg.simulate("moderate", seed=2, effects=["g-sensitivity"]).recording)
+    assert gap.verdict == "none"
+    assert "could not have shown" in gap.sentence
+    blind = {h.name: h.label for h in gap.hypotheses if h.status == "not enough information"}
+    assert "g-sensitivity" in blind
+    assert any(label in gap.sentence for label in blind.values())
+    assert gap_words.title(gap) == "Nothing was found missing"
+
+
+def test_a_calibration_that_is_given_is_tested(clean: mg.Recording, nothing: Gap) -> None:
+    same = mg.find_gap(clean, calibration=nothing.calibration)
+    assert same.moved == ()
+    assert "does not fit" not in same.sentence
+    wrong = replace(nothing.calibration, hard_iron=nothing.calibration.hard_iron + [20e-6, 0, 0])
+    gap = mg.find_gap(clean, calibration=wrong)
+    assert gap.sentence.startswith("the calibration given does not fit these data, hard iron x is off by -20")
+    assert gap.moved[0].name == "hard iron x"
+    assert gap.moved[0].after - gap.moved[0].before == pytest.approx(-20, abs=0.1)
+
+
+def test_a_term_of_another_log_is_contradicted(clean: mg.Recording) -> None:
+    late = mg.find_gap(mg.simulate("wide", seed=5, effects=["timing"]).recording)
+    assert late.names == ("timing",)
+    gap = mg.find_gap(clean, calibration=late.calibration)
+    assert any(row.name.startswith("magnetometer that is late") or "late" in row.name for row in gap.moved)
+    assert "does not fit" in gap.sentence
+
+
+def test_another_log_may_contradict(
+    clean: mg.Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_mcap(tmp_path / "clean.mcap", clean)
+    write_mcap(tmp_path / "late.mcap", mg.simulate("wide", seed=5, effects=["timing"]).recording)
+    write_mcap(tmp_path / "again.mcap", mg.simulate("wide", seed=6, effects=["timing"]).recording)
+    late, out = str(tmp_path / "late.mcap"), str(tmp_path / "out")
+    for other, code in (("clean", 1), ("again", 0)):
+        asked = ["gap", late, "--validate", str(tmp_path / f"{other}.mcap"), "--output", out, "--quiet"]
+        assert cli.main(asked) == code
+        assert ("does not hold on clean.mcap" in capsys.readouterr().err) == bool(code)
+
+
+def test_the_time_of_a_step_has_a_sigma() -> None:
+    """Over weak and strong steps, errors in sigmas; and the words carry it."""
+    errors, sigmas = [], []
+    for seed in range(900, 912):
+        simulation = mg.simulate("wide", seed=seed, effects=[("hard-iron-step", 1.0)])
+        gap = mg.find_gap(simulation.recording)
+        truth = next(a.drawn["time"] for a in simulation.effects if a.name == "hard-iron-step")
+        for effect in gap.effects:
+            if effect.name == "hard-iron-step" and len(gap.effects) == 1:
+                errors.append((effect.setting["time"] - truth) / effect.setting["time_sigma"])
+                sigmas.append(effect.setting["time_sigma"])
+                assert " ± " in effect.sentence.partition(" µT at ")[2]
+    assert len(errors) >= 9
+    assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.8
+    assert max(sigmas) > 3 * min(sigmas)
+
+
+def test_maps_of_clean_recordings_are_flat() -> None:
+    """Over the strength of the reading too, which the misfit itself would bend."""
+    worst = [
+        next(
+            m.worst
+            for m in mg.find_gap(mg.simulate("wide", seed=seed).recording).before.maps
+            if m.over == "field strength"
+        )
+        for seed in range(30, 36)
+    ]
+    assert np.median(worst) < 1.1
+    assert max(worst) < 1.3
+
+
+def test_status_and_evidence_agree(nothing: Gap) -> None:
+    assert all(h.status in ("rejected", "not enough information") for h in nothing.hypotheses if not h.significant)
+    servo = mg.find_gap(mg.simulate("wide", seed=3, effects=["servo-magnet"]).recording)
+    assert servo.verdict == "unknown"
+    assert {h.status for h in servo.hypotheses if h.significant} <= {"significant", "vetoed"}
+    for h in servo.hypotheses:
+        assert h.significant or h.status in ("rejected", "not enough information")
+
+
+def test_restricted_candidates_are_not_called_a_catalogue() -> None:
+    gap = mg.find_gap(mg.simulate("wide", seed=5, effects=["timing"]).recording, candidates=["hard-iron-step"])
+    assert gap.verdict == "unknown"
+    assert "among the candidates" in gap.sentence
+    assert "catalogue" not in gap.sentence
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"recording": "x.mcap"}, "recording: a Recording is needed, got str"),
+        ({"calibration": "x.yaml"}, "calibration: a Calibration is needed, got str"),
+        ({"simulated": 3}, "simulated: a Recording is needed, got int"),
+        ({"candidates": "timing"}, "a list of names is needed"),
+        ({"candidates": []}, "a list of names is needed"),
+    ],
+)
+def test_wrong_arguments_are_named(clean: mg.Recording, arguments: dict[str, Any], said: str) -> None:
+    with pytest.raises(mg.MagycError, match=said):
+        mg.find_gap(**{"recording": clean, **arguments})
+
+
+def test_a_simulator_that_stands_still_is_refused(clean: mg.Recording) -> None:
+    with pytest.raises(mg.MagycError, match="simulated: "):
+        mg.find_gap(clean, simulated=mg.simulate("tiny", 30, seed=1).recording)
