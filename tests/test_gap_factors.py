@@ -20,6 +20,7 @@ from magyc_gtsam.factors.effects import FORMS, Term
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.soft_iron import vech
+from magyc_gtsam.gap import term_factor
 from magyc_gtsam.runners.batch import optimize
 from magyc_gtsam.runners.incremental import Incremental
 
@@ -324,3 +325,29 @@ def test_jacobians_of_a_reading_with_an_effect() -> None:
     jacobian, _ = factor.linearize(values).jacobian()
     numeric = derivative(factor.whitenedError, values, factor.keys())
     np.testing.assert_allclose(jacobian, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())
+
+
+@pytest.mark.parametrize("name", ["motor-current", "temperature-gyro"])
+def test_what_gap_named_is_a_factor(name: str) -> None:
+    """Two stretches of the log share it, and give the value that the search gave, one after the other on iSAM2."""
+    simulation = mg.simulate("wide", duration=300, seed=2, effects=[(name, 2.0)])
+    found = mg.find_gap(simulation.recording).calibration
+    (term,) = found.terms
+    truth, strength = simulation.truth, found.field_strength
+    assert strength is not None
+    initial = gtsam.Values()
+    initial.insert(S(0), vech(truth.soft_iron) * strength * 1e6)
+    initial.insert(H(0), gtsam.Point3(*(truth.hard_iron * 1e6)))
+    initial.insert(B(0), gtsam.Point3(0, 0, 0))
+    initial.insert(X(0), np.zeros(3))
+    runner = Incremental()
+    for first in (0, 150):
+        stretch = simulation.recording.between(first, first + 150)
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(term_factor(stretch, found, term, (S(0), H(0), B(0), X(0))))
+        result = runner.update(graph, initial if first == 0 else gtsam.Values())
+        assert result.updated, result.message
+    value = runner.values.atVector(X(0))
+    assert np.all(np.abs(value - term.value) < 1.5 * term.sigma)
+    with pytest.raises(mg.MagycError, match="field_chain_factor"):
+        term_factor(simulation.recording, found, Term("timing", [0.01], [[1e-6]]), (S(0), H(0), B(0), X(0)))

@@ -51,11 +51,12 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
     recording.gyroscope  # noqa: B018 - raises where there is none
     recording, _ = settled(recording, ())
     problem = Problem.of(recording, preintegrate(recording, _WINDOW))
-    twin = _own_bias(problem, _model(problem, calibration))
+    twin = _own_bias(problem, as_model(problem, calibration))
     return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
 
 
-def _model(problem: Problem, calibration: Calibration) -> Model:
+def as_model(problem: Problem, calibration: Calibration) -> Model:
+    """The model of a calibration, its bias free, without what belongs to the recording it was made from."""
     assert calibration.field_strength is not None
     free = np.zeros(PARAMETERS, dtype=bool)
     free[_BIAS] = True
