@@ -110,7 +110,11 @@ def effect_value(effect: Effect) -> str:
     if len(values) > 1:
         values = [f"{name} {value}" for name, value in zip(effect.parameters, values, strict=True)]
     text = f"{', '.join(values)} {effect.unit}".strip()
-    return text + "".join(f", {key} {value:.4g}" for key, value in effect.setting.items())
+    sigmas = {key: effect.setting.get(f"{key}_sigma") for key in effect.setting if not key.endswith("_sigma")}
+    return text + "".join(
+        f", {key} {effect.setting[key]:.4g}" if sigma is None else f", {key} {uncertain(effect.setting[key], sigma)} s"
+        for key, sigma in sigmas.items()
+    )
 
 
 def hypothesis_label(hypothesis: Hypothesis) -> str:
