@@ -105,6 +105,7 @@ class FullScaleWatch:
             (2, 3), dtype=int
         )  # neighbours among these of which none is at a largest value; equal
         self._sides = tuple(Side() for _ in range(6))  # x, y, z and −x, −y, −z
+        self._near = self._band()
         self._held = Rows(4)  # a run at a largest value, of which more must be known
         self._run = 0  # samples of the run
         self._until = -np.inf  # s, end of the hole
@@ -115,11 +116,11 @@ class FullScaleWatch:
         time, value = new
         if not len(time):
             return new
-        if self._moved >= _LEARNT and self._quiet(time[0]):
-            near = self._level - BAND * self._step
-            if (value < near[:3]).all() and (value > -near[3:]).all():
-                self._note(time, value)
-                return new
+        low, high = self._near
+        far = self._moved >= _LEARNT and (value > low).all() and (value < high).all()
+        if far and self._quiet(time[0]):
+            self._note(time, value)
+            return new
         self._stamps = np.append(self._stamps, time[: _STAMPS - len(self._stamps)])
         return self._examined(np.column_stack(new))
 
@@ -142,23 +143,27 @@ class FullScaleWatch:
     def _level(self) -> Array:
         return np.array([side.level for side in self._sides])
 
+    def _band(self) -> tuple[Array, Array]:
+        """(3,) twice, rad/s, between which no sample is near a largest value of its axis."""
+        near = self._level - BAND * self._step
+        return -near[3:], near[:3]
+
     def _quiet(self, since: float) -> bool:
         """Whether what comes from `since` s on passes as long as it stays below the largest values."""
-        return since > self._until and not any(side.at for side in self._sides)
+        x, y, z, minus_x, minus_y, minus_z = self._sides
+        at = x.at or y.at or z.at or minus_x.at or minus_y.at or minus_z.at
+        return since > self._until and not at
 
     def _note(self, time: Array, value: Array) -> None:
         self._taken += len(time)
         self._last[0], self._last[1:] = time[-1], value[-1]
-
-    def _count_repeats(self, change: Array) -> None:
-        self._repeats += np.array([(change >= 0).sum(axis=0), (change == 0).sum(axis=0)])
 
     def _examined(self, rows: Array) -> Samples:
         """What may be learnt from of samples of which some come near a largest value, or of the first ones."""
         time, value = rows[:, 0], rows[:, 1:]
         sides = np.hstack([value, -value])
         change = np.abs(np.diff(value, axis=0, prepend=self._last[None, 1:]))
-        moved = (change > 0).any(axis=1)
+        moved = np.asarray((change > 0).any(axis=1))
         learn = self._moved + np.cumsum(moved) - moved < _LEARNT
         smallest = np.where((change > 0) & learn[:, None], change, np.inf).min(axis=1)
         step = np.minimum(np.minimum.accumulate(smallest), self._step)
@@ -171,7 +176,8 @@ class FullScaleWatch:
                 if end > i:
                     for side, values in zip(self._sides, sides[i:end].T, strict=True):
                         side.count_below(values, step[i:end])
-                    self._count_repeats(change[i:end][learn[i:end]])
+                    learnt = change[i:end][learn[i:end]]
+                    self._repeats += np.array([np.full(3, len(learnt)), (learnt == 0).sum(axis=0)])
                     self._note(time[i:end], value[i:end])
                     passed.append(rows[i:end])
                     i = end
@@ -180,14 +186,22 @@ class FullScaleWatch:
             for side, one, by in zip(self._sides, sides[i].tolist(), 2 * change[i].tolist(), strict=True):
                 side.take(one, by, float(step[i]), bool(moved[i]))
             if learn[i]:
-                here = np.array([s.at or s.was for s in self._sides]).reshape(2, 3).any(axis=0)
-                self._count_repeats(np.where(here, np.nan, change[i : i + 1]))
+                self._count_repeat(change[i].tolist())
             self._note(time[i : i + 1], value[i : i + 1])
             self._decide(rows[i], before, passed)
             i += 1
         self._step = float(step[-1])
+        self._near = self._band()
         result = np.vstack(passed)
         return Samples(result[:, 0], result[:, 1:])
+
+    def _count_repeat(self, change: list[float]) -> None:
+        """Take note of one change (3,), of axes that neither are at a largest value nor were."""
+        for axis, by in enumerate(change):
+            up, down = self._sides[axis], self._sides[axis + 3]
+            if not (up.at or up.was or down.at or down.was):
+                self._repeats[0, axis] += 1
+                self._repeats[1, axis] += by == 0
 
     def _decide(self, row: Array, before: float, passed: list[Array]) -> None:
         """Pass, hold back or drop a sample at a largest value or in a hole, or the first one after; the one before has
@@ -246,3 +260,4 @@ class FullScaleWatch:
         counts = (int(v) for v in state["counts"])
         self.dropped, self._taken, self._run, self._count, self._moved = counts
         self._step, self._until, self._first = (float(v) for v in state["levels"])
+        self._near = self._band()

@@ -54,7 +54,7 @@ class Watch:
     @property
     def dropped(self) -> int:
         """Samples that were dropped."""
-        return sum(watch.dropped for watch in (*self._axes, self._full_scale))
+        return sum(axes.dropped for axes in self._axes) + self._full_scale.dropped
 
     def stuck(self, duration: float) -> tuple[tuple[Stuck, ...], tuple[Stuck, ...]]:
         """What stood still in a run of `duration` s, the largest share first; and what does so now."""
