@@ -214,7 +214,7 @@ def test_real_logs(shared_data: Path) -> None:
         watch = watched(mg.read(log).gyroscope)
         if log.stem == "breakout_boards_hand_rotation":
             assert watch.clipped.axes == "x"
-            assert watch.clipped.count == pytest.approx(22, abs=2)
+            assert watch.clipped.count == pytest.approx(22, abs=5)  # the first ones, before it could be known
         else:
             assert watch.clipped is None, log.name
             assert watch.dropped == 0

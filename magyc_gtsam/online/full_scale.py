@@ -16,7 +16,7 @@ from magyc_gtsam.estimators.clipped import BAND, Clipped, Peak, hole, steep
 from magyc_gtsam.online.buffers import Rows
 from magyc_gtsam.recording import Array, Samples
 
-_STAMPS = 33  # gyroscope samples after which their median step is taken to be known
+_STAMPS = 33  # gyroscope samples after which their median step is taken to be known; nothing is dropped before
 _LEARNT = 500  # samples unlike the one before, after which the smallest change of an axis is
 _MOST_HELD = 100  # samples; that a rate stands still for longer, others watch
 
@@ -206,9 +206,10 @@ class FullScaleWatch:
     def _decide(self, row: Array, before: float, passed: list[Array]) -> None:
         """Pass, hold back or drop a sample at a largest value or in a hole, or the first one after; the one before has
         its stamp at `before` s."""
-        known = [
-            s for s, repeats in zip(self._sides, 2 * self._repeats.T.tolist(), strict=True) if s.cut_off(*repeats)
-        ]
+        known: list[Side] = []
+        if self._taken >= _STAMPS:
+            repeats = 2 * self._repeats.T.tolist()
+            known = [side for side, of in zip(self._sides, repeats, strict=True) if side.cut_off(*of)]
         at, continues = any(s.at for s in self._sides), any(s.at and s.was for s in self._sides)
         if any(s.at for s in known):
             self._drop(known, np.vstack([self._held.rows, row]), float(row[0]))
@@ -236,8 +237,7 @@ class FullScaleWatch:
         self.dropped += len(rows)
         self._held.cut(len(self._held))
         self._run = 0
-        stamps = self._stamps[self._stamps <= self._last[0]]
-        self._until = last + hole(float(np.median(np.diff(stamps))))
+        self._until = last + hole(float(np.median(np.diff(self._stamps))))
 
     def state(self) -> Mapping[str, Array]:
         """For `restore`."""
