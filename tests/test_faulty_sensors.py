@@ -182,7 +182,7 @@ def test_a_clipped_real_log(shared_data: Path) -> None:
     """Turned by hand faster than ±250 °/s twice."""
     found = find_clipped(mg.read(shared_data / "breakout_boards_hand_rotation.mcap"))
     assert found is not None
-    assert (found.axes, len(found.times)) == ("x", 22)
+    assert (found.axes, found.count) == ("x", 22)
     assert found.level == pytest.approx(np.deg2rad(250), rel=2e-3)
     assert find_clipped(mg.read(shared_data / "broad_06_fast_rotation.mcap")) is None
 

@@ -199,4 +199,5 @@ def test_real_logs_have_none(shared_data: Path) -> None:
             rows = slice(*np.searchsorted(when, [edge, edge + 5]))
             watch.take(*intake.take(when[rows], None, rate[rows]), intake.repeated)
         assert watch.stuck(recording.duration) == ((), ()), log.name
-        assert watch.dropped == 0
+        if log.stem != "breakout_boards_hand_rotation":  # turned faster than its gyroscope's full scale
+            assert watch.dropped == 0, log.name

@@ -161,6 +161,7 @@ class Json(Quiet):
             "windows": progress.windows,
             "left_out": progress.left_out,
             "stuck": [stuck.where for stuck in progress.stuck],
+            "clipped": None if progress.clipped is None else progress.clipped.where,
             "coverage": progress.coverage,
             "converged": progress.converged,
             "sentence": progress.sentence,

@@ -10,10 +10,12 @@ t₀ + (t − t₀)(1 − ρ) and everything fitted again, until z is small; wha
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit, explained
 from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.factors.errors import MagycError
@@ -66,34 +68,68 @@ class Drift(NamedTuple):
         )
 
 
+def with_drift(calibration: Calibration, drift: Drift | None) -> Calibration:
+    """A calibration that says what the clocks did while it was recorded, and is not trusted where that harms it."""
+    if drift is None:
+        return calibration
+    trusted = calibration.converged and not drift.harms
+    words = [calibration.message, drift.sentence]
+    if not trusted:
+        words = [drift.sentence] if calibration.converged else words[::-1]
+    return replace(
+        calibration,
+        converged=trusted,
+        message="; ".join(words),
+        diagnostics={**calibration.diagnostics, "clock_drift": [drift.rate, drift.sigma]},
+    )
+
+
 def restamped(recording: Recording, drift: float) -> Recording:
     """The same with the magnetometer's clock slowed down by `drift` s/s from the first row on."""
     if not drift:
         return recording
     time, field = recording.magnetometer
-    start = recording.time[0]
-    return recording.with_samples((start + (time - start) * (1 - drift), field), recording.gyroscope)
+    return recording.with_samples((slowed(time, recording.time[0], drift), field), recording.gyroscope)
 
 
-def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit) -> Drift | None:
+def slowed(time: Array, start: float, drift: float) -> Array:
+    """s, the stamps of a clock slowed down by `drift` s/s from `start` on."""
+    return start + (time - start) * (1 - drift)
+
+
+def speaks(fit: Fit) -> bool:
+    """Whether a minimum without a drift says that there is one."""
+    return abs(_score(fit).ratio) > _SPEAKS
+
+
+def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near: float = 0.0) -> Drift | None:
     """The drift of a recording whose minimum without one is `fit`; None where the clocks keep step.
 
     Args:
         recording, fit, trusted: what was fitted, and whether the fit may be used but for a drift.
         refit: the fit of a recording, from θ (13,) or from nothing, and whether it may be used.
+        near: s/s, what an earlier part of the recording showed, tried where the whole has no minimum near.
     """
-    speaks = abs(_score(fit).ratio) > _SPEAKS
-    if not speaks and (trusted or _explained(recording, fit)):
+    found = speaks(fit)
+    if not found and (trusted or _explained(recording, fit)):
         return None
-    try:
-        rate, corrected, good = _measure(recording, fit, refit) if speaks else _measure_from_part(recording, refit)
-        if speaks and not good:
-            rate, corrected, good = _measure_from_part(recording, refit)
-    except MagycError:
+    ways: list[Callable[[], tuple[float, Fit, bool]]] = [lambda: _measure_from_part(recording, refit)]
+    if found:
+        ways.insert(0, lambda: _measure(recording, fit, False, refit))
+    if near:
+        ways.append(lambda: _measure(recording, *refit(restamped(recording, near), None), refit, near))
+    for way in ways:
+        try:
+            rate, corrected, good = way()
+        except MagycError:
+            continue
+        # What does not fit with the drift taken out has, or has as well, another cause.
+        if good:
+            break
+    else:
         return None
     sigma = _score(corrected).sigma
-    # What does not fit with the drift taken out has, or has as well, another cause.
-    if not good or abs(rate) < _SPEAKS * sigma:
+    if abs(rate) < _SPEAKS * sigma:
         return None
     deviation = np.sqrt(np.diag(fit.covariance)[:DELAY] * fit.colour * fit.widening)
     moved = np.abs(corrected.state.parameters - fit.state.parameters)[:DELAY] / deviation
@@ -106,9 +142,10 @@ def _explained(recording: Recording, fit: Fit) -> bool:
     return fit.chain.noise.magnetometer < _NOISY * short_term_noise(recording).magnetometer
 
 
-def _measure(recording: Recording, fit: Fit, refit: Refit, rate: float = 0.0) -> tuple[float, Fit, bool]:
-    """The rate at which no drift is left, the fit there and whether it may be used, from a fit at `rate`."""
-    good = False
+def _measure(
+    recording: Recording, fit: Fit, good: bool, refit: Refit, rate: float = 0.0
+) -> tuple[float, Fit, bool]:
+    """The rate at which no drift is left, the fit there and whether it may be used, from those at `rate`."""
     for _ in range(_ROUNDS):
         step, _, ratio = _score(fit)
         if abs(ratio) < 1 or abs(rate + step) > MOST:
@@ -121,12 +158,12 @@ def _measure(recording: Recording, fit: Fit, refit: Refit, rate: float = 0.0) ->
 def _measure_from_part(recording: Recording, refit: Refit) -> tuple[float, Fit, bool]:
     """The same, from the rate of a part, in which a drift too large for the whole to have a minimum near is smaller."""
     part = recording.between(*(share * recording.duration for share in _PART))
-    rate, fit, _ = _measure(part, refit(part, None)[0], refit)
+    rate, fit, _ = _measure(part, *refit(part, None), refit)
     if abs(rate) < _SPEAKS * _score(fit).sigma:
         return rate, fit, False
     parameters = fit.state.parameters.copy()
     parameters[DELAY] -= rate * (part.time[0] - recording.time[0])
-    return _measure(recording, refit(restamped(recording, rate), parameters)[0], refit, rate)
+    return _measure(recording, *refit(restamped(recording, rate), parameters), refit, rate)
 
 
 class _Score(NamedTuple):

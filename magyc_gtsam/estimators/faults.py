@@ -15,7 +15,10 @@ def without_faults(recording: Recording, sensors: Sequence[str]) -> tuple[Record
     Raises:
         MagycError: too little is left.
     """
-    stuck = find_stuck(recording, sensors)
     clipped = find_clipped(recording) if "angular_rate" in sensors else None
-    usable = without_clipped(without_stuck(recording, stuck), clipped)
+    usable = without_clipped(
+        recording, clipped
+    )  # first: a long turn at full scale looks like an axis that is stuck
+    stuck = find_stuck(usable, sensors)
+    usable = without_stuck(usable, stuck)
     return usable, [fault.where for fault in (*stuck, clipped) if fault is not None]

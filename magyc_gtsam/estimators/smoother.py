@@ -7,7 +7,6 @@ attitude and no noise level is asked of the user.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import Progress, fit_field_chain, positive
-from magyc_gtsam.estimators.clock_drift import MOST, find_drift, restamped
+from magyc_gtsam.estimators.clock_drift import MOST, find_drift, restamped, with_drift
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY
@@ -56,8 +55,7 @@ def calibrate_smoother(
     Raises:
         MagycError: no gyroscope, too few samples, or sensors whose axes or units disagree.
     """
-    check_options(noise, robust, delay, window, turn)
-    _number("clock_drift", clock_drift, -MOST, MOST, "s/s")
+    check_options(noise, robust, delay, window, turn, clock_drift)
     report = progress or (lambda _: None)
     report(0.0)
     options: dict[str, Any] = {"noise": noise, "robust": robust, "delay": delay, "window": window, "turn": turn}
@@ -76,23 +74,11 @@ def calibrate_smoother(
         return fit, calibration_of(again, fit, rival, field_strength, configuration).converged
 
     drift = find_drift(recording, fit, calibration.converged, refit)
-    if drift is not None:
-        drift = drift._replace(known=clock_drift)
-        trusted = calibration.converged and not drift.harms
-        words = [calibration.message, drift.sentence]
-        if not trusted:
-            words = [drift.sentence] if calibration.converged else words[::-1]
-        calibration = replace(
-            calibration,
-            converged=trusted,
-            message="; ".join(words),
-            diagnostics={**calibration.diagnostics, "clock_drift": [drift.rate, drift.sigma]},
-        )
     report(1.0)
-    return calibration
+    return with_drift(calibration, None if drift is None else drift._replace(known=clock_drift))
 
 
-def check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any) -> None:
+def check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any, clock_drift: Any) -> None:
     """Refuse what is no option.
 
     Raises:
@@ -104,6 +90,7 @@ def check_options(noise: Any, robust: Any, delay: Any, window: Any, turn: Any) -
             "of magyc_gtsam.factors.KERNELS are for graphs"
         )
     _number("window", window, 0.0, 60.0, "s")
+    _number("clock_drift", clock_drift, -MOST, MOST, "s/s")
     if turn is not None:
         _number("turn", turn, 0.0, np.pi, "rad")
     if delay is not None:

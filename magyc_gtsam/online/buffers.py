@@ -238,9 +238,10 @@ class SampleBuffer:
         inside = (time[after] - time[after - 1] > self._hole) & (time[after - 1] < when[:reached])
         inside &= when[:reached] < time[after]
         if inside.any():  # of a hole: the attitude is unknown
-            self._magnetometer.keep(known, np.append(~inside, np.ones(len(when) - reached, dtype=bool)))
-            when = when[:reached][~inside]
+            kept = np.append(~inside, np.ones(len(when) - reached, dtype=bool))
+            when = when[:reached][~inside]  # a copy, before the rows behind it move
             reached = len(when)
+            self._magnetometer.keep(known, kept)
         self._numbers.append(np.floor(np.interp(when[:reached], time, distance))[:, None])
 
     def _rows(self, first: int, stop: int) -> slice:

@@ -113,7 +113,7 @@ class OnlineCalibrator:
     def converged(self) -> bool:
         """Whether the estimate may be used: its covariance is within limits and it has stood still."""
         self._catch_up()
-        return self._engine.converged()
+        return self._engine.converged() and not self._watch.refused
 
     @property
     def progress(self) -> Progress:

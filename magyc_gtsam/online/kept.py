@@ -71,7 +71,7 @@ class Kept:
         last = buffer.magnetometer.time[int(np.searchsorted(buffer.numbers, m.done)) - 1]
         buffer.begin_at(number, self.settings.window)
         m.done = int(buffer.numbers[np.searchsorted(buffer.magnetometer.time, last)])
-        m.past = m.head = m.front = m.estimate = m.swept = m.report = None
+        m.past = m.head = m.front = m.estimate = m.swept = m.report = m.drift = None
         m.next_sweep = m.next_search = FIRST
         m.stable = m.settled = m.undecided = False
 
@@ -88,6 +88,8 @@ class Kept:
         if swept is not None:
             fit = replace(fit, noise_freedom=swept.noise_freedom)
         configuration = {name: value for name, value in self.settings.fit.items() if value is not None}
+        if self.settings.clock_drift:
+            configuration["clock_drift"] = self.settings.clock_drift
         result = calibration_of(recording, fit, rival, self.settings.field_strength, configuration, colour)
         windows = self.memory.given_up + int(np.searchsorted(self.numbers(), first)) + len(fit.chain.windows)
         return replace(result, diagnostics={**result.diagnostics, "windows": windows})

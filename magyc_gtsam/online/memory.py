@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.clock_drift import Drift
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.online.summary import Summary
 from magyc_gtsam.online.values import Change
@@ -49,6 +50,8 @@ class Memory:
         undecided: something happened in the tail that may yet turn out to be a step.
         problem: why there is no estimate.
         changes: steps found; their `after` is left open.
+        drift: what the clocks did until the last sweep.
+        clock_start: s, the magnetometer's first stamp, from which a drift that is known is taken out.
     """
 
     past: Summary | None = None
@@ -69,6 +72,8 @@ class Memory:
     undecided: bool = False
     problem: str = ""
     changes: list[Change] = field(default_factory=list)
+    drift: Drift | None = None
+    clock_start: float = np.nan
 
     def to_arrays(self) -> dict[str, Array]:
         """Everything, for `from_arrays`."""
@@ -83,6 +88,10 @@ class Memory:
             result["levels"] = np.array([*self.estimate.noise, self.estimate.colour, self.estimate.noise_freedom])
         if self.swept is not None:
             result["swept"] = self.swept
+        if self.drift is not None:
+            rate, sigma, moved, delay, known = self.drift
+            result["drift"] = np.array([rate, sigma, moved, *delay, known])
+        result["clock_start"] = np.array(self.clock_start)
         rows = [[c.time, c.time_sigma, *c.step, *c.step_sigma] for c in self.changes]
         result["changes"] = np.array(rows).reshape(-1, 8)
         result["before"] = np.array(json.dumps([_data(c.before) for c in self.changes]))
@@ -99,7 +108,11 @@ class Memory:
             report=_calibration(report),
             origin=state["origin"],
             swept=state.get("swept"),
+            clock_start=float(state["clock_start"]),
         )
+        if "drift" in state:
+            rate, sigma, moved, first, last, known = state["drift"].tolist()
+            result.drift = Drift(rate, sigma, moved, (first, last), known)
         for name in ("past", "head", "front"):
             if f"{name}/parameters" in state:
                 setattr(result, name, Summary(*(state[f"{name}/{k}"] for k in Summary._fields)))

@@ -7,8 +7,10 @@ from dataclasses import replace
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import NEAR, Fit, adapt, begin, descend
 from magyc_gtsam.estimators.chain_search import disturbed, moved, short_term_noise, suitable_turn
+from magyc_gtsam.estimators.clock_drift import speaks, with_drift
 from magyc_gtsam.factors.field_chain import FieldChain
 from magyc_gtsam.factors.preintegration import FieldWindows
+from magyc_gtsam.online.clocks import drift_of, testable
 from magyc_gtsam.online.compressed import CompressedWindows
 from magyc_gtsam.online.coverage import coverage
 from magyc_gtsam.online.kept import Kept
@@ -33,13 +35,21 @@ def current_calibration(kept: Kept, compressed: CompressedWindows) -> Calibratio
         )
         fit = _refitted(kept, compressed.current(kept)) if well_cut else None
         if fit is not None:
-            return kept.result(ending, fit)
+            return _with_clocks(kept, kept.result(ending, fit), fit)
         recording = kept.recording(None)
         fit, rival, _ = fit_kept(kept, recording, False)
-        return kept.result(recording, fit, rival)
+        return _with_clocks(kept, kept.result(recording, fit, rival), fit)
     stop = int(kept.buffer.numbers[-1]) + 1
     fit = kept.fit_tail(stop) if m.front is None else fit_walked(kept, stop)
-    return kept.result(ending, fit, None, m.tail, kept.last)
+    return with_drift(kept.result(ending, fit, None, m.tail, kept.last), m.drift)
+
+
+def _with_clocks(kept: Kept, calibration: Calibration, fit: Fit) -> Calibration:
+    """With what the clocks did: as the last sweep found, or else as all windows say now."""
+    drift = kept.memory.drift
+    if drift is None and testable(kept, len(fit.chain.windows)) and speaks(fit):
+        drift = drift_of(kept, kept.recording(None), fit, calibration.converged)
+    return with_drift(calibration, drift)
 
 
 def _refitted(kept: Kept, windows: FieldWindows) -> Fit | None:

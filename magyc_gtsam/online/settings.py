@@ -23,6 +23,7 @@ class Settings:
     delay: float | None
     window: float
     turn: float | None
+    clock_drift: float
     hard_iron_walk: float
     gyro_bias_walk: float
     detect_changes: bool
@@ -30,7 +31,7 @@ class Settings:
     horizon: float
 
     def __post_init__(self) -> None:
-        check_options(self.noise, self.robust, self.delay, self.window, self.turn)
+        check_options(self.noise, self.robust, self.delay, self.window, self.turn, self.clock_drift)
         if self.angular_rate_is not in ("instant", "interval-mean"):
             raise MagycError(f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'")
         for name, least in (("hard_iron_walk", 0.0), ("gyro_bias_walk", 0.0), ("horizon", 120.0)):

@@ -21,6 +21,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_fit import Fit
+from magyc_gtsam.online.clocks import on_one_clock
 from magyc_gtsam.online.compressed import CompressedWindows
 from magyc_gtsam.online.kept import Kept, continued
 from magyc_gtsam.online.memory import Memory
@@ -45,6 +46,7 @@ class OnlineSmoother:
 
     Args:
         field_strength, noise, robust, delay, window, turn: as `calibrate_smoother`.
+        clock_drift: as there, from the first sample of the magnetometer on.
         hard_iron_walk: T per √h, by which the hard iron walks at random; likewise gyro_bias_walk, rad/s per √h.
         detect_changes: look for steps in hard iron.
         angular_rate_is: as `Recording`.
@@ -60,6 +62,7 @@ class OnlineSmoother:
         delay: float | None = None,
         window: float = 1.5,
         turn: float | None = None,
+        clock_drift: float = 0.0,
         hard_iron_walk: float = 0.0,
         gyro_bias_walk: float = 0.0,
         detect_changes: bool = True,
@@ -74,6 +77,7 @@ class OnlineSmoother:
                 delay=delay,
                 window=window,
                 turn=turn,
+                clock_drift=clock_drift,
                 hard_iron_walk=hard_iron_walk,
                 gyro_bias_walk=gyro_bias_walk,
                 detect_changes=detect_changes,
@@ -89,7 +93,7 @@ class OnlineSmoother:
         """See `Engine.update`."""
         kept, m = self._kept, self._kept.memory
         self._fresh = False
-        kept.buffer.append(magnetometer, gyroscope)
+        kept.buffer.append(on_one_clock(kept, magnetometer), gyroscope)
         # What the motion has not determined yet has an infinite covariance, which is meant.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             while kept.buffer.closed(kept.delay) >= m.done + _EVERY:

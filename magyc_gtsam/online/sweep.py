@@ -8,9 +8,11 @@ import numpy as np
 
 from magyc_gtsam.estimators.chain_fit import Fit, begin
 from magyc_gtsam.estimators.chain_search import refit_field_chain, short_term_noise
+from magyc_gtsam.estimators.clock_drift import with_drift
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY
 from magyc_gtsam.factors.preintegration import Preintegration
+from magyc_gtsam.online.clocks import drift_of, testable
 from magyc_gtsam.online.kept import Kept, continued, observable
 from magyc_gtsam.online.memory import Estimate
 from magyc_gtsam.online.restart import begin_later, restart
@@ -56,7 +58,10 @@ def sweep(kept: Kept) -> None:
     if settings.walks:  # what a walk leaves of them hangs together
         estimate = estimate._replace(colour=1.0)
     m.report = kept.result(recording, fit, rival, swept=estimate)
-    if later and not m.report.converged and begin_later(kept):
+    if testable(kept, count):
+        m.drift = drift_of(kept, recording, fit, m.report.converged)
+        m.report = with_drift(m.report, m.drift)
+    if later and not m.report.converged and m.drift is None and begin_later(kept):
         return
     if m.past is None and not observable(m.report):
         m.head, m.estimate, m.stable = None, None, False  # nothing to continue from

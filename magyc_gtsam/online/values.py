@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.clipped import Clipped
 from magyc_gtsam.estimators.stuck import Stuck
 from magyc_gtsam.observability import Weakness
 from magyc_gtsam.recording import Array
@@ -23,8 +24,10 @@ class Progress:
             weak and which motion helps, or that it has converged.
         weak: the weak directions, worst first, each with the motion that would determine it.
         coverage: share of the sphere of field directions (sensor frame) visited, 0 to 1.
-        left_out: samples left out so far: repeated or late stamps, values that are not finite, axes that stood still.
+        left_out: samples left out so far: repeated or late stamps, values that are not finite, axes that stood still,
+            turns that were cut off.
         stuck: axes that stood still so far, or do so now, the largest share first; nothing is learnt from them.
+        clipped: what the gyroscope's full scale cut off so far; nothing is learnt across it.
     """
 
     time: float | None
@@ -36,6 +39,7 @@ class Progress:
     coverage: float = 0.0
     left_out: int = 0
     stuck: tuple[Stuck, ...] = ()
+    clipped: Clipped | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The watch over both sensors: what stands still is not learnt from, and said."""
+"""The watch over both sensors: what stands still, and turns that were cut off, are not learnt from, and said."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.stuck import Stuck, field_turned, shown_value
 from magyc_gtsam.online.buffers import Rows
+from magyc_gtsam.online.full_scale import FullScaleWatch
 from magyc_gtsam.online.repeats import Repeats
 from magyc_gtsam.online.standstill import AxisWatch
 from magyc_gtsam.online.values import Progress
@@ -27,6 +28,7 @@ class Watch:
     def __init__(self) -> None:
         self._axes = tuple(AxisWatch() for _ in _NAMES)
         self._repeats = Repeats()
+        self._full_scale = FullScaleWatch()
         self._field = Rows(4)  # magnetometer samples that the gyroscope has not come to
         self._latest = -np.inf  # s, stamp of the last gyroscope sample
         self._stretches: list[tuple[float, ...]] = []  # sensor, 3 flags, 3 values, from, to
@@ -42,7 +44,7 @@ class Watch:
         field, rate = self._axes
         passed = (
             field.take(magnetometer, lambda rows: False, lambda: self._end(0)),
-            rate.take(gyroscope, self._field_turned, lambda: self._end(1)),
+            rate.take(self._full_scale.take(gyroscope), self._field_turned, lambda: self._end(1)),
         )
         if len(self._field):
             time = self._field.rows[:, 0]
@@ -52,7 +54,7 @@ class Watch:
     @property
     def dropped(self) -> int:
         """Samples that were dropped."""
-        return sum(axes.dropped for axes in self._axes)
+        return sum(axes.dropped for axes in self._axes) + self._full_scale.dropped
 
     def stuck(self, duration: float) -> tuple[tuple[Stuck, ...], tuple[Stuck, ...]]:
         """What stood still in a run of `duration` s, the largest share first; and what does so now."""
@@ -66,22 +68,45 @@ class Watch:
             now.append(_stretch(0, np.ones(3, dtype=bool), repeated[2:], *repeated[:2].tolist()))
         return _named([*self._stretches, *now], duration), _named(now, duration)
 
+    @property
+    def refused(self) -> str:
+        """Why what is left makes no calibration; empty where it does."""
+        clipped = self._full_scale.clipped
+        return clipped.sentence if clipped is not None and clipped.too_often else ""
+
     def noted(self, progress: Progress) -> Progress:
         """A progress with what only the watch knows."""
         every, now = self.stuck(progress.duration)
-        if not every:
+        clipped = self._full_scale.clipped
+        if not every and clipped is None:
             return progress
-        sentence = f"{now[0].where}: nothing is learnt from it until it moves" if now else progress.sentence
-        return replace(progress, sentence=sentence, stuck=every, left_out=progress.left_out + self.dropped)
+        sentence, converged = progress.sentence, progress.converged
+        if self.refused:
+            sentence, converged = self.refused, False
+        elif now:
+            sentence = f"{now[0].where}: nothing is learnt from it until it moves"
+        elif clipped is not None and self._full_scale.now:
+            sentence = f"{clipped.where}: nothing is learnt across it"
+        return replace(
+            progress,
+            sentence=sentence,
+            converged=converged,
+            stuck=every,
+            clipped=clipped,
+            left_out=progress.left_out + self.dropped,
+        )
 
     def marked(self, calibration: Calibration | None, duration: float) -> Calibration | None:
         """A calibration with what was left out, as the batch methods say it."""
-        every, _ = self.stuck(duration)
-        if not every or calibration is None:
+        faults = [*self.stuck(duration)[0], self._full_scale.clipped]
+        where = [fault.where for fault in faults if fault is not None]
+        if not where or calibration is None:
             return calibration
-        where = [stuck.where for stuck in every]
+        diagnostics = {**calibration.diagnostics, "left_out": where}
+        if self.refused:
+            return replace(calibration, converged=False, message=self.refused, diagnostics=diagnostics)
         message = f"{calibration.message}; left out: {'; '.join(where)}"
-        return replace(calibration, message=message, diagnostics={**calibration.diagnostics, "left_out": where})
+        return replace(calibration, message=message, diagnostics=diagnostics)
 
     def _field_turned(self, rows: Array) -> bool | None:
         """Whether the field turned while the gyroscope stood still as in rows (n, 4); None while that is not known."""
@@ -100,8 +125,13 @@ class Watch:
         self._stretches = [*self._stretches, _stretch(sensor, axes, value, since, until)][-_MOST:]
 
     @property
-    def _parts(self) -> tuple[tuple[str, AxisWatch | Repeats], ...]:
-        return ("magnetometer", self._axes[0]), ("gyroscope", self._axes[1]), ("repeats", self._repeats)
+    def _parts(self) -> tuple[tuple[str, AxisWatch | Repeats | FullScaleWatch], ...]:
+        return (
+            ("magnetometer", self._axes[0]),
+            ("gyroscope", self._axes[1]),
+            ("repeats", self._repeats),
+            ("full_scale", self._full_scale),
+        )
 
     def state(self) -> Mapping[str, Array]:
         """For `restore`."""
