@@ -39,8 +39,8 @@ def _standing(recording: mg.Recording) -> str:
 def test_a_channel_that_agrees_by_chance_is_no_name() -> None:
     """Of ways that have nothing to do with the field some explain much of it, and are vetoed."""
     assert _standing(_in_a_room(1)) == "named"
-    others = [_standing(_in_a_room(1, _wandering(200 + k, 6000))) for k in range(12)]
-    assert others.count("vetoed") >= 3
+    others = [_standing(_in_a_room(1, _wandering(200 + k, 6000))) for k in range(16)]
+    assert others.count("vetoed") >= 2
     assert not {"named", "explained"}.intersection(others)
 
 
