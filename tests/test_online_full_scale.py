@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from test_online_standstill import ways
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
@@ -111,18 +111,8 @@ def test_it_is_said_while_it_lasts(wide: Simulation) -> None:
 
 def test_how_the_samples_are_cut_does_not_matter() -> None:
     log = clipped(mg.simulate("low", 200, seed=2).recording, 0.8)
-    columns = log.time, log.magnetic_field, log.angular_rate
-    ways: list[Callable[[mg.OnlineCalibrator], Any]] = [
-        lambda online: [online.update(*row) for row in zip(*columns, strict=True)],
-        lambda online: online.update(*columns),
-        lambda online: [
-            online.update(log.time[i : i + 73], **{name: getattr(log, name)[i : i + 73]})
-            for i in range(0, len(log.time), 73)
-            for name in ("angular_rate", "magnetic_field")
-        ],
-    ]
     results = []
-    for way in ways:
+    for way in ways(log):
         online = mg.OnlineCalibrator()
         way(online)
         assert online.progress.clipped.count > 100

@@ -114,11 +114,10 @@ def test_magyc_ifg_is_watched_too() -> None:
     np.testing.assert_allclose(part.hard_iron, whole.hard_iron, atol=3e-6)
 
 
-def test_how_the_samples_are_cut_does_not_matter() -> None:
-    recording = mg.simulate("moderate", duration=240, seed=2).recording
-    log = frozen(frozen(recording, "angular_rate", ALL, 60.0, 80.0), "magnetic_field", 1, 150.0, 190.0)
+def ways(log: mg.Recording) -> list[Callable[[mg.OnlineCalibrator], Any]]:
+    """To hand a log over: sample by sample, at once, sensor by sensor in blocks."""
     columns = log.time, log.magnetic_field, log.angular_rate
-    ways: list[Callable[[mg.OnlineCalibrator], Any]] = [
+    return [
         lambda online: [online.update(*row) for row in zip(*columns, strict=True)],
         lambda online: online.update(*columns),
         lambda online: [
@@ -127,8 +126,13 @@ def test_how_the_samples_are_cut_does_not_matter() -> None:
             for name in ("angular_rate", "magnetic_field")
         ],
     ]
+
+
+def test_how_the_samples_are_cut_does_not_matter() -> None:
+    recording = mg.simulate("moderate", duration=240, seed=2).recording
+    log = frozen(frozen(recording, "angular_rate", ALL, 60.0, 80.0), "magnetic_field", 1, 150.0, 190.0)
     results = []
-    for way in ways:
+    for way in ways(log):
         online = mg.OnlineCalibrator()
         way(online)
         assert [(s.sensor, s.axes) for s in online.progress.stuck] == [

@@ -112,7 +112,9 @@ def effect_value(effect: Effect) -> str:
     text = f"{', '.join(values)} {effect.unit}".strip()
     sigmas = {key: effect.setting.get(f"{key}_sigma") for key in effect.setting if not key.endswith("_sigma")}
     return text + "".join(
-        f", {key} {effect.setting[key]:.4g}" if sigma is None else f", {key} {uncertain(effect.setting[key], sigma)} s"
+        f", {key} {effect.setting[key]:.4g}"
+        if sigma is None
+        else f", {key} {uncertain(effect.setting[key], sigma)} s"
         for key, sigma in sigmas.items()
     )
 
