@@ -59,7 +59,13 @@ def per_axis(profile: Array) -> Array:
 
 def _beyond_reference(channel: Array, setting: Setting) -> Array:
     """A channel (k, n) less its references, the settings `reference_0`, …; only the rows that have one, if any has."""
-    rows = [i for i in range(len(channel)) if f"reference_{i}" in setting] or list(range(len(channel)))
+    known = [int(name.removeprefix("reference_")) for name in setting if name.startswith("reference_")]
+    rows = sorted(known) or list(range(len(channel)))
+    if rows[-1] >= len(channel):
+        raise MagycError(
+            f"an effect of channel {rows[-1] + 1} of its kind meets data with {len(channel)}; the recording must have "
+            "the same channels as the one that was calibrated"
+        )
     result: Array = channel[rows] - np.array([[setting.get(f"reference_{i}", 0.0)] for i in rows])
     return result
 

@@ -148,11 +148,13 @@ class Calibration:
         """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`."""
         if self.configuration.get("magnetic_field_unit") == "counts":
             raise MagycError("the calibration is of raw counts, which no instrument takes; calibrate in tesla")
-        bias = self.gyro_bias
+        bias, missing = self.gyro_bias, []
         for term in self.terms:
             if term.name == "axis-order" and bias is not None:
                 bias = term.value.reshape(3, 3).T @ bias  # from the magnetometer's axes to the gyroscope's
-        return export(target, self.soft_iron, self.hard_iron, bias, [term.name for term in self.terms])
+            if term.side is not None or term.name == "axis-order":  # the others concern the noise
+                missing.append(term.name)
+        return export(target, self.soft_iron, self.hard_iron, bias, missing)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_dict, (self.to_dict(),)

@@ -49,7 +49,7 @@ def test_exports_say_what_they_do_not_hold() -> None:
     order = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     plain = mg.calibrate(mg.simulate("wide", 120, seed=1).recording)
     term = Term("axis-order", order.ravel(), np.zeros((9, 9)), {})
-    turned = replace(plain, terms=(term,))
+    turned = replace(plain, terms=(term, Term("spikes", [1e-6], [[1e-14]])))  # which no reading has any more
     rate = np.array([[0.1, -0.2, 0.3]])
     subtracted = rate - turned.apply_gyroscope(rate)
     for target in ("px4", "ardupilot", "vectornav", "ros"):
@@ -89,3 +89,15 @@ def test_a_channel_that_stands_still_beside_one_that_moves() -> None:
     np.testing.assert_allclose(gap.calibration.apply(recording), alone.calibration.apply(recording), atol=5e-8)
     with pytest.raises(mg.MagycError, match="same channels"):
         alone.calibration.apply(both)
+
+
+def test_a_channel_that_is_not_there_is_not_replaced_by_another() -> None:
+    """The third row of a position is no depth."""
+    recording = mg.simulate("wide", 60, seed=3).recording
+    term = Term("field-gradient", [1e-3], [[1e-8]], {"reference_2": 10.0})
+    calibration = replace(mg.calibrate(recording), terms=(term,))
+    depth = np.linspace(0, 20, len(recording.time))
+    with pytest.raises(mg.MagycError, match="same channels"):
+        calibration.apply(replace(recording, channels={"depth": depth}))
+    position = np.column_stack([np.zeros_like(depth), np.zeros_like(depth), depth])
+    assert np.isfinite(calibration.apply(replace(recording, channels={"position": position}))).all()

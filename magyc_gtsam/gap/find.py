@@ -229,9 +229,10 @@ def _gap(
     started = as_calibration(base, strength, known)
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
     catalogue = "in the catalogue" if names == NAMES else "among the candidates"
-    word, sentence = verdict(found, result, last, open_places, catalogue)
+    effects = describe(found, last.refit, open_places)
+    word, sentence = verdict(effects, result.leftover, last, catalogue)
     applied = word in ("closed", "open")
-    effects = describe(found, last.refit, open_places) if word != "unknown" else ()
+    effects = effects if applied else ()
     before = measure(first.refit.twin, started, first.fine.innovation, first.fine.rate, first.fine.level)
     after = before
     if any(effect.applied for effect in effects) and result.found:

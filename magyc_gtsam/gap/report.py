@@ -15,7 +15,6 @@ from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Status, Verdict
 from magyc_gtsam.gap.score import Score
-from magyc_gtsam.gap.search import Search
 from magyc_gtsam.gap.step_time import step_time_sigma
 
 _POWER = 0.8
@@ -29,31 +28,27 @@ _VETOED = (
 _SPELLED = 3  # effects named one by one
 
 
-def verdict(
-    found: Sequence[Found], result: Search, last: Look, uncorrected: Container[int], catalogue: str
-) -> tuple[Verdict, str]:
+def verdict(effects: Sequence[Effect], left: Sequence[str], last: Look, catalogue: str) -> tuple[Verdict, str]:
     """One word, and one sentence for a navigator.
 
-    `uncorrected` are the places of what is named only, `catalogue` is what the names were chosen from, in words.
+    Args:
+        effects: what was found.
+        left: names of what is left over.
+        last: the last look, in which that is.
+        catalogue: what the names were chosen from, in words.
     """
-    left = result.leftover
-    if not found and not left:
+    if not effects and not left:
         return "none", "the model and the data agree"
-
-    def said(place: int) -> str:
-        return _sentence(found[place], last.refit, found) + (f" ({_UNCORRECTED})" if place in uncorrected else "")
-
     if left:
         where = _place(left, last, catalogue)
-        firm = [i for i, f in enumerate(found) if f.name in TERMS or f.name == "axis-order"]
+        firm = [effect.sentence for effect in effects if effect.name in TERMS or effect.name == "axis-order"]
         if firm:
-            words = "; ".join(said(i) for i in firm)
-            return "open", f"{words}; beside that, {where}"
+            return "open", f"{'; '.join(firm)}; beside that, {where}"
         return "unknown", f"{where}; nothing was changed"
     # What moves the heading comes before what concerns the noise.
-    ordered = sorted(range(len(found)), key=lambda i: found[i].noise is not None and found[i].name != "axis-order")
-    word: Verdict = "open" if any(i in uncorrected for i in ordered) else "closed"
-    return word, "; ".join(said(i) for i in ordered)
+    ordered = sorted(effects, key=lambda effect: effect.name not in TERMS and effect.name != "axis-order")
+    word: Verdict = "closed" if all(effect.applied for effect in ordered) else "open"
+    return word, "; ".join(effect.sentence for effect in ordered)
 
 
 def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
@@ -66,7 +61,7 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
         parts.append(f"this motion could not have shown all that matters of {named}{more}")
     if untested:
         parts.append(f"{untested} effects lack their channel")
-    return "; ".join(parts) or "whatever of the catalogue matters would have been seen"
+    return "; ".join(parts) or "whatever of the effects tested matters would have been seen"
 
 
 def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
