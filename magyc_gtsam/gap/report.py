@@ -82,16 +82,6 @@ def _term_index(found: Sequence[Found], which: Found, model: Model) -> int | Non
     return term_places(found, model).get(place)
 
 
-def _sentence(found: Found, refitted: Refit, everything: Sequence[Found]) -> str:
-    if found.noise is not None:
-        return _noise_sentence(found.noise)
-    index = _term_index(everything, found, refitted.model)
-    assert index is not None
-    term = TERMS[found.name]
-    value, covariance = refitted.value_of(index)
-    return term.say(value * term.scale, np.sqrt(np.diag(covariance)) * term.scale, _setting(refitted, index))
-
-
 def _setting(refitted: Refit, index: int) -> dict[str, float]:
     """What was searched over, with the deviation of a time."""
     term = refitted.model.terms[index]
@@ -127,8 +117,8 @@ def describe(found: Sequence[Found], refitted: Refit, uncorrected: Container[int
 
 def _described(found: Found, refitted: Refit, everything: Sequence[Found], applied: bool) -> Effect:
     index = _term_index(everything, found, refitted.model)
-    sentence = _sentence(found, refitted, everything) + ("" if applied else f" ({_UNCORRECTED})")
     if found.noise is not None:
+        sentence = _noise_sentence(found.noise)
         value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting
         unit, scale = ("µT", 1e6) if found.name in _IN_TESLA else ("", 1.0)
         parameters = _TONE if found.name == "tone" else ("",) * len(value)
@@ -138,6 +128,7 @@ def _described(found: Found, refitted: Refit, everything: Sequence[Found], appli
         sigma, setting = np.sqrt(np.diag(covariance)), _setting(refitted, index)
         term = TERMS[found.name]
         unit, scale, parameters = term.unit, term.scale, term.names(len(value))
+        sentence = term.say(value * scale, sigma * scale, setting)
     return Effect(
         found.name,
         LABELS[found.name],
@@ -150,7 +141,7 @@ def _described(found: Found, refitted: Refit, everything: Sequence[Found], appli
         found.statistic,
         found.threshold,
         applied,
-        sentence,
+        sentence if applied else f"{sentence} ({_UNCORRECTED})",
     )
 
 
