@@ -93,6 +93,8 @@ class FieldChain:
     Args:
         windows: integrated windows; `windows.bias` and `.delay` are the points of linearisation.
         noise: standard deviations per sample.
+        answer: (3, n) by how much of the field's change the reading changes, where the sensor clips or bends and what
+            it lacks was added to `windows.field` at this very state; None is all of it.
 
     Attributes:
         window_scale: (n,) 1/T, one over the standard deviation of a window's mean.
@@ -104,6 +106,7 @@ class FieldChain:
 
     windows: FieldWindows
     noise: Noise
+    answer: Array | None = None
     window_scale: Array = field(init=False)
     link_scale: Array = field(init=False)
 
@@ -184,6 +187,9 @@ class FieldChain:
         for k in range(3):
             on_parameters[9 + k] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_bias[:, :, k], g) * scale
         on_parameters[DELAY] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_rate, g) * scale
+        if self.answer is not None:
+            on_direction *= self.answer[:, None]
+            on_parameters *= self.answer
 
         # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
         turn = self._turn(parameters)

@@ -269,12 +269,18 @@ def test_heading_of_the_truth_is_exact() -> None:
 
 def test_effects_are_put_into_recordings() -> None:
     real = simulate("wide", 120, seed=3).recording
-    as_it_is, *others = real_scenarios(["log"], 1)
-    assert as_it_is.names == ()
+    as_they_are = [s for s in real_scenarios(["log"], 1) if not s.names]
+    others = [s for s in real_scenarios(["log"], 1) if s.names]
     step = next(s for s in others if s.names == ("hard-iron-step",))
-    plain, stepped = generate(as_it_is, real), generate(step, real)
-    assert plain.recording.attitude is None
-    np.testing.assert_allclose(plain.recording.magnetic_field, real.magnetic_field, rtol=1e-12)
+    stepped = generate(step, real)
+    assert stepped.recording.attitude is None
+    spans = set()
+    for plain in (generate(each, real).recording for each in as_they_are):
+        rows = np.isin(real.time, plain.time)
+        assert 0.94 * len(real.time) < rows.sum() < len(real.time)
+        np.testing.assert_allclose(plain.magnetic_field, real.magnetic_field[rows], rtol=1e-12)
+        spans.add((plain.time[0], plain.time[-1]))
+    assert len(spans) == 4
     change = np.linalg.norm(stepped.recording.magnetic_field - real.magnetic_field, axis=1)
     # Two minutes instead of ten: what stands out as far is larger by the root of five, or a little more.
     assert 2.0 < change.max() / 6e-7 < 3.5
@@ -290,6 +296,7 @@ def test_what_a_real_recording_holds_anyway_is_not_judged(tmp_path: Path) -> Non
     outcomes = {o.scenario.label: o for o in score(tmp_path)}
     assert outcomes.keys() == {"nothing", "hard-iron-step"}
     assert [name for name, _ in outcomes["nothing"].named] == ["timing"]
+    assert len(list((tmp_path / "results").iterdir())) == 6
     assert outcomes["hard-iron-step"].kind in ("right", "in its set")
 
 

@@ -152,6 +152,28 @@ def test_columns_are_derivatives_of_the_innovations(twin: Twin) -> None:
     assert np.dot(change, -column) / np.dot(column, column) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("name", "setting", "value"),
+    [("saturation", {"level": 38e-6}, [0.7]), ("cubic", {}, [2e-6, -1e-6, 3e-6])],
+)
+def test_a_reading_that_bends_is_linearised_as_it_is_bent(
+    twin: Twin, name: str, setting: dict[str, float], value: list[float]
+) -> None:
+    """The slope of the cost over the iron, with the directions at their best for each iron."""
+    bent = with_term(twin.model, Active(name, setting, np.array(value)))
+    at = Twin.of(twin.problem, bent)
+    slope = at.base_columns @ at.residual().ravel()
+    for place in (0, 2, 5, 6, 7, 8):
+        step = 1e-3 if place < 6 else 1e-8
+        step *= abs(bent.parameters[0]) if place < 6 else 1.0
+        costs = []
+        for sign in (1, -1):
+            moved = bent.parameters.copy()
+            moved[place] += sign * step
+            costs.append(Twin.of(twin.problem, replace(bent, parameters=moved)).reduced.cost)
+        assert slope[place] == pytest.approx((costs[0] - costs[1]) / (2 * step), rel=0.03, abs=0.01 * abs(slope).max())
+
+
 def test_held_out_data_veto_what_is_noise() -> None:
     random = np.random.default_rng(0)
     base, noise = random.standard_normal((12, 900)), random.standard_normal((20, 900))

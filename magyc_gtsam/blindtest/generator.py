@@ -20,6 +20,7 @@ from magyc_gtsam.simulation.environment import CHANNELS
 from magyc_gtsam.simulation.scene import Applied
 
 _NOISE = (10 * MILLIGAUSS, 5e-3)
+_CUT = 0.03  # share of a real recording that may be left out at either end
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +49,8 @@ def generate(scenario: Scenario, real: Recording | None = None) -> Hidden:
             published strength does of a simulated recording.
     """
     if real is not None:
+        if not scenario.effects:
+            real = _shortened(real, scenario.seed)
         calibration = _calibration(real)
         effects = [(n, f * factor_in(real, calibration, n, scenario.seed)) for n, f in scenario.effects]
         recording, applied = inject(real, calibration, effects, scenario.seed, CHANNELS)
@@ -117,6 +120,13 @@ def write(path: Path, recording: Recording) -> None:
     with open(part, "wb") as file:
         np.savez(file, **arrays)
     part.replace(path)
+
+
+def _shortened(real: Recording, seed: int) -> Recording:
+    """Without up to `_CUT` of its start and of its end."""
+    duration = float(real.time[-1] - real.time[0])
+    start, end = np.random.default_rng([seed, 2]).uniform(0, _CUT, 2) * duration
+    return real.between(start, duration - end)
 
 
 @lru_cache

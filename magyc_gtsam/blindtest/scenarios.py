@@ -36,6 +36,8 @@ _ALSO_IN = {"depth": ("position",)}
 _WHOLE = ("axis-order",)
 # What real recordings take: effects that need no attitude and are not there already.
 _INJECTED = tuple(n for n in NAMED if not EFFECTS[n].attitude and n != "sample-hold")
+# Of a real recording as it is: which of its small effects are significant changes with a second more or less.
+_CUTS = 4
 
 
 @dataclass(frozen=True)
@@ -123,11 +125,11 @@ def scenarios(
 
 
 def real_scenarios(recordings: Sequence[str], each: int = 2, edition: int = 0) -> list[Scenario]:
-    """Every effect that a real recording can take, `each` times, and the recordings as they are."""
+    """Every effect that a real recording can take, `each` times, and the recordings as they are, cut in several ways."""
     result = []
     for recording in recordings:
         for name in ("", *_INJECTED):
-            for k in range(each if name else 1):
+            for k in range(each if name else _CUTS):
                 label = f"real-{recording}-{name or 'as-it-is'}-{k:02d}"
                 effects = ((name, 1.0),) if name else ()
                 result.append(Scenario(label, "real", recording, seed_of(label, edition), effects))

@@ -96,7 +96,10 @@ def score(
         if result.exists():
             truth = opened(folder, number, manifest)
             pairs.append((number, _scenario(truth), json.loads(result.read_text(encoding="utf-8"))))
-    already = {s.motion: _there(result) for _, s, result in pairs if s.set == "real" and not s.effects}
+    already: dict[str, set[str]] = {}
+    for _, scenario, result in pairs:
+        if scenario.set == "real" and not scenario.effects:
+            already[scenario.motion] = already.get(scenario.motion, set()) | _there(result)
     outcomes = []
     for done, (number, scenario, result) in enumerate(pairs):
         there = already.get(scenario.motion, set())

@@ -7,6 +7,7 @@ own thirteenth parameter.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,8 @@ from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.recording import Recording
 
 _PASSES = 4  # for gyroscope terms that read the true rate
+_BENT = 5  # passes for magnetometer terms that bend the reading
+_NEARBY = 1e-8  # T
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,13 +152,23 @@ def window_signals(problem: Problem, windows: FieldWindows, state: State, rate: 
     )
 
 
-def build(
-    problem: Problem, model: Model, direction: Array | None = None
-) -> tuple[FieldChain, State, Reduced, Array]:
+def _added(terms: Sequence[Active], signals: Signals) -> Array:
+    """(3, n) T that terms add to the magnetometer's reading."""
+    return sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros((3, len(signals.time))))
+
+
+def _answer(bent: Sequence[Active], signals: Signals) -> Array:
+    """(3, n) by how much of the field's change the reading changes: what is clipped tells nothing of the iron."""
+    field = signals.need("field")
+    more, less = (_added(bent, replace(signals, field=field + step)) for step in (_NEARBY, -_NEARBY))
+    return 1 + (more - less) / (2 * _NEARBY)
+
+
+def build(problem: Problem, model: Model) -> tuple[FieldChain, State, Reduced, Array]:
     """The chain of a model, settled, and the true rate (3, G).
 
     The magnetometer's terms read the field as the model has it, so that the chain is settled, corrected and
-    settled again.
+    settled again; and again where they clip or bend the reading, which is then linearised as it is bent.
     """
     samples, rate = prepare(problem, model)
     windows = samples.integrate(model.parameters[9:12], model.parameters[DELAY])
@@ -164,10 +177,11 @@ def build(
         t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "magnetometer" and t.name != "timing"
     ]
     chain_, state = plain, plain.start(model.parameters)
-    for _ in range(2 if terms else 1):
+    bent = [t for t in terms if "hard_iron" in FORMS[t.name].needs]
+    for _ in range(_BENT if bent else 2 if terms else 1):
         if terms:
             signals = window_signals(problem, windows, state, rate)
-            added = sum(FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms)
-            chain_ = FieldChain(replace(windows, field=windows.field - added), model.noise)
+            answer = _answer(bent, signals) if bent else None
+            chain_ = FieldChain(replace(windows, field=windows.field - _added(terms, signals)), model.noise, answer)
         state, reduced = chain_.settle(chain_.start(model.parameters), chain_.unweighted())
     return chain_, state, reduced, rate

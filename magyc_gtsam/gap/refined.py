@@ -19,12 +19,13 @@ _SAME = 0.99  # squared cosine between what two explain, from which they are the
 _FEW = 20  # settings up to which a neighbour is tried at all of them
 
 
-def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
+def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
     """What an effect does not explain the data clearly better than: narrow parts of generic families, neighbours.
 
     Where it is a toss-up, another effect beside it may hide which it is: each is then judged with the one that
     explains most together with it.
     """
+    name, best = sharp.name, sharp.variant
     twin, term = now.refit.twin, TERMS[name]
     grid = term.settings(twin)
     settings = [dict(best.setting), *(grid if len(grid) <= _FEW else []), *term.refined(twin, best.setting)[:_FEW]]
@@ -40,15 +41,13 @@ def nearer(name: str, best: Variant, now: Look) -> tuple[str, ...]:
             known = closest.setdefault(family.name, tried)
             if surprise(tried, now.innovation) > surprise(known, now.innovation):
                 closest[family.name] = tried
-    chosen = next(s for s in now.scores if s.name == name)
     own = surprise(best, now.innovation)
-    evidence = chosen.evidence + own - surprise(chosen.variant, now.innovation)
     parts = tuple(
         s.name
         for s in now.scores
         if s.name in term.alike
         and "width" in s.variant.setting
-        and s.evidence > evidence - _CLEARLY
+        and s.evidence > sharp.evidence - _CLEARLY
         and now.gains.get(s.name, 0.0) > 0
     )
     if parts:
@@ -93,7 +92,7 @@ def surprise(tried: Variant, innovation: Array) -> float:
     return float(surprises(np.array([[d @ d]]), np.array([len(d)]))[0, 0])
 
 
-def sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Projector) -> Variant:
+def _sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Projector) -> Variant:
     """The setting beside the grid's best that explains most."""
     best = choice.variant
     for _ in range(2):
@@ -106,16 +105,17 @@ def sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Proje
 
 
 def sharpened(score: Score, refitted: Refit, innovation: Array, projector: Projector) -> Score:
-    """A score whose grid is coarse, at the best setting beside it."""
-    best = sharpest(score, refitted, innovation, projector)
+    """A score at the best setting beside its grid."""
+    best = _sharpest(score, refitted, innovation, projector)
     pull = best.score(innovation)
     gain = float(pull @ pull) / score.statistic
+    more = surprise(best, innovation) - surprise(score.variant, innovation)
     return replace(
         score,
         variants=(*score.variants, best),
         best=len(score.variants),
         statistic=float(pull @ pull),
-        evidence=score.evidence + 0.5 * (gain - 1) * score.statistic,
+        evidence=score.evidence + more,
         significance=score.significance * gain,
         expected=-best.back @ pull,
         covariance=best.back @ best.back.T,

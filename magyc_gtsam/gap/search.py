@@ -32,7 +32,7 @@ from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
-from magyc_gtsam.gap.refined import nearer, sharpened, sharpest
+from magyc_gtsam.gap.refined import nearer, sharpened
 from magyc_gtsam.gap.refit import Refit, determined, refit, without_term
 from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_effect, with_more_modes, with_noise
@@ -124,8 +124,8 @@ def search(
         else:
             if len(state.current.model.terms) >= MOST_TERMS:
                 break
-            sharp = sharpest(choice, now.refit, now.innovation, now.projector)
-            instead = nearer(choice.name, sharp, now)
+            sharp = sharpened(choice, now.refit, now.innovation, now.projector)
+            instead = nearer(sharp, now)
             if instead:
                 break
             ahead = with_effect(state, now, choice, sharp)

@@ -15,7 +15,7 @@ from magyc_gtsam.gap.naming import Found, Look, as_found, rivals_of, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
-from magyc_gtsam.gap.score import Score, Variant
+from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
@@ -82,9 +82,9 @@ def _with_recording(state: State, recording: Recording, prepare: Prepare) -> Sta
     return replace(state, recording=recording, problem=problem, current=current)
 
 
-def with_effect(state: State, now: Look, choice: Score, sharp: Variant) -> State | None:
-    """With an effect added at its sharpest setting, and what has become superfluous taken out; None: not determined."""
-    added = _terms(choice.name, state.current, dict(sharp.setting))
+def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State | None:
+    """With an effect added as it is sharpest, and what has become superfluous taken out; None: not determined."""
+    added = _terms(choice.name, state.current, dict(sharp.variant.setting))
     model = state.current.model
     for term in added:
         model = with_term(model, term)
@@ -92,7 +92,7 @@ def with_effect(state: State, now: Look, choice: Score, sharp: Variant) -> State
     if ahead is None:
         return None
     share, rivals = 1 / len(added), rivals_of(choice, now)
-    strength = (choice.statistic * share, choice.threshold * share, choice.evidence * share)
+    strength = (sharp.statistic * share, sharp.threshold * share, sharp.evidence * share)
     found = (*state.found, *(Found(choice.name, *strength, rivals) for _ in added))
     return _backwards(replace(state, current=ahead, found=found))
 
