@@ -93,8 +93,7 @@ class FieldChain:
     Args:
         windows: integrated windows; `windows.bias` and `.delay` are the points of linearisation.
         noise: standard deviations per sample.
-        answer: (3, n) by how much of the field's change the reading changes, where the sensor clips or bends and what
-            it lacks was added to `windows.field` at this very state; None is all of it.
+        answer: (3, n) by how much of the field's change the reading changes, where the sensor clips or bends.
 
     Attributes:
         window_scale: (n,) 1/T, one over the standard deviation of a window's mean.

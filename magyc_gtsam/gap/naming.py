@@ -229,7 +229,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
 
     To this belong generic families that explained the data clearly better than all names together.
     """
-    explained = max((s.statistic for s in first.scores), default=0.0)
+    explained = max([s.statistic for s in first.scores] + _weights(now.refit), default=0.0)
     result = ahead_of_names(first, found)
     for score in now.scores:
         named = any(f.name in TERMS for f in found)
@@ -246,6 +246,12 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
         if loud and noise.name not in noted and not (found and noise.statistic < _SHAPE * explained):
             result.append(noise.name)
     return tuple(dict.fromkeys(result))
+
+
+def _weights(current: Refit) -> list[float]:
+    """What each term explains at the model's own noise, which may be much less than before it was in the model."""
+    parts = [current.value_of(index) for index in range(len(current.model.terms))]
+    return [float(value @ np.linalg.pinv(covariance) @ value) for value, covariance in parts]
 
 
 def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
