@@ -83,7 +83,7 @@ def run(
 
     Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html.
     Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
-    was too little to look for one, or the result does not hold on OTHER_LOG.
+    or the noise was too little to look for one, or the result does not hold on OTHER_LOG.
     """
     from magyc_gtsam import Calibration, find_gap
     from magyc_gtsam.report.gap_page import render_gap
