@@ -23,21 +23,12 @@ if TYPE_CHECKING:
 _SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
 
 
-def _plan(motion: str | None) -> None:
-    """The isolability table of a motion, and nothing else."""
-    if motion is None:
-        return
-    from magyc_gtsam.simulation import simulate
-    from magyc_gtsam.simulation.environment import CHANNELS
-
-    recording = simulate(motion, channels=CHANNELS).recording
-    from magyc_gtsam.gap.isolability import isolability
-    from magyc_gtsam.report.gap_words import PLAN, plan_rows
-
-    table = isolability(recording)
-    show(f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 10 mG, gyroscope 5 mrad/s)", "")
-    show_table(PLAN, plan_rows(table))
-    raise typer.Exit
+def _needs_no_log(context: typer.Context, motion: str | None) -> str | None:
+    """A motion is planned before there is a LOG."""
+    if motion is not None:
+        log = next(parameter for parameter in context.command.params if parameter.name == "log")
+        log.required = False
+    return motion
 
 
 @with_groups
@@ -67,9 +58,9 @@ def run(
         typer.Option(
             metavar="MOTION",
             is_eager=True,
-            callback=_plan,
+            callback=_needs_no_log,
             help="Only show which effects a motion could name, and from which strength: wide, moderate, low, "
-            "tiny, multi, dive or survey. Needs no LOG.",
+            "tiny, multi, dive or survey. Needs no LOG, and writes no files.",
         ),
     ] = None,
     output: Annotated[
@@ -85,6 +76,8 @@ def run(
     Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
     or the noise was too little to look for one, or the result does not hold on OTHER_LOG.
     """
+    if plan is not None:
+        return _plan(plan, quiet, json)
     from magyc_gtsam import Calibration, find_gap
     from magyc_gtsam.report.gap_page import render_gap
     from magyc_gtsam.report.gap_words import closed, contradicted
@@ -137,6 +130,27 @@ def run(
         return 0
     typer.echo(f"magyc-gtsam: {'; '.join(doubts)}", err=True)
     return 1
+
+
+def _plan(motion: str, quiet: bool, json: bool) -> int:
+    """The isolability table of a motion, and nothing else."""
+    from magyc_gtsam.simulation import simulate
+    from magyc_gtsam.simulation.environment import CHANNELS
+
+    recording = simulate(motion, channels=CHANNELS).recording
+    from magyc_gtsam.gap.isolability import isolability
+    from magyc_gtsam.json_types import json_types
+    from magyc_gtsam.report.gap_words import PLAN, plan_rows
+
+    table = isolability(recording)
+    if json:
+        typer.echo(_json({"motion": motion, "effects": json_types(table)}), nl=False)
+    elif not quiet:
+        show(
+            f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 10 mG, gyroscope 5 mrad/s)", ""
+        )
+        show_table(PLAN, plan_rows(table))
+    return 0
 
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:

@@ -53,7 +53,7 @@ def _row(term: EffectTerm, score: Score, named: dict[str, Score]) -> Isolability
     nameable = smallest <= term.matters and not confused
     words = f"from {smallest * term.scale:.2g} {term.unit} on"
     if confused:
-        words += f", but then this motion cannot tell it from {', '.join(confused)}; {term.motion}"
+        words += f", as {' or '.join((term.name, *confused))}, which this motion cannot tell apart; {term.motion}"
     elif not nameable:
         words += f", where {term.matters * term.scale:.2g} would matter; {term.motion}"
     return Isolability(

@@ -285,7 +285,8 @@ class Isolability:
         matters: the smallest strength that matters, in `unit`.
         left: share of the effect's signature that the base parameters cannot absorb, 0 to 1.
         nameable: whether `matters` would be found and told from all rivals.
-        confused_with: rivals that share more than 80 % of the signature, with the shared part.
+        confused_with: rivals that share more than 80 % of the signature, with the shared part: it is named as itself
+            or one of them.
         sentence: in words.
     """
 
