@@ -138,6 +138,31 @@ def test_one_line_for_every_mistake(
     mistaken(arguments.format(logs=logs), says)
 
 
+@pytest.mark.usefixtures("quiet_terminal")
+def test_other_logs_are_read_as_the_log_is(
+    tmp_path_factory: pytest.TempPathFactory, mistaken: Callable[[str, str], None]
+) -> None:
+    """Tables without a header, in µT and deg/s, of which nothing tells columns or units."""
+    folder = tmp_path_factory.mktemp("tables")
+    for name, seed in (("log", 1), ("sim", 2), ("other", 3)):
+        recording = simulate("wide", 100, seed=seed).recording
+        assert recording.angular_rate is not None
+        table = np.column_stack(
+            [recording.time, recording.magnetic_field * 1e6, np.degrees(recording.angular_rate)]
+        )
+        np.savetxt(folder / f"{name}.txt", table)
+    write_mcap(folder / "sim.mcap", recording)
+    columns = "time,mx,my,mz,gx,gy,gz"
+    asked = f"gap {folder}/log.txt --read columns={columns} --magnetic-unit uT --angular-unit deg/s --end 90"
+    others = f" --candidates timing --simulated {folder}/sim.txt --validate {folder}/other.txt"
+    assert cli.main(f"{asked}{others} -q -o {folder}/here".split()) == 0
+    values = json.loads((folder / "here/gap.json").read_text())
+    assert values["assumptions"]
+    assert values["validation"]["name"] == "other.txt"
+    mistaken(f"{asked} --simulated {folder}/sim.mcap", "--simulated: ")
+    mistaken(f"{asked} --validate {folder}/sim.mcap", "(--validate is read by LOG's options)")
+
+
 @pytest.mark.real
 @pytest.mark.usefixtures("quiet_terminal")
 def test_a_still_log_is_refused_with_the_reason(
