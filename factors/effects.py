@@ -57,10 +57,15 @@ def per_axis(profile: Array) -> Array:
     return result.reshape(3 * p, 3, n)
 
 
-def _beyond_reference(channel: Array, setting: Setting) -> Array:
-    """A channel (k, n) less its references, the settings `reference_0`, …; only the rows that have one, if any has."""
+def referenced(channel: Array, setting: Setting) -> list[int]:
+    """The rows of a channel (k, n) that have a reference, the settings `reference_0`, …; all, if none has."""
     known = [int(name.removeprefix("reference_")) for name in setting if name.startswith("reference_")]
-    rows = sorted(known) or list(range(len(channel)))
+    return sorted(known) or list(range(len(channel)))
+
+
+def _beyond_reference(channel: Array, setting: Setting) -> Array:
+    """The referenced rows of a channel (k, n), less their references."""
+    rows = referenced(channel, setting)
     if rows[-1] >= len(channel):
         raise MagycError(
             f"an effect of channel {rows[-1] + 1} of its kind meets data with {len(channel)}; the recording must have "

@@ -79,6 +79,11 @@ def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
     return result
 
 
+def kinds(name: str) -> tuple[str, ...]:
+    """The kinds that a channel of this name counts as."""
+    return tuple(kind for kind, words in CHANNELS.items() if _is_called(name, words))
+
+
 def _is_called(name: str, words: Sequence[str]) -> bool:
     """Whether a channel's name holds one of the words; "timestamp" holds no "amp"."""
     parts = [part.lower() for part in _WORDS.findall(name)]

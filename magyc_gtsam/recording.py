@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.signals import kinds
 from magyc_gtsam.time_base import Stream, unite
 from magyc_gtsam.validation import (
     Array,
@@ -24,6 +25,7 @@ from magyc_gtsam.validation import (
     check_rate_unit,
     frozen,
     unit_quaternions,
+    without_no_values,
 )
 
 _HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope counts as sample-held
@@ -55,7 +57,8 @@ class Recording:
         acceleration: (N, 3) m/s², specific force, sensor frame.
         attitude: (N, 4) unit quaternion x, y, z, w, sensor→world (scipy's order); rows of NaN where
             there is no reference.
-        channels: {name: (N,) or (N, k)}, e.g. current, temperature, depth; NaN where absent.
+        channels: {name: (N,) or (N, k)}, e.g. current, temperature, depth; NaN where absent. Of those that count as
+            one of a kind (`factors.signals.CHANNELS`), what stands for no value, as −99999, becomes NaN with a note.
         name: what to call it in reports.
         angular_rate_is: "instant" (values AT `time`; see `factors.rotations.increments`) or
             "interval-mean" (mean rate since the previous row, as delta angles are).
@@ -107,6 +110,9 @@ class Recording:
         if self.angular_rate_is not in ("instant", "interval-mean"):
             raise MagycError(f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'")
         channels = {k: frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
+        for name in filter(kinds, channels):
+            channels[name], note = without_no_values(name, channels[name])
+            put(self, "notes", (*self.notes, note) if note else self.notes)
         put(self, "channels", MappingProxyType(channels))
         put(self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf))
         put(

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation, Slerp
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.validation import Array, check_ascending, frozen, unit_quaternions
+from magyc_gtsam.factors.signals import kinds
+from magyc_gtsam.validation import Array, check_ascending, frozen, unit_quaternions, without_no_values
 
 Stream = tuple[ArrayLike, ArrayLike]
 
@@ -50,12 +51,17 @@ def unite(
         "magnetic_field": mag[held],
         "magnetic_field_fresh": mag_fresh,
         "angular_rate_fresh": np.ones(len(time), dtype=bool),
-        "channels": {
-            k: _interpolate(time, *_stream(f"channel {k!r}", *v, None), outside=np.nan)
-            for k, v in channels.items()
-        },
+        "channels": {},
         "notes": (f"{cut} samples outside the time that both sensors cover were left out",) if cut else (),
     }
+    for k, v in channels.items():
+        channel_time, channel = _stream(f"channel {k!r}", *v, None)
+        if kinds(k):  # before it is interpolated: a line to −99999 has many values
+            channel, note = without_no_values(k, channel)
+            result["notes"] += (note,) if note else ()
+            known = np.isfinite(channel).reshape(len(channel), -1).all(axis=1)
+            channel_time, channel = channel_time[known], channel[known]
+        result["channels"][k] = _interpolate(time, channel_time, channel, outside=np.nan)
     if "angular_rate" in clean:
         gyro_time, gyro = clean["angular_rate"]
         if angular_rate_is == "interval-mean":

@@ -16,6 +16,12 @@ EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
 _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
 FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
+_STAND_INS = (999, 9999, 99999, 999999, 2**15 - 1, 2**15, 2**16 - 1)  # what is written for "no value"
+_LARGEST = 1e12  # of any channel: 100 A are 1e11 nA
+_BEYOND = 10  # times the largest distance of the others from their median, from which such a number is none
+_ABSURD = 1e4  # times, from which any number is none: more than a converter of 14 bits resolves
+_FEW = 0.05  # share of the samples that may be absurd; more is a channel of two levels
+_LEVELS = 3  # distinct distances of the others at least: what is else constant may be switched on once
 _FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT": 1e-3}
 
 
@@ -103,3 +109,46 @@ def unit_quaternions(attitude: Array) -> Array:
     unit = attitude / np.where(np.abs(norm - 1) < 1e-14, 1.0, norm)[:, None]
     unit.flags.writeable = False
     return unit
+
+
+def no_values(column: Array) -> Mask:
+    """(n,) samples of a channel that stand for no value: −99999 among temperatures, 1e30, infinity.
+
+    A current that is off for most of the time, or surges as it is switched on, has values only.
+    """
+    wrong = np.abs(column) > _LARGEST
+    known = np.isfinite(column) & ~wrong
+    signs = known & np.isin(np.abs(column), _STAND_INS)
+    if not (known & ~signs).any():
+        return wrong
+    off = np.where(known, np.abs(column - np.median(column[known & ~signs])), 0.0)
+    if signs.any():
+        usual = float(off[known & ~signs].max(initial=0.0))
+        wrong |= signs & (off > _BEYOND * usual) & (usual > 0)
+    rest = off[known & ~wrong]
+    if rest.max(initial=0.0) <= _ABSURD * float(np.quantile(rest, 1 - _FEW)):
+        return wrong
+    levels, count = np.unique(rest[rest > 0], return_counts=True)
+    above = np.cumsum(count[::-1])[::-1]
+    jumps = (levels[1:] > _ABSURD * levels[:-1]) & (above[1:] <= _FEW * len(rest))
+    jumps[: _LEVELS - 1] = False
+    if jumps.any():
+        wrong |= known & (off > levels[np.argmax(jumps)])
+    return wrong
+
+
+def without_no_values(name: str, value: Array) -> tuple[Array, str | None]:
+    """A channel (n,) or (n, k) with NaN for what stands for no value, and the note that says so, if there was any."""
+    columns = value.reshape(len(value), -1)
+    wrong = np.column_stack([no_values(column) for column in columns.T]) if columns.size else columns > 0
+    if not wrong.any():
+        return value, None
+    row, place = np.argwhere(wrong)[0]
+    kept = columns[:, place][~wrong[:, place] & np.isfinite(columns[:, place])]
+    clean = np.where(wrong, np.nan, columns).reshape(value.shape)
+    clean.flags.writeable = False
+    rest = f", where the others are {kept.min():.4g} to {kept.max():.4g}" if len(kept) else ""
+    return clean, (
+        f"channel {name!r}: {wrong.any(axis=1).sum()} of {len(value)} samples are no values and were left out, the "
+        f"first is {columns[row, place]:g} in row {row}{rest}; a sample without a value is best written as NaN"
+    )

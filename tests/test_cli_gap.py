@@ -138,6 +138,31 @@ def test_one_line_for_every_mistake(
     mistaken(arguments.format(logs=logs), says)
 
 
+@pytest.mark.usefixtures("quiet_terminal")
+def test_other_logs_are_read_as_the_log_is(
+    tmp_path_factory: pytest.TempPathFactory, mistaken: Callable[[str, str], None]
+) -> None:
+    """Tables without a header, in µT and deg/s, of which nothing tells columns or units."""
+    folder = tmp_path_factory.mktemp("tables")
+    for name, seed in (("log", 1), ("sim", 2), ("other", 3)):
+        recording = simulate("wide", 100, seed=seed).recording
+        assert recording.angular_rate is not None
+        table = np.column_stack(
+            [recording.time, recording.magnetic_field * 1e6, np.degrees(recording.angular_rate)]
+        )
+        np.savetxt(folder / f"{name}.txt", table)
+    write_mcap(folder / "sim.mcap", recording)
+    columns = "time,mx,my,mz,gx,gy,gz"
+    asked = f"gap {folder}/log.txt --read columns={columns} --magnetic-unit uT --angular-unit deg/s --end 90"
+    others = f" --candidates timing --simulated {folder}/sim.txt --validate {folder}/other.txt"
+    assert cli.main(f"{asked}{others} -q -o {folder}/here".split()) == 0
+    values = json.loads((folder / "here/gap.json").read_text())
+    assert values["assumptions"]
+    assert values["validation"]["name"] == "other.txt"
+    mistaken(f"{asked} --simulated {folder}/sim.mcap", "--simulated: ")
+    mistaken(f"{asked} --validate {folder}/sim.mcap", "(--validate is read by LOG's options)")
+
+
 @pytest.mark.real
 @pytest.mark.usefixtures("quiet_terminal")
 def test_a_still_log_is_refused_with_the_reason(
@@ -189,6 +214,23 @@ def test_the_plan_of_a_motion(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"timing", "motor-current", "g-sensitivity", "misalignment"} <= rows.keys()
     assert " yes" in rows["hard-iron-drift"]
     assert " no" in rows["g-sensitivity"]
+    assert rows["timing"].endswith("timing or eddy-plane (100%)")
+    assert rows["timing"].count("ms") == 2
+
+
+@pytest.mark.usefixtures("quiet_terminal")
+def test_the_plan_for_programs_and_in_silence(capsys: pytest.CaptureFixture[str]) -> None:
+    """Whatever the order of the options."""
+    assert cli.main(["gap", "--plan", "moderate", "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["motion"] == "moderate"
+    timing = next(row for row in values["effects"] if row["name"] == "timing")
+    assert timing["smallest"] > timing["matters"] > 0
+    assert timing["nameable"] is False
+    assert list(timing["confused_with"]) == ["eddy-plane"]
+    assert "as timing or eddy-plane, which this motion cannot tell apart" in timing["sentence"]
+    assert cli.main(["gap", "-q", "--plan", "moderate"]) == 0
+    assert capsys.readouterr() == ("", "")
 
 
 def test_isolability_is_that_of_the_table_of_one_sigma_sizes() -> None:
@@ -249,9 +291,10 @@ def test_a_recording_with_effects(
 def test_plan_rows() -> None:
     seen = Isolability("timing", "late", 8.0, "ms", 10.0, 0.94, True, {}, "yes")
     never = Isolability("motor-current", "current", np.inf, "µT", 1.0, np.nan, False, {"tone": 0.85}, "no")
-    assert plan_rows([seen, never]) == [
-        ["timing", "8 ms", "10 ms", "yes", "94%", ""],
-        ["motor-current", "never", "1 µT", "no", "", "tone 85%"],
+    assert plan_rows([seen, never, replace(seen, confused_with={"hysteresis": 0.85})]) == [
+        ["timing", "8 ms", "10 ms", "yes", "94%", "timing"],
+        ["motor-current", "never", "1 µT", "no", "", ""],
+        ["timing", "8 ms", "10 ms", "yes", "94%", "timing or hysteresis (85%)"],
     ]
 
 

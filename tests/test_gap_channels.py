@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.refit import unmoved
 from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation.environment import CHANNELS
+from magyc_gtsam.validation import no_values
 
 _DEPTH = "depth"
 
@@ -59,3 +63,86 @@ def test_what_hardly_moves_the_iron_leaves_it() -> None:
         np.testing.assert_array_equal(result.soft_iron, expected.soft_iron)
         np.testing.assert_array_equal(result.hard_iron, expected.hard_iron)
         np.testing.assert_array_equal(result.gyro_bias, after.gyro_bias)
+
+
+def _with_unit(recording: mg.Recording, scale: float, offset: float) -> mg.Recording:
+    """With its channels in another unit, and an offset in their deviations."""
+    channels = {k: scale * (v + offset * v.std(axis=0)) for k, v in recording.channels.items()}
+    return replace(recording, channels=channels)
+
+
+@pytest.mark.parametrize("name", ["motor-current", "temperature-hard-iron", "field-gradient", "temperature-gyro"])
+def test_the_unit_of_a_channel_is_of_no_matter(name: str) -> None:
+    """In kA, in mA, in raw counts far from 0: the same name, evidence, power and value."""
+    recording = mg.simulate("wide", 300, seed=3, effects=[name], channels=CHANNELS).recording
+    plain = mg.find_gap(recording, candidates=[name])
+    assert plain.names == (name,)
+    for scale, offset in ((1e-4, 0.0), (1e4, 0.0), (1.0, 1e3)):
+        gap = mg.find_gap(_with_unit(recording, scale, offset), candidates=[name])
+        assert gap.names == (name,)
+        np.testing.assert_allclose(gap.effects[0].value * scale, plain.effects[0].value, rtol=1e-4)
+        np.testing.assert_allclose(gap.effects[0].sigma * scale, plain.effects[0].sigma, rtol=1e-4)
+        mine, other = (next(h for h in g.hypotheses if h.name == name) for g in (gap, plain))
+        assert mine.statistic == pytest.approx(other.statistic, rel=1e-4)
+        assert mine.power == pytest.approx(other.power, abs=1e-3)
+        assert mine.matters * scale == pytest.approx(other.matters, rel=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_no_current_effect_is_rejected_in_any_unit(scale: float) -> None:
+    recording = _with_unit(mg.simulate("wide", 300, seed=3, channels=["current"]).recording, scale, 0.0)
+    gap = mg.find_gap(recording, candidates=["motor-current"])
+    assert gap.verdict == "none"
+    assert next(h.status for h in gap.hypotheses if h.name == "motor-current") == "rejected"
+    row = next(r for r in isolability(recording) if r.name == "motor-current")
+    assert row.nameable
+    assert row.smallest * scale == pytest.approx(0.028, rel=0.3)
+
+
+@pytest.mark.parametrize("stand_in", [-99999.0, 1e30])
+@pytest.mark.parametrize("direct", [True, False])
+def test_what_stands_for_no_value_hides_no_effect(stand_in: float, direct: bool) -> None:
+    """Nor is it applied; the note says where it is. Direct, or in a stream that is interpolated."""
+    recording = mg.simulate("wide", 300, seed=3, effects=["temperature-hard-iron"]).recording
+    temperature = recording.channels["temperature"].copy()
+    temperature[[700, 1200]] = stand_in
+    if direct:
+        spoilt = replace(recording, channels={"temperature": temperature})
+    else:
+        rate = recording.angular_rate
+        assert rate is not None
+        spoilt = mg.Recording.from_streams(
+            (recording.time, recording.magnetic_field),
+            (recording.time, rate),
+            channels={"temperature": (recording.time[::2], temperature[::2])},
+        )
+    assert "channel 'temperature': 2 of" in spoilt.notes[-1]
+    assert f"the first is {stand_in:g} in row {700 if direct else 350}" in spoilt.notes[-1]
+    assert np.nanmax(np.abs(spoilt.channels["temperature"])) < 100
+    gap = mg.find_gap(spoilt, candidates=["temperature-hard-iron"])
+    assert gap.names == ("temperature-hard-iron",)
+    corrected = gap.calibration.apply(spoilt)
+    assert np.ptp(np.linalg.norm(corrected, axis=1)) < 0.3 * np.median(np.linalg.norm(corrected, axis=1))
+
+
+@pytest.mark.parametrize(
+    "name", ["on and off", "pulses", "surges", "dying away", "counts", "at full scale", "noise"]
+)
+def test_real_channels_hold_values_only(name: str) -> None:
+    random, row = np.random.default_rng(0), np.arange(6000)
+    noise = random.standard_normal(6000)
+    column = {
+        "on and off": np.where(row % 200 < 10, 10.0, 0.0),
+        "pulses": np.where(row % 2000 < 5, 20.0, 0.0) + 2e-3 * noise,
+        "surges": 2 + 0.05 * noise + np.where(row % 600 < 2, 80.0, 0.0),
+        "dying away": 10 * np.exp(-(row % 3000) / 30),
+        "counts": 32768 + np.round(20 * noise),
+        "at full scale": np.clip(np.round(20000 * np.abs(noise)), 0, 32767),
+        "noise": 1e3 * noise,
+    }[name]
+    assert not no_values(column).any()
+    for stand_in in (-9999.0, 1e30, np.inf):
+        spoilt = column.copy()
+        spoilt[[7, 3000]] = stand_in
+        expected = [7, 3000] if abs(stand_in) > 1e6 or name not in ("at full scale", "noise") else []
+        assert np.flatnonzero(no_values(spoilt)).tolist() == expected

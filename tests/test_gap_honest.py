@@ -134,3 +134,24 @@ def test_wrong_arguments_are_named(clean: mg.Recording, arguments: dict[str, Any
 def test_a_simulator_that_stands_still_is_refused(clean: mg.Recording) -> None:
     with pytest.raises(mg.MagycError, match="simulated: "):
         mg.find_gap(clean, simulated=mg.simulate("tiny", 30, seed=1).recording)
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+@pytest.mark.parametrize("gyroscope_noise", [0.0, 5e-3])
+def test_without_noise_nothing_is_tested(kind: type, gyroscope_noise: float) -> None:
+    """Against exact arithmetic the rounding itself would be a tone or coloured noise."""
+    clean = mg.simulate("wide", 200, seed=1, magnetometer_noise=0.0, gyroscope_noise=gyroscope_noise).recording
+    assert clean.angular_rate is not None
+    rounded = replace(
+        clean, magnetic_field=clean.magnetic_field.astype(kind), angular_rate=clean.angular_rate.astype(kind)
+    )
+    gap = mg.find_gap(rounded)
+    assert gap.verdict == "not enough information"
+    assert "no measurable noise" in gap.sentence
+    assert "give the simulated sensors the noise of the real ones" in gap.sentence
+    assert gap.effects == gap.hypotheses == ()
+
+
+def test_little_noise_is_enough() -> None:
+    quiet = mg.simulate("wide", 200, seed=1, magnetometer_noise=1e-9, gyroscope_noise=1e-5).recording
+    assert mg.find_gap(quiet).verdict == "none"

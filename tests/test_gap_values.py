@@ -12,6 +12,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.factors.effects import FORMS
 from magyc_gtsam.factors.signals import Signals
 from magyc_gtsam.gap.coarse import rounding
+from magyc_gtsam.gap.effects.term import measured
 from magyc_gtsam.gap.refit import spread
 from magyc_gtsam.simulation import MILLIGAUSS
 
@@ -120,3 +121,8 @@ def test_a_strong_step_stays_beside_weak_ones() -> None:
     assert strong is not None, gap.sentence
     assert strong.setting["time"] - recording.time[0] == pytest.approx(250, abs=2)
     assert strong.value[0] == pytest.approx(-12.0, abs=2.0)
+
+
+def test_a_value_per_a_small_unit_keeps_its_digits() -> None:
+    assert measured(-2.8e-6, 4.6e-7) == "-2.8e-06 ± 4.6e-07"
+    assert measured(0.0511, 0.005) == "0.051 ± 0.005"

@@ -425,3 +425,11 @@ def test_the_study_prints_its_table(tmp_path):
     assert finished.returncode == 0, finished.stderr
     lines = finished.stdout.splitlines()
     assert [line.split()[0] for line in lines[1:]] == [*PUBLISHED, "bound"]
+
+
+def test_a_centre_that_nothing_holds_is_told_in_words() -> None:
+    """A step by half a tesla is no length that a navigator could do anything with."""
+    short = mg.simulate("low", 60, seed=1).recording
+    message = mg.calibrate(short, method="crassidis").message
+    assert "pull its centre by more than the field itself (limit " in message
+    assert "by another" not in message

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,7 +14,7 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
-from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.cli.terminal import Progress, show, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Gap
@@ -23,21 +24,12 @@ if TYPE_CHECKING:
 _SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
 
 
-def _plan(motion: str | None) -> None:
-    """The isolability table of a motion, and nothing else."""
-    if motion is None:
-        return
-    from magyc_gtsam.simulation import simulate
-    from magyc_gtsam.simulation.environment import CHANNELS
-
-    recording = simulate(motion, channels=CHANNELS).recording
-    from magyc_gtsam.gap.isolability import isolability
-    from magyc_gtsam.report.gap_words import PLAN, plan_rows
-
-    table = isolability(recording)
-    show(f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 10 mG, gyroscope 5 mrad/s)", "")
-    show_table(PLAN, plan_rows(table))
-    raise typer.Exit
+def _needs_no_log(context: typer.Context, motion: str | None) -> str | None:
+    """A motion is planned before there is a LOG."""
+    if motion is not None:
+        log = next(parameter for parameter in context.command.params if parameter.name == "log")
+        log.required = False
+    return motion
 
 
 @with_groups
@@ -46,11 +38,17 @@ def run(
     reading: Reading,
     simulated: Annotated[
         Path | None,
-        typer.Option(metavar="SIM", help="Recording of your own simulator on a similar motion, to judge as well."),
+        typer.Option(
+            metavar="SIM",
+            help="Recording of your own simulator on a similar motion, to judge as well; read by LOG's options.",
+        ),
     ] = None,
     validate: Annotated[
         Path | None,
-        typer.Option(metavar="OTHER_LOG", help="Another log of the same instrument, to judge the result on."),
+        typer.Option(
+            metavar="OTHER_LOG",
+            help="Another log of the same instrument, to judge the result on; read by LOG's options.",
+        ),
     ] = None,
     calibration: Annotated[
         Path | None,
@@ -67,9 +65,9 @@ def run(
         typer.Option(
             metavar="MOTION",
             is_eager=True,
-            callback=_plan,
+            callback=_needs_no_log,
             help="Only show which effects a motion could name, and from which strength: wide, moderate, low, "
-            "tiny, multi, dive or survey. Needs no LOG.",
+            "tiny, multi, dive or survey. Needs no LOG, and writes no files.",
         ),
     ] = None,
     output: Annotated[
@@ -81,10 +79,13 @@ def run(
 ) -> int:
     """Find where model and measurement disagree, name what is missing, add it, and see the gap shrink.
 
-    Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html.
+    Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html. The options that
+    say how LOG is read hold for SIM and OTHER_LOG too, but for --start and --end.
     Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
-    was too little to look for one, or the result does not hold on OTHER_LOG.
+    or the noise was too little to look for one, or the result does not hold on OTHER_LOG.
     """
+    if plan is not None:
+        return _plan(plan, quiet, json)
     from magyc_gtsam import Calibration, find_gap
     from magyc_gtsam.report.gap_page import render_gap
     from magyc_gtsam.report.gap_words import closed, contradicted
@@ -94,10 +95,9 @@ def run(
     folder = output or dated_folder(reading.log, "-gap")
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording = reading.recording(stage("reading"))
-        other = None if simulated is None else Reading(simulated).recording(stage(f"reading {simulated.name}"))
-        held_out = None  # read before the search, which takes its time
-        if validate is not None:
-            held_out = replace(reading, log=validate, start=None, end=None).recording()
+        # All are read before the search, which takes its time.
+        other = None if simulated is None else _beside("--simulated", simulated, reading, stage)
+        held_out = None if validate is None else _beside("--validate", validate, reading, stage)
         gap = find_gap(
             recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
         )
@@ -137,6 +137,37 @@ def run(
         return 0
     typer.echo(f"magyc-gtsam: {'; '.join(doubts)}", err=True)
     return 1
+
+
+def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
+    """Another log, read as LOG is; --start and --end are LOG's own."""
+    from magyc_gtsam.factors.errors import MagycError
+
+    try:
+        return replace(reading, log=log, start=None, end=None).recording(stage(f"reading {log.name}"))
+    except MagycError as problem:
+        raise MagycError(f"{option}: {problem} ({option} is read by LOG's options)") from None
+
+
+def _plan(motion: str, quiet: bool, json: bool) -> int:
+    """The isolability table of a motion, and nothing else."""
+    from magyc_gtsam.simulation import simulate
+    from magyc_gtsam.simulation.environment import CHANNELS
+
+    recording = simulate(motion, channels=CHANNELS).recording
+    from magyc_gtsam.gap.isolability import isolability
+    from magyc_gtsam.json_types import json_types
+    from magyc_gtsam.report.gap_words import PLAN, plan_rows
+
+    table = isolability(recording)
+    if json:
+        typer.echo(_json({"motion": motion, "effects": json_types(table)}), nl=False)
+    elif not quiet:
+        show(
+            f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 10 mG, gyroscope 5 mrad/s)", ""
+        )
+        show_table(PLAN, plan_rows(table))
+    return 0
 
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:

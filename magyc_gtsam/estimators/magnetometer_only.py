@@ -227,10 +227,11 @@ def _misfits(recording: Recording, unit: float, root: Array, sigma: float, off: 
             f"{_MOST_STRETCHED:g} is tolerated): turn the sensor about more axes"
         )
     if off > HARD_IRON_LIMIT * strength:
+        by = f"another {off * shown:.1f} {name}" if off <= strength else "more than the field itself"
         reasons.append(
-            f"the samples' distances from the ellipsoid pull its centre by another {off * shown:.1f} {name} (limit "
-            f"{HARD_IRON_LIMIT * strength * shown:.1f}): noise biases this method here; turn the sensor about more "
-            "axes, or choose another method"
+            f"the samples' distances from the ellipsoid pull its centre by {by} (limit "
+            f"{HARD_IRON_LIMIT * strength * shown:.1f} {name}): noise biases this method here; turn the sensor about "
+            "more axes, or choose another method"
         )
     return reasons
 

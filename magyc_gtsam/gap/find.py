@@ -22,6 +22,7 @@ from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.moved import against, contradiction, moved
 from magyc_gtsam.gap.naming import Look, as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.noiseless import LEAST, noiseless
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, tempered, unmoved, without_term
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verdict
@@ -30,10 +31,12 @@ from magyc_gtsam.gap.score import DRAWS
 from magyc_gtsam.gap.search import Search, look, search
 from magyc_gtsam.gap.simulated import compare
 from magyc_gtsam.gap.tones import silenced
-from magyc_gtsam.observability import Observability, Weakness, assess
+from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 
 _WINDOW = 1.0  # s
+_ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
+_SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
 
 
 def find_gap(
@@ -55,8 +58,8 @@ def find_gap(
         progress: called with the share done, 0 to 1.
 
     Raises:
-        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion is
-            no error but a verdict, "not enough information".
+        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion
+            or no noise at all is no error but a verdict, "not enough information".
     """
     started = clock.perf_counter()
     _check_types(recording, calibration, simulated)
@@ -72,8 +75,13 @@ def find_gap(
     base = base_model(recording, calibration, short_term)
     report(0.2)
     motion = _determined(recording, base, short_term)
+    reasons: tuple[str, str] | None = None
     if not motion.observable:
-        gap = _too_little_motion(base, motion.weak[0], calibration, clock.perf_counter() - started)
+        reasons = f"too little motion: {motion.weak[0].sentence}", motion.weak[0].remedy
+    elif noiseless(recording):
+        reasons = f"the magnetometer has no measurable noise (under {LEAST * 1e9:.2g} nT): {_SILENT}", _ADD_NOISE
+    if reasons is not None:
+        gap = _nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out})
     result = search(recording, base, short_term, names, _problem, report)
     report(0.8)
@@ -161,9 +169,9 @@ def _determined(recording: Recording, base: Refit, short_term: Noise) -> Observa
     return assess(share * fitted.covariance, fitted.soft_iron, fitted.field_strength, recording)
 
 
-def _too_little_motion(base: Refit, weak: Weakness, calibration: Calibration | None, seconds: float) -> Gap:
+def _nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibration | None, seconds: float) -> Gap:
     fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
-    sentence = f"not enough information: too little motion: {weak.sentence}; nothing was tested"
+    sentence = f"not enough information: {reason}; nothing was tested"
     fitted = replace(fitted, converged=False, message=sentence)
     metrics = measure(base.twin, fitted)
     return Gap(
@@ -178,7 +186,7 @@ def _too_little_motion(base: Refit, weak: Weakness, calibration: Calibration | N
         moved=(),
         calibration=fitted,
         base=fitted,
-        next_manoeuvre=Manoeuvre((), weak.remedy, f"to learn anything: {weak.remedy}"),
+        next_manoeuvre=Manoeuvre((), remedy, f"to learn anything: {remedy}"),
         diagnostics={"windows": base.twin.n, "draws": 0, "seconds": seconds, "leftover": []},
     )
 

@@ -13,6 +13,7 @@ from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.noise_isolability import noise_isolability
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.score import Score, Variant, scan
+from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.recording import Recording
 
 _POWER = 0.9
@@ -31,19 +32,20 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
     scores, _, _ = scan(twin, tuple(TERMS), np.random.default_rng(0))
     named = {s.name: s for s in scores if not s.generic}
     terms = tuple(
-        _row(term, named[name], named) if name in named else _absent(term, term.missing(twin))
+        _row(term, named[name], named, twin) if name in named else _absent(term, term.missing(twin))
         for name, term in TERMS.items()
     )
     return (*terms, *noise_isolability(recording, noise.magnetometer))
 
 
-def _row(term: EffectTerm, score: Score, named: dict[str, Score]) -> Isolability:
+def _row(term: EffectTerm, score: Score, named: dict[str, Score], twin: Twin) -> Isolability:
     typical = score.variants[len(score.variants) // 2]
-    covariance = typical.back @ typical.back.T
+    deviations = term.deviations(twin, typical.setting)
+    shown = term.scale / float(np.median(deviations))
     rank = max(len(typical.unit), 1)
     needed = brentq(lambda size: ncx2.sf(score.threshold, rank, size) - _POWER, 1e-6, 50 * score.threshold + 1e3)
     # Of the parameters, the one in the middle: the weakest may be none that the motion touches.
-    sigma = float(np.median(np.sqrt(np.diag(covariance))))
+    sigma = float(np.median(deviations * np.sqrt((typical.back**2).sum(axis=1))))
     smallest = float(np.sqrt(needed)) * sigma
     confused = {
         other.name: share
@@ -51,17 +53,17 @@ def _row(term: EffectTerm, score: Score, named: dict[str, Score]) -> Isolability
         if other.name != term.name and (share := _overlap(typical, other)) > _SHARED
     }
     nameable = smallest <= term.matters and not confused
-    words = f"from {smallest * term.scale:.2g} {term.unit} on"
+    words = f"from {smallest * shown:.2g} {term.unit} on"
     if confused:
-        words += f", but then this motion cannot tell it from {', '.join(confused)}; {term.motion}"
+        words += f", as {' or '.join((term.name, *confused))}, which this motion cannot tell apart; {term.motion}"
     elif not nameable:
-        words += f", where {term.matters * term.scale:.2g} would matter; {term.motion}"
+        words += f", where {term.matters * shown:.2g} would matter; {term.motion}"
     return Isolability(
         term.name,
         term.label,
-        smallest * term.scale,
+        smallest * shown,
         term.unit,
-        term.matters * term.scale,
+        term.matters * shown,
         typical.left,
         nameable,
         dict(sorted(confused.items(), key=lambda pair: -pair[1])),
@@ -83,7 +85,7 @@ def _absent(term: EffectTerm, missing: tuple[str, ...]) -> Isolability:
         term.name,
         term.label,
         float("inf"),
-        term.unit,
+        term.unit.replace("per unit", "per deviation"),
         term.matters * term.scale,
         0.0,
         False,

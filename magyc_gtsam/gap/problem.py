@@ -22,6 +22,7 @@ from magyc_gtsam.factors.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.recording import Recording
 
+_STILL = 1e-9  # of a channel's largest value: less is rounding
 _PASSES = 4  # for gyroscope terms that read the true rate
 _BENT = 5  # passes for magnetometer terms that bend the reading
 _NEARBY = 1e-8  # T
@@ -31,7 +32,7 @@ _NEARBY = 1e-8  # T
 class Active:
     """A term in the model: its name, setting and value (k,) in SI units.
 
-    prior: deviation with which the value is held to 0; None is the catalogue's.
+    prior: deviation with which the value is held to 0, as `EffectTerm.prior`; None is the catalogue's.
     """
 
     name: str
@@ -108,7 +109,7 @@ def _others(recording: Recording, at: Array) -> Signals:
     acceleration = None if recording.acceleration is None else interpolated(recording.acceleration.T)
     channels = {}
     for kind, rows in channels_by_kind(recording.channels).items():
-        usable = [np.isfinite(r).mean() > 0.5 and np.nanstd(r) > 1e-9 * (1 + abs(np.nanmean(r))) for r in rows]
+        usable = [np.isfinite(r).mean() > 0.5 and np.nanstd(r) > _STILL * np.nanmax(np.abs(r)) for r in rows]
         if any(usable):
             channels[kind] = interpolated(np.where(np.array(usable)[:, None], rows, 0.0))
     return Signals(at, acceleration=acceleration, channels=channels)

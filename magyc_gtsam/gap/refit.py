@@ -56,9 +56,17 @@ class Refit:
 
 def determined(result: Refit, index: int) -> bool:
     """Whether the data, not the prior, hold every direction of the values of the model's term `index`."""
-    _, covariance = result.value_of(index)
+    _, covariance = _standardised(result, index)
     largest = float(np.linalg.eigvalsh(covariance)[-1])
     return largest < (_HELD * TERMS[result.model.terms[index].name].prior) ** 2
+
+
+def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
+    """`Refit.value_of` for a change of the channels by their deviations."""
+    value, covariance = result.value_of(index)
+    term = result.model.terms[index]
+    deviations = TERMS[term.name].deviations(result.twin, term.setting)
+    return value * deviations, covariance * np.outer(deviations, deviations)
 
 
 def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
@@ -73,7 +81,7 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
     for _ in range(_ROUNDS if short_term is not None else 1):
         for _ in range(_STEPS):
             base = twin.base_columns
-            precision, value = _prior(model)
+            precision, value = _prior(twin)
             gradient = base @ twin.residual().ravel() - twin.base_pull + precision * value
             information = base @ base.T + np.diag(precision)
             if not np.isfinite(information).all():
@@ -113,7 +121,7 @@ def tempered(problem: Problem, result: Refit, short_term: Noise) -> Refit:
     terms = list(result.model.terms)
     for index, term in enumerate(terms):
         if len(term.value) > _FEW:
-            value, covariance = result.value_of(index)
+            value, covariance = _standardised(result, index)
             terms[index] = replace(term, prior=spread(value, covariance, TERMS[term.name].prior))
     if terms == list(result.model.terms):
         return result
@@ -160,18 +168,23 @@ def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | N
     return None
 
 
-def _prior(model: Model) -> tuple[Array, Array]:
+def _prior(twin: Twin) -> tuple[Array, Array]:
     """(q,) precision of the free parameters and the terms before anything was measured, and the values it holds to 0.
 
     What a motion does not determine of a term stays where the data sheet has it.
     """
-    base = np.zeros(int(model.free.sum()))
-    precision = [base] + [np.full(len(t.value), (t.prior or TERMS[t.name].prior) ** -2) for t in model.estimated]
-    return np.concatenate(precision), np.concatenate([base, *(t.value for t in model.estimated)])
+    base = np.zeros(int(twin.model.free.sum()))
+    precision, values = [base], [base]
+    for term in twin.model.estimated:
+        own = TERMS[term.name]
+        held = own.deviations(twin, term.setting) / (term.prior or own.prior)
+        precision.append(np.broadcast_to(held**2, term.value.shape))
+        values.append(term.value)
+    return np.concatenate(precision), np.concatenate(values)
 
 
 def _cost(twin: Twin) -> float:
-    precision, value = _prior(twin.model)
+    precision, value = _prior(twin)
     return float(twin.reduced.cost + 0.5 * precision @ value**2)
 
 

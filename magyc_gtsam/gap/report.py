@@ -158,7 +158,8 @@ def hypotheses(
 
 def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> Hypothesis:
     term = TERMS.get(score.name)
-    power = score.power(term.matters) if term else 1.0
+    power = score.power(look.refit.twin) if term else 1.0
+    matters = score.smallest(look.refit.twin) if term else 0.0
     gain = look.gains.get(score.name, np.nan)
     scale = term.scale if term else 1.0
     status: Status
@@ -175,7 +176,7 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> 
     elif term and power < _POWER:
         status, words = (
             "not enough information",
-            f"the smallest effect that matters ({term.matters * scale:.2g} {term.unit}) would be found with "
+            f"the smallest effect that matters ({matters * scale:.2g} {term.unit}) would be found with "
             f"probability {power:.0%} only",
         )
     else:
@@ -194,7 +195,7 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> 
         unit=term.unit if term else "",
         setting=dict(score.variant.setting),
         power=power,
-        matters=term.matters * scale if term else 0.0,
+        matters=matters * scale,
         held_out_gain=gain,
         status=status,
         sentence=words,
@@ -250,9 +251,9 @@ def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: It
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )
         return Manoeuvre((), motion, f"to find out what it is: {motion}")
-    blind = [s for s in look.scores if s.name in TERMS and s.power(TERMS[s.name].matters) < _POWER]
+    blind = [s for s in look.scores if s.name in TERMS and s.power(look.refit.twin) < _POWER]
     if blind:
-        weakest = min(blind, key=lambda s: s.power(TERMS[s.name].matters))
+        weakest = min(blind, key=lambda s: s.power(look.refit.twin))
         motion = TERMS[weakest.name].motion
         return Manoeuvre(
             tuple(s.name for s in blind), motion, f"to be sure about {TERMS[weakest.name].label}: {motion}"

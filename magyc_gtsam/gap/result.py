@@ -235,7 +235,7 @@ class Gap:
         verdict: "none" (nothing significant), "closed" (named, added, nothing significant left), "unknown"
             (something is missing that is not in the catalogue; nothing was changed), "open" (named, but not
             or not wholly corrected), "not enough information" (the motion does not determine the twelve
-            parameters, so that nothing can be said beyond them; nothing was tested or changed).
+            parameters, or there is no noise to measure a misfit against; nothing was tested or changed).
         sentence: the verdict, for a navigator.
         effects: what was found, in the order of adding.
         untested: candidates whose channel is missing.
@@ -285,7 +285,8 @@ class Isolability:
         matters: the smallest strength that matters, in `unit`.
         left: share of the effect's signature that the base parameters cannot absorb, 0 to 1.
         nameable: whether `matters` would be found and told from all rivals.
-        confused_with: rivals that share more than 80 % of the signature, with the shared part.
+        confused_with: rivals that share more than 80 % of the signature, with the shared part: it is named as itself
+            or one of them.
         sentence: in words.
     """
 

@@ -95,11 +95,19 @@ class Score:
         """Whether it passes the family-wise level."""
         return self.significance > self.limit
 
-    def power(self, matters: float) -> float:
-        """Probability of passing the threshold for a value of `matters` along its worst parameter."""
+    def smallest(self, twin: Twin) -> float:
+        """The smallest value of a named effect that matters, of the parameter in which it is found worst."""
+        term = TERMS[self.name]
+        each = np.broadcast_to(term.matters / term.deviations(twin, self.variant.setting), self.expected.shape)
+        return float(each[np.argmax(np.diag(self.covariance) / each**2)])
+
+    def power(self, twin: Twin) -> float:
+        """Probability of passing the threshold for the smallest value of a named effect that matters."""
         if not len(self.variant.unit):
             return 0.0
-        size = matters**2 / max(float(np.diag(self.covariance).max()), 1e-300)
+        term = TERMS[self.name]
+        sigma = np.sqrt(np.diag(self.covariance)) * term.deviations(twin, self.variant.setting)
+        size = (term.matters / max(float(sigma.max()), 1e-300)) ** 2
         return float(ncx2.sf(self.threshold, len(self.variant.unit), size))
 
 

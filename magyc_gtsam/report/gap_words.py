@@ -25,7 +25,7 @@ HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", 
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "by sigmas")
 ASSUMPTIONS = ("assumption", "simulated", "measured", "")
-PLAN = ("effect", "found from", "matters from", "could be named there", "left", "confused with")
+PLAN = ("effect", "found from", "matters from", "what matters is found", "left", "named as")
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,12 +230,19 @@ def plan_rows(table: Sequence[Isolability]) -> list[list[str]]:
             row.name,
             f"{row.smallest:.3g} {row.unit}" if np.isfinite(row.smallest) else "never",
             f"{row.matters:.3g} {row.unit}",
-            "yes" if row.nameable else "no",
+            "yes" if row.smallest <= row.matters else "no",
             f"{row.left:.0%}" if np.isfinite(row.left) else "",
-            ", ".join(f"{name} {share:.0%}" for name, share in row.confused_with.items()),
+            _named_as(row),
         ]
         for row in table
     ]
+
+
+def _named_as(row: Isolability) -> str:
+    """The name that it gets, or the set of names, with the share of its signature that each rival has."""
+    if not np.isfinite(row.smallest):
+        return ""
+    return " or ".join([row.name, *(f"{name} ({share:.0%})" for name, share in row.confused_with.items())])
 
 
 def _arrow(before: float, after: float, unit: str) -> str:

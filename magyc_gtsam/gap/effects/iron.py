@@ -15,6 +15,7 @@ _STEPS = 100  # times at which a step is looked for
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s by which what warms up lies behind the thermometer
 _ENDS = 16  # times at which something may be attached or taken off
 _FEW_MODES, _MANY_MODES = (0, 2, 4, 6), (9, 12)  # of a drift
+_FAR = 30.0  # deviations from 0, beyond which a channel's 0 says nothing about where no current flows
 _MARGIN = 4  # windows at both ends where a step would be no more than noise
 
 
@@ -29,11 +30,12 @@ def references(twin: Twin, kind: str) -> dict[str, float]:
 
 
 def _circuits(twin: Twin) -> list[dict[str, float]]:
-    """All currents, or those that flow."""
+    """All currents, or those that flow; of what is never near 0, as raw counts may be, what differs from its mean."""
     moving = _moving(twin, "current")
-    return [
-        {} if len(moving) == len(twin.windows.channels["current"]) else {f"reference_{i}": 0.0 for i in moving}
-    ]
+    offset = {i: float(row.mean()) for i, row in moving.items() if abs(row.mean()) > _FAR * row.std()}
+    if not offset and len(moving) == len(twin.windows.channels["current"]):
+        return [{}]
+    return [{f"reference_{i}": offset.get(i, 0.0) for i in moving}]
 
 
 def lagged(twin: Twin) -> list[dict[str, float]]:

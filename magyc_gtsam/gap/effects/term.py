@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import FORMS, Form, Setting
+from magyc_gtsam.factors.effects import FORMS, Form, Setting, referenced
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.signals import CHANNELS, Signals
 from magyc_gtsam.gap.twin import Columns, Twin
@@ -34,8 +34,9 @@ class EffectTerm:
         name: row of the catalogue and of `factors.effects.FORMS`.
         label: in words.
         unit, scale: shown value = SI value · scale, in `unit`.
-        matters: the smallest value that matters, SI.
-        prior: standard deviation of the value before anything was measured, SI.
+        matters: the smallest value that matters, SI; of a value per unit of a channel, for a change of the channel by
+            its deviation in the recording, in whatever unit it is logged.
+        prior: standard deviation of the value before anything was measured, likewise.
         equivalents: other names for the same signature to first order.
         rivals: names it is known to be confused with.
         parameters: what each value is; repeated over what it stands for.
@@ -91,6 +92,15 @@ class EffectTerm:
             c for c in self.channels if (at.acceleration is None if c == "acceleration" else c not in at.channels)
         )
 
+    def deviations(self, twin: Twin, setting: Setting) -> Array:
+        """(k,) of the channel that each value is per unit of, over the recording; (1,) one where there is none."""
+        kind = next((channel for channel in self.channels if channel in CHANNELS), None)
+        if kind is None:
+            return np.ones(1)
+        channel = twin.windows.need(kind)
+        spread = channel[referenced(channel, setting)].std(axis=1)
+        return np.repeat(np.where(spread > 0, spread, 1.0), len(self.parameters))
+
     def regressors(self, twin: Twin, setting: Setting) -> Columns:
         """Columns per unit of value, on windows and links."""
         if self.side == "gyroscope" and "rate" not in self.form.needs:
@@ -114,6 +124,8 @@ def measured(value: float, sigma: float) -> str:
     """ "12.3 ± 0.4", with as many digits as the sigma deserves."""
     if not np.isfinite(sigma) or sigma <= 0:
         return f"{value:.3g}"
+    if sigma < 1e-5:  # per unit of a channel that is logged in small ones
+        return f"{value:.3g} ± {sigma:.2g}"
     digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6)) if sigma < 10 else 0
     if sigma >= 2 * 10.0 ** (-digits + 1) and digits > 0:
         digits -= 1
