@@ -105,7 +105,7 @@ class FieldChain:
 
     windows: FieldWindows
     noise: Noise
-    answer: Array | None = None
+    answer: Array | None = field(default=None, kw_only=True)
     window_scale: Array = field(init=False)
     link_scale: Array = field(init=False)
 

@@ -171,7 +171,9 @@ def test_a_reading_that_bends_is_linearised_as_it_is_bent(
             moved = bent.parameters.copy()
             moved[place] += sign * step
             costs.append(Twin.of(twin.problem, replace(bent, parameters=moved)).reduced.cost)
-        assert slope[place] == pytest.approx((costs[0] - costs[1]) / (2 * step), rel=0.03, abs=0.01 * abs(slope).max())
+        assert slope[place] == pytest.approx(
+            (costs[0] - costs[1]) / (2 * step), rel=0.03, abs=0.01 * abs(slope).max()
+        )
 
 
 def test_held_out_data_veto_what_is_noise() -> None:

@@ -125,7 +125,7 @@ def scenarios(
 
 
 def real_scenarios(recordings: Sequence[str], each: int = 2, edition: int = 0) -> list[Scenario]:
-    """Every effect that a real recording can take, `each` times, and the recordings as they are, cut in several ways."""
+    """Every effect that a real recording can take, `each` times, and the recordings as they are, in several cuts."""
     result = []
     for recording in recordings:
         for name in ("", *_INJECTED):

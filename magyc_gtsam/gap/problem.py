@@ -155,7 +155,9 @@ def window_signals(problem: Problem, windows: FieldWindows, state: State, rate: 
 
 def _added(terms: Sequence[Active], signals: Signals) -> Array:
     """(3, n) T that terms add to the magnetometer's reading."""
-    return sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros((3, len(signals.time))))
+    return sum(
+        (FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros((3, len(signals.time)))
+    )
 
 
 def _answer(bent: Sequence[Active], signals: Signals) -> Array:
@@ -182,7 +184,7 @@ def build(problem: Problem, model: Model) -> tuple[FieldChain, State, Reduced, A
     for _ in range(_BENT if bent else 2 if terms else 1):
         if terms:
             signals = window_signals(problem, windows, state, rate)
-            answer = _answer(bent, signals) if bent else None
-            chain_ = FieldChain(replace(windows, field=windows.field - _added(terms, signals)), model.noise, answer)
+            corrected = replace(windows, field=windows.field - _added(terms, signals))
+            chain_ = FieldChain(corrected, model.noise, answer=_answer(bent, signals) if bent else None)
         state, reduced = chain_.settle(chain_.start(model.parameters), chain_.unweighted())
     return chain_, state, reduced, rate
