@@ -30,7 +30,8 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     order, residual, square, hit = _stand_out(innovation)
     gain, share, ratio, belongs = _mixture(square)
     # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
-    neighbours = np.concatenate([[False], hit[:-1]]) | np.concatenate([hit[1:], [False]])
+    beyond = square > _SPIKE**2
+    neighbours = np.concatenate([[False], beyond[:-1]]) | np.concatenate([beyond[1:], [False]])
     alone = float((hit & ~neighbours).sum() / max(hit.sum(), 1))
     # White innovations are the sensor's noise. What hangs together is the model's misfit, which has tails of its own:
     # beside it, at least half of the wrong samples must stand out by themselves.
@@ -57,23 +58,23 @@ def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
 
     Returns:
         The memory of the innovations, the residuals (3, n), their squared length (n,) in local sigmas, and which
-        samples are wrong (n,). These are replaced by what their neighbours say before others are compared with them,
-        the largest among neighbours first: a wrong sample makes those beside it seem wrong, too.
+        samples are wrong (n,). These are replaced by what their neighbours say before others are compared with them.
+        Only the largest among neighbours is: a wrong sample makes those beside it seem wrong, too, and what were
+        taken for wrong with it would be followed by more.
     """
     length = np.sqrt((innovation**2).sum(axis=0))
     usual = np.sqrt(_local_scale(length**2))
     clean = innovation * np.minimum(1.0, _SPIKE / np.maximum(length / usual, 1e-12))
-    order = memory(clean)
-    kernels = [_between(row, order) for row in clean]
     hit = np.zeros(innovation.shape[1], dtype=bool)
     for _ in range(_PASSES):
+        order = memory(clean)  # anew, for wrong samples make innovations seem whiter than they are
+        kernels = [_between(row, order) for row in clean]
         residual = np.stack(
             [row + convolve1d(c, k, mode="mirror") for row, c, k in zip(innovation, clean, kernels, strict=True)]
         )
         square = (residual**2).sum(axis=0)
         square = square / _local_scale(square)
-        rest = np.where(hit, 0.0, square)
-        first = rest >= maximum_filter1d(rest, 2 * order + 1)
+        first = square == maximum_filter1d(square, 2 * order + 1)
         now = (square > _SPIKE**2) & (hit | first)
         clean = np.where(now, innovation - residual, innovation)
         if (now == hit).all():
