@@ -33,11 +33,12 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     beyond = square > _SPIKE**2
     neighbours = np.concatenate([[False], beyond[:-1]]) | np.concatenate([beyond[1:], [False]])
     alone = float((hit & ~neighbours).sum() / max(hit.sum(), 1))
+    least = 2 * _ALONE / (1 + _ALONE) if order else _ALONE  # with memory two beside each other are one hit
     # White innovations are the sensor's noise. What hangs together is the model's misfit, which has tails of its own:
     # beside it, at least half of the wrong samples must stand out by themselves.
     apart = not order or _MEDIAN * ratio > _SPIKE**2
     evidence = gain - CHANCE
-    significant = evidence > limit and hit.sum() >= 2 and alone > _ALONE and share < _RARE and apart
+    significant = evidence > limit and hit.sum() >= 2 and alone > least and share < _RARE and apart
     total = max(float(belongs.sum()), 1e-9)
     height = float(np.sqrt(belongs @ (residual**2).sum(axis=0) / (3 * total))) * level
     return NoiseScore(
