@@ -20,7 +20,7 @@ _MEDIAN = 2.366  # of χ²₃
 _AROUND = 201  # samples whose median is the scale: known to 7 %, by which white noise gets no tails worth a nat
 _LEAST = 0.01  # of the scale of the whole, that the local one may be
 _SPIKE = 4.5  # sigmas, one normal vector in six thousand
-_ALONE = 0.3  # share of them that have no neighbour
+_ALONE = 0.46  # share of them, those side by side counted as one, that have no neighbour
 _RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
 _PASSES = 8  # of taking wrong samples out of what their neighbours are compared with
 
@@ -30,15 +30,15 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     order, residual, square, hit = _stand_out(innovation)
     gain, share, ratio, belongs = _mixture(square)
     # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
-    beyond = square > _SPIKE**2
-    neighbours = np.concatenate([[False], beyond[:-1]]) | np.concatenate([beyond[1:], [False]])
-    alone = float((hit & ~neighbours).sum() / max(hit.sum(), 1))
-    least = 2 * _ALONE / (1 + _ALONE) if order else _ALONE  # with memory two beside each other are one hit
+    beyond = np.pad(square > _SPIKE**2, 1)
+    single = hit & ~beyond[:-2] & ~beyond[2:]
+    groups = hit & ~np.pad(hit, 1)[:-2]
+    alone = float(single.sum() / max(groups.sum(), 1))
     # White innovations are the sensor's noise. What hangs together is the model's misfit, which has tails of its own:
     # beside it, at least half of the wrong samples must stand out by themselves.
     apart = not order or _MEDIAN * ratio > _SPIKE**2
     evidence = gain - CHANCE
-    significant = evidence > limit and hit.sum() >= 2 and alone > least and share < _RARE and apart
+    significant = evidence > limit and hit.sum() >= 2 and alone > _ALONE and share < _RARE and apart
     total = max(float(belongs.sum()), 1e-9)
     height = float(np.sqrt(belongs @ (residual**2).sum(axis=0) / (3 * total))) * level
     return NoiseScore(
