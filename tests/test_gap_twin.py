@@ -13,12 +13,13 @@ import magyc_gtsam as mg
 from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.factors.effects import FORMS
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.noise_effects import coloured_noise, quantisation, sample_hold, spikes, tone
+from magyc_gtsam.gap.noise_effects import coloured_noise, quantisation, sample_hold, tone
 from magyc_gtsam.gap.null import memory
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import refit, with_term
 from magyc_gtsam.gap.score import Projector, held_out_gain, interleaved, variant, variants
 from magyc_gtsam.gap.twin import Columns, Twin
+from magyc_gtsam.gap.wrong_samples import spikes
 
 
 @pytest.fixture(scope="module")

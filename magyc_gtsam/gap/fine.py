@@ -8,9 +8,10 @@ import numpy as np
 
 from magyc_gtsam.estimators.chain_search import preintegrate
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, spikes, tone
+from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, tone
 from magyc_gtsam.gap.problem import Model, Problem
 from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
 _MOST = 60000  # samples

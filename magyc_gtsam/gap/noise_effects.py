@@ -23,9 +23,6 @@ _LEAKS = 2  # bins to each side of a line into which it leaks
 _LOWEST_BINS = 5  # of a tone: slower ones are drifts
 _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
-_SPIKE = 4.5  # sigmas
-_ALONE = 0.3  # share of them that have no neighbour
-_RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
 COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
 _LOCALLY = 10.0  # s over which the chance of a repeat hardly changes
@@ -146,44 +143,6 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
         np.array([deviation]),
         np.array([deviation / np.sqrt(max(2 * gain, 1.0))]),
         {"correlation_time": time_constant, "one_way": one_way},
-    )
-
-
-def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
-    """Single samples that are wrong: innovations (3, n) as a mixture of two normal distributions."""
-    n = innovation.shape[1]
-    square = (innovation**2).sum(axis=0)
-    scale = float(np.median(square)) / 2.366  # median of χ²₃
-    share, wide = 0.01, max(float(square.max()) / 3, 4 * scale)
-    gain = 0.0
-    single = float(square.mean()) / 3
-    belongs = np.zeros(n)
-    for _ in range(60):
-        narrow_density = np.log(1 - share) - 1.5 * np.log(scale) - 0.5 * square / scale
-        wide_density = np.log(share) - 1.5 * np.log(wide) - 0.5 * square / wide
-        total = np.logaddexp(narrow_density, wide_density)
-        belongs = np.exp(wide_density - total)
-        gain = float(total.sum() + 1.5 * n * np.log(single) + 1.5 * n)
-        share = float(np.clip(belongs.mean(), 1e-6, 0.5))
-        scale = float(((1 - belongs) @ square) / (3 * max((1 - belongs).sum(), 1)))
-        wide = max(float((belongs @ square) / (3 * max(belongs.sum(), 1e-9))), 1.5 * scale)
-    # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
-    hit = square > (_SPIKE**2) * scale
-    neighbours = np.concatenate([[False], hit[:-1]]) | np.concatenate([hit[1:], [False]])
-    alone = float((hit & ~neighbours).sum() / max(hit.sum(), 1))
-    evidence = gain - CHANCE
-    significant = evidence > limit and hit.sum() >= 2 and alone > _ALONE and share < _RARE
-    height = float(np.sqrt(wide)) * level
-    return NoiseScore(
-        "spikes",
-        2 * gain,
-        2 * (limit + CHANCE),
-        evidence,
-        significant,
-        np.array([height]),
-        np.array([height / np.sqrt(max(6 * belongs.sum(), 1.0))]),
-        {"share": share, "count": float(hit.sum())},
-        hit,
     )
 
 

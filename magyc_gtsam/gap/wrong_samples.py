@@ -1,0 +1,124 @@
+"""Single samples that are wrong: compared with their neighbours, on the scale that holds around them.
+
+What a model misses is coloured and larger at some times than at others. A global distribution of its innovations has
+heavy tails without any wrong sample, and hides those there are. So each sample is compared with what its neighbours
+on both sides say, the statistic of an additive outlier: with the autoregression A(z) of the innovations, the residual
+is A(1/z) A(z) v / Σ a². (Fox, Outliers in time series, 1972; Chen and Liu, Joint estimation of model parameters and
+outlier effects in time series, 1993.) White innovations are their own residuals.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import convolve1d, maximum_filter1d, median_filter
+
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.noise_effects import CHANCE, NoiseScore
+from magyc_gtsam.gap.null import autoregression, memory
+
+_MEDIAN = 2.366  # of χ²₃
+_AROUND = 201  # samples whose median is the scale: known to 7 %, by which white noise gets no tails worth a nat
+_LEAST = 0.01  # of the scale of the whole, that the local one may be
+_SPIKE = 4.5  # sigmas, one normal vector in six thousand
+_ALONE = 0.46  # share of them, those side by side counted as one, that have no neighbour
+_RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
+_PASSES = 8  # of taking wrong samples out of what their neighbours are compared with
+
+
+def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
+    """Single samples that are wrong among innovations (3, n) of `level` T: a mixture of two normal distributions."""
+    order, residual, square, hit = _stand_out(innovation)
+    gain, share, ratio, belongs = _mixture(square)
+    # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
+    beyond = np.pad(square > _SPIKE**2, 1)
+    single = hit & ~beyond[:-2] & ~beyond[2:]
+    groups = hit & ~np.pad(hit, 1)[:-2]
+    alone = float(single.sum() / max(groups.sum(), 1))
+    # White innovations are the sensor's noise. What hangs together is the model's misfit, which has tails of its own:
+    # beside it, at least half of the wrong samples must stand out by themselves.
+    apart = not order or _MEDIAN * ratio > _SPIKE**2
+    evidence = gain - CHANCE
+    significant = evidence > limit and hit.sum() >= 2 and alone > _ALONE and share < _RARE and apart
+    total = max(float(belongs.sum()), 1e-9)
+    height = float(np.sqrt(belongs @ (residual**2).sum(axis=0) / (3 * total))) * level
+    return NoiseScore(
+        "spikes",
+        2 * gain,
+        2 * (limit + CHANCE),
+        evidence,
+        significant,
+        np.array([height]),
+        np.array([height / np.sqrt(max(6 * total, 1.0))]),
+        {"share": share, "count": float(hit.sum())},
+        hit,
+    )
+
+
+def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
+    """How each sample stands out of its neighbours.
+
+    Returns:
+        The memory of the innovations, the residuals (3, n), their squared length (n,) in local sigmas, and which
+        samples are wrong (n,). These are replaced by what their neighbours say before others are compared with them.
+        Only the largest among neighbours is: a wrong sample makes those beside it seem wrong, too, and what were
+        taken for wrong with it would be followed by more.
+    """
+    length = np.sqrt((innovation**2).sum(axis=0))
+    usual = np.sqrt(_local_scale(length**2))
+    clean = innovation * np.minimum(1.0, _SPIKE / np.maximum(length / usual, 1e-12))
+    hit = np.zeros(innovation.shape[1], dtype=bool)
+    for _ in range(_PASSES):
+        order = memory(clean)  # anew, for wrong samples make innovations seem whiter than they are
+        kernels = [_between(row, order) for row in clean]
+        residual = np.stack(
+            [row + convolve1d(c, k, mode="mirror") for row, c, k in zip(innovation, clean, kernels, strict=True)]
+        )
+        square = (residual**2).sum(axis=0)
+        square = square / _local_scale(square)
+        first = square == maximum_filter1d(square, 2 * order + 1)
+        now = (square > _SPIKE**2) & (hit | first)
+        clean = np.where(now, innovation - residual, innovation)
+        if (now == hit).all():
+            break
+        hit = now
+    return order, residual, square, hit
+
+
+def _between(row: Array, order: int) -> Array:
+    """(2 order + 1,) weights of the neighbours in a residual, 0 for the sample itself."""
+    ahead = np.append(1.0, -autoregression(row, order)) if order else np.ones(1)
+    weights: Array = np.convolve(ahead, ahead[::-1]) / (ahead @ ahead)
+    weights[order] = 0.0
+    return weights
+
+
+def _local_scale(square: Array) -> Array:
+    """Variance of one axis from the squared lengths (n,) around each sample."""
+    size = min(_AROUND, (len(square) - 1) // 2 * 2 + 1)
+    median = np.asarray(median_filter(square, size=size, mode="reflect"), dtype=float)
+    return np.maximum(median, max(_LEAST * float(np.median(square)), np.finfo(float).tiny)) / _MEDIAN
+
+
+def _mixture(square: Array) -> tuple[float, float, float, Array]:
+    """Two normal distributions of squared lengths (n,) instead of one, by expectation and maximisation.
+
+    Returns:
+        Gain in nats, share of the wide one, its variance over that of the narrow one, and how far each sample belongs
+        to it.
+    """
+    n = len(square)
+    scale = float(np.median(square)) / _MEDIAN
+    share, wide = 0.01, max(float(square.max()) / 3, 4 * scale)
+    gain = 0.0
+    single = float(square.mean()) / 3
+    belongs = np.zeros(n)
+    for _ in range(60):
+        narrow_density = np.log(1 - share) - 1.5 * np.log(scale) - 0.5 * square / scale
+        wide_density = np.log(share) - 1.5 * np.log(wide) - 0.5 * square / wide
+        total = np.logaddexp(narrow_density, wide_density)
+        belongs = np.exp(wide_density - total)
+        gain = float(total.sum() + 1.5 * n * np.log(single) + 1.5 * n)
+        share = float(np.clip(belongs.mean(), 1e-6, 0.5))
+        scale = float(((1 - belongs) @ square) / (3 * max((1 - belongs).sum(), 1)))
+        wide = max(float((belongs @ square) / (3 * max(belongs.sum(), 1e-9))), 1.5 * scale)
+    return gain, share, wide / scale, belongs

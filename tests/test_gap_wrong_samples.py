@@ -1,0 +1,100 @@
+"""Single wrong samples are told from what a model misses: colour, coarse steps, noise that comes and goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import magyc_gtsam as mg
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.naming import NOISE_LIMIT
+from magyc_gtsam.gap.wrong_samples import spikes
+
+_SAMPLES = 4000
+
+
+def _white(random: np.random.Generator) -> Array:
+    return random.standard_normal((3, _SAMPLES))
+
+
+def _misfit(random: np.random.Generator) -> Array:
+    """White noise beside a misfit fifteen times as large that changes over some tens of samples."""
+    slow = lfilter([1.0], [1, -1.94, 0.9432], random.standard_normal((3, _SAMPLES)), axis=1)
+    return np.asarray(15 * slow / slow.std() + _white(random))
+
+
+def _modulated(random: np.random.Generator) -> Array:
+    """Coloured, and five times as large at some times as at others."""
+    size = np.exp(0.8 * np.sin(2 * np.pi * np.arange(_SAMPLES) / 600))
+    return np.asarray(lfilter([1.0], [1, -0.8], size * _white(random), axis=1))
+
+
+def _rounded(random: np.random.Generator) -> Array:
+    """What rounding to three times the noise leaves of a reading that wanders."""
+    true = 60 * np.sin(2 * np.pi * np.arange(_SAMPLES) / np.array([[900.0], [700.0], [1100.0]]))
+    return np.asarray(3 * np.round((true + _white(random)) / 3) - true)
+
+
+@pytest.mark.parametrize("misses", [_white, _misfit, _modulated, _rounded])
+def test_what_a_model_misses_is_no_wrong_sample(misses: Callable[[np.random.Generator], Array]) -> None:
+    scores = [spikes(misses(np.random.default_rng(seed)), 1.0, NOISE_LIMIT) for seed in range(12)]
+    assert max(score.evidence for score in scores) < NOISE_LIMIT
+    assert not any(score.significant for score in scores)
+
+
+def test_wrong_samples_are_found_below_the_misfit() -> None:
+    """At eight times the noise they are half of the misfit that hides them; those beside them stay."""
+    random = np.random.default_rng(5)
+    hidden = _misfit(random)
+    hit = random.random(_SAMPLES) < 0.008
+    hit[1:] |= hit[:-1] & (random.random(_SAMPLES - 1) < 0.3)
+    way = random.standard_normal((3, _SAMPLES))
+    wrong = 8 * hit * way / np.linalg.norm(way, axis=0)
+    found = spikes(hidden + wrong, 1e-6, NOISE_LIMIT)
+    assert found.significant
+    assert found.rows is not None
+    assert (found.rows & hit).sum() > 0.7 * hit.sum()  # of two beside each other only the larger is
+    assert (found.rows & ~hit).sum() <= 4
+    assert found.value[0] == pytest.approx(8e-6 / np.sqrt(3), rel=0.2)
+
+
+def test_white_noise_keeps_its_own_residuals() -> None:
+    random = np.random.default_rng(2)
+    v = _white(random)
+    v[:, ::200] += 8.0
+    found = spikes(v, 1e-6, NOISE_LIMIT)
+    assert found.rows is not None
+    np.testing.assert_array_equal(np.flatnonzero(found.rows), np.arange(0, _SAMPLES, 200))
+
+
+def test_what_comes_in_stretches_is_a_disturbance() -> None:
+    random = np.random.default_rng(3)
+    v = _white(random)
+    for start in range(100, _SAMPLES, 500):
+        v[:, start : start + 12] *= 6.0
+    found = spikes(v, 1.0, NOISE_LIMIT)
+    assert found.evidence > 10 * NOISE_LIMIT
+    assert not found.significant
+
+
+@pytest.mark.real
+def test_a_real_misfit_neither_makes_nor_hides_them(shared_data: Path) -> None:
+    """At 2.2 µT, eight times what single samples scatter, and beside steps of 0.84 µT."""
+    log = mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
+    random = np.random.default_rng(1)
+    hit = random.random(len(log.time)) < 0.01
+    way = random.standard_normal((len(log.time), 3))
+    wrong = 2.2e-6 * hit[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
+    fresh = log.magnetic_field_fresh
+    spiky = mg.find_gap(replace(log, magnetic_field=log.magnetic_field + wrong))
+    found = next(effect for effect in spiky.effects if effect.name == "spikes")
+    assert 0.6 < found.setting["count"] / (hit & fresh).sum() < 1.1
+    coarse = 0.84e-6 * np.round(log.magnetic_field / 0.84e-6)
+    stepped = mg.find_gap(replace(log, magnetic_field=coarse, magnetic_field_fresh=None))
+    assert "quantisation" in stepped.names
+    assert "spikes" not in stepped.names
