@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.gap.noiseless import noiseless
 from magyc_gtsam import cli
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.io import write_mcap
@@ -150,6 +151,13 @@ def test_without_noise_nothing_is_tested(kind: type, gyroscope_noise: float) -> 
     assert "no measurable noise" in gap.sentence
     assert "give the simulated sensors the noise of the real ones" in gap.sentence
     assert gap.effects == gap.hypotheses == ()
+
+
+def test_coarse_readings_that_seldom_change_are_no_exact_ones() -> None:
+    smooth = mg.simulate("survey", 120, rate=100, seed=1, magnetometer_noise=0.0).recording
+    coarse = replace(smooth, magnetic_field=np.round(smooth.magnetic_field / 3e-6) * 3e-6)
+    assert noiseless(smooth)
+    assert not noiseless(coarse)
 
 
 def test_little_noise_is_enough() -> None:

@@ -149,7 +149,7 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
 def quantisation(recording: Recording, noise: float) -> NoiseScore:
     """Readings on a lattice whose step is no longer small against the noise (T per sample)."""
     value = recording.magnetometer.value
-    steps = np.array([_lattice(axis) for axis in value.T])
+    steps = np.array([lattice(axis) for axis in value.T])
     step = float(steps.max())
     ratio = step / max(noise, 1e-15)
     return NoiseScore(
@@ -164,7 +164,7 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
     )
 
 
-def _lattice(values: Array) -> float:
+def lattice(values: Array) -> float:
     """The step of the lattice that the values lie on; 0 where there is none."""
     distinct = np.unique(values)
     if len(distinct) > 0.5 * len(values) or len(distinct) < 3:

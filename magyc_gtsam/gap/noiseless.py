@@ -6,6 +6,7 @@ from math import comb
 
 import numpy as np
 
+from magyc_gtsam.gap.noise_effects import lattice
 from magyc_gtsam.recording import Recording
 
 LEAST = 5e-11  # T per sample: less than a laboratory's fluxgate has, more than rounding to single precision makes
@@ -14,9 +15,12 @@ _MOST = 90.0  # % of the differences; the others may span what is not smooth
 
 
 def noiseless(recording: Recording) -> bool:
-    """Whether the magnetometer has no measurable noise, as what a simulator computed exactly."""
+    """Whether the magnetometer has no measurable noise, as what a simulator computed exactly.
+
+    Coarse readings that seldom change are none of these: their steps are an effect that can be named.
+    """
     value = recording.magnetometer.value
-    if len(value) <= _ORDER:
+    if len(value) <= _ORDER or max(lattice(axis) for axis in value.T) > LEAST:
         return False
     differences = np.diff(value, n=_ORDER, axis=0)
     level = np.sqrt((differences**2).mean(axis=1) / comb(2 * _ORDER, _ORDER))
