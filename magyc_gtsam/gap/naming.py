@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from magyc_gtsam.factors.effects import FORMS
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import NoiseScore
-from magyc_gtsam.gap.problem import Active, Model
+from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.score import Projector, Score, Variant, variant
 from magyc_gtsam.gap.twin import Twin
@@ -88,13 +89,13 @@ def choose(
     options: list[tuple[float, Score | NoiseScore]] = [
         (noise.evidence, noise)
         for noise in now.noise
-        if noise.significant and noise.name in names and noise.name not in noted and not _slow_motion(noise, now)
+        if noise.significant and noise.name in names and noise.name not in noted and not _of_the_model(noise, now)
     ]
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
             continue
         held = sum(term.name == score.name for term in terms)
-        if held < TERMS[score.name].most and score.name not in failed and not _shape_of(score, terms, found):
+        if held < TERMS[score.name].most and score.name not in failed and not _shape_of(score, now.refit, found):
             options.append((score.evidence, score))
     if not options:
         return None
@@ -107,21 +108,24 @@ def choose(
     return best
 
 
-def _slow_motion(noise: NoiseScore, now: Look) -> bool:
-    """Whether a tone is so slow that the windows show it, and a generic family holds some of it: the motion's."""
+def _of_the_model(noise: NoiseScore, now: Look) -> bool:
+    """Whether noise is the model's own: a slow tone of which a family holds some, colour of a bent reading."""
+    if noise.name == "coloured-noise":
+        return noise.statistic < _SHAPE * max(_weights(now.refit), default=0.0)
     if noise.name != "tone" or noise.setting["frequency"] > _SLOW:
         return False
     return any(s.generic and s.significant for s in now.scores)
 
 
-def _shape_of(score: Score, terms: Sequence[Active], found: Sequence[Found]) -> bool:
+def _shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
     """Whether a score is no more than what an effect found earlier leaves for not being quite of its form."""
     at = score.variant.setting
-    for term in terms:
+    for term in current.model.terms:
         near = score.name == term.name == "local-anomaly"
         if near and abs(at["time"] - term.setting["time"]) < _SPAN * (at["width"] + term.setting["width"]):
             return True
-    if score.statistic < _TRACE * max((f.statistic for f in found if f.name in TERMS), default=0.0):
+    explained = [f.statistic for f in found if f.name in TERMS] + _weights(current)
+    if score.statistic < _TRACE * max(explained, default=0.0):
         return True
     if score.name == "hard-iron-step" and any(
         f.name == "hard-iron-drift" and score.statistic < f.statistic for f in found
@@ -241,7 +245,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
             continue
         if found and score.statistic - len(score.variant.unit) < _SHAPE * explained:
             continue
-        if not score.generic and _shape_of(score, now.refit.model.terms, found):
+        if not score.generic and _shape_of(score, now.refit, found):
             continue
         result.append(score.name)
     for noise in now.noise:
@@ -252,8 +256,9 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
 
 
 def _weights(current: Refit) -> list[float]:
-    """What each term explains at the model's own noise, which may be much less than before it was in the model."""
-    parts = [current.value_of(index) for index in range(len(current.model.terms))]
+    """What each term explains that bends the reading: the iron had followed it, so that a first look saw little."""
+    bent = [i for i, term in enumerate(current.model.terms) if "hard_iron" in FORMS[term.name].needs]
+    parts = [current.value_of(index) for index in bent]
     return [float(value @ np.linalg.pinv(covariance) @ value) for value, covariance in parts]
 
 
