@@ -47,9 +47,11 @@ class ForwardFilter(NamedTuple):
         ahead: Array = np.asarray(np.linalg.inv(information), dtype=float).transpose(1, 2, 0)
         seen = reduced.on_direction
         scatter = np.eye(3)[:, :, None] + np.einsum("ian,abn,jbn->ijn", seen, ahead, seen)
-        if not np.isfinite(scatter).all():
+        finite = bool(np.isfinite(scatter).all())
+        if finite:
+            value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
+        if not finite or value.min() <= 0:
             raise MagycError("the innovations of the model have no finite covariance: a term is out of range")
-        value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
         whitener = np.moveaxis((vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2), 0, 2)
         return cls(
             -reduced.basis[:, :, :-1] * scale,

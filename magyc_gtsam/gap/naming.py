@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from magyc_gtsam.factors.effects import FORMS
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine
@@ -257,8 +256,8 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
 
 def _weights(current: Refit) -> list[float]:
     """What each term explains that bends the reading: the iron had followed it, so that a first look saw little."""
-    bent = [i for i, term in enumerate(current.model.terms) if "hard_iron" in FORMS[term.name].needs]
-    parts = [current.value_of(index) for index in bent]
+    terms = current.model.terms
+    parts = [current.value_of(terms.index(term)) for term in current.model.bends]
     return [float(value @ np.linalg.pinv(covariance) @ value) for value, covariance in parts]
 
 

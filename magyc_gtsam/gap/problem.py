@@ -55,6 +55,11 @@ class Model:
         """The terms whose values have regressors of their own; a timing is a parameter of the chain."""
         return tuple(term for term in self.terms if term.name != "timing")
 
+    @property
+    def bends(self) -> tuple[Active, ...]:
+        """The terms that read what the magnetometer reads, and so bend it."""
+        return tuple(term for term in self.terms if term.name in FORMS and "hard_iron" in FORMS[term.name].needs)
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -180,7 +185,7 @@ def build(problem: Problem, model: Model) -> tuple[FieldChain, State, Reduced, A
         t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "magnetometer" and t.name != "timing"
     ]
     chain_, state = plain, plain.start(model.parameters)
-    bent = [t for t in terms if "hard_iron" in FORMS[t.name].needs]
+    bent = model.bends
     for _ in range(_BENT if bent else 2 if terms else 1):
         if terms:
             signals = window_signals(problem, windows, state, rate)

@@ -26,6 +26,8 @@ _HELD = 0.75  # of a prior's deviation, up to which the data have told something
 _FEW = 3  # values of one vector, which the motion determines alike
 _GRID = 81
 _WORTH = 0.3  # sigma, in the mean, by which the iron must move to be moved
+_FOLLOWING = 3  # steps of the iron behind those of what bends the reading
+_ASTRAY = 100.0  # times the cost allowed, from which it is not followed
 _SETTLED = 1e-3  # squared length of a step, in sigmas
 
 
@@ -163,9 +165,29 @@ def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | N
             continue  # a step too far for the chain to be factorised
         # The gyroscope's scale is not fitted by cost alone (`Twin.rate_pull`).
         allowed = _cost(twin) + share * abs(float(pull @ step)) + _ROUNDING
+        for _ in range(_FOLLOWING if twin.model.bends else 0):
+            if not allowed < _cost(ahead) < _ASTRAY * allowed:
+                break
+            ahead = _followed(problem, ahead) or ahead
         if np.isfinite(ahead.reduced.cost) and _cost(ahead) <= allowed:
             return ahead
     return None
+
+
+def _followed(problem: Problem, ahead: Twin) -> Twin | None:
+    """With the twelve parameters a step further, the terms held.
+
+    What a bend adds the iron takes away, nearly all of it: on the straight line between two such pairs the cost is
+    higher than at both its ends.
+    """
+    count = int(ahead.model.free.sum())
+    base = ahead.base_columns[:count]
+    step = np.zeros(len(ahead.base_columns))
+    step[:count] = -np.linalg.lstsq(base @ base.T, base @ ahead.residual().ravel(), rcond=1e-13)[0]
+    try:
+        return Twin.of(problem, _stepped(ahead.model, step))
+    except MagycError:
+        return None
 
 
 def _prior(twin: Twin) -> tuple[Array, Array]:
