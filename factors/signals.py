@@ -70,8 +70,8 @@ _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
     """{kind: (k, n)} from {name: (n,) or (n, k)}, the names in alphabetical order."""
     result = {}
-    for kind, words in CHANNELS.items():
-        found = [channels[name] for name in sorted(channels) if _is_called(name, words)]
+    for kind in CHANNELS:
+        found = [channels[name] for name in sorted(channels) if kind in kinds(name)]
         if found:
             result[kind] = np.concatenate(
                 [np.asarray(value, dtype=float).reshape(len(value), -1).T for value in found]

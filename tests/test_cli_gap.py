@@ -231,6 +231,8 @@ def test_the_plan_for_programs_and_in_silence(capsys: pytest.CaptureFixture[str]
     assert "as timing or eddy-plane, which this motion cannot tell apart" in timing["sentence"]
     assert cli.main(["gap", "-q", "--plan", "moderate"]) == 0
     assert capsys.readouterr() == ("", "")
+    assert cli.main(["gap"]) == 2  # a LOG is needed again
+    assert "LOG" in capsys.readouterr().err
 
 
 def test_isolability_is_that_of_the_table_of_one_sigma_sizes() -> None:

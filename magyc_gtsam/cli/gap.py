@@ -26,9 +26,8 @@ _SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
 
 def _needs_no_log(context: typer.Context, motion: str | None) -> str | None:
     """A motion is planned before there is a LOG."""
-    if motion is not None:
-        log = next(parameter for parameter in context.command.params if parameter.name == "log")
-        log.required = False
+    log = next(parameter for parameter in context.command.params if parameter.name == "log")
+    log.required = motion is None  # for this call: the command may be called again
     return motion
 
 

@@ -88,10 +88,7 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
             information = base @ base.T + np.diag(precision)
             if not np.isfinite(information).all():
                 raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no finite fit")
-            scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
-            weight, vector = np.linalg.eigh(information * scale * scale[:, None])
-            weight = np.maximum(weight, 1e-13)
-            covariance = (vector / weight) @ vector.T * scale * scale[:, None]
+            covariance = _inverse(information)
             step = -covariance @ gradient
             length = float(step @ information @ step)
             converged = length < _SETTLED
@@ -183,11 +180,19 @@ def _followed(problem: Problem, ahead: Twin) -> Twin | None:
     count = int(ahead.model.free.sum())
     base = ahead.base_columns[:count]
     step = np.zeros(len(ahead.base_columns))
-    step[:count] = -np.linalg.lstsq(base @ base.T, base @ ahead.residual().ravel(), rcond=1e-13)[0]
+    step[:count] = -_inverse(base @ base.T) @ (base @ ahead.residual().ravel())
     try:
         return Twin.of(problem, _stepped(ahead.model, step))
     except MagycError:
         return None
+
+
+def _inverse(information: Array) -> Array:
+    """The covariance, of parameters in whatever units; wide where the data determine nothing."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    weight, vector = np.linalg.eigh(information * scale * scale[:, None])
+    result: Array = (vector / np.maximum(weight, 1e-13)) @ vector.T * scale * scale[:, None]
+    return result
 
 
 def _prior(twin: Twin) -> tuple[Array, Array]:
