@@ -33,7 +33,10 @@ _BEATS = (
 )  # nats, and share, by which a generic family must be ahead of all that was named: form is less
 _SPAN = 2.5  # widths within which a second bump belongs to the first
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
-_SLOW = 0.5  # Hz, which windows of a second still show
+_SLOW = 1.0  # Hz, up to which windows of a second still show something
+_SUPPORT = 0.5  # share of a generic family's evidence that a name must have
+TIE = (3.0, 0.05)  # nats, and share of the evidence, by which one that is as good as the strongest may be behind
+_TRIED = 3  # names in a tie, at most
 _SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
 _CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-hard-iron")
 _CHANGES = 2  # with time, that one recording may hold
@@ -80,31 +83,38 @@ class Look:
     gains: dict[str, float]
 
 
-def choose(
+def choices(
     now: Look, names: tuple[str, ...], noted: set[str], found: Sequence[Found], failed: set[str]
-) -> Score | NoiseScore | None:
-    """The strongest significant name that held-out data confirm."""
+) -> list[Score] | list[NoiseScore]:
+    """The strongest significant name that held-out data confirm, and those that are as good as it."""
     terms = now.refit.model.terms
-    options: list[tuple[float, Score | NoiseScore]] = [
-        (noise.evidence, noise)
-        for noise in now.noise
-        if noise.significant and noise.name in names and noise.name not in noted and not _of_the_model(noise, now)
+    noise = [
+        n
+        for n in now.noise
+        if n.significant and n.name in names and n.name not in noted and not _of_the_model(n, now)
     ]
+    options = []
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
             continue
         held = sum(term.name == score.name for term in terms)
         if held < TERMS[score.name].most and score.name not in failed and not _shape_of(score, now.refit, found):
-            options.append((score.evidence, score))
+            options.append(score)
+    options.sort(key=lambda score: -score.evidence)
+    family = max((s.evidence for s in now.scores if s.generic and s.significant), default=0.0)
+    if options and options[0].evidence < _SUPPORT * family:
+        options = []  # whatever this family is of, it is not that
+    loudest = max(noise, key=lambda n: n.evidence, default=None)
+    if loudest is not None and (not options or loudest.evidence >= options[0].evidence):
+        return [loudest]
     if not options:
-        return None
-    best = max(options, key=lambda pair: pair[0])[1]
-    if isinstance(best, Score) and best.variant.setting.get("full"):
+        return []
+    plain = next((o.statistic for o in options if o.name == "timing"), 0.0)
+    if plain > _MOST_OF * options[0].statistic:
         # Any matrix holds the plain delay, which explains most of it where it is the truth.
-        for _, simpler in options:
-            if simpler.name == "timing" and simpler.statistic > _MOST_OF * best.statistic:
-                return simpler
-    return best
+        options = [o for o in options if not o.variant.setting.get("full")]
+    behind = max(TIE[0], TIE[1] * options[0].evidence)
+    return [o for o in options if o.evidence > options[0].evidence - behind][:_TRIED]
 
 
 def _of_the_model(noise: NoiseScore, now: Look) -> bool:
@@ -132,13 +142,17 @@ def _shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
         return True  # a slow change that is steeper here than there, not something that jumped
     if at.get("uneven"):
         return False  # no filter of all axes alike leaves something else on each
-    rivals = TERMS[score.name].rivals
     return any(
         f.name in TERMS
-        and (f.name in rivals or score.name in TERMS[f.name].rivals or f.name == score.name)
+        and (related(f.name, score.name) or f.name == score.name)
         and score.statistic < LEFT * f.statistic
         for f in found
     )
+
+
+def related(one: str, other: str) -> bool:
+    """Whether the catalogue says that one named effect is confused with another."""
+    return other in TERMS[one].rivals or one in TERMS[other].rivals
 
 
 def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
@@ -154,11 +168,10 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         behind = choice.evidence - rival.evidence
         # What has many shapes, as a drift or what comes and goes, may have had another than those tried.
         shapes = any(TERMS[s.name].many_shapes or "until" in s.variant.setting for s in (choice, rival))
-        related = rival.name in TERMS[choice.name].rivals or choice.name in TERMS[rival.name].rivals
         close = behind < min(_AHEAD + _SHAPE * choice.evidence, 0.5 * choice.evidence)
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
         alike = rival.significant and behind < _AHEAD and not _adds_beyond(choice.variant, rival.variant, now)
-        if alike or (shapes and related and close):
+        if alike or (shapes and related(choice.name, rival.name) and close):
             result.append(rival.name)
     return (*result, *_untested(choice.name, now.refit.twin))
 
@@ -236,13 +249,19 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
     To this belong generic families that explained the data clearly better than all names together.
     """
     explained = max([s.statistic for s in first.scores] + _weights(now.refit), default=0.0)
+    strongest = max([f.statistic for f in found if f.name in TERMS] + _weights(now.refit), default=np.inf)
+    if any(f.name == "coloured-noise" for f in found):
+        strongest = np.inf  # the statistics are those of the colour
     result = ahead_of_names(first, found)
     for score in now.scores:
         named = any(f.name in TERMS for f in found)
         limit = min(_REMAINDER, score.limit) if named and score.generic else score.limit
-        if score.significance <= limit or now.gains.get(score.name, 0.0) <= 0:
+        excess = score.statistic - len(score.variant.unit)
+        # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
+        more = score.generic and score.significant and excess > strongest
+        if score.significance <= limit or (now.gains.get(score.name, 0.0) <= 0 and not more):
             continue
-        if found and score.statistic - len(score.variant.unit) < _SHAPE * explained:
+        if found and excess < _SHAPE * explained:
             continue
         if not score.generic and _shape_of(score, now.refit, found):
             continue
