@@ -159,8 +159,14 @@ def test_other_logs_are_read_as_the_log_is(
     values = json.loads((folder / "here/gap.json").read_text())
     assert values["assumptions"]
     assert values["validation"]["name"] == "other.txt"
-    mistaken(f"{asked} --simulated {folder}/sim.mcap", "--simulated: ")
-    mistaken(f"{asked} --validate {folder}/sim.mcap", "(--validate is read by LOG's options)")
+    again = f" --candidates timing --simulated {folder}/sim.mcap -q -o {folder}/again"
+    assert cli.main(f"{asked}{again}".split()) == 0  # whose topics and units are its own
+    assert json.loads((folder / "again/gap.json").read_text())["assumptions"]
+    (folder / "short.txt").write_text("1 2 3\n")
+    mistaken(f"{asked} --simulated {folder}/none.mcap", "--simulated: ")
+    mistaken(f"{asked} --validate {folder}/short.txt", "(--validate is read by LOG's options)")
+    (folder / "other.csv.mcap").write_bytes((folder / "sim.mcap").read_bytes()[:300])
+    mistaken(f"{asked} --validate {folder}/other.csv.mcap", "(--validate is of another format than LOG")
 
 
 @pytest.mark.real

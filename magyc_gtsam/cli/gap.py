@@ -39,14 +39,16 @@ def run(
         Path | None,
         typer.Option(
             metavar="SIM",
-            help="Recording of your own simulator on a similar motion, to judge as well; read by LOG's options.",
+            help="Recording of your own simulator on a similar motion, to judge as well; read by LOG's options "
+            "where it is of LOG's format.",
         ),
     ] = None,
     validate: Annotated[
         Path | None,
         typer.Option(
             metavar="OTHER_LOG",
-            help="Another log of the same instrument, to judge the result on; read by LOG's options.",
+            help="Another log of the same instrument, to judge the result on; read by LOG's options where it is of "
+            "LOG's format.",
         ),
     ] = None,
     calibration: Annotated[
@@ -79,7 +81,7 @@ def run(
     """Find where model and measurement disagree, name what is missing, add it, and see the gap shrink.
 
     Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html. The options that
-    say how LOG is read hold for SIM and OTHER_LOG too, but for --start and --end.
+    say how LOG is read hold for a SIM and an OTHER_LOG of its format too, but for --start and --end.
     Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
     or the noise was too little to look for one, or the result does not hold on OTHER_LOG.
     """
@@ -139,13 +141,19 @@ def run(
 
 
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
-    """Another log, read as LOG is; --start and --end are LOG's own."""
+    """Another log, read as LOG is where it is of LOG's format; --start and --end are LOG's own."""
     from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.io import same_format
 
+    hint = ""
     try:
-        return replace(reading, log=log, start=None, end=None).recording(stage(f"reading {log.name}"))
+        if same_format(log, reading.log):
+            beside, hint = replace(reading, log=log, start=None, end=None), " ({} is read by LOG's options)"
+        else:
+            beside, hint = Reading(log), " ({} is of another format than LOG, whose options do not hold for it)"
+        return beside.recording(stage(f"reading {log.name}"))
     except MagycError as problem:
-        raise MagycError(f"{option}: {problem} ({option} is read by LOG's options)") from None
+        raise MagycError(f"{option}: {problem}{hint.format(option)}") from None
 
 
 def _plan(motion: str, quiet: bool, json: bool) -> int:

@@ -83,16 +83,19 @@ class Look:
     gains: dict[str, float]
 
 
-def choices(
-    now: Look, names: tuple[str, ...], noted: set[str], found: Sequence[Found], failed: set[str]
-) -> list[Score] | list[NoiseScore]:
-    """The strongest significant name that held-out data confirm, and those that are as good as it."""
-    terms = now.refit.model.terms
-    noise = [
+def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | None:
+    """The strongest significant effect on the noise, of the names that may be given and were not noted before."""
+    options = [
         n
         for n in now.noise
         if n.significant and n.name in names and n.name not in noted and not _of_the_model(n, now)
     ]
+    return max(options, key=lambda n: n.evidence, default=None)
+
+
+def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
+    """The strongest significant name that held-out data confirm, and those that are as good as it."""
+    terms = now.refit.model.terms
     options = []
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
@@ -102,13 +105,8 @@ def choices(
             options.append(score)
     options.sort(key=lambda score: -score.evidence)
     family = max((s.evidence for s in now.scores if s.generic and s.significant), default=0.0)
-    if options and options[0].evidence < _SUPPORT * family:
-        options = []  # whatever this family is of, it is not that
-    loudest = max(noise, key=lambda n: n.evidence, default=None)
-    if loudest is not None and (not options or loudest.evidence >= options[0].evidence):
-        return [loudest]
-    if not options:
-        return []
+    if not options or options[0].evidence < _SUPPORT * family:
+        return []  # whatever this family is of, it is not that
     plain = next((o.statistic for o in options if o.name == "timing"), 0.0)
     if plain > _MOST_OF * options[0].statistic:
         # Any matrix holds the plain delay, which explains most of it where it is the truth.

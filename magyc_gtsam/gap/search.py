@@ -2,7 +2,7 @@
 
 Forward by the penalised score (evidence: −ln p against the white twin), decided by the twin with the data's own
 colour, vetoed where held-out blocks gain nothing; everything is refitted jointly after each addition, and what has
-become superfluous is taken out again.
+become superfluous is taken out again. Names that are as good as each other are all tried (`gap.alternatives`).
 """
 
 from __future__ import annotations
@@ -14,35 +14,33 @@ import numpy as np
 
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.alternatives import rest, tried, with_exchange
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import (
     LEFT,
     NOISE_LIMIT,
-    TIE,
     Found,
     Look,
     ahead_of_names,
     choices,
     leftover,
-    related,
+    loudest,
     stands,
     switched,
     term_places,
 )
 from magyc_gtsam.gap.neighbours import product_of
-from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
-from magyc_gtsam.gap.refined import nearer, sharpened
-from magyc_gtsam.gap.refit import Refit, determined, refit, without_term
+from magyc_gtsam.gap.refined import sharpened
+from magyc_gtsam.gap.refit import Refit, refit, without_term
 from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
-from magyc_gtsam.gap.steps import Prepare, State, with_effect, with_more_modes, with_noise
+from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 5
-_TURNS = MOST_TERMS + 5
-_CERTAIN = 2.0  # limits that the significance of what the motion does not determine must pass
+_TURNS = MOST_TERMS + 5  # of looking, effects on the noise and exchanges included
 _ON_AND_OFF = ("hard-iron-step", "local-anomaly")  # alike, and on grids too coarse to say which
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
@@ -65,15 +63,6 @@ class Search:
     last: Look
     found: tuple[Found, ...]
     leftover: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """Where it leads to add an effect: a state, or None and what is said instead (nothing: it cannot be fitted)."""
-
-    sharp: Score
-    state: State | None
-    instead: tuple[str, ...] = ()
 
 
 def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: np.random.Generator) -> Look:
@@ -132,20 +121,21 @@ def search(
     exchanged: set[str] = set()
     for turn in range(_TURNS):
         progress(0.2 + 0.6 * turn / _TURNS)
-        options = choices(now, names, noted, state.found, failed)
-        if not options or (isinstance(options[0], Score) and len(state.current.model.terms) >= MOST_TERMS):
-            better = _exchanged(state, seen, exchanged)
+        noise = loudest(now, names, noted)
+        options = choices(now, state.found, failed)
+        if noise is not None and (not options or noise.evidence >= options[0].evidence):
+            noted.add(noise.name)
+            if noise.name == "quantisation":
+                noted.add("coloured-noise")  # the error of a coarse step hangs together as the reading does
+            state, now = widest(with_noise(state, now, noise, prepare))
+            continue
+        if not options or len(state.current.model.terms) >= MOST_TERMS:
+            better = with_exchange(state, seen, exchanged)
             if better is None:
                 break
             state, now = widest(better)
             continue
-        if isinstance(options[0], NoiseScore):
-            noted.add(options[0].name)
-            if options[0].name == "quantisation":
-                noted.add("coloured-noise")  # the error of a coarse step hangs together as the reading does
-            state, now = widest(with_noise(state, now, options[0], prepare))
-            continue
-        ways = [_tried(state, now, option) for option in options if isinstance(option, Score)]
+        ways = [tried(state, now, option) for option in options]
         instead = ways[0].instead
         if instead:
             break
@@ -153,7 +143,7 @@ def search(
         ahead = [(way.sharp.evidence, *widest(way.state)) for way in ways if way.state is not None]
         if ahead:
             # Of those that are as good as each other, the one that leaves least to be said.
-            _, state, now = max(ahead, key=lambda one: one[0] - _rest(one[2]))
+            _, state, now = max(ahead, key=lambda one: one[0] - rest(one[2]))
     # It is in no model, so that what is real of it is still there; of the rest another effect made it seem.
     loud = {noise.name for noise in now.noise if noise.significant}
     state = replace(state, found=tuple(f for f in state.found if f.name != "coloured-noise" or f.name in loud))
@@ -166,56 +156,6 @@ def search(
             now = seen(firm)
         state = firm
     return Search(state.recording, state.problem, first, now, state.found, left)
-
-
-def _tried(state: State, now: Look, choice: Score) -> _Way:
-    sharp = sharpened(choice, now.refit, now.innovation, now.projector)
-    instead = nearer(sharp, now)
-    if instead:
-        return _Way(sharp, None, instead)
-    ahead = with_effect(state, now, choice, sharp)
-    if ahead is not None and choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
-        return _Way(sharp, None, (choice.name,))  # too little of too much that the motion leaves open
-    return _Way(sharp, ahead)
-
-
-def _exchanged(state: State, seen: Callable[[State], Look], done: set[str]) -> State | None:
-    """With a name exchanged for a rival that explains more beside all that was found after it; None: there is none.
-
-    Args:
-        state: at its end.
-        seen: gives a look at a state.
-        done: names that were exchanged before, which are not again; the one exchanged is added.
-    """
-    for place, index in list(term_places(state.found, state.current.model).items())[:-1]:
-        one = state.found[place]
-        if one.name in done:
-            continue
-        model = without_term(state.current.model, index)
-        others = tuple(f for i, f in enumerate(state.found) if i != place)
-        without = replace(state, current=refit(state.problem, model, state.short_term), found=others)
-        now = seen(without)
-        options = [o for o in choices(now, (), set(), others, set()) if isinstance(o, Score)]
-        rivals = [o for o in options if related(one.name, o.name)]
-        own = next(s for s in now.scores if s.name == one.name)
-        sharp = [sharpened(s, now.refit, now.innovation, now.projector) for s in (own, *rivals)]
-        best = int(np.argmax([s.evidence for s in sharp]))
-        wider = len(sharp[best].expected) > len(sharp[0].expected)  # and so explains more, whatever it is
-        if best == 0 or wider or sharp[best].evidence < sharp[0].evidence + TIE[0]:
-            continue
-        ahead = _tried(without, now, rivals[best - 1]).state
-        if ahead is not None:
-            done.add(one.name)
-            more = sharp[best].statistic - sharp[0].statistic, sharp[best].evidence - sharp[0].evidence
-            stronger = replace(ahead.found[-1], statistic=one.statistic + more[0], evidence=one.evidence + more[1])
-            return replace(ahead, found=(*ahead.found[:-1], stronger))
-    return None
-
-
-def _rest(now: Look) -> float:
-    """Nats of what explains most of what is still significant."""
-    left = (s.evidence for s in now.scores if s.significant and now.gains.get(s.name, 0.0) > 0)
-    return max(left, default=0.0)
 
 
 def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:

@@ -16,7 +16,7 @@ from magyc_gtsam.io.mcap_writer import write_mcap
 from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
 
-__all__ = ["LogInfo", "Source", "info", "read", "write_mcap"]
+__all__ = ["LogInfo", "Source", "info", "read", "same_format", "write_mcap"]
 
 # What a file begins with says more than its name; the name decides where the beginning says nothing.
 _MAGIC = {b"\x89MCAP0\r\n": "mcap_log", b"ULog\x01\x12\x35": "ulog", b"\xa3\x95": "ardupilot"}
@@ -101,6 +101,15 @@ def info(path: str | PathLike[str]) -> LogInfo:
         return replace(described, problem=str(error))
     notes = tuple(n for n in recording.notes if n not in described.warnings)
     return replace(described, warnings=(*described.warnings, *notes))
+
+
+def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:
+    """Whether two logs are of one format, so that the options of one can hold for the other.
+
+    Raises:
+        MagycError: no such file, or not a log.
+    """
+    return _reader(Path(one)) is _reader(Path(other))
 
 
 def _reader(path: Path) -> ModuleType:
