@@ -34,7 +34,6 @@ _BEATS = (
 _SPAN = 2.5  # widths within which a second bump belongs to the first
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
 _SLOW = 1.0  # Hz, up to which windows of a second still show something
-_SUPPORT = 0.5  # share of a generic family's evidence that a name must have
 TIE = (3.0, 0.05)  # nats, and share of the evidence, by which one that is as good as the strongest may be behind
 _TRIED = 3  # names in a tie, at most
 _SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
@@ -104,9 +103,8 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
         if held < TERMS[score.name].most and score.name not in failed and not _shape_of(score, now.refit, found):
             options.append(score)
     options.sort(key=lambda score: -score.evidence)
-    family = max((s.evidence for s in now.scores if s.generic and s.significant), default=0.0)
-    if not options or options[0].evidence < _SUPPORT * family:
-        return []  # whatever this family is of, it is not that
+    if not options:
+        return []
     plain = next((o.statistic for o in options if o.name == "timing"), 0.0)
     if plain > _MOST_OF * options[0].statistic:
         # Any matrix holds the plain delay, which explains most of it where it is the truth.
