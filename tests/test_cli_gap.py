@@ -151,7 +151,7 @@ def test_other_logs_are_read_as_the_log_is(
             [recording.time, recording.magnetic_field * 1e6, np.degrees(recording.angular_rate)]
         )
         np.savetxt(folder / f"{name}.txt", table)
-    write_mcap(folder / "sim.mcap", recording)
+    write_mcap(folder / "sim.mcap", simulate("wide", 100, seed=2).recording)
     columns = "time,mx,my,mz,gx,gy,gz"
     asked = f"gap {folder}/log.txt --read columns={columns} --magnetic-unit uT --angular-unit deg/s --end 90"
     others = f" --candidates timing --simulated {folder}/sim.txt --validate {folder}/other.txt"

@@ -150,7 +150,9 @@ def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Pro
         if same_format(log, reading.log):
             beside, hint = replace(reading, log=log, start=None, end=None), " ({} is read by LOG's options)"
         else:
-            beside, hint = Reading(log), " ({} is of another format than LOG, whose options do not hold for it)"
+            # What the instrument is stays.
+            beside = Reading(log, gyroscope_axes=reading.gyroscope_axes, angular_rate_is=reading.angular_rate_is)
+            hint = " ({} is of another format than LOG, whose columns, units and --read do not hold for it)"
         return beside.recording(stage(f"reading {log.name}"))
     except MagycError as problem:
         raise MagycError(f"{option}: {problem}{hint.format(option)}") from None

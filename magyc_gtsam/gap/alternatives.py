@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from magyc_gtsam.gap.naming import TIE, Look, choices, related, term_places
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.naming import TIE, Found, Look, choices, related, term_places
 from magyc_gtsam.gap.refined import nearer, sharpened
 from magyc_gtsam.gap.refit import determined, without_term
 from magyc_gtsam.gap.score import Score
-from magyc_gtsam.gap.steps import State, with_effect
+from magyc_gtsam.gap.steps import State, terms_of, with_effect
 
 _CERTAIN = 2.0  # limits that the significance of what the motion does not determine must pass
 
@@ -31,12 +31,17 @@ class Way:
 
 def tried(state: State, now: Look, choice: Score) -> Way:
     """Add an effect as it is sharpest."""
-    sharp = sharpened(choice, now.refit, now.innovation, now.projector)
+    sharp = _sharp(choice, now)
     instead = nearer(sharp, now)
     if instead:
         return Way(sharp, None, instead)
-    ahead = with_effect(state, now, choice, sharp)
-    if ahead is not None and choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
+    try:
+        ahead = with_effect(state, now, choice, sharp)
+    except MagycError:
+        ahead = None
+    if ahead is None or not _newcomers(ahead, state):
+        return Way(sharp, None)
+    if choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
         return Way(sharp, None, (choice.name,))  # too little of too much that the motion leaves open
     return Way(sharp, ahead)
 
@@ -48,7 +53,7 @@ def rest(now: Look) -> float:
 
 
 def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -> State | None:
-    """With a name exchanged for a rival that explains more beside all that was found after it; None: there is none.
+    """With a name exchanged for a rival that explains more beside all others; None: there is none.
 
     Args:
         state: at its end.
@@ -56,26 +61,51 @@ def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -
         done: names that were exchanged before, which are not again; the one exchanged is added.
     """
     for place, index in list(term_places(state.found, state.current.model).items())[:-1]:
-        one = state.found[place]
-        current = None if one.name in done else state.refitted(without_term(state.current.model, index))
-        if current is None:
+        name = state.found[place].name
+        if name in done or not any(related(name, other) for other in TERMS):
             continue
-        without = replace(state, current=current, found=tuple(f for i, f in enumerate(state.found) if i != place))
-        now = seen(without)
-        rivals = [option for option in choices(now, without.found, set()) if related(one.name, option.name)]
-        own = next(score for score in now.scores if score.name == one.name)
-        sharp = [sharpened(s, now.refit, now.innovation, now.projector) for s in (own, *rivals)]
-        best = int(np.argmax([s.evidence for s in sharp]))
-        wider = len(sharp[best].expected) > len(own.expected)  # and so explains more, whatever it is
-        if best == 0 or wider or sharp[best].evidence < sharp[0].evidence + TIE[0]:
-            continue
-        ahead = tried(without, now, rivals[best - 1]).state
-        if ahead is None or not ahead.found or ahead.found[-1].name != sharp[best].name:
-            continue
-        done.add(one.name)
-        # It explains what the other did, and more.
-        statistic = one.statistic + sharp[best].statistic - sharp[0].statistic
-        evidence = one.evidence + sharp[best].evidence - sharp[0].evidence
-        stronger = replace(ahead.found[-1], statistic=statistic, evidence=evidence)
-        return replace(ahead, found=(*ahead.found[:-1], stronger))
+        try:
+            ahead = _exchanged(state, seen, place, index)
+        except MagycError:
+            continue  # without it nothing fits
+        if ahead is not None:
+            done.add(name)
+            return ahead
     return None
+
+
+def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: int) -> State | None:
+    one, term = state.found[place], state.current.model.terms[index]
+    current = state.refitted(without_term(state.current.model, index))
+    if current is None:
+        return None
+    without = replace(state, current=current, found=tuple(f for i, f in enumerate(state.found) if i != place))
+    now = seen(without)
+    own = _sharp(next(score for score in now.scores if score.name == one.name), now)
+    if own.variant.setting.get("order", 0) < term.setting.get("order", 0):
+        return None  # it has more modes than are tried before it is in the model
+    options = choices(now, without.found, set())
+    rivals = [(_sharp(option, now), option) for option in options if related(one.name, option.name)]
+    for sharp, rival in sorted(rivals, key=lambda pair: -pair[0].evidence):
+        if sharp.evidence < own.evidence + TIE[0]:
+            break
+        added = terms_of(rival.name, current, sharp.variant.setting)
+        if len(added) > 1 or len(added[0].value) > len(term.value):
+            continue  # of more values, and so explains more whatever it is
+        ahead = tried(without, now, rival).state
+        if ahead is not None:
+            (newcomer,) = _newcomers(ahead, without)
+            # It explains what the other did, and more.
+            statistic = one.statistic + sharp.statistic - own.statistic
+            evidence = one.evidence + sharp.evidence - own.evidence
+            stronger = replace(newcomer, statistic=statistic, evidence=evidence)
+            return replace(ahead, found=tuple(stronger if f is newcomer else f for f in ahead.found))
+    return None
+
+
+def _sharp(score: Score, now: Look) -> Score:
+    return sharpened(score, now.refit, now.innovation, now.projector)
+
+
+def _newcomers(ahead: State, before: State) -> list[Found]:
+    return [found for found in ahead.found if all(found is not other for other in before.found)]

@@ -33,6 +33,7 @@ _BEATS = (
 )  # nats, and share, by which a generic family must be ahead of all that was named: form is less
 _SPAN = 2.5  # widths within which a second bump belongs to the first
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
+_MANY = 9  # values of one family, from which half of the data do not determine them for the other half
 _SLOW = 1.0  # Hz, up to which windows of a second still show something
 TIE = (3.0, 0.05)  # nats, and share of the evidence, by which one that is as good as the strongest may be behind
 _TRIED = 3  # names in a tie, at most
@@ -105,10 +106,9 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     options.sort(key=lambda score: -score.evidence)
     if not options:
         return []
-    plain = next((o.statistic for o in options if o.name == "timing"), 0.0)
-    if plain > _MOST_OF * options[0].statistic:
-        # Any matrix holds the plain delay, which explains most of it where it is the truth.
-        options = [o for o in options if not o.variant.setting.get("full")]
+    delay = next((o.statistic for o in options if o.name == "timing"), 0.0)
+    # Any matrix holds the plain delay, which explains most of it where it is the truth.
+    options = [o for o in options if not o.variant.setting.get("full") or delay <= _MOST_OF * o.statistic]
     behind = max(TIE[0], TIE[1] * options[0].evidence)
     return [o for o in options if o.evidence > options[0].evidence - behind][:_TRIED]
 
@@ -245,16 +245,17 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
     To this belong generic families that explained the data clearly better than all names together.
     """
     explained = max([s.statistic for s in first.scores] + _weights(now.refit), default=0.0)
-    strongest = max([f.statistic for f in found if f.name in TERMS] + _weights(now.refit), default=np.inf)
-    if any(f.name == "coloured-noise" for f in found):
-        strongest = np.inf  # the statistics are those of the colour
+    named = any(f.name in TERMS for f in found)
+    all_named = max(sum(f.statistic for f in found if f.name in TERMS), *_weights(now.refit), 0.0)
+    if not named or any(f.name == "coloured-noise" for f in found):
+        all_named = np.inf  # nothing to compare with, or statistics that are those of the colour
     result = ahead_of_names(first, found)
     for score in now.scores:
-        named = any(f.name in TERMS for f in found)
         limit = min(_REMAINDER, score.limit) if named and score.generic else score.limit
         excess = score.statistic - len(score.variant.unit)
         # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
-        more = score.generic and score.significant and excess > strongest
+        many = score.generic and len(score.variant.unit) > _MANY
+        more = many and score.significant and excess > all_named
         if score.significance <= limit or (now.gains.get(score.name, 0.0) <= 0 and not more):
             continue
         if found and excess < _SHAPE * explained:

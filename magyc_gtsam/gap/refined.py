@@ -106,6 +106,8 @@ def _sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Proj
 
 def sharpened(score: Score, refitted: Refit, innovation: Array, projector: Projector) -> Score:
     """A score at the best setting beside its grid."""
+    if not score.statistic:
+        return score  # the motion determines nothing of it
     best = _sharpest(score, refitted, innovation, projector)
     pull = best.score(innovation)
     gain = float(pull @ pull) / score.statistic

@@ -146,17 +146,25 @@ def _described(found: Found, refitted: Refit, everything: Sequence[Found], appli
 
 
 def hypotheses(
-    look: Look, names: Sequence[str], found: Sequence[Found], word: Verdict, discrete: Sequence[NoiseScore]
+    look: Look,
+    names: Sequence[str],
+    found: Sequence[Found],
+    word: Verdict,
+    discrete: Sequence[NoiseScore],
+    left: Sequence[str] = (),
 ) -> tuple[Hypothesis, ...]:
-    """Every candidate with its evidence, strongest first; `discrete` are those that were settled before the look."""
+    """Every candidate with its evidence, strongest first.
+
+    `discrete` are those that were settled before the look, `left` names that count in spite of a veto.
+    """
     named = {f.name for f in found} if word in ("closed", "open") else set()
     rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
-    result = [(s.evidence, _hypothesis(s, look, named, rivals)) for s in look.scores]
+    result = [(s.evidence, _hypothesis(s, look, named, rivals, left)) for s in look.scores]
     result += [(n.evidence, _noise_hypothesis(n, named)) for n in (*discrete, *look.noise) if n.name in names]
     return tuple(h for _, h in sorted(result, key=lambda pair: -pair[0]))
 
 
-def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> Hypothesis:
+def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str], left: Sequence[str]) -> Hypothesis:
     term = TERMS.get(score.name)
     power = score.power(look.refit.twin) if term else 1.0
     matters = score.smallest(look.refit.twin) if term else 0.0
@@ -165,7 +173,7 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str]) -> 
     status: Status
     if score.name in named:
         status, words = "named", "named and added"
-    elif score.significant and not gain > 0:
+    elif score.significant and not gain > 0 and score.name not in left:
         status, words = "vetoed", _VETOED[gain == 0]
     elif score.significant and score.name in rivals:
         status, words = "ambiguous", "this motion cannot tell it from the effect that was named"

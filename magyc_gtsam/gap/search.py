@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.alternatives import rest, tried, with_exchange
@@ -40,7 +41,7 @@ from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 5
-_TURNS = MOST_TERMS + 5  # of looking, effects on the noise and exchanges included
+_TURNS = MOST_TERMS + 8  # of looking, effects on the noise, what cannot be fitted and exchanges included
 _ON_AND_OFF = ("hard-iron-step", "local-anomaly")  # alike, and on grids too coarse to say which
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
@@ -53,8 +54,8 @@ class Search:
         recording, problem: the data, without what was found to be wrong samples, and without tones.
         first, last: looks at the base model and at the final one.
         found: effects in the order of adding; see `naming.term_places`.
-        leftover: names of what is significant in the last look and was neither added nor vetoed, and colour for which
-            what is missing may pass.
+        leftover: names of what is significant in the last look, was not added and counts, and colour for which what is
+            missing may pass.
     """
 
     recording: Recording
@@ -140,7 +141,13 @@ def search(
         if instead:
             break
         failed |= {way.sharp.name for way in ways if way.state is None and not way.instead}
-        ahead = [(way.sharp.evidence, *widest(way.state)) for way in ways if way.state is not None]
+        ahead = []
+        for way in ways:
+            if way.state is not None:
+                try:
+                    ahead.append((way.sharp.evidence, *widest(way.state)))
+                except MagycError:
+                    failed.add(way.sharp.name)  # a model under which the data cannot be looked at
         if ahead:
             # Of those that are as good as each other, the one that leaves least to be said.
             _, state, now = max(ahead, key=lambda one: one[0] - rest(one[2]))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magyc_gtsam.factors.effects import Setting
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.gap.coarse import unrounded
@@ -84,7 +85,7 @@ def _with_recording(state: State, recording: Recording, prepare: Prepare) -> Sta
 
 def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State | None:
     """With an effect added as it is sharpest, and what has become superfluous taken out; None: not determined."""
-    added = _terms(choice.name, state.current, dict(sharp.variant.setting))
+    added = terms_of(choice.name, state.current, sharp.variant.setting)
     model = state.current.model
     for term in added:
         model = with_term(model, term)
@@ -124,12 +125,12 @@ def _stronger(found: Found, more: Score) -> Found:
     return replace(found, statistic=found.statistic + more.statistic, evidence=found.evidence + more.evidence)
 
 
-def _terms(name: str, current: Refit, setting: dict[str, float]) -> list[Active]:
+def terms_of(name: str, current: Refit, setting: Setting) -> list[Active]:
     """The term of a setting; of a thing attached and taken off, the two steps; of the gyroscope's matrix all of it.
 
     A part of the matrix may be all that the motion shows, yet the rest of it is no better known: its prior holds it.
     """
-    settings = [{} if name in ("gyro-scale", "gyro-quadratic") else setting]
+    settings: list[Setting] = [{} if name in ("gyro-scale", "gyro-quadratic") else dict(setting)]
     if "until" in setting:
         settings = [{"time": setting["time"]}, {"time": setting["until"]}]
     return [Active(name, each, np.zeros(len(current.twin.columns(name, each).window))) for each in settings]
