@@ -163,3 +163,18 @@ def test_coarse_readings_that_seldom_change_are_no_exact_ones() -> None:
 def test_little_noise_is_enough() -> None:
     quiet = mg.simulate("wide", 200, seed=1, magnetometer_noise=1e-9, gyroscope_noise=1e-5).recording
     assert mg.find_gap(quiet).verdict == "none"
+
+
+def test_a_small_misalignment_needs_more_than_significance() -> None:
+    """0.3° shine through in everything weak: good sensors name it, others say that it may be there."""
+    hidden = [("misalignment", 0.12)]
+    plain = mg.find_gap(mg.simulate("wide", seed=2, effects=hidden).recording)
+    assert plain.verdict == "none"
+    assert "axes askew” is too small" in plain.sentence
+    assert {h.name: h.status for h in plain.hypotheses}["misalignment"] == "slight"
+    assert {h.status for h in plain.hypotheses if h.significant} <= {"slight", "explained", "vetoed"}
+    better = {"magnetometer_noise": 1e-7, "gyroscope_noise": 5e-4}
+    good = mg.find_gap(mg.simulate("wide", seed=2, effects=hidden, **better).recording)  # type: ignore[arg-type]
+    assert good.names == ("misalignment",)
+    large = mg.find_gap(mg.simulate("wide", seed=2, effects=[("misalignment", 0.25)]).recording)
+    assert large.names == ("misalignment",)

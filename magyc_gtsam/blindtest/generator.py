@@ -49,7 +49,7 @@ def generate(scenario: Scenario, real: Recording | None = None) -> Hidden:
             published strength does of a simulated recording.
     """
     if real is not None:
-        if not scenario.effects:
+        if scenario.cut:
             real = _shortened(real, scenario.seed)
         calibration = _calibration(real)
         effects = [(n, f * factor_in(real, calibration, n, scenario.seed)) for n, f in scenario.effects]

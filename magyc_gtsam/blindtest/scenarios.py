@@ -36,8 +36,9 @@ _ALSO_IN = {"depth": ("position",)}
 _WHOLE = ("axis-order",)
 # What real recordings take: effects that need no attitude and are not there already.
 _INJECTED = tuple(n for n in NAMED if not EFFECTS[n].attitude and n != "sample-hold")
-# Of a real recording as it is: which of its small effects are significant changes with a second more or less.
-_CUTS = 4
+# Looks at a real recording as it is, all but the first at a cut of it: which of its small effects are significant
+# changes with a second more or less.
+_LOOKS = 5
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class Scenario:
         effects: (name, factor on the published strength).
         withheld: channels that are left out.
         duration: s, of a simulated recording.
+        cut: whether a real recording lacks a little of its start and its end.
     """
 
     id: str
@@ -61,6 +63,7 @@ class Scenario:
     effects: tuple[tuple[str, float], ...]
     withheld: tuple[str, ...] = ()
     duration: float = 600.0
+    cut: bool = False
 
     @property
     def factor(self) -> float:
@@ -125,14 +128,15 @@ def scenarios(
 
 
 def real_scenarios(recordings: Sequence[str], each: int = 2, edition: int = 0) -> list[Scenario]:
-    """Every effect that a real recording can take, `each` times, and the recordings as they are, in several cuts."""
+    """Every effect that a real recording can take, `each` times, and the recordings as they are, whole and in cuts."""
     result = []
     for recording in recordings:
         for name in ("", *_INJECTED):
-            for k in range(each if name else _CUTS):
+            for k in range(each if name else _LOOKS):
                 label = f"real-{recording}-{name or 'as-it-is'}-{k:02d}"
                 effects = ((name, 1.0),) if name else ()
-                result.append(Scenario(label, "real", recording, seed_of(label, edition), effects))
+                cut = not name and k > 0
+                result.append(Scenario(label, "real", recording, seed_of(label, edition), effects, cut=cut))
     return result
 
 

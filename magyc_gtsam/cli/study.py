@@ -49,8 +49,11 @@ def run(
         typer.Option("--set", help="gap: none, single, pair, withheld, foreign; may be repeated; default all."),
     ] = None,
     log: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="LOG", help="gap: real recording to put effects into; may be repeated."),
+        list[str] | None,
+        typer.Option(
+            metavar="LOG[@START:END]",
+            help="gap: real recording to put effects into, of which seconds START to END; may be repeated.",
+        ),
     ] = None,
     edition: Annotated[int, typer.Option(min=0, help="gap: of the seeds.")] = 1,
     output: Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
 
 WORKERS = 2
+_PART = re.compile(r"(.+)@(\d+(?:\.\d+)?):(\d+(?:\.\d+)?)")
 
 
 def blind_test(
@@ -19,7 +21,7 @@ def blind_test(
     runs: int,
     motions: Sequence[str] | None,
     sets: Sequence[str] | None,
-    logs: Sequence[Path],
+    logs: Sequence[str],
     edition: int,
 ) -> int:
     """Generate, seal, diagnose and score; what is done already is not done again.
@@ -90,8 +92,16 @@ def strengths(runs: int) -> None:
     show_table(["effect", "strength × 1", *(f"σ, {m}" for m in MOTIONS), "because"], rows)
 
 
-def _recordings(logs: Sequence[Path]) -> dict[str, Recording]:
+def _recordings(logs: Sequence[str]) -> dict[str, Recording]:
+    """{stem, with what part of it: recording}."""
     from magyc_gtsam.io import read
 
+    result = {}
     with stages() as stage:
-        return {log.stem: read(log, progress=stage(f"reading {log.name}")) for log in logs}
+        for log in logs:
+            path, start, end = log, None, None
+            if part := _PART.fullmatch(log):
+                path, start, end = part[1], float(part[2]), float(part[3])
+            name = Path(path).stem + log[len(path) :]
+            result[name] = read(path, start=start, end=end, progress=stage(f"reading {name}"))
+    return result

@@ -29,9 +29,13 @@ class Way:
     instead: tuple[str, ...] = ()
 
 
-def tried(state: State, now: Look, choice: Score) -> Way:
+def at_sharpest(score: Score, now: Look) -> Score:
+    """A score of a look at the setting that explains most."""
+    return sharpened(score, now.refit, now.innovation, now.projector)
+
+
+def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
     """Add an effect as it is sharpest."""
-    sharp = _sharp(choice, now)
     instead = nearer(sharp, now)
     if instead:
         return Way(sharp, None, instead)
@@ -81,18 +85,18 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
         return None
     without = replace(state, current=current, found=tuple(f for i, f in enumerate(state.found) if i != place))
     now = seen(without)
-    own = _sharp(next(score for score in now.scores if score.name == one.name), now)
+    own = at_sharpest(next(score for score in now.scores if score.name == one.name), now)
     if own.variant.setting.get("order", 0) < term.setting.get("order", 0):
         return None  # it has more modes than are tried before it is in the model
     options = choices(now, without.found, set())
-    rivals = [(_sharp(option, now), option) for option in options if related(one.name, option.name)]
+    rivals = [(at_sharpest(option, now), option) for option in options if related(one.name, option.name)]
     for sharp, rival in sorted(rivals, key=lambda pair: -pair[0].evidence):
         if sharp.evidence < own.evidence + TIE[0]:
             break
         added = terms_of(rival.name, current, sharp.variant.setting)
         if len(added) > 1 or len(added[0].value) > len(term.value):
             continue  # of more values, and so explains more whatever it is
-        ahead = tried(without, now, rival).state
+        ahead = tried(without, now, rival, sharp).state
         if ahead is not None:
             (newcomer,) = _newcomers(ahead, without)
             # It explains what the other did, and more.
@@ -101,10 +105,6 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
             stronger = replace(newcomer, statistic=statistic, evidence=evidence)
             return replace(ahead, found=tuple(stronger if f is newcomer else f for f in ahead.found))
     return None
-
-
-def _sharp(score: Score, now: Look) -> Score:
-    return sharpened(score, now.refit, now.innovation, now.projector)
 
 
 def _newcomers(ahead: State, before: State) -> list[Found]:

@@ -253,7 +253,7 @@ def _gap(
         for n in names
         if n in TERMS and TERMS[n].missing(base.twin)
     )
-    tested = hypotheses(first, names, found, word, discrete, result.leftover)
+    tested = hypotheses(first, names, found, word, discrete, result.leftover, result.slight)
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
     contradicted = () if calibration is None else against(calibration, started)
@@ -263,7 +263,7 @@ def _gap(
         effects=effects,
         untested=untested,
         hypotheses=tested,
-        remaining=hypotheses(last, names, (), word, (), result.leftover) if result.found else (),
+        remaining=hypotheses(last, names, (), word, (), result.leftover, result.slight) if result.found else (),
         before=before,
         after=after,
         moved=contradicted + (moved(started, final) if applied else ()),

@@ -27,10 +27,7 @@ _MOSTLY = 0.8  # share that a term must explain of what families that hold its s
 _LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
 _STRONG = 5.0  # thresholds that a term must pass where something else is missing too
 _AHEAD = 9.0  # nats of evidence from which a rival is behind
-_BEATS = (
-    3.0,
-    0.05,
-)  # nats, and share, by which a generic family must be ahead of all that was named: form is less
+_BEATS = (3.0, 0.05)  # nats, and share, by which a generic family must be ahead of all names: form is less
 _SPAN = 2.5  # widths within which a second bump belongs to the first
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
 _MANY = 9  # values of one family, from which half of the data do not determine them for the other half

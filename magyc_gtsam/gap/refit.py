@@ -63,6 +63,12 @@ def determined(result: Refit, index: int) -> bool:
     return largest < (_HELD * TERMS[result.model.terms[index].name].prior) ** 2
 
 
+def small(result: Refit, index: int) -> bool:
+    """Whether the model's term `index` is so small that it needs more than significance to be given a name."""
+    value, _ = _standardised(result, index)
+    return float(np.linalg.norm(value)) < TERMS[result.model.terms[index].name].least
+
+
 def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
     """`Refit.value_of` for a change of the channels by their deviations."""
     value, covariance = result.value_of(index)

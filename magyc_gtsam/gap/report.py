@@ -52,9 +52,13 @@ def verdict(effects: Sequence[Effect], left: Sequence[str], last: Look, catalogu
 
 
 def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
-    """What a verdict that nothing was found does not say: which effects could not have been seen."""
+    """What a verdict that nothing was found does not say: what is too small, and could not have been seen."""
     blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
-    parts = []
+    parts = [
+        f"what may be “{h.label}” is too small to be told from any other weak effect"
+        for h in hypotheses
+        if h.status == "slight"
+    ]
     if blind:
         named = ", ".join(blind[:_SPELLED])
         more = f" and {len(blind) - _SPELLED} more" if len(blind) > _SPELLED else ""
@@ -152,19 +156,23 @@ def hypotheses(
     word: Verdict,
     discrete: Sequence[NoiseScore],
     left: Sequence[str] = (),
+    slight: Sequence[str] = (),
 ) -> tuple[Hypothesis, ...]:
     """Every candidate with its evidence, strongest first.
 
-    `discrete` are those that were settled before the look, `left` names that count in spite of a veto.
+    `discrete` are those that were settled before the look, `left` names that count in spite of a veto, `slight` what
+    would explain the data, and is too small and too weak to be named.
     """
     named = {f.name for f in found} if word in ("closed", "open") else set()
     rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
-    result = [(s.evidence, _hypothesis(s, look, named, rivals, left)) for s in look.scores]
+    result = [(s.evidence, _hypothesis(s, look, named, rivals, left, slight)) for s in look.scores]
     result += [(n.evidence, _noise_hypothesis(n, named)) for n in (*discrete, *look.noise) if n.name in names]
     return tuple(h for _, h in sorted(result, key=lambda pair: -pair[0]))
 
 
-def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str], left: Sequence[str]) -> Hypothesis:
+def _hypothesis(
+    score: Score, look: Look, named: set[str], rivals: set[str], left: Sequence[str], slight: Sequence[str]
+) -> Hypothesis:
     term = TERMS.get(score.name)
     power = score.power(look.refit.twin) if term else 1.0
     matters = score.smallest(look.refit.twin) if term else 0.0
@@ -175,10 +183,16 @@ def _hypothesis(score: Score, look: Look, named: set[str], rivals: set[str], lef
         status, words = "named", "named and added"
     elif score.significant and not gain > 0 and score.name not in left:
         status, words = "vetoed", _VETOED[gain == 0]
+    elif score.significant and score.name in slight:
+        least, unit = TERMS[score.name].least * scale, TERMS[score.name].unit
+        status, words = (
+            "slight",
+            f"significant, but under {least:.2g} {unit} any other weak effect may pass for it",
+        )
     elif score.significant and score.name in rivals:
         status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
-    elif score.significant and named:
-        status, words = "explained", "significant until the effects above were added"
+    elif score.significant and (named or slight):
+        status, words = "explained", "significant until other effects are in the model"
     elif score.significant:
         status, words = "significant", "significant"
     elif term and power < _POWER:

@@ -10,7 +10,9 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.recording import Array
 
 Verdict = Literal["none", "closed", "unknown", "open", "not enough information"]
-Status = Literal["named", "ambiguous", "vetoed", "explained", "significant", "rejected", "not enough information"]
+Status = Literal[
+    "named", "ambiguous", "vetoed", "slight", "explained", "significant", "rejected", "not enough information"
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +73,10 @@ class Hypothesis:
         power: probability of finding the smallest effect that matters, `matters` in `unit`.
         held_out_gain: gain in log-likelihood on data it was not fitted to, nats; NaN where it was not tried.
         status: "named", "ambiguous" (a rival of a named effect), "vetoed" (no held-out gain, or its channel
-            explains no more than it would at other times), "explained" (significant until a named effect was
-            added), "significant" (and nothing was named), "rejected" (not significant although it would have been
-            found), "not enough information" (would not have been found).
+            explains no more than it would at other times), "slight" (significant, but too small to be named),
+            "explained" (significant until what was named, or is slight, is in the model), "significant" (and nothing
+            was named), "rejected" (not significant although it would have been found), "not enough information"
+            (would not have been found).
         sentence: the status in words.
     """
 

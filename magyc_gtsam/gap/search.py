@@ -7,7 +7,7 @@ become superfluous is taken out again. Names that are as good as each other are 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.alternatives import rest, tried, with_exchange
+from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import (
@@ -35,7 +35,7 @@ from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import sharpened
-from magyc_gtsam.gap.refit import Refit, refit, without_term
+from magyc_gtsam.gap.refit import Refit, refit, small, without_term
 from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
@@ -43,6 +43,7 @@ from magyc_gtsam.recording import Recording
 MOST_TERMS = 5
 _TURNS = MOST_TERMS + 8  # of looking, effects on the noise, what cannot be fitted and exchanges included
 _ON_AND_OFF = ("hard-iron-step", "local-anomaly")  # alike, and on grids too coarse to say which
+_WEAK = 50.0  # nats, up to which what is small may be the shadow of another effect
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
@@ -56,6 +57,7 @@ class Search:
         found: effects in the order of adding; see `naming.term_places`.
         leftover: names of what is significant in the last look, was not added and counts, and colour for which what is
             missing may pass.
+        slight: names of what would explain the data, and is too small and too weak to be named.
     """
 
     recording: Recording
@@ -64,6 +66,7 @@ class Search:
     last: Look
     found: tuple[Found, ...]
     leftover: tuple[str, ...] = ()
+    slight: tuple[str, ...] = ()
 
 
 def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: np.random.Generator) -> Look:
@@ -136,7 +139,7 @@ def search(
                 break
             state, now = widest(better)
             continue
-        ways = [tried(state, now, option) for option in options]
+        ways = [tried(state, now, option, at_sharpest(option, now)) for option in options]
         instead = ways[0].instead
         if instead:
             break
@@ -155,14 +158,17 @@ def search(
     loud = {noise.name for noise in now.noise if noise.significant}
     state = replace(state, found=tuple(f for f in state.found if f.name != "coloured-noise" or f.name in loud))
     left = tuple(dict.fromkeys((*instead, *switched(state.found), *leftover(now, first, state.found, noted))))
+    final = state
     if left:
-        coloured = tuple(f.name for f in state.found if f.name == "coloured-noise")
-        firm = _firm(state, first, now, left)
-        left = (*left, *coloured)
-        if firm.current is not state.current:
-            now = seen(firm)
-        state = firm
-    return Search(state.recording, state.problem, first, now, state.found, left)
+        final = _firm(state, first, now, left)
+        left = (*left, *(f.name for f in state.found if f.name == "coloured-noise"))
+    places = term_places(final.found, final.current.model)
+    weak = {p for p, i in places.items() if final.found[p].evidence < _WEAK and small(final.current, i)}
+    slight = tuple(final.found[place].name for place in sorted(weak))
+    final = _without(final, weak)
+    if final.current is not state.current:
+        now = seen(final)
+    return Search(final.recording, final.problem, first, now, final.found, left, slight)
 
 
 def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
@@ -171,7 +177,7 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
     # A line at the motion's frequencies that is stronger than a name is what the name was mistaken for.
     line = max((n.evidence for n in first.noise if n.name == "tone" and not n.significant), default=0.0)
     loose = {
-        place: index
+        place
         for place, index in term_places(found, current.model).items()
         if found[place].evidence < line
         or _again(found[place], now, left)
@@ -179,13 +185,24 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
         or not stands(current, index, found[place], now, left)
     }
     if ahead_of_names(first, [f for i, f in enumerate(found) if i not in loose]):
-        loose = term_places(found, current.model)  # what is left of the names is not the best that can be said
-    model = current.model
-    for index in reversed(loose.values()):
-        model = without_term(model, index)
+        loose = set(
+            term_places(found, current.model)
+        )  # what is left of the names is not the best that can be said
+    firm = _without(state, loose)
     # What is missing would pass for colour.
-    kept = tuple(f for i, f in enumerate(found) if i not in loose and f.name != "coloured-noise")
-    return replace(state, current=refit(state.problem, model, state.short_term) if loose else current, found=kept)
+    return replace(firm, found=tuple(f for f in firm.found if f.name != "coloured-noise"))
+
+
+def _without(state: State, places: Container[int]) -> State:
+    """Without the terms found at these places."""
+    indices = [index for place, index in term_places(state.found, state.current.model).items() if place in places]
+    if not indices:
+        return state
+    model = state.current.model
+    for index in reversed(indices):
+        model = without_term(model, index)
+    kept = tuple(f for place, f in enumerate(state.found) if place not in places)
+    return replace(state, current=refit(state.problem, model, state.short_term), found=kept)
 
 
 def _again(one: Found, now: Look, left: tuple[str, ...]) -> bool:

@@ -66,6 +66,7 @@ MISALIGNMENT = EffectTerm(
     unit="mrad",
     scale=1e3,
     matters=5e-3,
+    least=np.radians(0.5),
     prior=1.0,
     equivalents=("rotated soft iron", "antisymmetric gyroscope matrix"),
     rivals=("gyro-scale", "cubic"),

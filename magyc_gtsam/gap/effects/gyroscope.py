@@ -80,6 +80,7 @@ G_SENSITIVITY = EffectTerm(
     unit="mrad/s/g",
     scale=1e3,
     matters=5e-3,
+    least=1e-3,
     prior=1.0,
     equivalents=(),
     rivals=("timing", "gyro-scale"),

@@ -36,6 +36,8 @@ class EffectTerm:
         unit, scale: shown value = SI value · scale, in `unit`.
         matters: the smallest value that matters, SI; of a value per unit of a channel, for a change of the channel by
             its deviation in the recording, in whatever unit it is logged.
+        least: norm of the values, likewise, below which a weak effect is given no name: of what a motion shows far
+            below what matters, every other weak effect casts a shadow.
         prior: standard deviation of the value before anything was measured, likewise.
         equivalents: other names for the same signature to first order.
         rivals: names it is known to be confused with.
@@ -66,6 +68,7 @@ class EffectTerm:
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
     block: Callable[[Setting], float] = lambda setting: 10.0
     most: int = 1
+    least: float = 0.0
     many_shapes: bool = False
     alike: tuple[str, ...] = ()
     products: tuple[str, ...] = ()
