@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects.term import EffectTerm
 from magyc_gtsam.gap.result import Gap
 
 ALONE = (1e-9, 0.0)  # only the strongest is tried
@@ -71,3 +75,17 @@ def test_more_left_than_was_named_speaks_against_the_name(seed: int, monkeypatch
     assert left.status != "vetoed"
     monkeypatch.setattr("magyc_gtsam.gap.naming._MANY", 1000)
     assert _gap("moderate", seed, ("servo-magnet", 0.5)).effects  # hysteresis and cubic explain some of it
+
+
+def test_what_clips_takes_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bend that a loss of a twentieth beyond some level explains best."""
+    gap = _gap("moderate", 254445855685853, ("cubic", 1.0))
+    assert gap.verdict == "closed"
+    assert _names(gap) == {"cubic"}
+    assert gap.effects[0].ambiguous_with == ("saturation",)
+    monkeypatch.setattr("magyc_gtsam.gap.alternatives.TERMS", {**TERMS, "saturation": _anything("saturation")})
+    assert _names(_gap("moderate", 254445855685853, ("cubic", 1.0))) == {"saturation"}
+
+
+def _anything(name: str) -> EffectTerm:
+    return replace(TERMS[name], possible=lambda _: True)

@@ -45,6 +45,8 @@ def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
         ahead = None
     if ahead is None or not _newcomers(ahead, state):
         return Way(sharp, None)
+    if not TERMS[choice.name].possible(ahead.current.value_of(-1)[0]):
+        return Way(sharp, None)
     if choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
         return Way(sharp, None, (choice.name,))  # too little of too much that the motion leaves open
     return Way(sharp, ahead)

@@ -10,6 +10,7 @@ from magyc_gtsam.gap.effects.alignment import directions, directions_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.twin import Twin
 
+_CLIPPED = 0.12  # of what is beyond a level, lost where it clips; less is a slight bend, and a gain none at all
 _WIDTHS = (0.03, 0.15, 0.6)  # of a loop, in spans of the field
 
 
@@ -67,6 +68,7 @@ SATURATION = EffectTerm(
     motion="turn over, so that each axis sees its largest field in both directions",
     settings=_levels,
     refined=_levels_nearby,
+    possible=lambda value: bool(value[0] > _CLIPPED),
 )
 CUBIC = EffectTerm(
     name="cubic",
