@@ -60,8 +60,9 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
     """Factor on the published strength at which an effect stands out of a real recording as far as of a simulated one.
 
     Out of what the recording leaves of the twelve parameters and the delay as it is, that is, its colour accounted
-    for; the simulated one is on the wide motion. At most `_LARGEST`: what a short recording cannot show at that is
-    not made to show.
+    for; the simulated one is on the wide motion. At most `_LARGEST`, and of what was tried the one that comes nearest:
+    what a recording cannot show is not made to show, and of an axis that is clipped altogether less is seen than of one
+    that is clipped a little.
 
     Args:
         recording, calibration: as of `inject`.
@@ -86,9 +87,11 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
         return float(np.sqrt(max(2 * (fit.reduced.cost - base.reduced.cost) / base.colour, 0.0)))
 
     factor, wanted = 1.0, _median(name, "wide", 4)
-    for _ in range(_ROUNDS):
+    tried: dict[float, float] = {}  # {factor: how far off}
+    while factor not in tried and len(tried) < _ROUNDS:
         share = wanted / max(stands_out(factor), 0.2 * wanted)
-        factor = float(np.clip(factor * max(share, 0.2), 0.0, _LARGEST))
+        tried[factor] = abs(np.log(max(share, 1e-9)))
         if 1 / _NEAR < share < _NEAR:
             break
-    return factor
+        factor = float(np.clip(factor * max(share, 0.2), 0.0, _LARGEST))
+    return min(tried, key=lambda one: tried[one])

@@ -151,8 +151,8 @@ def related(one: str, other: str) -> bool:
 def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
     """Names that this motion cannot tell from the chosen one.
 
-    Those beside which it adds nothing, those it is known to be confused with that explain nearly as much, and for what
-    changes with time those whose channel is missing.
+    Those beside which it adds nothing, those it is known to be confused with that explain as much (nearly as much,
+    where one has many shapes), and for what changes with time those whose channel is missing.
     """
     result = []
     for rival in now.scores:
@@ -164,7 +164,8 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         close = behind < min(_AHEAD + _SHAPE * choice.evidence, 0.5 * choice.evidence)
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
         alike = rival.significant and behind < _AHEAD and not _adds_beyond(choice.variant, rival.variant, now)
-        if alike or (shapes and related(choice.name, rival.name) and close):
+        tied = rival.significant and behind < max(TIE[0], TIE[1] * choice.evidence)
+        if alike or (related(choice.name, rival.name) and (tied or (shapes and close))):
             result.append(rival.name)
     return (*result, *_untested(choice.name, now.refit.twin))
 
