@@ -28,6 +28,7 @@ def test_as_good_on_the_grid_is_decided_by_the_direction_beside_it(monkeypatch: 
     gap = _gap("wide", 103960999143326, ("hysteresis", 0.5))
     assert gap.verdict == "closed"
     assert _names(gap) == {"hysteresis"}
+    assert gap.effects[0].ambiguous_with == ("eddy-plane",)
     monkeypatch.setattr("magyc_gtsam.gap.naming.TIE", ALONE)
     # On the grid of directions a plate explains 0.6 nats more.
     assert _names(_gap("wide", 103960999143326, ("hysteresis", 0.5))) == {"eddy-plane"}

@@ -185,9 +185,8 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
         or not stands(current, index, found[place], now, left)
     }
     if ahead_of_names(first, [f for i, f in enumerate(found) if i not in loose]):
-        loose = set(
-            term_places(found, current.model)
-        )  # what is left of the names is not the best that can be said
+        # What is left of the names is not the best that can be said.
+        loose = set(term_places(found, current.model))
     firm = _without(state, loose)
     # What is missing would pass for colour.
     return replace(firm, found=tuple(f for f in firm.found if f.name != "coloured-noise"))
