@@ -181,6 +181,7 @@ def scenario(kind: str, *names: str, factor: float = 1.0, motion: str = "wide") 
         (scenario("single", "timing"), "crashed", [], "crashed"),
         (scenario("single", "sample-hold"), "closed", [("sample-hold", ()), ("timing", ())], "right"),
         (scenario("single", "sample-hold"), "closed", [("timing", ())], "partial"),
+        (scenario("single", "motor-current"), "closed", [("motor-current", ()), ("tone", ())], "right"),
     ],
 )
 def test_judgement(hidden: Scenario, verdict: str, named: list, kind: str) -> None:

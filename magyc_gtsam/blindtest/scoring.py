@@ -29,8 +29,9 @@ RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOM
 SEVERAL = "several names"
 # A warming magnet is a slow drift to whoever has no thermometer.
 _FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",)}
-# What a free-running magnetometer shows is old by half a log period in the mean: saying so beside is no error.
-_CONSEQUENCE = {"sample-hold": ("timing",)}
+# To say so beside is no error: what a free-running magnetometer shows is old by half a log period in the mean, and
+# the ripple of a chopper's current, which no sensor of the current follows, is a tone.
+_CONSEQUENCE = {"sample-hold": ("timing",), "motor-current": ("tone",)}
 
 
 @dataclass(frozen=True)
