@@ -84,7 +84,7 @@ def test_what_clips_takes_away(monkeypatch: pytest.MonkeyPatch) -> None:
     assert gap.verdict == "closed"
     assert _names(gap) == {"cubic"}
     assert gap.effects[0].ambiguous_with == ("saturation",)
-    monkeypatch.setattr("magyc_gtsam.gap.alternatives.TERMS", {**TERMS, "saturation": _anything("saturation")})
+    monkeypatch.setattr("magyc_gtsam.gap.refit.TERMS", {**TERMS, "saturation": _anything("saturation")})
     assert _names(_gap("moderate", 254445855685853, ("cubic", 1.0))) == {"saturation"}
 
 

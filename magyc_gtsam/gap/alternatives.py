@@ -13,7 +13,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import TIE, Found, Look, choices, related, term_places
 from magyc_gtsam.gap.refined import nearer, sharpened
-from magyc_gtsam.gap.refit import determined, without_term
+from magyc_gtsam.gap.refit import determined, possible, without_term
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.steps import State, terms_of, with_effect
 
@@ -45,8 +45,9 @@ def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
         ahead = None
     if ahead is None or not _newcomers(ahead, state):
         return Way(sharp, None)
-    if not TERMS[choice.name].possible(ahead.current.value_of(-1)[0]):
-        return Way(sharp, None)
+    rivals = (o.name for o in choices(now, state.found, {choice.name}) if related(choice.name, o.name))
+    if any(rivals) and not possible(ahead.current, -1):
+        return Way(sharp, None)  # a rival takes its place
     if choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
         return Way(sharp, None, (choice.name,))  # too little of too much that the motion leaves open
     return Way(sharp, ahead)

@@ -63,6 +63,12 @@ def determined(result: Refit, index: int) -> bool:
     return largest < (_HELD * TERMS[result.model.terms[index].name].prior) ** 2
 
 
+def possible(result: Refit, index: int) -> bool:
+    """Whether the value of the model's term `index` is any that its effect can have."""
+    value, _ = result.value_of(index)
+    return TERMS[result.model.terms[index].name].possible(value)
+
+
 def small(result: Refit, index: int) -> bool:
     """Whether the model's term `index` is so small that it needs more than significance to be given a name."""
     value, _ = _standardised(result, index)

@@ -35,7 +35,7 @@ from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import sharpened
-from magyc_gtsam.gap.refit import Refit, refit, small, without_term
+from magyc_gtsam.gap.refit import Refit, possible, refit, small, without_term
 from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
@@ -163,7 +163,11 @@ def search(
         final = _firm(state, first, now, left)
         left = (*left, *(f.name for f in state.found if f.name == "coloured-noise"))
     places = term_places(final.found, final.current.model)
-    weak = {p for p, i in places.items() if final.found[p].evidence < _WEAK and small(final.current, i)}
+    weak = {
+        p
+        for p, i in places.items()
+        if (final.found[p].evidence < _WEAK and small(final.current, i)) or not possible(final.current, i)
+    }
     slight = tuple(final.found[place].name for place in sorted(weak))
     final = _without(final, weak)
     if final.current is not state.current:
