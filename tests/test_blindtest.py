@@ -30,6 +30,8 @@ from magyc_gtsam.blindtest.scenarios import (
 from magyc_gtsam.blindtest.scoring import Outcome, confusion, judged, score
 from magyc_gtsam.blindtest.sealing import MANIFEST, RECORDINGS, SEALED, opened, seal
 from magyc_gtsam.blindtest.tables import markdown, outcome_rows
+from magyc_gtsam.cli.study_gap import _recordings
+from magyc_gtsam.io import write_mcap
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import simulate
 from magyc_gtsam.simulation.effects import FOREIGN, NAMED
@@ -334,3 +336,11 @@ def test_the_command_refuses_what_it_does_not_know(capsys: pytest.CaptureFixture
     finally:
         logging.disable(logging.NOTSET)
     assert "--set: 'gremlins' is none of none, single, pair, withheld, foreign" in capsys.readouterr().err
+
+
+def test_a_part_of_a_log_is_taken(tmp_path: Path) -> None:
+    write_mcap(tmp_path / "log.mcap", simulate("wide", 30, seed=1).recording)
+    read = _recordings([str(tmp_path / "log.mcap"), f"{tmp_path / 'log.mcap'}@5:20.5"])
+    assert read.keys() == {"log", "log@5:20.5"}
+    assert read["log"].duration == pytest.approx(30, abs=0.2)
+    assert read["log@5:20.5"].duration == pytest.approx(15.5, abs=0.2)

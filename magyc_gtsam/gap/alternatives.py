@@ -45,8 +45,9 @@ def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
         ahead = None
     if ahead is None or not _newcomers(ahead, state):
         return Way(sharp, None)
-    rivals = (o.name for o in choices(now, state.found, {choice.name}) if related(choice.name, o.name))
-    if any(rivals) and not possible(ahead.current, -1):
+    if not possible(ahead.current, -1) and any(
+        related(choice.name, other.name) for other in choices(now, state.found, {choice.name})
+    ):
         return Way(sharp, None)  # a rival takes its place
     if choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
         return Way(sharp, None, (choice.name,))  # too little of too much that the motion leaves open

@@ -184,11 +184,7 @@ def _hypothesis(
     elif score.significant and not gain > 0 and score.name not in left:
         status, words = "vetoed", _VETOED[gain == 0]
     elif score.significant and score.name in slight:
-        least, unit = TERMS[score.name].least * scale, TERMS[score.name].unit
-        status, words = (
-            "slight",
-            f"significant, but under {least:.2g} {unit} any other weak effect may pass for it",
-        )
+        status, words = "slight", "significant, but so small that any other weak effect may pass for it"
     elif score.significant and score.name in rivals:
         status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
     elif score.significant and (named or slight):
