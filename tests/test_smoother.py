@@ -364,6 +364,15 @@ def test_axes_that_disagree_are_named(wide, matrix, words):
     assert words in str(caught.value)
 
 
+def test_a_noisy_magnetometer_hides_no_exchanged_axes() -> None:
+    """3 µT of noise are a half of what single samples two seconds apart change by."""
+    recording = simulate("wide", 600, seed=5, magnetometer_noise=3e-6, gyroscope_noise=1e-2).recording
+    assert calibrate(recording).converged
+    turned = recording.angular_rate @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    with pytest.raises(MagycError, match="x ← y, y ← −x, z ← z"):
+        calibrate(replace(recording, angular_rate=turned))
+
+
 def test_degrees_for_radians_are_named(wide):
     """At low rates deg/s pass the constructor's limit."""
     recording = wide.recording

@@ -11,14 +11,15 @@ from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
 _LEAST_SAMPLES = 60  # of the magnetometer: three numbers each, against nine unknowns and 144 arrangements
-_PAIRS = 3000  # pairs of samples that are compared
-_TURN = 0.25  # rad of rotation between the samples of a pair: above their noise, yet small
-_LAGS = (0.1, 2.0)  # s between them
+_PAIRS = 3000  # pairs of means that are compared
+_TURN = 0.3  # rad of rotation between the means of a pair: above their noise, yet small
+_LAGS = (0.1, 4.0)  # s between them
 _CLEARLY = 0.5  # share of the squared misfit below which another arrangement is clearly better
 _POOR = 0.2  # share left unexplained from which the given arrangement is in doubt at all
 _EXPLAINS = 0.25  # share of the field's variation that an arrangement must leave unexplained at most
@@ -124,9 +125,11 @@ def check(recording: Recording) -> None:
 
 
 def _pairs(recording: Recording, factor: float) -> tuple[Array, Array, Array, Array]:
-    """Of pairs of samples, the rate being `factor` times what the log says:
+    """Of pairs of means over half the time between them, the rate being `factor` times what the log says:
 
-    change and middle of the field (n, 3), rotation vector in between (n, 3), and the time step (n,)."""
+    change and middle of the field (n, 3), rotation vector in between (n, 3), and the time step (n,). Of single samples
+    the noise of a cheap sensor, 2 µT, is half of what they change by.
+    """
     time, field = recording.magnetometer
     gyro_time, rate = recording.gyroscope
     rate = rate * factor
@@ -134,10 +137,11 @@ def _pairs(recording: Recording, factor: float) -> tuple[Array, Array, Array, Ar
     seconds = np.clip(_TURN / max(speed, 1e-6), *_LAGS)
     lag = int(np.clip(round(float(seconds / np.median(np.diff(time)))), 1, (len(time) - 1) // 2))
     first = np.arange(0, len(time) - lag, max((len(time) - lag) // _PAIRS, 1))
-    step = time[first + lag] - time[first]
     angle = np.zeros((len(gyro_time), 3))
     np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(gyro_time)[:, None], axis=0, out=angle[1:])
     at = np.stack([np.interp(time, gyro_time, column) for column in angle.T], axis=1)
+    time, field, at = (uniform_filter1d(each, max(lag // 2, 1), axis=0) for each in (time, field, at))
+    step = time[first + lag] - time[first]
     turn = at[first + lag] - at[first]
     kept = step < 3 * float(np.median(step))
     change, mid = field[first + lag] - field[first], 0.5 * (field[first + lag] + field[first])
