@@ -74,7 +74,7 @@ def test_more_left_than_was_named_speaks_against_the_name(seed: int, monkeypatch
     assert not gap.effects
     left = next(h for h in gap.hypotheses if h.name in gap.diagnostics["leftover"])
     assert left.status != "vetoed"
-    monkeypatch.setattr("magyc_gtsam.gap.naming._MANY", 1000)
+    monkeypatch.setattr("magyc_gtsam.gap.objections._MANY", 1000)
     assert _gap("moderate", seed, ("servo-magnet", 0.5)).effects  # hysteresis and cubic explain some of it
 
 

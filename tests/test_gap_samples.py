@@ -14,8 +14,9 @@ from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, switched, term_places
+from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, term_places
 from magyc_gtsam.gap.noise_effects import coloured_noise, sample_hold, tone
+from magyc_gtsam.gap.objections import switched
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import determined, refit, with_term
 from magyc_gtsam.gap.score import Projector, variants

@@ -18,20 +18,9 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
-from magyc_gtsam.gap.naming import (
-    LEFT,
-    NOISE_LIMIT,
-    Found,
-    Look,
-    ahead_of_names,
-    choices,
-    leftover,
-    loudest,
-    stands,
-    switched,
-    term_places,
-)
+from magyc_gtsam.gap.naming import LEFT, NOISE_LIMIT, Found, Look, choices, loudest, term_places
 from magyc_gtsam.gap.neighbours import product_of
+from magyc_gtsam.gap.objections import ahead_of_names, leftover, stands, switched
 from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import sharpened

@@ -1,0 +1,140 @@
+"""What speaks against the names given: what is left, what explains more, and what they lean on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, shape_of, weights
+from magyc_gtsam.gap.refit import Refit, without_term
+from magyc_gtsam.gap.score import Projector, Variant, variant
+
+_REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks against the names given
+_FIRM = 0.7  # share of what a term should explain beside whatever else is missing
+_MOSTLY = 0.8  # share that a term must explain of what families that hold its signature could explain
+_LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
+_STRONG = 5.0  # thresholds that a term must pass where something else is missing too
+_HELD = 0.98  # share of what a family explains from which the names hold it: 0.995 of what they are, 0.7 of others
+_BEATS = (3.0, 0.05)  # nats, and share, by which a generic family must be ahead of all names: form is less
+_MANY = 9  # values of one family, from which half of the data do not determine them for the other half
+_CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-hard-iron")
+_CHANGES = 2  # with time, that one recording may hold
+
+
+def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str, ...]) -> bool:
+    """Whether a term keeps its evidence when the families that are still significant are in the model too.
+
+    A term that is right keeps the share of its statistic that the families do not hold of its signature. Of those that
+    hold most of it, it must explain the most itself: what may lie along any of so many values would hardly lie along
+    the few of the term by chance.
+    """
+    twin = current.twin
+    term = twin.model.terms[index]
+    columns = twin.columns(term.name, term.setting)
+    own = twin.whiten(columns)
+    pull = np.zeros(len(own)) if columns.pull is None else columns.pull
+    value, _ = current.value_of(index)
+    without = replace(twin, model=without_term(twin.model, index))
+    target = twin.residual().ravel() - value @ own  # as if the term were not there
+
+    def explained(rows: Array, pulls: Array, beside: list[tuple[Array, Array]]) -> tuple[float, Array]:
+        """The statistic of columns beside others, and their directions."""
+        project = Projector(np.concatenate([b for b, _ in beside]), np.concatenate([p for _, p in beside]))
+        result = variant(term.setting, rows, project, pulls)
+        return _squared(result.score(project(target[None])[0])), result.unit
+
+    beside = [(without.base_columns, without.base_pull)]
+    all_of_it, alone = explained(own, pull, beside)
+    holding: list[tuple[Array, Array]] = []
+    for other in (s.variant for s in now.scores if s.name in left and s.name != term.name):
+        _, unit = explained(other.columns, other.pull, beside[:1])
+        holds = _squared(alone @ unit.T) > (1 - _LITTLE) * len(alone)
+        (holding if holds else beside).append((other.columns, other.pull))
+    statistic, rest = explained(own, pull, beside)
+    kept = _squared(alone @ rest.T) / len(alone)
+    if statistic <= max(_STRONG * found.threshold, _FIRM * kept * all_of_it):
+        return False
+    if not holding:
+        return True
+    rows, pulls = (np.concatenate(part) for part in zip(*holding, strict=True))
+    more, unit = explained(rows, pulls, [*beside, (own, pull)])
+    return statistic > _MOSTLY * (statistic + more - len(unit))
+
+
+def _squared(values: Array) -> float:
+    return float(np.vdot(values, values))
+
+
+def switched(found: Sequence[Found]) -> tuple[str, ...]:
+    """What changes with time, where that is so much that something else must switch or move it all."""
+    changing = [f.name for f in found if f.name in _CHANGING]
+    return tuple(dict.fromkeys(changing)) if len(changing) > _CHANGES else ()
+
+
+def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) -> tuple[str, ...]:
+    """What is still significant, less what the effects found may leave for not being quite of their form.
+
+    To this belong generic families that explained the data clearly better than all names together.
+    """
+    explained = max([s.statistic for s in first.scores] + weights(now.refit), default=0.0)
+    named = any(f.name in TERMS for f in found)
+    all_named = max(sum(f.statistic for f in found if f.name in TERMS), *weights(now.refit), 0.0)
+    if not named or any(f.name == "coloured-noise" for f in found):
+        all_named = np.inf  # nothing to compare with, or statistics that are those of the colour
+    result = ahead_of_names(first, found)
+    for score in now.scores:
+        limit = min(_REMAINDER, score.limit) if named and score.generic else score.limit
+        excess = score.statistic - len(score.variant.unit)
+        # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
+        many = score.generic and len(score.variant.unit) > _MANY
+        more = many and score.significant and excess > all_named
+        if score.significance <= limit or (now.gains.get(score.name, 0.0) <= 0 and not more):
+            continue
+        if found and excess < SHAPE * explained:
+            continue
+        if not score.generic and shape_of(score, now.refit, found):
+            continue
+        result.append(score.name)
+    for noise in now.noise:
+        loud = noise.evidence > NOISE_LIMIT and noise.name in ("tone", "coloured-noise")
+        if loud and noise.name not in noted and not (found and noise.statistic < SHAPE * explained):
+            result.append(noise.name)
+    return tuple(dict.fromkeys(result))
+
+
+def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
+    """The generic families that explained the data clearly better than all names together.
+
+    Not those of fewer values whose signature the names hold: they say the same, and pay for less.
+    """
+    names = {f.name for f in found if f.name in TERMS}
+    if not names:
+        return []
+    named = sum(f.evidence for f in found if f.name in TERMS)
+    ahead = named + max(_BEATS[0], _BEATS[1] * named)
+    own = _span([s.variant.unit for s in first.scores if s.name in names])
+    return [
+        s.name
+        for s in first.scores
+        if s.generic
+        and s.significant
+        and s.evidence > ahead
+        and first.gains.get(s.name, 0.0) > 0
+        and not _within(own, s.variant, first.innovation)
+    ]
+
+
+def _span(units: Sequence[Array]) -> Array:
+    """Orthonormal rows that span those of all."""
+    _, size, rows = np.linalg.svd(np.concatenate(units), full_matrices=False)
+    return np.asarray(rows[size > SHARED])
+
+
+def _within(own: Array, other: Variant, innovation: Array) -> bool:
+    """Whether what a candidate explains is held by orthonormal rows that are more than its values."""
+    explained = other.score(innovation) @ other.unit
+    return len(other.unit) < len(own) and _squared(own @ explained) > _HELD * _squared(explained)
