@@ -68,6 +68,8 @@ class Recording:
             all rows that do not repeat the row before them exactly (sample-and-hold).
         angular_rate_fresh: (N,) bool, likewise for the gyroscope. Default: all rows, unless the
             gyroscope repeats itself so often that it must be sample-held.
+        magnetic_field_stamped: (N,) bool, rows at whose time the magnetometer's log has an entry, fresh or repeated;
+            the others fill its column only since another sensor has one there. Default: all rows.
         notes: what a reader had to do or leave out, for the report.
 
     Raises:
@@ -85,6 +87,7 @@ class Recording:
     magnetic_field_unit: Literal["T", "counts"] = field(default="T", kw_only=True)
     magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
+    magnetic_field_stamped: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
@@ -120,6 +123,7 @@ class Recording:
             "angular_rate_fresh",
             self._mask("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE, _LONGEST_HOLD),
         )
+        put(self, "magnetic_field_stamped", self._mask("magnetic_field_stamped", None, 0.0, np.inf))
         if self.magnetic_field_fresh.sum() < 3:
             raise MagycError(
                 "magnetic_field: fewer than 3 different samples, all others repeat the row before; "
@@ -214,6 +218,7 @@ class Recording:
             channels={k: v[rows] for k, v in self.channels.items()},
             magnetic_field_fresh=self.magnetic_field_fresh[rows],
             angular_rate_fresh=self.angular_rate_fresh[rows],
+            magnetic_field_stamped=self.magnetic_field_stamped[rows],
         )
 
     @classmethod

@@ -44,12 +44,14 @@ def unite(
     cut = sum(len(t) for t, _ in clean.values()) - sum(len(t) for t in inside)
     mag_time, mag = clean["magnetic_field"]
     held = np.searchsorted(mag_time, time, side="right") - 1
-    mag_fresh = mag_time[held] == time
+    mag_stamped = mag_time[held] == time
+    mag_fresh = mag_stamped.copy()
     mag_fresh[np.flatnonzero(mag_fresh)[1:]] &= (np.diff(mag[held[mag_fresh]], axis=0) != 0).any(axis=1)
     result: dict[str, Any] = {
         "time": time,
         "magnetic_field": mag[held],
         "magnetic_field_fresh": mag_fresh,
+        "magnetic_field_stamped": mag_stamped,
         "angular_rate_fresh": np.ones(len(time), dtype=bool),
         "channels": {},
         "notes": (f"{cut} samples outside the time that both sensors cover were left out",) if cut else (),

@@ -90,3 +90,24 @@ def test_what_clips_takes_away(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _anything(name: str) -> EffectTerm:
     return replace(TERMS[name], possible=lambda _: True)
+
+
+def test_of_two_steps_the_one_that_stays_has_all_their_evidence() -> None:
+    """Two explain as much as one whose other end is next to the end of the recording; that one is taken out."""
+    gap = _gap("multi", 224536401793529, ("hard-iron-step", 1.0))
+    assert gap.verdict == "closed"
+    (step,) = gap.effects
+    assert step.name == "hard-iron-step"
+    assert step.statistic > 120
+    assert {"time:sensor-12", "position:magnetometer"} <= {
+        h.name for h in gap.hypotheses if h.statistic > step.statistic
+    }
+
+
+def test_a_family_that_the_name_holds_is_not_ahead_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three values of pitch and roll explain as much as the nine of a gyroscope that feels acceleration."""
+    gap = _gap("multi", 161429319753792, ("g-sensitivity", 1.0))
+    assert gap.verdict == "closed"
+    assert _names(gap) == {"g-sensitivity"}
+    monkeypatch.setattr("magyc_gtsam.gap.objections._HELD", 1.0)
+    assert _gap("multi", 161429319753792, ("g-sensitivity", 1.0)).verdict == "unknown"

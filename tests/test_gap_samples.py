@@ -81,6 +81,35 @@ def test_held_samples_are_stamped_by_the_clock_that_they_show(period: float, see
     assert abs(late.expected[0]) < 10  # ms; by the stamps of the rows it would be 50
 
 
+def test_a_hole_in_the_log_hides_no_clock() -> None:
+    """How many samples a hole holds is open by one from the rows at its ends, and is not from those beside it."""
+    full = mg.simulate("wide", duration=600, seed=4, effects=("sample-hold",)).recording
+    time = full.time - full.time[0]
+    kept = ((time < 100) | (time > 117.3)) & ((time < 350) | (time > 379.1))
+    assert full.angular_rate is not None
+    holes = mg.Recording(full.time[kept], full.magnetic_field[kept], full.angular_rate[kept])
+    own, whole = (settled(recording, NAMES)[0].magnetometer.time for recording in (holes, full))
+    assert np.abs(own[:, None] - whole).min(axis=1).max() < 1e-3
+    assert mg.find_gap(holes).names == ("sample-hold",)
+
+
+def test_a_slower_stream_holds_nothing() -> None:
+    """A magnetometer with an entry in every seventh row of the gyroscope's, at the gyroscope's own stamps."""
+    fine = mg.simulate("multi", duration=200, seed=4, rate=70.0).recording
+    assert fine.angular_rate is not None
+    gyroscope = fine.time, fine.angular_rate
+    slow = mg.Recording.from_streams((fine.time[::7], fine.magnetic_field[::7]), gyroscope)
+    assert slow.angular_rate_fresh.all()
+    assert not sample_hold(slow).significant
+    gap = mg.find_gap(slow)
+    assert gap.verdict == "none"
+    # One that repeats its own entries is held, whatever the gyroscope's rate.
+    repeated = np.repeat(fine.magnetic_field[::14], 2, axis=0)[: len(fine.time[::7])]
+    held = mg.Recording.from_streams((fine.time[::7], repeated), gyroscope)
+    assert sample_hold(held).setting["share"] == pytest.approx(0.5, abs=0.01)
+    assert sample_hold(held).significant
+
+
 def test_coarse_steps_are_no_hold() -> None:
     recording = mg.simulate("wide", duration=200, seed=4).recording
     coarse = replace(

@@ -111,6 +111,7 @@ def write(path: Path, recording: Recording) -> None:
         "angular_rate": recording.angular_rate,
         "magnetic_field_fresh": recording.magnetic_field_fresh,
         "angular_rate_fresh": recording.angular_rate_fresh,
+        "magnetic_field_stamped": recording.magnetic_field_stamped,
         "angular_rate_is": np.array(recording.angular_rate_is),
     }
     if recording.acceleration is not None:

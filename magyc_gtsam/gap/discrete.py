@@ -16,6 +16,7 @@ from magyc_gtsam.recording import Recording
 
 _COARSE = 0.2  # step in sigmas from which values repeat by chance
 _ONE_ROW = 1.2  # rows by which the ages of held samples differ, if they come on a clock
+_HOLE = 5.0  # usual steps from which rows are missing
 _SECOND = 1.0  # s over which readings are averaged to see whether they move
 _REST = 10  # such means that hardly differ are a rest
 _SAME = 0.03  # of the field's spread over the recording: less is no move
@@ -76,14 +77,13 @@ def _on_own_clock(recording: Recording) -> Recording:
     number of the sample; the row that comes soonest after its sample says where. Where the two clocks beat, only few
     ages occur, and the soonest row comes up to the distance of two of them after its sample.
     """
-    row = float(np.median(np.diff(recording.time)))
+    row = float(np.median(np.diff(recording.time[recording.magnetic_field_stamped])))
     time, field = recording.magnetometer
-    between = np.diff(time)
-    missed = np.ceil((between - _ONE_ROW * row) / between.mean())  # samples that happened to repeat the one before
-    number = np.concatenate([[0.0], np.cumsum(np.maximum(missed, 1.0))])
-    slope, start = np.polyfit(number[1:], time[1:] - time[0], 1)  # how long the first was held before is not seen
+    number, seen = _numbered(time, row)
+    number, time, field = number[seen], time[seen], field[seen]
+    slope, start = np.polyfit(number, time - time[0], 1)
     own = time[0] + start + slope * number
-    age = (time - own)[1:]
+    age = time - own
     if slope < row or np.ptp(age) > _ONE_ROW * row:
         return recording  # no clock is seen
     ages = len(np.unique(np.round(age / row, 2)))
@@ -92,14 +92,38 @@ def _on_own_clock(recording: Recording) -> Recording:
     return recording.with_samples((own, field), rates)
 
 
+def _numbered(time: Array, row: float) -> tuple[Array, np.ndarray]:
+    """(n,) number of each sample that was first seen in a row at `time` s, of one clock, and whether it was new there.
+
+    A sample may happen to repeat the one before, and is missed. Over a hole in the log the ages at both ends leave
+    open by one how many there were: the mean ages beside it do not. How long the first was held before is not seen.
+    """
+    between = np.diff(time)
+    hole = between > _HOLE * np.median(between)
+    period = float(between[~hole].mean())
+    missed = np.ceil((between - _ONE_ROW * row) / period)
+    number = np.concatenate([[0.0], np.cumsum(np.maximum(missed, 1.0))])
+    stretch = np.concatenate([[0], np.cumsum(hole)])
+    size = np.bincount(stretch)
+
+    def within(values: Array) -> tuple[Array, Array]:
+        mean = np.bincount(stretch, values) / size
+        return mean, values - mean[stretch]
+
+    (mean_number, numbers), (mean_time, times) = within(number), within(time)
+    period = float(times @ numbers / max(numbers @ numbers, 1e-300))
+    start = mean_time - period * mean_number
+    return number + np.round((start - start[0]) / period)[stretch], np.diff(stretch, prepend=-1) == 0
+
+
 def _unheld(recording: Recording, noise: float) -> Recording:
-    """With all rows as samples, where the magnetometer's repeat because its steps are coarse (noise T per sample).
+    """With all entries as samples, where the magnetometer's repeat because its steps are coarse (noise T per sample).
 
     To leave such repeats out would keep the first of each, and so make the magnetometer seem early.
     """
-    if not recording.angular_rate_fresh.all() or quantisation(recording, noise).statistic < _COARSE:
+    if quantisation(recording, noise).statistic < _COARSE:
         return recording
-    return replace(recording, magnetic_field_fresh=np.ones(len(recording.time), dtype=bool))
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_stamped)
 
 
 def moving(recording: Recording) -> Recording:

@@ -177,15 +177,15 @@ def lattice(values: Array) -> float:
 
 
 def sample_hold(recording: Recording) -> NoiseScore:
-    """Rows that repeat the magnetometer's row before them exactly, in a table in which the gyroscope moves on.
+    """Entries of the magnetometer's log that repeat the one before them exactly.
 
-    A hold repeats all axes together, a coarse step each by itself: of the rows that repeat, those count that the
+    A hold repeats all axes together, a coarse step each by itself: of the entries that repeat, those count that the
     repeats of the single axes do not explain by chance.
     """
-    stale = ~recording.magnetic_field_fresh
-    one_table = recording.angular_rate is None or bool(recording.angular_rate_fresh.all())
-    share = _held_together(recording.time, np.diff(recording.magnetic_field, axis=0) == 0)
-    held = one_table and share > max(HELD, _MOSTLY * float(stale.mean()))
+    own = recording.magnetic_field_stamped
+    stale = ~recording.magnetic_field_fresh[own]
+    share = _held_together(recording.time[own], np.diff(recording.magnetic_field[own], axis=0) == 0)
+    held = share > max(HELD, _MOSTLY * float(stale.mean()))
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
         "sample-hold",

@@ -92,10 +92,18 @@ def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State |
     ahead = state.refitted(model)
     if ahead is None:
         return None
-    share, rivals = 1 / len(added), rivals_of(choice, now)
-    strength = (sharp.statistic * share, sharp.threshold * share, sharp.evidence * share)
-    found = (*state.found, *(Found(choice.name, *strength, rivals) for _ in added))
-    return _backwards(replace(state, current=ahead, found=found))
+    rivals = rivals_of(choice, now)
+
+    def part(share: float) -> Found:
+        return Found(choice.name, sharp.statistic * share, sharp.threshold * share, sharp.evidence * share, rivals)
+
+    parts = [part(1 / len(added)) for _ in added]
+    result = _backwards(replace(state, current=ahead, found=(*state.found, *parts)))
+    kept = [any(f is one for one in parts) for f in result.found]
+    # Of two steps one may have been none, and the other is what was found.
+    return replace(
+        result, found=tuple(part(1 / sum(kept)) if new else f for f, new in zip(result.found, kept, strict=True))
+    )
 
 
 def with_more_modes(state: State, now: Look) -> State | None:
