@@ -6,6 +6,7 @@ import json
 import logging
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,8 @@ from magyc_gtsam.blindtest.scenarios import (
 )
 from magyc_gtsam.blindtest.scoring import Outcome, confusion, judged, score
 from magyc_gtsam.blindtest.sealing import MANIFEST, RECORDINGS, SEALED, opened, seal
-from magyc_gtsam.blindtest.tables import markdown, outcome_rows
+from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test, stands_out
+from magyc_gtsam.blindtest.tables import markdown, outcome_rows, standing_rows
 from magyc_gtsam.cli.study_gap import _recordings
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.recording import Recording
@@ -254,6 +256,29 @@ def test_confusion_and_tables(tmp_path: Path) -> None:
     assert "Named in less than 90 % of their runs at published strength: timing 1 of 2." in page
 
 
+def test_how_far_it_stands_out() -> None:
+    """What is said is told by how much could have been seen."""
+    twice = [stands_out(scenario("single", "motor-current", factor=factor)) for factor in (1.0, 2.0)]
+    assert twice[0] == pytest.approx(17, rel=0.3)  # sigmas, as the table of strengths has it
+    assert twice[1] == pytest.approx(2 * twice[0], rel=0.1)
+    assert stands_out(scenario("single", "axis-order")) is None
+    assert stands_out(scenario("none")) is None
+    # A test at level 0.01 / 44 of three values is passed by chance so often, and by five sigmas mostly.
+    assert seen_by_a_perfect_test(np.zeros(1)) == pytest.approx(0.01 / 44, rel=1e-3)
+    assert seen_by_a_perfect_test(np.array([5.0])) == pytest.approx(0.79, abs=0.02)
+    outcomes = [
+        replace(outcome("right", scenario("single", "timing"), "timing"), stands_out=5.5),
+        replace(outcome("silent", scenario("single", "timing")), stands_out=5.1),
+        replace(outcome("wrong", scenario("single", "cubic"), "timing"), stands_out=30.0),
+        outcome("right", scenario("single", "tone"), "tone"),
+    ]
+    assert standing_rows(outcomes) == [
+        ["5 to 6", "2", "50 %", "0 %", "0 %", "50 %", "86 %"],
+        ["from 20", "1", "0 %", "100 %", "0 %", "0 %", "100 %"],
+    ]
+    assert "| 5 to 6 | 2 | 50 % |" in markdown(outcomes, "Test")
+
+
 def test_heading_is_judged_on_the_channels_that_the_diagnosis_had() -> None:
     hidden = Scenario("a", "withheld", "wide", 3, (("motor-current", 1.0),), ("current",), 60.0)
     clean = noise_free(hidden)
@@ -318,13 +343,15 @@ def test_a_small_blind_test_from_end_to_end(tmp_path: Path) -> None:
     shares: list[float] = []
     run(tmp_path, chosen, diagnosing=shares.append)
     assert shares[-1] == 1.0
-    outcomes = score(tmp_path, heading_errors)
+    outcomes = score(tmp_path, heading_errors, stands_out)
     assert {o.scenario.id for o in outcomes} == wanted.keys()
     for o in outcomes:
         assert o.kind in wanted[o.scenario.id], f"{o.scenario.id}: {o.sentence}"
     late = next(o for o in outcomes if o.scenario.names == ("timing",))
     assert late.heading is not None
     assert late.heading[1] < 0.5 * late.heading[0]
+    assert late.stands_out is not None
+    assert late.stands_out > 10
     stamps = [file.stat().st_mtime_ns for file in sorted((tmp_path / "results").iterdir())]
     run(tmp_path, chosen)
     assert [file.stat().st_mtime_ns for file in sorted((tmp_path / "results").iterdir())] == stamps

@@ -67,6 +67,7 @@ def generate(scenario: Scenario, real: Recording | None = None) -> Hidden:
     return Hidden(_blinded(simulation.recording, scenario), simulation.truth, simulation.effects, attitude)
 
 
+@lru_cache(maxsize=1)
 def noise_free(scenario: Scenario) -> Recording:
     """The same simulated recording, effects included but for noise of any kind: what heading is judged on."""
     sensor = sensors(scenario.seed) | {"magnetometer_noise": 0.0, "gyroscope_noise": 0.0}

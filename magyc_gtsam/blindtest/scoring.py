@@ -48,6 +48,7 @@ class Outcome:
         sentence: the diagnosis in words.
         excess: variance of the open-loop error beyond its floor, before and after, over the floor's.
         heading: systematic heading error in degrees before and after; None where it was not computed.
+        stands_out: sigmas; None where it was not computed.
         seconds: processor time.
     """
 
@@ -60,6 +61,7 @@ class Outcome:
     excess: tuple[float, float] | None
     heading: tuple[float, float] | None
     seconds: float
+    stands_out: float | None = None
 
     @property
     def said(self) -> str:
@@ -70,11 +72,13 @@ class Outcome:
 
 
 Heading = Callable[[Scenario, dict[str, Any]], tuple[float, float] | None]
+Standing = Callable[[Scenario], float | None]
 
 
 def score(
     folder: Path,
     heading: Heading = lambda *_: None,
+    standing: Standing = lambda _: None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Outcome]:
     """The outcomes of all recordings that have been diagnosed, in the order of the scenarios.
@@ -82,6 +86,7 @@ def score(
     Args:
         folder: of the blind test.
         heading: heading error before and after of a scenario and its result; see `heading.heading_errors`.
+        standing: how far it stands out; see `standing.stands_out`.
         progress: called with the fraction done.
 
     Raises:
@@ -105,7 +110,7 @@ def score(
     for done, (number, scenario, result) in enumerate(pairs):
         there = already.get(scenario.motion, set())
         if there.isdisjoint(scenario.names):  # else it would be found without
-            outcomes.append(_outcome(number, scenario, result, there, heading))
+            outcomes.append(_outcome(number, scenario, result, there, heading, standing))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
 
@@ -123,7 +128,12 @@ def _scenario(truth: dict[str, Any]) -> Scenario:
 
 
 def _outcome(
-    number: str, scenario: Scenario, result: dict[str, Any], already: set[str], heading: Heading
+    number: str,
+    scenario: Scenario,
+    result: dict[str, Any],
+    already: set[str],
+    heading: Heading,
+    standing: Standing,
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
     if scenario.set == "real" and scenario.effects:
@@ -146,6 +156,7 @@ def _outcome(
         excess,
         heading(scenario, result) if accepted else None,
         float(result["cpu_seconds"]),
+        standing(scenario),
     )
 
 

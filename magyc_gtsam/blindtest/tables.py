@@ -6,12 +6,19 @@ import csv
 import os
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
 
 from magyc_gtsam.blindtest.gates import Gate, gates, missing
 from magyc_gtsam.blindtest.scenarios import SETS
-from magyc_gtsam.blindtest.scoring import OUTCOMES, WRONG, Outcome
+from magyc_gtsam.blindtest.scoring import IN_SET, OUTCOMES, REFUSED, RIGHT, SILENT, UNKNOWN, WRONG, Outcome
+from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test
 
+_STANDING = (0.0, 4.0, 5.0, 6.0, 8.0, 12.0, 20.0, np.inf)  # sigmas
+_SAID = {RIGHT: "named", IN_SET: "named", REFUSED: SILENT}
+STANDING_HEADER = ("σ", "recordings", "named", "wrong", "UNKNOWN", "silent", "a perfect test would see")
 GATE_HEADER = ("gate", "measured", "95 %", "cases", "asked", "")
 _TITLES = {
     "none": "Nothing hidden",
@@ -64,6 +71,25 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
     return rows
 
 
+def standing_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
+    """One row per range of how far single effects stand out: what was said, and what a perfect test would see."""
+    rows = []
+    for low, high in pairwise(_STANDING):
+        own = [o for o in outcomes if o.stands_out is not None and low <= o.stands_out < high]
+        if own:
+            count = Counter(_SAID.get(o.kind, o.kind) for o in own)
+            sigmas = np.array([o.stands_out for o in own], dtype=float)
+            rows.append(
+                [
+                    f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}",
+                    f"{len(own)}",
+                    *(f"{100 * count[kind] / len(own):.0f} %" for kind in ("named", WRONG, UNKNOWN, SILENT)),
+                    f"{100 * seen_by_a_perfect_test(sigmas):.0f} %",
+                ]
+            )
+    return rows
+
+
 def write_tables(folder: Path, outcomes: Sequence[Outcome], title: str) -> list[Path]:
     """`outcomes.csv` with every recording, `report.md` with gates and tables."""
     rows = [
@@ -74,6 +100,7 @@ def write_tables(folder: Path, outcomes: Sequence[Outcome], title: str) -> list[
             o.kind,
             o.verdict,
             "; ".join(f"{n} ({', '.join(a)})" if a else n for n, a in o.named),
+            "" if o.stands_out is None else f"{o.stands_out:.2f}",
             *(f"{v:.4g}" for v in o.heading or ()),
         ]
         for o in outcomes
@@ -82,7 +109,9 @@ def write_tables(folder: Path, outcomes: Sequence[Outcome], title: str) -> list[
     part = listing.with_suffix(".part")
     with open(part, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["number", "scenario", "seed", "kind", "verdict", "named", "heading before", "after"])
+        writer.writerow(
+            ["number", "scenario", "seed", "kind", "verdict", "named", "sigmas", "heading before", "after"]
+        )
         writer.writerows(rows)
     os.replace(part, listing)
     page = folder / "report.md"
@@ -103,6 +132,9 @@ def markdown(outcomes: Sequence[Outcome], title: str) -> str:
     if short:
         named = ", ".join(f"{name} {hit} of {runs}" for name, (hit, runs) in short.items())
         lines += ["", f"Named in less than 90 % of their runs at published strength: {named}."]
+    standing = standing_rows(outcomes)
+    if standing:
+        lines += ["", "## One effect, by how far it stands out", "", *_table(STANDING_HEADER, standing)]
     for kind in SETS:
         own = [o for o in outcomes if o.scenario.set == kind]
         if own:

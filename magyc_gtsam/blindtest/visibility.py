@@ -20,7 +20,7 @@ _NOISE = (10 * MILLIGAUSS, 5e-3)
 _SAMPLES = 6000  # of a simulated recording
 _QUIET = {"magnetometer_noise": 1e-3 * _NOISE[0], "gyroscope_noise": 1e-3 * _NOISE[1]}
 # What is done to single samples stands out of the noise of single samples.
-_OF_SAMPLES = ("coloured-noise", "spikes", "tone", "quantisation")
+OF_SAMPLES = ("coloured-noise", "spikes", "tone", "quantisation")
 _ROUNDS = 6
 _NEAR = 1.1
 _LARGEST = 8.0
@@ -33,8 +33,18 @@ def visibility(name: str, motion: str, seed: int = 0) -> float:
     spikes) is worth more than this says, since windows average it.
     """
     recording = simulate(motion, 600, seed=seed, effects=(name,), **_QUIET).recording  # type: ignore[arg-type]
+    return misfit(recording, _NOISE)
+
+
+def misfit(recording: Recording, noise: tuple[float, float]) -> float:
+    """Root of the misfit that the twelve parameters leave of a recording without noise, in sigmas; NaN: nothing fits.
+
+    Args:
+        recording: of the effects alone.
+        noise: T and rad/s per sample, of the sensors that it is judged at.
+    """
     try:
-        fit, _ = fit_field_chain(recording, noise=_NOISE, robust=False, delay=0.0, window=0.5)
+        fit, _ = fit_field_chain(recording, noise=noise, robust=False, delay=0.0, window=0.5)
     except MagycError:
         return float("nan")
     return float(np.sqrt(max(2 * fit.reduced.cost, 0.0)))
@@ -72,7 +82,7 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
     level = short_term_noise(recording).magnetometer / _NOISE[0]
     if name == "tone":
         return float(level * np.sqrt(_SAMPLES / recording.magnetic_field_fresh.sum()))
-    if name in _OF_SAMPLES:
+    if name in OF_SAMPLES:
         return float(level)
     if name == "axis-order":
         return 1.0

@@ -35,6 +35,7 @@ def blind_test(
     from magyc_gtsam.blindtest.running import run
     from magyc_gtsam.blindtest.scenarios import MOTIONS, SETS, real_scenarios, scenarios
     from magyc_gtsam.blindtest.scoring import score
+    from magyc_gtsam.blindtest.standing import stands_out
     from magyc_gtsam.blindtest.tables import GATE_HEADER, gate_rows, outcome_header, outcome_rows, write_tables
     from magyc_gtsam.factors.errors import MagycError
 
@@ -60,7 +61,7 @@ def blind_test(
                 sealing=stage(f"{name}: sealing {len(scenario_list)} recordings"),
                 diagnosing=stage(f"{name}: diagnosing"),
             )
-            outcomes = score(place, heading_errors, stage(f"{name}: scoring"))
+            outcomes = score(place, heading_errors, stands_out, stage(f"{name}: scoring"))
         show("", f"{name}: {len(outcomes)} recordings", "")
         measured = gates(outcomes)
         show_table(GATE_HEADER, gate_rows(measured))
