@@ -69,7 +69,8 @@ class Recording:
         angular_rate_fresh: (N,) bool, likewise for the gyroscope. Default: all rows, unless the
             gyroscope repeats itself so often that it must be sample-held.
         magnetic_field_stamped: (N,) bool, rows at whose time the magnetometer's log has an entry, fresh or repeated;
-            the others fill its column only since another sensor has one there. Default: all rows.
+            the others fill its column only since another sensor has one there. Default: all rows, or those that are
+            given as fresh.
         notes: what a reader had to do or leave out, for the report.
 
     Raises:
@@ -117,13 +118,19 @@ class Recording:
             channels[name], note = without_no_values(name, channels[name])
             put(self, "notes", (*self.notes, note) if note else self.notes)
         put(self, "channels", MappingProxyType(channels))
-        put(self, "magnetic_field_fresh", self._mask("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf))
-        put(
-            self,
-            "angular_rate_fresh",
-            self._mask("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE, _LONGEST_HOLD),
-        )
-        put(self, "magnetic_field_stamped", self._mask("magnetic_field_stamped", None, 0.0, np.inf))
+        stamped = self.magnetic_field_fresh if self.magnetic_field_stamped is None else self.magnetic_field_stamped
+        put(self, "magnetic_field_stamped", stamped)
+        for mask, values, tolerated, longest in (
+            ("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf),
+            ("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE, _LONGEST_HOLD),
+            ("magnetic_field_stamped", None, 0.0, np.inf),
+        ):
+            put(self, mask, self._mask(mask, values, tolerated, longest))
+        if (self.magnetic_field_fresh & ~self.magnetic_field_stamped).any():
+            row = int(np.argmax(self.magnetic_field_fresh & ~self.magnetic_field_stamped))
+            raise MagycError(
+                f"magnetic_field_stamped: row {row} is fresh, and so an entry, but not stamped as one"
+            )
         if self.magnetic_field_fresh.sum() < 3:
             raise MagycError(
                 "magnetic_field: fewer than 3 different samples, all others repeat the row before; "

@@ -119,6 +119,9 @@ def test_a_part_keeps_what_is_fresh():
     held = np.repeat(field(6), 2, axis=0)
     part = Recording(np.arange(12.0), held).rows(slice(1, None))
     np.testing.assert_array_equal(part.magnetometer.time, [2, 4, 6, 8, 10])
+    assert part.magnetic_field_stamped.all()
+    slow = Recording.from_streams((np.arange(0, 12, 2.0), field(6)), (np.arange(12.0), rate(12)))
+    np.testing.assert_array_equal(slow.rows(slice(1, None)).magnetic_field_stamped, np.arange(1, 11) % 2 == 0)
 
 
 def test_repr_names_rows_duration_and_rates():
@@ -297,6 +300,7 @@ REFUSED = {
     "channel": ({"channels": {"rpm": np.ones(19)}}, ["channel 'rpm': shape (19,)", "expected (20, k)"]),
     "rate kind": ({"angular_rate_is": "mean"}, ["angular_rate_is", "'mean'", "interval-mean"]),
     "mask": ({"magnetic_field_fresh": [True] * 19}, ["magnetic_field_fresh: shape (19,)", "(20,)"]),
+    "no entry": ({"magnetic_field_stamped": np.arange(20) != 7}, ["magnetic_field_stamped: row 7 is fresh"]),
     "stuck": ({"magnetic_field": np.tile(M[0], (20, 1))}, ["fewer than 3 different samples", "stuck"]),
 }  # fmt: skip
 

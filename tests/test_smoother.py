@@ -365,7 +365,7 @@ def test_axes_that_disagree_are_named(wide, matrix, words):
 
 
 def test_a_noisy_magnetometer_hides_no_exchanged_axes() -> None:
-    """3 µT of noise are a half of what single samples two seconds apart change by."""
+    """3 µT of noise are a half of what single samples a quarter of a radian apart change by."""
     recording = simulate("wide", 600, seed=5, magnetometer_noise=3e-6, gyroscope_noise=1e-2).recording
     assert calibrate(recording).converged
     turned = recording.angular_rate @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])

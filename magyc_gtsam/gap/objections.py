@@ -131,7 +131,7 @@ def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
 def _span(units: Sequence[Array]) -> Array:
     """Orthonormal rows that span those of all."""
     _, size, rows = np.linalg.svd(np.concatenate(units), full_matrices=False)
-    return np.asarray(rows[size > SHARED])
+    return np.asarray(rows[size**2 > SHARED])
 
 
 def _within(own: Array, other: Variant, innovation: Array) -> bool:
