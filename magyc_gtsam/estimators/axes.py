@@ -19,8 +19,9 @@ from magyc_gtsam.recording import Array, Recording
 _LEAST_SAMPLES = 60  # of the magnetometer: three numbers each, against nine unknowns and 144 arrangements
 _PAIRS = 3000  # pairs of means that are compared
 _TURN = 0.3  # rad of rotation between the means of a pair: above their noise, yet small
-_LAGS = (0.1, 4.0)  # s between them
+_LAGS = (0.1, 2.0)  # s between them
 _CLEARLY = 0.5  # share of the squared misfit below which another arrangement is clearly better
+_ALONE = 0.85  # share of what the next best leaves, from which the best is but one of several
 _POOR = 0.2  # share left unexplained from which the given arrangement is in doubt at all
 _EXPLAINS = 0.25  # share of the field's variation that an arrangement must leave unexplained at most
 
@@ -97,7 +98,7 @@ def _unexplained(normal: Array, matrix: Array) -> float:
 
 
 def check(recording: Recording) -> None:
-    """Compare the arrangements; too few samples to choose between so many of them say nothing.
+    """Compare the arrangements; too few samples to choose between so many of them say nothing, nor do two as good.
 
     Raises:
         MagycError: another arrangement than the given one explains the field's variation clearly better.
@@ -105,11 +106,11 @@ def check(recording: Recording) -> None:
     if len(recording.magnetometer.time) < _LEAST_SAMPLES:
         return
     ranked = arrangements(recording)
-    still = _unexplained(_normal_matrix(*_pairs(recording, 1.0)), np.zeros((3, 3)))
     best = ranked[0]
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
     # Without any gyroscope a constant bias alone explains a turn at constant rate.
-    limit = min(_EXPLAINS, _CLEARLY * given.unexplained, _CLEARLY * still)
+    still = _unexplained(_normal_matrix(*_pairs(recording, _SCALES[best.unit])), np.zeros((3, 3)))
+    limit = min(_EXPLAINS, _CLEARLY * given.unexplained, _CLEARLY * still, _ALONE * ranked[1].unexplained)
     if given.unexplained < _POOR or best.unexplained > limit:
         return
     as_given, otherwise = f"{max(1 - given.unexplained, 0):.0%}", f"{1 - best.unexplained:.0%}"
