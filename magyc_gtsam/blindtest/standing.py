@@ -10,11 +10,8 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.blindtest.visibility import OF_SAMPLES, misfit
 from magyc_gtsam.recording import Array
 
-_OTHERWISE = (
-    *OF_SAMPLES,
-    "sample-hold",
-    "axis-order",
-)  # of which windows show little, or which nothing fits beside
+# Of these windows show little, or nothing fits beside them.
+_OTHERWISE = (*OF_SAMPLES, "sample-hold", "axis-order")
 _VALUES = 3  # of an effect
 _CANDIDATES = 44  # of a search, which share the family-wise level
 _LEVEL = 0.01
