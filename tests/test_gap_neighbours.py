@@ -77,12 +77,13 @@ def test_noise_is_found_from_its_level_on() -> None:
     recording = mg.simulate("wide", seed=4).recording
     rows = {row.name: row for row in noise_isolability(recording, 1e-6)}
     n, rate, runs = 6000, 10.0, 20
+    time = np.arange(n) / rate
     random = np.random.default_rng(1)
     found = {(name, share): 0 for name in ("tone", "coloured-noise", "spikes") for share in (0.5, 1.0)}
     for _ in range(runs):
         white = random.standard_normal((3, n))
         way = random.standard_normal(3)
-        line = (way / np.linalg.norm(way))[:, None] * np.cos(2 * np.pi * 3.217 * np.arange(n) / rate)
+        line = (way / np.linalg.norm(way))[:, None] * np.cos(2 * np.pi * 3.217 * time)
         pole = np.exp(-1 / rate)
         colour = lfilter([np.sqrt(1 - pole**2)], [1, -pole], random.standard_normal((3, n)), axis=1)
         wrong = random.standard_normal((3, n)) * (random.uniform(size=n) < 0.01)
@@ -90,7 +91,7 @@ def test_noise_is_found_from_its_level_on() -> None:
             size = {
                 name: share * rows[name].smallest for name in ("tone", "coloured-noise", "spikes")
             }  # σ is 1 µT
-            found["tone", share] += tone(white + size["tone"] * line, rate, 1.0, NOISE_LIMIT).significant
+            found["tone", share] += tone(white + size["tone"] * line, time, 1.0, NOISE_LIMIT).significant
             coloured = white + size["coloured-noise"] * colour
             found["coloured-noise", share] += coloured_noise(coloured, rate, 1.0, NOISE_LIMIT).significant
             found["spikes", share] += spikes(white + size["spikes"] * wrong, 1.0, NOISE_LIMIT).significant

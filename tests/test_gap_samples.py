@@ -16,12 +16,13 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, term_places
+from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, less, term_places
 from magyc_gtsam.gap.noise_effects import coloured_noise, sample_hold, tone
 from magyc_gtsam.gap.objections import switched
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import determined, refit, with_term
 from magyc_gtsam.gap.score import Projector, variants
+from magyc_gtsam.gap.search import look
 from magyc_gtsam.simulation.environment import CHANNELS
 
 
@@ -47,6 +48,27 @@ def test_a_tone_faster_than_the_windows_is_sized_and_taken_out() -> None:
     assert mg.find_gap(humming, calibration=gap.calibration).verdict == "none"
 
 
+@pytest.mark.parametrize(("frequency", "lost"), [(0.7, 0.05), (3.1, 0.2), (4.77, 0.2)])
+def test_a_line_keeps_its_phase_over_lost_rows_and_holes(frequency: float, lost: float) -> None:
+    """Numbered as if none were lost its phase would wander; the level of white noise stays what it is."""
+    silent = []
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        every = 50 + np.arange(6000) / 10
+        time = every[(random.random(6000) > lost) & (np.abs(every - 350) > 20)]
+        white = random.standard_normal((3, len(time)))
+        silent.append(tone(white, time, 1e-6, NOISE_LIMIT))
+        line = np.array([0.3, 0.0, -0.1])[:, None] * np.cos(2 * np.pi * frequency * time)
+        found = tone(white + line, time, 1e-6, NOISE_LIMIT)
+        assert found.significant
+        assert found.setting["frequency"] == pytest.approx(frequency, abs=1e-3)
+        assert found.value[0] == pytest.approx(0.32e-6, rel=0.4)
+        numbered = np.arange(len(time)) * (time[-1] - time[0]) / len(time)
+        assert tone(white + line, numbered, 1e-6, NOISE_LIMIT).evidence < 0.2 * found.evidence
+    assert not any(one.significant for one in silent)
+    assert np.mean([one.evidence for one in silent]) == pytest.approx(0.6, abs=1.0)
+
+
 def test_a_resonance_of_the_noise_is_no_line() -> None:
     radius, turn = 0.97, 2 * np.pi * 0.17 / 10
     named = 0
@@ -56,7 +78,7 @@ def test_a_resonance_of_the_noise_is_no_line() -> None:
         v = ringing / ringing.std() + white
         v /= v.std()
         assert coloured_noise(v, 10.0, 1e-6, NOISE_LIMIT).evidence > 100
-        named += tone(v, 10.0, 1e-6, NOISE_LIMIT).significant
+        named += tone(v, np.arange(6000) / 10, 1e-6, NOISE_LIMIT).significant
     assert named == 0
 
 
@@ -173,6 +195,26 @@ def test_places_of_terms_count_those_that_were_given() -> None:
         model = with_term(model, Active(name, {}, np.zeros(1 if name == "timing" else 3)))
     found = [Found(name, 50.0, 20.0, 20.0) for name in ("spikes", "cubic", "misalignment")]
     assert term_places(found, model) == {1: 1, 2: 2}
+
+
+def test_of_two_steps_found_together_the_one_that_is_left_is_all_of_it() -> None:
+    recording = mg.simulate("wide", 120, seed=1).recording
+    base = base_model(recording, None, short_term_noise(recording))
+    one, other = look(recording, base, ("hard-iron-step", "timing"), np.random.default_rng(0)).scores[:2]
+    half = Found("hard-iron-step", 90.0, 24.0, 30.0, of=one).times(0.5)
+    late, noisy = Found("timing", 40.0, 20.0, 15.0, of=other), Found("tone", 60.0, 20.0, 25.0)
+    assert less([noisy, half, late, half], {2}) == (noisy, half, half)
+    assert less([noisy, half, late, half], {0, 1, 3}) == (late,)
+    *rest, step = less([noisy, half, late, half], {1})
+    assert rest == [noisy, late]
+    assert (step.name, step.statistic, step.threshold, step.evidence, step.of) == (
+        "hard-iron-step",
+        90,
+        24,
+        30,
+        one,
+    )
+    assert less([noisy, step, late], {2}) == (noisy, step)
 
 
 def test_what_the_motion_leaves_open_is_named_and_not_corrected() -> None:

@@ -93,7 +93,7 @@ def scenarios(
     Args:
         motion: of `MOTIONS`, or any other that the simulator has.
         runs: recordings without any effect; the other sets are in proportion (per effect and strength a
-            thirtieth of them, pairs a fifth, withheld channels a tenth).
+            thirtieth of them, pairs a fifth, withheld channels a third).
         edition: of the seeds.
         sets: which.
         duration: s.
@@ -120,7 +120,7 @@ def scenarios(
             add("pair", f"{first}+{second}-{k:03d}", ((first, 1.0), (second, 1.0)))
     if "withheld" in sets:
         hidden = [n for n in NAMED if set(EFFECTS[n].needs) - {"acceleration"}]
-        for k in range(max(1, round(runs / 10))):
+        for k in range(max(1, round(runs / 3))):
             name = hidden[k % len(hidden)]
             channels = tuple(c for need in EFFECTS[name].needs for c in (need, *_ALSO_IN.get(need, ())))
             add("withheld", f"{name}-{k:03d}", ((name, 1.0),), channels)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOM
     "crashed",
 )
 SEVERAL = "several names"
+Named = tuple[tuple[str, tuple[str, ...]], ...]  # each with what it cannot be told from
 # A warming magnet is a slow drift to whoever has no thermometer.
 _FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",)}
 # To say so beside is no error: what a free-running magnetometer shows is old by half a log period in the mean, and
@@ -55,7 +56,7 @@ class Outcome:
     number: str
     scenario: Scenario
     verdict: str
-    named: tuple[tuple[str, tuple[str, ...]], ...]
+    named: Named
     kind: str
     sentence: str
     excess: tuple[float, float] | None
@@ -137,7 +138,7 @@ def _outcome(
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
     if scenario.set == "real" and scenario.effects:
-        named = tuple(n for n in named if n[0] not in already)
+        named = new(named, scenario.names, already)
     verdict = result["verdict"]
     excess = None
     if "before" in result:
@@ -160,7 +161,16 @@ def _outcome(
     )
 
 
-def judged(scenario: Scenario, verdict: str, named: Sequence[tuple[str, tuple[str, ...]]]) -> str:
+def new(named: Named, hidden: Sequence[str], already: Container[str]) -> Named:
+    """The names less those of what a real recording holds as it is, or of what cannot be told from it."""
+    return tuple(
+        (name, rivals)
+        for name, rivals in named
+        if not any(n in already for n in (name, *rivals)) or any(n in hidden for n in (name, *rivals))
+    )
+
+
+def judged(scenario: Scenario, verdict: str, named: Named) -> str:
     """The kind of an outcome; see `Outcome.kind`."""
     if verdict in (UNKNOWN, REFUSED, CRASHED):
         return verdict
@@ -175,7 +185,7 @@ def judged(scenario: Scenario, verdict: str, named: Sequence[tuple[str, tuple[st
         # Nothing can be given a name whose channel is missing, but it may be said to be possible.
         truth += [fair for name in truth for fair in _FAIR_WITHOUT_CHANNEL.get(name, ())]
     beside = {also for name in truth for also in _CONSEQUENCE.get(name, ())} - set(truth)
-    named = [n for n in named if n[0] not in beside]
+    named = tuple(n for n in named if n[0] not in beside)
     exact, extra = True, False
     left = list(truth)
     for name, rivals in sorted(named, key=lambda n: n[0] not in truth):

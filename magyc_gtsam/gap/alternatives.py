@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import TIE, Found, Look, choices, related, term_places
+from magyc_gtsam.gap.naming import TIE, Found, Look, choices, less, related, term_places
 from magyc_gtsam.gap.refined import nearer, sharpened
 from magyc_gtsam.gap.refit import determined, possible, without_term
 from magyc_gtsam.gap.score import Score
@@ -87,7 +87,7 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
     current = state.refitted(without_term(state.current.model, index))
     if current is None:
         return None
-    without = replace(state, current=current, found=tuple(f for i, f in enumerate(state.found) if i != place))
+    without = replace(state, current=current, found=less(state.found, {place}))
     now = seen(without)
     own = at_sharpest(next(score for score in now.scores if score.name == one.name), now)
     if own.variant.setting.get("order", 0) < term.setting.get("order", 0):
@@ -112,4 +112,4 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
 
 
 def _newcomers(ahead: State, before: State) -> list[Found]:
-    return [found for found in ahead.found if all(found is not other for other in before.found)]
+    return [found for found in ahead.found if all(found.of is not other.of for other in before.found)]

@@ -241,10 +241,10 @@ def _gap(
     word, sentence = verdict(effects, result.leftover, last, catalogue)
     applied = word in ("closed", "open")
     effects = effects if applied else ()
-    before = measure(first.refit.twin, started, first.fine.innovation, first.fine.rate, first.fine.level)
+    before = measure(first.refit.twin, started, first.fine)
     after = before
     if any(effect.applied for effect in effects) and result.found:
-        after = measure(corrected.twin, final, fine.innovation, fine.rate, fine.level)
+        after = measure(corrected.twin, final, fine)
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     untested = tuple(
         Untested(

@@ -67,7 +67,7 @@ def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseSc
     calm = calm / np.sqrt((calm**2).mean())
     return [
         spiky,
-        tone(calm, fine.rate, fine.level, limit, fine.edge),
+        tone(calm, fine.time, fine.level, limit, fine.edge),
         coloured_noise(calm, fine.rate, fine.level, limit),
         quantisation(recording, fine.level),
     ]

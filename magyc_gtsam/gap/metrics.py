@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import tone
 from magyc_gtsam.gap.result import GapMap, Line, Metrics, OpenLoop
 from magyc_gtsam.gap.score import interleaved
@@ -24,20 +25,18 @@ _BINS = 30
 _FEW = 5  # windows below which a bin is left out
 
 
-def measure(
-    twin: Twin, calibration: Calibration, innovation: Array | None = None, rate: float = 1.0, level: float = 0.0
-) -> Metrics:
+def measure(twin: Twin, calibration: Calibration, fine: Fine | None = None) -> Metrics:
     """All metrics of a model on its recording.
 
     Args:
         twin: the model, linearised.
         calibration: the same as a calibration.
-        innovation: (3, m) of single samples at `rate` Hz, of unit variance at `level` T; None leaves out lines.
+        fine: innovations of single samples; None leaves out lines.
     """
     v = twin.residual()
     lines: tuple[Line, ...] = ()
-    if innovation is not None:
-        found = tone(innovation, rate, level, 4.6)
+    if fine is not None:
+        found = tone(fine.innovation, fine.time, fine.level, 4.6)
         if found.significant:
             lines = (Line(found.setting["frequency"], float(found.value[0]), found.evidence),)
     return Metrics(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -33,7 +33,10 @@ NOISE_LIMIT = float(np.log(22 / 0.01))
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """An effect that was added: its evidence when it was, and its rivals."""
+    """An effect that was added: its evidence when it was, its rivals, and of which score it is a term.
+
+    Two steps that are terms of one score have half its evidence each, as long as there are two.
+    """
 
     name: str
     statistic: float
@@ -41,6 +44,12 @@ class Found:
     evidence: float
     rivals: tuple[str, ...] = ()
     noise: NoiseScore | None = None
+    of: Score | None = None
+
+    def times(self, factor: float) -> Found:
+        """With so much of the evidence."""
+        numbers = {name: factor * getattr(self, name) for name in ("statistic", "threshold", "evidence")}
+        return replace(self, **numbers)
 
 
 def as_found(score: NoiseScore) -> Found:
@@ -53,6 +62,17 @@ def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:
     of_terms = [place for place, f in enumerate(found) if f.name in TERMS]
     given = len(model.terms) - len(of_terms)
     return {place: given + index for index, place in enumerate(of_terms)}
+
+
+def less(found: Sequence[Found], places: Container[int]) -> tuple[Found, ...]:
+    """What was found without some of it; where two steps were found together the one that is left is all of it."""
+    kept = [f for place, f in enumerate(found) if place not in places]
+
+    def whole(one: Found) -> Found:
+        before, now = (sum(f.of is one.of for f in every) for every in (found, kept))
+        return one if one.of is None or before == now else one.times(before / now)
+
+    return tuple(whole(f) for f in kept)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,8 @@ _SMOOTH = 201  # bins of the periodogram's running median
 _BESIDE = 10  # bins to each side of a line that must lie far below it: a resonance of the noise is no line
 UNSURE = 2.0  # nats more that a line must stand out, for the floor below it is estimated
 _LEAKS = 2  # bins to each side of a line into which it leaks
+_CELLS = 4  # of the grid per sample: at half the rate, rounding to them takes 3 % of an amplitude
+_EMPTY = 8.0  # times the samples, that a recording may last for its holes to be kept
 _LOWEST_BINS = 5  # of a tone: slower ones are drifts
 _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
@@ -53,12 +55,12 @@ class NoiseScore:
     rows: np.ndarray | None = None
 
 
-def tone(innovation: Array, rate: float, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
-    """A line in the spectrum of (3, n) innovations of unit variance sampled at `rate` Hz, `level` T each.
+def tone(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
+    """A line in the spectrum of (3, n) innovations of unit variance at `time` (n,) s, `level` T each.
 
     Below `edge` Hz the motion itself makes lines of whatever is missing; one there is no tone by name.
     """
-    power, frequency = _periodogram(innovation, rate)
+    power, frequency = _periodogram_of(innovation, time)
     floor = np.maximum(_running_median(power), _beside(power)) / _MEDIAN
     height = power / np.maximum(floor, 0.3)
     surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
@@ -78,6 +80,22 @@ def tone(innovation: Array, rate: float, level: float, limit: float, edge: float
         np.array([amplitude / np.sqrt(max(2 * height[best], 1e-9))]),
         {"frequency": float(frequency[best])},
     )
+
+
+def _periodogram_of(innovation: Array, time: Array) -> tuple[Array, Array]:
+    """As `_periodogram`, up to half the rate, of stamps that need not be even: each in the nearest cell of a fine grid.
+
+    Holes are empty cells, across which a line keeps its phase.
+    """
+    step = float(np.median(np.diff(time))) / _CELLS
+    cell = np.round((time - time[0]) / step).astype(int)
+    if cell[-1] > _EMPTY * _CELLS * len(time):
+        cell = _CELLS * np.arange(len(time))  # mostly holes, over which nothing keeps its phase
+    grid = np.zeros((3, cell[-1] + _CELLS))
+    np.add.at(grid, (slice(None), cell), innovation)
+    power, frequency = _periodogram(grid, 1 / step)
+    below = frequency < (0.5 - 0.25 / len(time)) / (_CELLS * step)
+    return power[below] * grid.shape[1] / len(time), frequency[below]
 
 
 def _periodogram(innovation: Array, rate: float) -> tuple[Array, Array]:

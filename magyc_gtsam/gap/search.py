@@ -18,7 +18,7 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
-from magyc_gtsam.gap.naming import LEFT, NOISE_LIMIT, Found, Look, choices, loudest, term_places
+from magyc_gtsam.gap.naming import LEFT, NOISE_LIMIT, Found, Look, choices, less, loudest, term_places
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.objections import ahead_of_names, leftover, stands, switched
 from magyc_gtsam.gap.own_time import in_its_own_time
@@ -193,8 +193,8 @@ def _without(state: State, places: Container[int]) -> State:
     model = state.current.model
     for index in reversed(indices):
         model = without_term(model, index)
-    kept = tuple(f for place, f in enumerate(state.found) if place not in places)
-    return replace(state, current=refit(state.problem, model, state.short_term), found=kept)
+    kept = refit(state.problem, model, state.short_term)
+    return replace(state, current=kept, found=less(state.found, places))
 
 
 def _again(one: Found, now: Look, left: tuple[str, ...]) -> bool:

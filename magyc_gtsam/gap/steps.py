@@ -12,7 +12,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.fine import Fine
-from magyc_gtsam.gap.naming import Found, Look, as_found, rivals_of, term_places
+from magyc_gtsam.gap.naming import Found, Look, as_found, less, rivals_of, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
@@ -92,18 +92,9 @@ def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State |
     ahead = state.refitted(model)
     if ahead is None:
         return None
-    rivals = rivals_of(choice, now)
-
-    def part(share: float) -> Found:
-        return Found(choice.name, sharp.statistic * share, sharp.threshold * share, sharp.evidence * share, rivals)
-
-    parts = [part(1 / len(added)) for _ in added]
-    result = _backwards(replace(state, current=ahead, found=(*state.found, *parts)))
-    kept = [any(f is one for one in parts) for f in result.found]
-    # Of two steps one may have been none, and the other is what was found.
-    return replace(
-        result, found=tuple(part(1 / sum(kept)) if new else f for f, new in zip(result.found, kept, strict=True))
-    )
+    whole = Found(choice.name, sharp.statistic, sharp.threshold, sharp.evidence, rivals_of(choice, now), of=sharp)
+    parts = [whole.times(1 / len(added))] * len(added)
+    return _backwards(replace(state, current=ahead, found=(*state.found, *parts)))
 
 
 def with_more_modes(state: State, now: Look) -> State | None:
@@ -158,7 +149,7 @@ def _backwards(state: State) -> State:
         if weakest < 0:
             break
         current = refit(state.problem, without_term(current.model, places[weakest]), state.short_term)
-        found = tuple(f for i, f in enumerate(found) if i != weakest)
+        found = less(found, {weakest})
     return replace(state, current=current, found=found)
 
 
