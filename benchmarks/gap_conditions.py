@@ -55,7 +55,7 @@ def field(dip: float) -> Callable[[Sensors, Random], Sensors]:
 
 
 def streams(every: int, jitter: float = 0.0, lost: float = 0.0) -> Callable[[mg.Recording, Random], mg.Recording]:
-    """Streams of their own: the magnetometer at one in `every` rows of the gyroscope, stamps late by up to `jitter` s."""
+    """Streams of their own: the magnetometer at one in `every` of the rows, stamps late by up to `jitter` s."""
 
     def log(recording: mg.Recording, random: Random) -> mg.Recording:
         time = recording.time

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 from scipy.special import gammaincc
 
 from magyc_gtsam.factors.rotations import Array
@@ -22,13 +23,14 @@ UNSURE = 2.0  # nats more that a line must stand out, for the floor below it is 
 _LEAKS = 2  # bins to each side of a line into which it leaks
 _CELLS = 4  # of the grid per sample: at half the rate, rounding to them takes 3 % of an amplitude
 _EMPTY = 8.0  # times the samples, that a recording may last for its holes to be kept
+_PATTERN = 1e-3  # share of a constant's power that uneven stamps put at a frequency, from which it is their own
 _LOWEST_BINS = 5  # of a tone: slower ones are drifts
 _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
 COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
 _LOCALLY = 10.0  # s over which the chance of a repeat hardly changes
-_MOSTLY = 0.4  # share of the repeated rows that chance must leave over: its own part is not quite independent
+_MOSTLY = 0.7  # share of the repeated entries that chance must leave over: axes that pause together are no hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,7 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
 
     Below `edge` Hz the motion itself makes lines of whatever is missing; one there is no tone by name.
     """
-    power, frequency = _periodogram_of(innovation, time)
+    power, frequency = _periodogram_of(innovation, time, edge)
     floor = np.maximum(_running_median(power), _beside(power)) / _MEDIAN
     height = power / np.maximum(floor, 0.3)
     surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
@@ -82,20 +84,27 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
     )
 
 
-def _periodogram_of(innovation: Array, time: Array) -> tuple[Array, Array]:
+def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array, Array]:
     """As `_periodogram`, up to half the rate, of stamps that need not be even: each in the nearest cell of a fine grid.
 
-    Holes are empty cells, across which a line keeps its phase.
+    Holes are empty cells, across which a line keeps its phase. Where stamps are uneven in a pattern nothing is told at
+    its frequencies, and what lies below `edge` Hz is taken out first, since it appears again beside them.
     """
     step = float(np.median(np.diff(time))) / _CELLS
     cell = np.round((time - time[0]) / step).astype(int)
     if cell[-1] > _EMPTY * _CELLS * len(time):
         cell = _CELLS * np.arange(len(time))  # mostly holes, over which nothing keeps its phase
-    grid = np.zeros((3, cell[-1] + _CELLS))
-    np.add.at(grid, (slice(None), cell), innovation)
-    power, frequency = _periodogram(grid, 1 / step)
+    elif edge and (np.diff(cell) != _CELLS).any():
+        rows = max(int(0.5 / edge * len(time) / (time[-1] - time[0])), 1)
+        innovation = innovation - uniform_filter1d(innovation, rows, axis=1)
+    grid = np.zeros((4, cell[-1] + _CELLS))
+    np.add.at(grid, (slice(None), cell), np.concatenate([innovation, np.ones((1, len(time)))]))
+    power, frequency = _periodogram(grid[:3], 1 / step)
+    pattern, _ = _periodogram(grid[3:], 1 / step)
+    of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > _PATTERN * len(time) ** 2
+    power = np.where(of_pattern, 0.0, power * grid.shape[1] / len(time))
     below = frequency < (0.5 - 0.25 / len(time)) / (_CELLS * step)
-    return power[below] * grid.shape[1] / len(time), frequency[below]
+    return power[below], frequency[below]
 
 
 def _periodogram(innovation: Array, rate: float) -> tuple[Array, Array]:
@@ -110,16 +119,12 @@ def _periodogram(innovation: Array, rate: float) -> tuple[Array, Array]:
 
 def _running_median(values: Array) -> Array:
     """Median over `_SMOOTH` bins, shorter at the low end, where a spectrum is steep."""
-    from scipy.ndimage import median_filter
-
     size = min(_SMOOTH, len(values) // 4 * 2 + 1)
     return np.asarray(median_filter(values, size=size, mode="reflect"), dtype=float)
 
 
 def _beside(values: Array) -> Array:
     """Median over the bins close to each, without those into which a line there would leak."""
-    from scipy.ndimage import median_filter
-
     around = np.ones(2 * _BESIDE + 1, dtype=bool)
     around[_BESIDE - _LEAKS : _BESIDE + _LEAKS + 1] = False
     return np.asarray(median_filter(values, footprint=around, mode="reflect"), dtype=float)
@@ -221,7 +226,8 @@ def _held_together(time: Array, repeats: np.ndarray) -> float:
     """Share h of the steps (n, 3) at which all axes are held, beside repeats of each axis by itself.
 
     With q_i the chance of a repeat of axis i where nothing is held, an axis repeats with p_i = h + (1 − h) q_i and
-    all three with h + (1 − h) q_x q_y q_z; solved for h in each stretch of the recording by bisection.
+    all three with h + (1 − h) q_x q_y q_z; solved for h in each stretch of the recording by bisection. Of the stretches
+    the median counts: what is held is so all the time, while a pause is none.
     """
     stretch = np.floor((time[1:] - time[0]) / _LOCALLY).astype(int)
     _, starts, count = np.unique(stretch, return_index=True, return_counts=True)
@@ -233,4 +239,4 @@ def _held_together(time: Array, repeats: np.ndarray) -> float:
         free = np.maximum(1 - h, 1e-9)
         more = h + np.prod(np.maximum(each - h[:, None], 0.0) / free[:, None], axis=1) * free < together
         low, high = np.where(more, h, low), np.where(more, high, h)
-    return float(np.average(0.5 * (low + high), weights=count))
+    return float(np.median(np.repeat(0.5 * (low + high), count)))

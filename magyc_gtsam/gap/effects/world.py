@@ -11,7 +11,7 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.twin import Twin
 
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
-_SPACING = 1.2  # of the centres, in widths
+_SPACING = 2.0  # of the centres, in widths: the bump and its derivative make up for what lies between
 _ALIKE = 0.99  # correlation from which two rows of a channel are one
 _CENTRES = 170  # at most, of each width
 
@@ -37,7 +37,8 @@ def _bumps(twin: Twin) -> list[dict[str, float]]:
         if width > 0.15 * (end - start):
             continue
         count = min(int((end - start) / (_SPACING * width)), _CENTRES)
-        settings += [{"time": float(t), "width": width} for t in np.linspace(start + width, end - width, count)]
+        centres = np.linspace(start + width, end - width, count)
+        settings += [{"time": float(t), "width": width, "passing": 1.0} for t in centres]
     return settings
 
 
