@@ -98,7 +98,7 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
         rows = max(int(0.5 / edge * len(time) / (time[-1] - time[0])), 1)
         innovation = innovation - uniform_filter1d(innovation, rows, axis=1)
     grid = np.zeros((4, cell[-1] + _CELLS))
-    np.add.at(grid, (slice(None), cell), np.concatenate([innovation, np.ones((1, len(time)))]))
+    np.add.at(grid.T, cell, np.concatenate([innovation, np.ones((1, len(time)))]).T)
     power, frequency = _periodogram(grid[:3], 1 / step)
     pattern, _ = _periodogram(grid[3:], 1 / step)
     of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > _PATTERN * len(time) ** 2
