@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,15 +104,17 @@ def score(
         if result.exists():
             truth = opened(folder, number, manifest)
             pairs.append((number, _scenario(truth), json.loads(result.read_text(encoding="utf-8"))))
-    already: dict[str, set[str]] = {}
+    given, possible = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
     for _, scenario, result in pairs:
         if scenario.set == "real" and not scenario.effects:
-            already[scenario.motion] = already.get(scenario.motion, set()) | _there(result)
+            given[scenario.motion] |= _there(result)
+            possible[scenario.motion] |= {rival for e in result["effects"] for rival in e["ambiguous_with"]}
     outcomes = []
     for done, (number, scenario, result) in enumerate(pairs):
-        there = already.get(scenario.motion, set())
+        there = given[scenario.motion]
         if there.isdisjoint(scenario.names):  # else it would be found without
-            outcomes.append(_outcome(number, scenario, result, there, heading, standing))
+            already = there | possible[scenario.motion]
+            outcomes.append(_outcome(number, scenario, result, already, heading, standing))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
 
@@ -162,7 +165,7 @@ def _outcome(
 
 
 def new(named: Named, hidden: Sequence[str], already: Container[str]) -> Named:
-    """The names less those of what a real recording holds as it is, or of what cannot be told from it."""
+    """The names less those of what a real recording holds, or may hold, as it is, or of what cannot be told from it."""
     return tuple(
         (name, rivals)
         for name, rivals in named

@@ -11,7 +11,6 @@ from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.naming import Found, Look, term_places
 from magyc_gtsam.gap.neighbours import label_of, product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
-from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Status, Verdict
 from magyc_gtsam.gap.score import Score
@@ -80,12 +79,6 @@ def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
     return f"something like “{label}” is missing, but not quite of its form"
 
 
-def _term_index(found: Sequence[Found], which: Found, model: Model) -> int | None:
-    """Its place among the model's terms; None for what is no term."""
-    place = next(i for i, f in enumerate(found) if f is which)
-    return term_places(found, model).get(place)
-
-
 def _setting(refitted: Refit, index: int) -> dict[str, float]:
     """What was searched over, with the deviation of a time."""
     term = refitted.model.terms[index]
@@ -116,11 +109,12 @@ def _noise_sentence(noise: NoiseScore) -> str:
 
 def describe(found: Sequence[Found], refitted: Refit, uncorrected: Container[int]) -> tuple[Effect, ...]:
     """The effects as values; `uncorrected` are the places of what is named only."""
-    return tuple(_described(f, refitted, found, i not in uncorrected) for i, f in enumerate(found))
+    indices = term_places(found, refitted.model)
+    return tuple(_described(f, refitted, indices.get(i), i not in uncorrected) for i, f in enumerate(found))
 
 
-def _described(found: Found, refitted: Refit, everything: Sequence[Found], applied: bool) -> Effect:
-    index = _term_index(everything, found, refitted.model)
+def _described(found: Found, refitted: Refit, index: int | None, applied: bool) -> Effect:
+    """An effect; `index` is its place among the model's terms, None for what is no term."""
     if found.noise is not None:
         sentence = _noise_sentence(found.noise)
         value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting
