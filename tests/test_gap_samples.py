@@ -69,6 +69,40 @@ def test_a_line_keeps_its_phase_over_lost_rows_and_holes(frequency: float, lost:
     assert np.mean([one.evidence for one in silent]) == pytest.approx(0.6, abs=1.0)
 
 
+def test_the_pattern_of_the_stamps_is_no_line() -> None:
+    """Where rows are lost in a pattern, what is constant is a line at its frequencies, what is slow one beside it."""
+    kept = np.tile(np.isin(np.arange(20), (1, 2, 6, 7, 12, 17), invert=True), 600)
+    time = np.flatnonzero(kept) / 285.7
+    white = np.random.default_rng(1).standard_normal((3, len(time)))
+    constant = np.array([0.6, -0.3, 0.2])[:, None] * (1 + np.sin(2 * np.pi * 0.31 * time))
+    assert not tone(white + constant, time, 1e-6, NOISE_LIMIT, 1.0).significant
+    line = np.array([0.0, 0.2, 0.0])[:, None] * np.cos(2 * np.pi * 23.1 * time)
+    found = tone(white + constant + line, time, 1e-6, NOISE_LIMIT, 1.0)
+    assert found.significant
+    assert found.setting["frequency"] == pytest.approx(23.1, abs=0.02)
+    numbered = np.arange(len(time)) * (time[-1] - time[0]) / len(time)
+    assert not tone(white + line, numbered, 1e-6, NOISE_LIMIT, 1.0).significant
+
+
+def test_axes_that_pause_together_are_not_held() -> None:
+    """A coarse reading repeats on every axis while nothing moves, now and then; a hold repeats all the time."""
+    random = np.random.default_rng(2)
+    moving = np.repeat(random.random(60) < 0.6, 100)[:, None]
+    steps = np.where(
+        moving,
+        random.integers(-2, 3, (6000, 3)),
+        random.integers(0, 2, (6000, 3)) * (random.random((6000, 3)) < 0.2),
+    )
+    assert (steps == 0).all(axis=1).mean() > 0.2
+    field = 1e-6 * np.cumsum(steps, axis=0)
+    rate = random.standard_normal((6000, 3))
+    paused = mg.Recording(np.arange(6000) / 10, field, rate)
+    assert not sample_hold(paused).significant
+    held = mg.Recording(paused.time, field[np.arange(6000) // 2 * 2], rate)
+    assert sample_hold(held).significant
+    assert sample_hold(held).statistic == pytest.approx(0.5, abs=0.05)
+
+
 def test_a_resonance_of_the_noise_is_no_line() -> None:
     radius, turn = 0.97, 2 * np.pi * 0.17 / 10
     named = 0
