@@ -193,12 +193,15 @@ def test_judgement(hidden: Scenario, verdict: str, named: list, kind: str) -> No
 
 
 def test_nor_is_what_cannot_be_told_from_it() -> None:
-    late, scale, either = ("timing", ()), ("gyro-scale", ()), ("gyro-quadratic", ("gyro-scale",))
-    there = {"timing", "gyro-scale"}
-    assert new((late, scale, either, ("tone", ())), ("tone",), there) == (("tone", ()),)
-    assert new((late, either), ("gyro-quadratic",), there) == (either,)
-    assert new((("eddy-plane", ("timing", "hysteresis")),), ("hysteresis",), there) != ()
-    assert new((late, ("cubic", ())), ("tone",), there) == (("cubic", ()),)
+    late, scale, either = ("timing", ("eddy-plane",)), ("gyro-scale", ()), ("gyro-quadratic", ("gyro-scale",))
+    plate, tone = ("eddy-plane", ()), ("tone", ())
+    given = {"timing", "gyro-scale"}
+    there = given, given | {"eddy-plane"}
+    assert new((late, scale, either, plate, tone), ("tone",), *there) == (tone,)
+    assert new((late, either), ("gyro-quadratic",), *there) == (either,)
+    assert new((late, plate), ("eddy-plane",), *there) == (plate,)
+    assert new((("eddy-plane", ("hysteresis",)),), ("hysteresis",), *there) != ()
+    assert new((late, ("cubic", ())), ("tone",), *there) == (("cubic", ()),)
 
 
 def outcome(kind: str, hidden: Scenario, said: str = "", excess: object = None, heading: object = None) -> Outcome:

@@ -113,7 +113,7 @@ def score(
     for done, (number, scenario, result) in enumerate(pairs):
         there = given[scenario.motion]
         if there.isdisjoint(scenario.names):  # else it would be found without
-            already = there | possible[scenario.motion]
+            already = there, there | possible[scenario.motion]
             outcomes.append(_outcome(number, scenario, result, already, heading, standing))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
@@ -135,13 +135,13 @@ def _outcome(
     number: str,
     scenario: Scenario,
     result: dict[str, Any],
-    already: set[str],
+    already: tuple[set[str], set[str]],
     heading: Heading,
     standing: Standing,
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
     if scenario.set == "real" and scenario.effects:
-        named = new(named, scenario.names, already)
+        named = new(named, scenario.names, *already)
     verdict = result["verdict"]
     excess = None
     if "before" in result:
@@ -164,12 +164,16 @@ def _outcome(
     )
 
 
-def new(named: Named, hidden: Sequence[str], already: Container[str]) -> Named:
-    """The names less those of what a real recording holds, or may hold, as it is, or of what cannot be told from it."""
+def new(named: Named, hidden: Sequence[str], given: Container[str], possible: Container[str]) -> Named:
+    """The names less those that a real recording was given as it is.
+
+    Of others that are not what was hidden, also less those that it possibly holds, or that cannot be told from these.
+    """
     return tuple(
         (name, rivals)
         for name, rivals in named
-        if not any(n in already for n in (name, *rivals)) or any(n in hidden for n in (name, *rivals))
+        if name not in given
+        and (any(n in hidden for n in (name, *rivals)) or not any(n in possible for n in (name, *rivals)))
     )
 
 
