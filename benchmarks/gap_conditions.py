@@ -168,11 +168,9 @@ def _print(name: str, tally: Counter[tuple[str, str, str]]) -> None:
         every = sum(n for (condition, k, _), n in tally.items() if (condition, k) == (name, kind))
         return f"{sum(tally[name, kind, outcome] for outcome in outcomes)} of {every}" if every else "-"
 
-    wrong = (tally[name, kind, WRONG] for kind in ("single", "foreign"))
-    single, foreign = wrong
     print(
-        f"{name:26s}{of('none', SILENT):>15s}{of('single', RIGHT, IN_SET):>10s}{single:>7d}"
-        f"{of('foreign', UNKNOWN):>18s}{foreign:>7d}",
+        f"{name:26s}{of('none', SILENT):>15s}{of('single', RIGHT, IN_SET):>10s}{tally[name, 'single', WRONG]:>7d}"
+        f"{of('foreign', UNKNOWN):>18s}{tally[name, 'foreign', WRONG]:>7d}",
         flush=True,
     )
 

@@ -16,9 +16,9 @@ import numpy as np
 import magyc_gtsam as mg
 from magyc_gtsam.study.heading import heading_error
 
-INTERVALS = {  # s, from when it was taken up to when it is laid down; the magnet is attached from 41.5 to 92 s
-    "broad_01_slow_rotation": (36, 154),
-    "broad_06_fast_rotation": (40, 155),
+INTERVALS = {  # s, the parts that move; the magnet is attached from 41.5 to 92 s
+    "broad_01_slow_rotation": (34, 160),
+    "broad_06_fast_rotation": (38, 160),
     "broad_32_attached_magnet_1cm": (41.5, 92),
     "nexus5_augmented_reality": (None, None),
     "nexus5_calibration_d1": (None, None),

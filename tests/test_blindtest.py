@@ -28,7 +28,7 @@ from magyc_gtsam.blindtest.scenarios import (
     rivals,
     scenarios,
 )
-from magyc_gtsam.blindtest.scoring import Outcome, confusion, judged, new, score
+from magyc_gtsam.blindtest.scoring import Outcome, confusion, judged, score
 from magyc_gtsam.blindtest.sealing import MANIFEST, RECORDINGS, SEALED, opened, seal
 from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test, stands_out
 from magyc_gtsam.blindtest.tables import markdown, outcome_rows, standing_rows
@@ -189,19 +189,7 @@ def scenario(kind: str, *names: str, factor: float = 1.0, motion: str = "wide") 
     ],
 )
 def test_judgement(hidden: Scenario, verdict: str, named: list, kind: str) -> None:
-    assert judged(hidden, verdict, tuple(named)) == kind
-
-
-def test_nor_is_what_cannot_be_told_from_it() -> None:
-    late, scale, either = ("timing", ("eddy-plane",)), ("gyro-scale", ()), ("gyro-quadratic", ("gyro-scale",))
-    plate, tone = ("eddy-plane", ()), ("tone", ())
-    given = {"timing", "gyro-scale"}
-    there = given, given | {"eddy-plane"}
-    assert new((late, scale, either, plate, tone), ("tone",), *there) == (tone,)
-    assert new((late, either), ("gyro-quadratic",), *there) == (either,)
-    assert new((late, plate), ("eddy-plane",), *there) == (plate,)
-    assert new((("eddy-plane", ("hysteresis",)),), ("hysteresis",), *there) != ()
-    assert new((late, ("cubic", ())), ("tone",), *there) == (("cubic", ()),)
+    assert judged(hidden, verdict, named) == kind
 
 
 def outcome(kind: str, hidden: Scenario, said: str = "", excess: object = None, heading: object = None) -> Outcome:

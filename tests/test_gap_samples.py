@@ -87,18 +87,14 @@ def test_the_pattern_of_the_stamps_is_no_line() -> None:
 def test_axes_that_pause_together_are_not_held() -> None:
     """A coarse reading repeats on every axis while nothing moves, now and then; a hold repeats all the time."""
     random = np.random.default_rng(2)
-    moving = np.repeat(random.random(60) < 0.6, 100)[:, None]
-    steps = np.where(
-        moving,
-        random.integers(-2, 3, (6000, 3)),
-        random.integers(0, 2, (6000, 3)) * (random.random((6000, 3)) < 0.2),
-    )
-    assert (steps == 0).all(axis=1).mean() > 0.2
-    field = 1e-6 * np.cumsum(steps, axis=0)
+    row = np.arange(6000)
+    moving = (row < 3600) | (row // 20 % 2 == 0)  # in the end pauses of 2 s
+    field = 1e-6 * np.cumsum(np.where(moving[:, None], random.integers(-2, 3, (6000, 3)), 0), axis=0)
     rate = random.standard_normal((6000, 3))
-    paused = mg.Recording(np.arange(6000) / 10, field, rate)
+    paused = mg.Recording(row / 10, field, rate)
+    assert (~paused.magnetic_field_fresh).mean() > 0.2
     assert not sample_hold(paused).significant
-    held = mg.Recording(paused.time, field[np.arange(6000) // 2 * 2], rate)
+    held = mg.Recording(paused.time, field[row // 2 * 2], rate)
     assert sample_hold(held).significant
     assert sample_hold(held).statistic == pytest.approx(0.5, abs=0.05)
 

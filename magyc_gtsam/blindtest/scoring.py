@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,6 @@ RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOM
     "crashed",
 )
 SEVERAL = "several names"
-Named = tuple[tuple[str, tuple[str, ...]], ...]  # each with what it cannot be told from
 # A warming magnet is a slow drift to whoever has no thermometer.
 _FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",)}
 # To say so beside is no error: what a free-running magnetometer shows is old by half a log period in the mean, and
@@ -57,7 +55,7 @@ class Outcome:
     number: str
     scenario: Scenario
     verdict: str
-    named: Named
+    named: tuple[tuple[str, tuple[str, ...]], ...]
     kind: str
     sentence: str
     excess: tuple[float, float] | None
@@ -104,17 +102,15 @@ def score(
         if result.exists():
             truth = opened(folder, number, manifest)
             pairs.append((number, _scenario(truth), json.loads(result.read_text(encoding="utf-8"))))
-    given, possible = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
+    already: dict[str, set[str]] = {}
     for _, scenario, result in pairs:
         if scenario.set == "real" and not scenario.effects:
-            given[scenario.motion] |= _there(result)
-            possible[scenario.motion] |= {rival for e in result["effects"] for rival in e["ambiguous_with"]}
+            already[scenario.motion] = already.get(scenario.motion, set()) | _there(result)
     outcomes = []
     for done, (number, scenario, result) in enumerate(pairs):
-        there = given[scenario.motion]
+        there = already.get(scenario.motion, set())
         if there.isdisjoint(scenario.names):  # else it would be found without
-            already = there, there | possible[scenario.motion]
-            outcomes.append(_outcome(number, scenario, result, already, heading, standing))
+            outcomes.append(_outcome(number, scenario, result, there, heading, standing))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
 
@@ -135,13 +131,13 @@ def _outcome(
     number: str,
     scenario: Scenario,
     result: dict[str, Any],
-    already: tuple[set[str], set[str]],
+    already: set[str],
     heading: Heading,
     standing: Standing,
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
     if scenario.set == "real" and scenario.effects:
-        named = new(named, scenario.names, *already)
+        named = tuple(n for n in named if n[0] not in already)
     verdict = result["verdict"]
     excess = None
     if "before" in result:
@@ -164,20 +160,7 @@ def _outcome(
     )
 
 
-def new(named: Named, hidden: Sequence[str], given: Container[str], possible: Container[str]) -> Named:
-    """The names less those that a real recording was given as it is.
-
-    Of others that are not what was hidden, also less those that it possibly holds, or that cannot be told from these.
-    """
-    return tuple(
-        (name, rivals)
-        for name, rivals in named
-        if name not in given
-        and (any(n in hidden for n in (name, *rivals)) or not any(n in possible for n in (name, *rivals)))
-    )
-
-
-def judged(scenario: Scenario, verdict: str, named: Named) -> str:
+def judged(scenario: Scenario, verdict: str, named: Sequence[tuple[str, tuple[str, ...]]]) -> str:
     """The kind of an outcome; see `Outcome.kind`."""
     if verdict in (UNKNOWN, REFUSED, CRASHED):
         return verdict
@@ -192,7 +175,7 @@ def judged(scenario: Scenario, verdict: str, named: Named) -> str:
         # Nothing can be given a name whose channel is missing, but it may be said to be possible.
         truth += [fair for name in truth for fair in _FAIR_WITHOUT_CHANNEL.get(name, ())]
     beside = {also for name in truth for also in _CONSEQUENCE.get(name, ())} - set(truth)
-    named = tuple(n for n in named if n[0] not in beside)
+    named = [n for n in named if n[0] not in beside]
     exact, extra = True, False
     left = list(truth)
     for name, rivals in sorted(named, key=lambda n: n[0] not in truth):
