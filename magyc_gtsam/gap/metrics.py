@@ -31,12 +31,12 @@ def measure(twin: Twin, calibration: Calibration, fine: Fine | None = None) -> M
     Args:
         twin: the model, linearised.
         calibration: the same as a calibration.
-        fine: innovations of single samples; None leaves out lines.
+        fine: innovations of single samples, for lines above the band of the motion; None leaves them out.
     """
     v = twin.residual()
     lines: tuple[Line, ...] = ()
     if fine is not None:
-        found = tone(fine.innovation, fine.time, fine.level, 4.6)
+        found = tone(fine.innovation, fine.time, fine.level, 4.6, fine.edge)
         if found.significant:
             lines = (Line(found.setting["frequency"], float(found.value[0]), found.evidence),)
     return Metrics(
