@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.blindtest.generator import generate
+from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.refit import unmoved
 from magyc_gtsam.recording import Array
@@ -46,6 +48,23 @@ def test_a_channel_that_agrees_by_chance_is_no_name() -> None:
     others = [_standing(_in_a_room(1, _wandering(200 + k, 6000))) for k in range(16)]
     assert others.count("vetoed") >= 2
     assert not {"named", "explained"}.intersection(others)
+
+
+@pytest.mark.parametrize(
+    ("motion", "seed"),
+    [
+        ("wide", 118345950547209),
+        ("moderate", 217626765770893),
+        ("moderate", 193451562092587),
+        ("multi", 171738237714684),
+    ],
+)
+def test_a_current_that_nobody_recorded_is_no_weak_effect_beside_a_step(motion: str, seed: int) -> None:
+    """It is not quite a step, nor a drift; what these leave of it passed for a hysteresis or a warming magnet."""
+    hidden = Scenario("x", "withheld", motion, seed, (("motor-current", 1.0),), withheld=("current",))
+    gap = mg.find_gap(generate(hidden).recording)
+    assert {"hysteresis", "temperature-hard-iron"}.isdisjoint(gap.names)
+    assert all("motor-current" in e.ambiguous_with for e in gap.effects)
 
 
 def test_what_hardly_moves_the_iron_leaves_it() -> None:

@@ -38,6 +38,7 @@ def heading(recording: mg.Recording, calibration: mg.Calibration) -> float:
     ("name", "start", "end", "low", "high"),
     [
         ("broad_01_slow_rotation.mcap", 36, 100, 8.5, 12.5),
+        ("broad_01_slow_rotation.mcap", 34, 160, 8.5, 12.5),
         ("broad_06_fast_rotation.mcap", 40, 100, 9.5, 11.5),
         ("nexus5_augmented_reality.mcap", None, None, 20, 60),
         ("nexus5_calibration_d1.mcap", None, None, 20, 60),
@@ -62,6 +63,17 @@ def test_one_instrument_has_one_delay_and_one_misalignment(shared_data: Path) ->
     for name, size in (("timing", 1.0), ("misalignment", 4.0)):
         first, second = (next(e for e in gap.effects if e.name == name) for gap in (slow, fast))
         np.testing.assert_allclose(first.value, second.value, atol=size)
+
+
+def test_a_small_step_put_in_is_found_beside_the_room(shared_data: Path) -> None:
+    """Of the published strength, in a room whose field leaves more than it explains, and by which the delay stays."""
+    recording = mg.read(shared_data / "broad_01_slow_rotation.mcap").between(36, 154)
+    stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 1.3)], seed=5)
+    found = {e.name: e for e in mg.find_gap(stepped).effects}
+    assert found["timing"].value[0] == pytest.approx(10.8, abs=0.5)
+    step = found["hard-iron-step"]
+    assert step.setting["time"] - recording.time[0] == pytest.approx(truth.drawn["time"], abs=1.0)
+    np.testing.assert_allclose(step.value, 0.78 * truth.drawn["direction"], atol=0.2)
 
 
 def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:

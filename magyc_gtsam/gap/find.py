@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.chain_fit import Fit
 from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
 from magyc_gtsam.estimators.faults import without_faults
 from magyc_gtsam.factors.effects import Term
@@ -24,7 +23,16 @@ from magyc_gtsam.gap.naming import Look, as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
 from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import Refit, as_calibration, determined, refit, tempered, unmoved, without_term
+from magyc_gtsam.gap.refit import (
+    Refit,
+    as_calibration,
+    determined,
+    refit,
+    tempered,
+    unmoved,
+    widened,
+    without_term,
+)
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verdict
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
@@ -191,13 +199,6 @@ def _nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibrat
     )
 
 
-def _widened(result: Refit) -> Refit:
-    """With the covariance that the windows deserve where their misfit hangs together, as `smoother` has it."""
-    twin = result.twin
-    fit = Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
-    return replace(result, covariance=fit.colour * result.covariance)
-
-
 def _gap(
     result: Search,
     base: Refit,
@@ -208,9 +209,9 @@ def _gap(
     seconds: float,
 ) -> Gap:
     strength = None if calibration is None else calibration.field_strength
-    first, plain = result.first, _widened(result.last.refit)
-    base, held = _widened(base), tempered(result.problem, result.last.refit, short_term)
-    last = replace(result.last, refit=_widened(held))
+    first, plain = result.first, widened(result.last.refit)
+    base, held = widened(base), tempered(result.problem, result.last.refit, short_term)
+    last = replace(result.last, refit=widened(held))
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
     again = {f.name for f in found}
     known = tuple(
@@ -231,7 +232,7 @@ def _gap(
         model = held.model
         for index in reversed(open_places.values()):
             model = without_term(model, index)
-        corrected = _widened(refit(result.problem, model, short_term))
+        corrected = widened(refit(result.problem, model, short_term))
     if corrected.model is not result.last.refit.model:
         fine = fine_innovations(result.recording, corrected.model)
     started = as_calibration(base, strength, known)

@@ -23,6 +23,8 @@ _TRACE = 0.03  # share of an effect's statistic below which another may be its f
 _MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
 _AHEAD = 9.0  # nats of evidence from which a rival is behind
 _SPAN = 2.5  # widths within which a second bump belongs to the first
+_IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
+WEAK = 50.0  # nats, up to which what is small may be the shadow of another effect
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
 _SLOW = 1.0  # Hz, up to which windows of a second still show something
 TIE = (3.0, 0.05)  # nats, and share of the evidence, by which one that is as good as the strongest may be behind
@@ -103,10 +105,12 @@ def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | 
 
 def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     """The strongest significant name that held-out data confirm, and those that are as good as it."""
-    terms = now.refit.model.terms
+    terms, shadow = now.refit.model.terms, _shadow(now, found)
     options = []
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
+            continue
+        if score.evidence < min(shadow, WEAK) and not _untested(score.name, now.refit.twin):
             continue
         held = sum(term.name == score.name for term in terms)
         if held < TERMS[score.name].most and score.name not in failed and not shape_of(score, now.refit, found):
@@ -119,6 +123,18 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     options = [o for o in options if not o.variant.setting.get("full") or delay <= _MOST_OF * o.statistic]
     behind = max(TIE[0], TIE[1] * options[0].evidence)
     return [o for o in options if o.evidence > options[0].evidence - behind][:_TRIED]
+
+
+def _shadow(now: Look, found: Sequence[Found]) -> float:
+    """Nats that a change with time may leave, where a channel is missing that it may have followed: not of any form.
+
+    A step in the place of a motor's current leaves what is not a step, and that is still in time.
+    """
+    twin = now.refit.twin
+    if not any(set(_untested(f.name, twin)) & set(f.rivals) for f in found):
+        return 0.0
+    in_time = (s.evidence for s in now.scores if s.significant and s.name.startswith(_IN_TIME))
+    return max(in_time, default=0.0)
 
 
 def _of_the_model(noise: NoiseScore, now: Look) -> bool:
@@ -201,5 +217,4 @@ def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
 def weights(current: Refit) -> list[float]:
     """What each term explains that bends the reading: the iron had followed it, so that a first look saw little."""
     terms = current.model.terms
-    parts = [current.value_of(terms.index(term)) for term in current.model.bends]
-    return [float(value @ np.linalg.pinv(covariance) @ value) for value, covariance in parts]
+    return [current.weight_of(terms.index(term)) for term in current.model.bends]

@@ -15,7 +15,7 @@ from magyc_gtsam.gap.score import Projector, Variant, variant
 
 _REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks against the names given
 _FIRM = 0.7  # share of what a term should explain beside whatever else is missing
-_MOSTLY = 0.8  # share that a term must explain of what families that hold its signature could explain
+_MOSTLY = 0.6  # share that a term must explain of what families that hold its signature could explain
 _LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
 _STRONG = 5.0  # thresholds that a term must pass where something else is missing too
 _HELD = 0.98  # share of what a family explains from which the names hold it: 0.995 of what they are, 0.7 of others

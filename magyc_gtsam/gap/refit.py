@@ -44,6 +44,11 @@ class Refit:
         """The model."""
         return self.twin.model
 
+    def weight_of(self, index: int) -> float:
+        """Squared length of the value of the model's term `index`, in its sigmas."""
+        value, covariance = self.value_of(index)
+        return float(value @ np.linalg.pinv(covariance) @ value)
+
     def value_of(self, index: int) -> tuple[Array, Array]:
         """Value (k,) and covariance (k, k) of the model's term `index`."""
         model = self.model
@@ -73,6 +78,13 @@ def small(result: Refit, index: int) -> bool:
     """Whether the model's term `index` is so small that it needs more than significance to be given a name."""
     value, _ = _standardised(result, index)
     return float(np.linalg.norm(value)) < TERMS[result.model.terms[index].name].least
+
+
+def widened(result: Refit) -> Refit:
+    """With the covariance that the windows deserve where their misfit hangs together, as `smoother` has it."""
+    twin = result.twin
+    fit = Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
+    return replace(result, covariance=fit.colour * result.covariance)
 
 
 def _standardised(result: Refit, index: int) -> tuple[Array, Array]:

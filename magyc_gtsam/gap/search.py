@@ -11,6 +11,7 @@ from collections.abc import Callable, Container
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
@@ -18,21 +19,23 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
-from magyc_gtsam.gap.naming import LEFT, NOISE_LIMIT, Found, Look, choices, less, loudest, term_places
+from magyc_gtsam.gap.naming import LEFT, NOISE_LIMIT, WEAK, Found, Look, choices, less, loudest, term_places
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.objections import ahead_of_names, leftover, stands, switched
 from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import sharpened
-from magyc_gtsam.gap.refit import Refit, possible, refit, small, without_term
-from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
+from magyc_gtsam.gap.refit import Refit, possible, refit, small, widened, without_term
+from magyc_gtsam.gap.score import FAMILY_WISE, Projector, Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
 MOST_TERMS = 5
 _TURNS = MOST_TERMS + 8  # of looking, effects on the noise, what cannot be fitted and exchanges included
-_ON_AND_OFF = ("hard-iron-step", "local-anomaly")  # alike, and on grids too coarse to say which
-_WEAK = 50.0  # nats, up to which what is small may be the shadow of another effect
+_ON_AND_OFF = (
+    "hard-iron-step",
+    "local-anomaly",
+)  # at a time of their own; alike, on grids too coarse to say which
 _BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
@@ -69,7 +72,8 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
     scores.sort(key=lambda s: -s.evidence)
     fine = fine_innovations(recording, refitted.model)
     noise = noise_scores(recording, fine, NOISE_LIMIT)
-    gains = {s.name: _gain(refitted, s, innovation) for s in scores if s.evidence > 3.0}
+    confirm = _confirmation(refitted, innovation)
+    gains = {s.name: confirm(s) for s in scores if s.evidence > 3.0}
     for s in scores:
         tried = s.significant and not s.generic and gains[s.name] > 0
         if tried and not in_its_own_time(s, refitted.twin, innovation, projector):
@@ -77,11 +81,25 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
     return Look(refitted, scores, noise, fine, innovation, projector, gains)
 
 
-def _gain(refitted: Refit, score: Score, innovation: Array) -> float:
+def _confirmation(refitted: Refit, innovation: Array) -> Callable[[Score], float]:
+    """The held-out gain of scores.
+
+    What the model has at a time of its own is fitted to all of the recording: of an object passed in one block the
+    other half knows nothing.
+    """
     twin = refitted.twin
-    length = 10.0 if score.generic else TERMS[score.name].block(score.variant.setting)
-    length = min(length, (twin.time[-1] - twin.time[0]) / _BLOCKS)
-    return held_out_gain(twin.base_columns, score.variant.columns, innovation, interleaved(twin.time, length))
+    names = [t.name for t in twin.model.estimated for _ in t.value]
+    local = np.array([False] * int(twin.model.free.sum()) + [name in _ON_AND_OFF for name in names])
+    beside = Projector(twin.base_columns[local])
+    base = beside(twin.base_columns[~local])
+
+    def gain(score: Score) -> float:
+        length = 10.0 if score.generic else TERMS[score.name].block(score.variant.setting)
+        length = min(length, (twin.time[-1] - twin.time[0]) / _BLOCKS)
+        columns = beside(score.variant.columns)
+        return held_out_gain(base, columns, innovation, interleaved(twin.time, length))
+
+    return gain
 
 
 def search(
@@ -155,7 +173,7 @@ def search(
     weak = {
         p
         for p, i in places.items()
-        if (final.found[p].evidence < _WEAK and small(final.current, i)) or not possible(final.current, i)
+        if (final.found[p].evidence < WEAK and small(final.current, i)) or not possible(final.current, i)
     }
     slight = tuple(final.found[place].name for place in sorted(weak))
     final = _without(final, weak)
@@ -173,14 +191,17 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
         place
         for place, index in term_places(found, current.model).items()
         if found[place].evidence < line
-        or _again(found[place], now, left)
-        or found[place].name in {product_of(name) for name in left}
+        or _again(current, index, now, left)
+        or _of_another_form(current, index, now, left)
         or not stands(current, index, found[place], now, left)
     }
     if ahead_of_names(first, [f for i, f in enumerate(found) if i not in loose]):
         # What is left of the names is not the best that can be said.
         loose = set(term_places(found, current.model))
     firm = _without(state, loose)
+    honest = widened(firm.current)
+    faint = {place for place, i in term_places(firm.found, honest.model).items() if not _shows(honest, i)}
+    firm = _without(firm, faint)
     # What is missing would pass for colour.
     return replace(firm, found=tuple(f for f in firm.found if f.name != "coloured-noise"))
 
@@ -197,7 +218,20 @@ def _without(state: State, places: Container[int]) -> State:
     return replace(state, current=kept, found=less(state.found, places))
 
 
-def _again(one: Found, now: Look, left: tuple[str, ...]) -> bool:
-    """Whether an effect is wanted oftener than it may be had, and nearly as much: steps in a row are no step."""
-    more = max((s.statistic for s in now.scores if s.name == one.name), default=np.inf)
-    return one.name in left and more > LEFT * one.statistic
+def _shows(honest: Refit, index: int) -> bool:
+    """Whether the value of a term is more than its noise, beside what is missing."""
+    return honest.weight_of(index) > chi2.isf(FAMILY_WISE, len(honest.value_of(index)[0]))
+
+
+def _again(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
+    """Whether a term is wanted oftener than it may be had, and nearly as much: steps in a row are no step."""
+    name = current.model.terms[index].name
+    more = max((s.statistic for s in now.scores if s.name == name), default=np.inf)
+    return name in left and more > LEFT * current.weight_of(index)
+
+
+def _of_another_form(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
+    """Whether products of a term with other signals explain much beside it: it is of their form, not of its own."""
+    products = [name for name in left if product_of(name) == current.model.terms[index].name]
+    explained = {s.name: s.statistic - len(s.variant.unit) for s in now.scores}
+    return any(explained.get(name, np.inf) > LEFT * current.weight_of(index) for name in products)

@@ -142,8 +142,7 @@ def _backwards(state: State) -> State:
         weakest, least = -1, 1.0
         places = term_places(found, current.model)
         for place, index in places.items():
-            value, covariance = current.value_of(index)
-            strength = float(value @ np.linalg.pinv(covariance) @ value) / found[place].threshold
+            strength = current.weight_of(index) / found[place].threshold
             if strength < least:
                 weakest, least = place, strength
         if weakest < 0:
