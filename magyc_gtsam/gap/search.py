@@ -183,7 +183,7 @@ def search(
 
 
 def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
-    """Without the terms that lean on what is missing: those that a generic family would absorb."""
+    """Without the terms that lean on what is missing, or show no more than their noise once the others are gone."""
     current, found = state.current, state.found
     # A line at the motion's frequencies that is stronger than a name is what the name was mistaken for.
     line = max((n.evidence for n in first.noise if n.name == "tone" and not n.significant), default=0.0)
