@@ -66,7 +66,7 @@ def test_one_instrument_has_one_delay_and_one_misalignment(shared_data: Path) ->
 
 
 def test_a_small_step_put_in_is_found_beside_the_room(shared_data: Path) -> None:
-    """Of 1.3 times the published strength, in a room whose field leaves more than it explains, and by which the delay stays."""
+    """Of 1.3 times the published strength, in a room that leaves more than it explains; the delay stays."""
     recording = mg.read(shared_data / "broad_01_slow_rotation.mcap").between(36, 154)
     stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 1.3)], seed=5)
     found = {e.name: e for e in mg.find_gap(stepped).effects}
