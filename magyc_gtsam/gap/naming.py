@@ -31,6 +31,7 @@ TIE = (3.0, 0.05)  # nats, and share of the evidence, by which one that is as go
 _TRIED = 3  # names in a tie, at most
 SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
 NOISE_LIMIT = float(np.log(22 / 0.01))
+_REMAINDER = float(np.log(20 / 0.05))  # −ln p from which a generic remainder speaks against the names given
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,18 +105,26 @@ def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | 
 
 
 def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
-    """The strongest significant name that held-out data confirm, and those that are as good as it."""
+    """The strongest significant name that held-out data confirm, and those that are as good as it.
+
+    Not those that add nothing beside a stronger one which is no more than what an effect found earlier leaves.
+    """
     terms, shadow = now.refit.model.terms, _shadow(now, found)
-    options = []
+    options: list[Score] = []
+    shapes: list[Score] = []
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
             continue
         if score.evidence < min(shadow, WEAK) and not _untested(score.name, now.refit.twin):
             continue
         held = sum(term.name == score.name for term in terms)
-        if held < TERMS[score.name].most and score.name not in failed and not shape_of(score, now.refit, found):
-            options.append(score)
-    options.sort(key=lambda score: -score.evidence)
+        if held < TERMS[score.name].most and score.name not in failed:
+            (shapes if shape_of(score, now.refit, found) else options).append(score)
+    options = [
+        one
+        for one in sorted(options, key=lambda score: -score.evidence)
+        if all(shape.evidence < one.evidence or _adds_beyond(one.variant, shape.variant, now) for shape in shapes)
+    ]
     if not options:
         return []
     delay = next((o.statistic for o in options if o.name == "timing"), 0.0)
@@ -144,6 +153,11 @@ def _of_the_model(noise: NoiseScore, now: Look) -> bool:
     if noise.name != "tone" or noise.setting["frequency"] > _SLOW:
         return False
     return any(s.generic and s.significant for s in now.scores)
+
+
+def left_over(score: Score) -> bool:
+    """Whether a score speaks against the names given; of what is generic a milder level is enough."""
+    return score.significance > (min(_REMAINDER, score.limit) if score.generic else score.limit)
 
 
 def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 from scipy.special import gammaincc, gammainccinv, gammaln
 
 from magyc_gtsam.factors.rotations import Array
@@ -13,22 +14,48 @@ from magyc_gtsam.factors.rotations import Array
 Draws = NDArray[np.float32]  # half the memory, and enough for a threshold
 TAIL = 0.9
 _ORDER = 12  # of the autoregression, at most
+_PASSES, _FEW = 3, 60  # of the draws through the filter, to find the spectrum
+_BATCH = 100  # draws at a time
 _COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
-def colour(innovation: Array, white: Draws) -> Draws:
-    """White draws (3n, draws) given the autocorrelation of the innovations (3, n), where it is significant.
+def colour(innovation: Array, drawn: Callable[[Array], Array], white: Draws) -> Draws:
+    """Draws (3n, draws) of innovations that hang together as those of the data (3, n) do, where these do.
 
-    Each axis has its own: what the gyroscope leaves open, the innovations show less of.
+    Colour is drawn where it is, in the reading, and goes through the twin's filter, as what is in it does: on a turn
+    the filter mixes the axes, and on a straight leg the direction follows what is slow. The spectrum of the reading is
+    the one with which the innovations have that of the data, both of an autoregression, each axis by itself.
+
+    Args:
+        innovation: freed of the base model.
+        drawn: innovations (k, 3, n), freed of the base model, of k draws (k, 3, n) of the windows' noise.
+        white: (3n, draws) white draws; what is returned where the data are white.
     """
     order = memory(innovation)
     if not order:
         return white
-    overall, shaped = innovation.std(), []
-    for row, draws in zip(innovation, white.reshape(3, innovation.shape[1], -1), strict=True):
-        drawn = lfilter([1.0], np.concatenate([[1.0], -autoregression(row, order)]), draws, axis=0)
-        shaped.append(drawn * (row.std() / (overall * drawn.std())))
-    return np.concatenate(shaped).astype(np.float32)
+    n = innovation.shape[1]
+    windows = np.fft.rfft(white.T.reshape(-1, 3, n))
+    wanted = _spectrum(innovation[None], order)
+    of_reading = wanted
+    for _ in range(_PASSES):
+        few = drawn(np.fft.irfft(windows[:_FEW] * np.sqrt(of_reading), n))
+        of_reading = of_reading * wanted / _spectrum(few, order)
+    batches = [
+        drawn(np.fft.irfft(windows[i : i + _BATCH] * np.sqrt(of_reading), n)).astype(np.float32)
+        for i in range(0, len(windows), _BATCH)
+    ]
+    result = np.concatenate(batches)
+    result *= (innovation.std(axis=1) / result.std(axis=(0, 2)))[:, None]
+    return result.reshape(-1, 3 * n).T
+
+
+def _spectrum(rows: Array, order: int) -> Array:
+    """(3, n // 2 + 1) of the autoregressions of draws (k, 3, n), each axis by itself."""
+    n = rows.shape[2]
+    turn = np.exp(-2j * np.pi * np.outer(np.fft.rfftfreq(n), np.arange(1, order + 1)))
+    fits = [autoregression(rows[:, axis], order) for axis in range(3)]
+    return np.array([power / np.abs(1 - turn @ coefficients) ** 2 for coefficients, power in fits])
 
 
 def memory(innovation: Array) -> int:
@@ -41,10 +68,12 @@ def memory(innovation: Array) -> int:
     return int(significant[-1]) + 1 if len(significant) else 0
 
 
-def autoregression(row: Array, order: int) -> Array:
-    """(order,) coefficients of innovations (n,) by Yule–Walker."""
-    r = np.array([float(row[lag:] @ row[: len(row) - lag]) for lag in range(order + 1)])
-    return solve_toeplitz(r[:-1], r[1:])
+def autoregression(rows: Array, order: int) -> tuple[Array, float]:
+    """(order,) coefficients of rows (..., n) by Yule–Walker, and the power that they leave."""
+    n = rows.shape[-1]
+    r = np.array([np.vdot(rows[..., lag:], rows[..., : n - lag]) for lag in range(order + 1)]) / rows.size
+    coefficients = solve_toeplitz(r[:-1], r[1:])
+    return coefficients, float(r[0] - coefficients @ r[1:])
 
 
 def surprises(statistic: Array, ranks: Array) -> Array:

@@ -9,11 +9,10 @@ import numpy as np
 
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, shape_of, weights
+from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, left_over, shape_of, weights
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.score import Projector, Variant, variant
 
-_REMAINDER = np.log(20 / 0.05)  # −ln p from which a generic remainder speaks against the names given
 _FIRM = 0.7  # share of what a term should explain beside whatever else is missing
 _MOSTLY = 0.6  # share that a term must explain of what families that hold its signature could explain
 _LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
@@ -87,12 +86,12 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
         all_named = np.inf  # nothing to compare with, or statistics that are those of the colour
     result = ahead_of_names(first, found)
     for score in now.scores:
-        limit = min(_REMAINDER, score.limit) if named and score.generic else score.limit
         excess = score.statistic - len(score.variant.unit)
         # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
         many = score.generic and len(score.variant.unit) > _MANY
         more = many and score.significant and excess > all_named
-        if score.significance <= limit or (now.gains.get(score.name, 0.0) <= 0 and not more):
+        speaks = left_over(score) if named else score.significant
+        if not speaks or (now.gains.get(score.name, 0.0) <= 0 and not more):
             continue
         if found and excess < SHAPE * explained:
             continue

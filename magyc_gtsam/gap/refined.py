@@ -52,15 +52,16 @@ def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
     )
     if parts:
         return parts
+    ahead = _CLEARLY - term.loose * own
     even = {
         n: tried
         for n, tried in closest.items()
-        if surprise(tried, now.innovation) > own - _CLEARLY and not _same(best, tried, now.innovation)
+        if surprise(tried, now.innovation) > own - ahead and not _same(best, tried, now.innovation)
     }
     if not even:
         return ()
     paired = _paired(name, best, now)
-    return tuple(n for n, tried in even.items() if _paired(name, tried, now) > paired - _CLEARLY)
+    return tuple(n for n, tried in even.items() if _paired(name, tried, now) > paired - ahead)
 
 
 def _same(one: Variant, other: Variant, innovation: Array) -> bool:

@@ -66,7 +66,7 @@ class Score:
         variants: all that were tried, `best` the index of the one that counts.
         statistic: ‖d‖² there.
         evidence: −ln of its p-value against the white twin, the search accounted for; ranks candidates.
-        significance: the same against the twin with the data's colour; decides.
+        significance: the same against the twin with the data's colour, where that is less; decides.
         threshold: the family-wise level in terms of the statistic.
         limit: the family-wise level in terms of `significance`.
         expected, covariance: the value to expect (k,) and its covariance (k, k).
@@ -216,7 +216,12 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
     ranks = np.array([len(found[name][1][index].unit) for name, index in flat])
     starts = np.concatenate([[0], np.cumsum(ranks)])[:-1]
     white = random.standard_normal((innovation.size, DRAWS), dtype=np.float32)
-    coloured = colour(_without_best(innovation, found).reshape(3, -1), white)
+
+    def drawn(windows: Array) -> Array:
+        rows = twin.innovations(windows, random.standard_normal((len(windows), 3, twin.n - 1)))
+        return project(rows.reshape(len(rows), -1)).reshape(rows.shape)
+
+    coloured = colour(_without_best(innovation, found).reshape(3, -1), drawn, white)
     null_white = _statistics(units @ white, starts, ranks)
     null_coloured = null_white if coloured is white else _statistics(units @ coloured, starts, ranks)
     limit = float(np.log(len(found) / FAMILY_WISE))
@@ -233,7 +238,10 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
         level_white, _ = tail(largest_surprises(null_white[rows], ranks[rows]))
         level, slope = tail(largest_surprises(null_coloured[rows], ranks[rows]))
         rank = max(int(ranks[rows][best]), 1)
-        needed = level + slope * (limit + np.log(1 - TAIL))
+        beyond = limit + np.log(1 - TAIL)
+        needed = max(level + slope * beyond, level_white + beyond)
+        evidence = float(surprise[best] - level_white - np.log(1 - TAIL))  # white: its slope is 1
+        significance = float((surprise[best] - level) / slope - np.log(1 - TAIL))
         scores.append(
             Score(
                 name=name,
@@ -242,8 +250,8 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
                 variants=tuple(many),
                 best=best,
                 statistic=float(statistics[best]),
-                evidence=float(surprise[best] - level_white - np.log(1 - TAIL)),  # white: its slope is 1
-                significance=float((surprise[best] - level) / slope - np.log(1 - TAIL)),
+                evidence=evidence,
+                significance=min(significance, evidence),
                 threshold=float(quantile(needed, rank)),
                 limit=limit,
                 expected=-chosen.back @ pulls[best],

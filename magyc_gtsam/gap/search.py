@@ -161,6 +161,7 @@ def search(
         if ahead:
             # Of those that are as good as each other, the one that leaves least to be said.
             _, state, now = max(ahead, key=lambda one: one[0] - rest(one[2]))
+            failed = set()  # beside another effect it may fit
     # It is in no model, so that what is real of it is still there; of the rest another effect made it seem.
     loud = {noise.name for noise in now.noise if noise.significant}
     state = replace(state, found=tuple(f for f in state.found if f.name != "coloured-noise" or f.name in loud))

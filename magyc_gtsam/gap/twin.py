@@ -100,6 +100,10 @@ class Twin:
         link = residuals.link[None] * self.chain.link_scale
         return self._filter(window, link)[0]
 
+    def innovations(self, window: Array, link: Array) -> Array:
+        """(k, 3, n) of draws of the noise of windows (k, 3, n) and of links (k, 3, n − 1), in their sigmas."""
+        return self._filter(window, link)
+
     def whiten(self, columns: Columns) -> Array:
         """(p, 3n) innovations of regressors."""
         window = columns.window * self.chain.window_scale

@@ -86,7 +86,7 @@ def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
 
 def _between(row: Array, order: int) -> Array:
     """(2 order + 1,) weights of the neighbours in a residual, 0 for the sample itself."""
-    ahead = np.append(1.0, -autoregression(row, order)) if order else np.ones(1)
+    ahead = np.append(1.0, -autoregression(row, order)[0]) if order else np.ones(1)
     weights: Array = np.convolve(ahead, ahead[::-1]) / (ahead @ ahead)
     weights[order] = 0.0
     return weights

@@ -9,6 +9,10 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.twin import Twin
 
+_LOOSE = (
+    0.03  # of the delay and of plates: how far the next order, which grows with the speed of turn, may be ahead
+)
+
 
 def directions() -> list[dict[str, float]]:
     """Thirteen: axes, face and space diagonals of a cube."""
@@ -88,6 +92,7 @@ TIMING = EffectTerm(
     say=_say_timing,
     motion="turn fast one way and the other, about more than one axis",
     products=("speed", "speed²"),
+    loose=_LOOSE,
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
@@ -104,4 +109,5 @@ EDDY_PLANE = EffectTerm(
     settings=_plates,
     refined=_plates_nearby,
     products=("speed", "speed²"),
+    loose=_LOOSE,
 )

@@ -52,6 +52,7 @@ class EffectTerm:
         many_shapes: its values make many shapes, of which only those are tried that the motion determines.
         alike: generic families a narrow part of which may look like it, so that it must explain clearly more.
         products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
+        loose: share of its own nats by which a neighbour may be ahead of it, for its form is only the first order.
     """
 
     name: str
@@ -74,6 +75,7 @@ class EffectTerm:
     many_shapes: bool = False
     alike: tuple[str, ...] = ()
     products: tuple[str, ...] = ()
+    loose: float = 0.0
 
     @property
     def form(self) -> Form:
