@@ -11,6 +11,8 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import metrics
+from magyc_gtsam.blindtest.generator import generate
+from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.simulation import inject
@@ -74,6 +76,14 @@ def test_a_small_step_put_in_is_found_beside_the_room(shared_data: Path) -> None
     step = found["hard-iron-step"]
     assert step.setting["time"] - recording.time[0] == pytest.approx(truth.drawn["time"], abs=1.0)
     np.testing.assert_allclose(step.value, 0.78 * truth.drawn["direction"], atol=0.2)
+
+
+def test_what_a_growing_scale_leaves_is_no_passed_object(shared_data: Path) -> None:
+    """Beside the scale error that the phone's gyroscope has, which is taken for what the growing one leaves."""
+    hidden = Scenario("x", "real", "nexus5_calibration_d1", 138430964859705, (("gyro-quadratic", 1.0),))
+    gap = mg.find_gap(generate(hidden, mg.read(shared_data / "nexus5_calibration_d1.mcap")).recording)
+    assert {"timing", "gyro-quadratic"} <= set(gap.names)
+    assert "local-anomaly" not in gap.names
 
 
 def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:
