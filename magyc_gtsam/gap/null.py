@@ -27,7 +27,7 @@ def colour(innovation: Array, drawn: Callable[[Array], Array], white: Draws) -> 
     the one with which the innovations have that of the data, both of an autoregression, each axis by itself.
 
     Args:
-        innovation: freed of the base model.
+        innovation: freed of the base model, and of what would pass for its colour; the draws have its level.
         drawn: innovations (k, 3, n), freed of the base model, of k draws (k, 3, n) of the windows' noise.
         white: (3n, draws) white draws; what is returned where the data are white.
     """

@@ -9,9 +9,7 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.twin import Twin
 
-_LOOSE = (
-    0.03  # of the delay and of plates: how far the next order, which grows with the speed of turn, may be ahead
-)
+_LOOSE = 0.03  # of delays and plates: how far the next order, which grows with the speed of turn, may be ahead
 
 
 def directions() -> list[dict[str, float]]:
