@@ -101,7 +101,7 @@ class Twin:
         return self._filter(window, link)[0]
 
     def innovations(self, window: Array, link: Array) -> Array:
-        """(k, 3, n) of draws of the noise of windows (k, 3, n) and of links (k, 3, n − 1), in their sigmas."""
+        """(k, 3, n) of draws of the noise of windows (k, 3, n), overwritten, and of links (k, 3, n − 1), in sigmas."""
         return self._filter(window, link)
 
     def whiten(self, columns: Columns) -> Array:
