@@ -4,8 +4,7 @@
 
 FOLDER holds recordings named in datasets/README.md, as MCAP (broad_*.mcap, nexus5_*.mcap). Prints hard iron
 (µT), gyroscope bias (mrad/s), delay (ms) and the standard deviation of the magnetic heading (deg): raw, and
-calibrated, both with the field taken as late as it was found to be. With `--gap`: what is found to be missing in the
-twelve parameters, and the heading with these and with what was found.
+calibrated, both with the field taken as late as it was found to be.
 """
 
 import argparse
@@ -29,14 +28,12 @@ def main() -> None:
     """Run and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--gap", action="store_true", help="look for what the twelve parameters lack")
-    arguments = parser.parse_args()
-    judge = gap_row if arguments.gap else calibration_row
+    folder = parser.parse_args().folder
     for name, interval in INTERVALS.items():
-        judge(name, mg.read(arguments.folder / f"{name}.mcap").between(*interval))
+        print_row(name, mg.read(folder / f"{name}.mcap").between(*interval))
 
 
-def calibration_row(name: str, recording: mg.Recording) -> None:
+def print_row(name: str, recording: mg.Recording) -> None:
     """Print the calibration and the heading before and after."""
     raw = mg.Calibration(np.eye(3), np.zeros(3))
     calibration = mg.calibrate(recording)
@@ -49,15 +46,6 @@ def calibration_row(name: str, recording: mg.Recording) -> None:
         f"{name:30s} hard iron {hard[0]:6.1f} {hard[1]:6.1f} {hard[2]:6.1f}  bias {bias[0]:5.1f} {bias[1]:5.1f} "
         f"{bias[2]:5.1f}  delay {calibration.delay * 1e3:4.1f}  {heading}"
     )
-
-
-def gap_row(name: str, recording: mg.Recording) -> None:
-    """Print what is missing and the heading before and after it is added."""
-    gap = mg.find_gap(recording)
-    print(f"{name}: {gap.verdict}; {gap.sentence}")
-    if gap.before.heading is not None:
-        before, after = gap.before.heading, gap.after.heading
-        print(f"    heading {before:.2f}° with twelve parameters, {after:.2f}° with the effects")
 
 
 if __name__ == "__main__":

@@ -24,9 +24,10 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 from magyc_gtsam.factors.banded import inverse_blocks
+from magyc_gtsam.factors.chain_directions import Known, Sight, stepped
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.preintegration import FieldWindows
-from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices, tangent_basis
+from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices
 from magyc_gtsam.factors.soft_iron import unvech
 
 PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
@@ -168,16 +169,13 @@ class FieldChain:
         n = g.shape[1]
         soft = unvech(parameters[:6])
         scale = self.window_scale * np.sqrt(weights.window)
-        link_scale = self.link_scale * np.sqrt(weights.link)
-        basis = tangent_basis(g)
-
-        # Windows: r = B M g + h − m, Jacobians on the direction (3, 2, n) and on θ (13, 3, n).
         rotation = self._rotation(parameters)
-        body = np.einsum("ijn,jn->in", rotation, g)
-        residual = (soft @ body + (parameters[6:9, None] - self.windows.field)) * scale
-        seen = np.einsum("ijn,jan->ian", rotation, basis) * scale
-        on_direction = (soft @ seen.reshape(3, -1)).reshape(3, 2, n)
-        x, y, z = body * scale
+        sight = self._sight(state, weights, rotation)
+        linear = sight.at(g)
+        on_direction, residual, link = linear.on_direction, linear.window, linear.link
+
+        # Windows: r = B M g + h − m, its Jacobian on θ (13, 3, n).
+        x, y, z = np.einsum("ijn,jn->in", rotation, g) * scale
         on_parameters = np.zeros((PARAMETERS, 3, n))
         on_parameters[0, 0] = on_parameters[1, 1] = on_parameters[2, 2] = x
         on_parameters[1, 0] = on_parameters[3, 1] = on_parameters[4, 2] = y
@@ -187,76 +185,61 @@ class FieldChain:
             on_parameters[9 + k] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_bias[:, :, k], g) * scale
         on_parameters[DELAY] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_rate, g) * scale
         if self.answer is not None:
-            on_direction *= self.answer[:, None]
             on_parameters *= self.answer
 
         # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
-        turn = self._turn(parameters)
-        ahead = np.einsum("ijn,jn->in", turn, g[:, :-1])
-        link = (g[:, 1:] - ahead) * link_scale
-        before = -np.einsum("ijn,jan->ian", turn, basis[:, :, :-1]) * link_scale
-        after = basis[:, :, 1:] * link_scale
-        on_bias = -cross(ahead[:, None] * link_scale, self.windows.lever)
+        on_bias = -cross(linear.ahead[:, None] * sight.link_scale, self.windows.lever)
 
         # The directions' matrix H in 2×2 blocks, and its border [C, gradient].
-        band = np.zeros((2 * n, 4))
-        square = link_scale**2  # the tangent bases are orthonormal
-        d0, d1 = band[::2, 0], band[1::2, 0]
-        d0[:] = np.einsum("in,in->n", on_direction[:, 0], on_direction[:, 0])
-        d1[:] = np.einsum("in,in->n", on_direction[:, 1], on_direction[:, 1])
-        for diagonal in (d0, d1):
-            diagonal[1:] += square
-            diagonal[:-1] += square
-        band[::2, 1] = np.einsum("in,in->n", on_direction[:, 0], on_direction[:, 1])
-        band[:-2:2, 2] = np.einsum("in,in->n", before[:, 0], after[:, 0])
-        band[1:-2:2, 2] = np.einsum("in,in->n", before[:, 1], after[:, 1])
-        band[:-2:2, 3] = np.einsum("in,in->n", before[:, 0], after[:, 1])
-        band[1:-2:2, 1] = np.einsum("in,in->n", before[:, 1], after[:, 0])
-
         right = np.empty((PARAMETERS + 1, n, 2))
+        band, right[PARAMETERS] = linear.normal_equations()
         for a in (0, 1):
             np.einsum("in,pin->pn", on_direction[:, a], on_parameters, out=right[:PARAMETERS, :, a])
-            right[PARAMETERS, :, a] = np.einsum("in,in->n", on_direction[:, a], residual)
-            right[9:12, 1:, a] += np.einsum("in,ikn->kn", after[:, a], on_bias)
-            right[9:12, :-1, a] += np.einsum("in,ikn->kn", before[:, a], on_bias)
-            right[PARAMETERS, 1:, a] += np.einsum("in,in->n", after[:, a], link)
-            right[PARAMETERS, :-1, a] += np.einsum("in,in->n", before[:, a], link)
-        border = right.reshape(PARAMETERS + 1, 2 * n)
-
-        factor, failed = dpbtrf(band.T, lower=1)
-        if failed:
-            window = (failed - 1) // 2
-            raise MagycError(
-                f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
-                "its weight or its noise is out of range"
-            )
-        half, _ = dtbtrs(factor, border.T, uplo="L")  # L⁻¹ [C, gradient]
-        reduction = half.T @ half
+            right[9:12, 1:, a] += np.einsum("in,ikn->kn", linear.after[:, a], on_bias)
+            right[9:12, :-1, a] += np.einsum("in,ikn->kn", linear.before[:, a], on_bias)
         flat = on_parameters.reshape(PARAMETERS, -1)
-        information = flat @ flat.T - reduction[:PARAMETERS, :PARAMETERS]
-        gradient = flat @ residual.ravel() - reduction[:PARAMETERS, PARAMETERS]
+        information, gradient = flat @ flat.T, flat @ residual.ravel()
         information[9:12, 9:12] += np.einsum("ikn,iln->kl", on_bias, on_bias)
         gradient[9:12] += np.einsum("ikn,in->k", on_bias, link)
         cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
+
+        known = self._known(state, linear.basis)
+        if known is not None:
+            known.onto_first(band, right[PARAMETERS])
+            right[:PARAMETERS, 0] += known.information[:PARAMETERS, PARAMETERS:]
+            information += known.information[:PARAMETERS, :PARAMETERS]
+            gradient += known.gradient[:PARAMETERS]
+            cost += known.cost
+
+        border = right.reshape(PARAMETERS + 1, 2 * n)
+        factor = self._factor(band)
+        half, _ = dtbtrs(factor, border.T, uplo="L")  # L⁻¹ [C, gradient]
+        reduction = half.T @ half
+        information -= reduction[:PARAMETERS, :PARAMETERS]
+        gradient -= reduction[:PARAMETERS, PARAMETERS]
         return Reduced(
-            cost, information, gradient, basis, on_direction, on_parameters, band.T, factor, border, half
+            cost, information, gradient, linear.basis, on_direction, on_parameters, band.T, factor, border, half
         )
 
     def move(self, state: State, reduced: Reduced, step: Array) -> State:
         """The state after a step on θ; the directions follow by back-substitution."""
         pull = reduced.right[PARAMETERS] + step @ reduced.right[:PARAMETERS]
         tangent, _ = dpbtrs(reduced.factor, pull, lower=1)
-        g = state.direction - reduced.basis[:, 0] * tangent[::2] - reduced.basis[:, 1] * tangent[1::2]
-        return State(state.parameters + step, g / np.sqrt(np.einsum("in,in->n", g, g)))
+        return State(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
 
     def settle(self, state: State, weights: Weights) -> tuple[State, Reduced]:
         """The directions at their best for the state's θ, and the linearisation there."""
-        still = np.zeros(PARAMETERS)
+        sight = self._sight(state, weights, self._rotation(state.parameters))
         for _ in range(_SETTLING):
-            reduced = self.eliminate(state, weights)
-            ahead = self.move(state, reduced, still)
-            moved = float(np.square(ahead.direction - state.direction).max())
-            state = ahead
+            linear = sight.at(state.direction)
+            band, pull = linear.normal_equations()
+            known = self._known(state, linear.basis)
+            if known is not None:
+                known.onto_first(band, pull)
+            tangent, _ = dpbtrs(self._factor(band), pull.ravel(), lower=1)
+            ahead = stepped(state.direction, linear.basis, tangent)
+            moved = float(np.square(ahead - state.direction).max())
+            state = State(state.parameters, ahead)
             if moved < _SETTLED:
                 break
         return state, self.eliminate(state, weights)
@@ -278,6 +261,29 @@ class FieldChain:
         across = reduced.on_parameters - np.einsum("ian,pan->pin", reduced.on_direction, solve)
         spread = (covariance @ across.reshape(PARAMETERS, -1)).reshape(across.shape)
         return inner + np.einsum("pin,pin->n", across, spread)
+
+    def _known(self, state: State, basis: Array) -> Known | None:
+        """What is known of θ and the first direction besides the windows; here nothing."""
+        return None
+
+    def _sight(self, state: State, weights: Weights, rotation: Array) -> Sight:
+        parameters = state.parameters
+        scale = self.window_scale * np.sqrt(weights.window)
+        seen = (unvech(parameters[:6]) @ rotation.reshape(3, -1)).reshape(rotation.shape) * scale
+        field = (self.windows.field - parameters[6:9, None]) * scale
+        return Sight(seen, field, self._turn(parameters), self.link_scale * np.sqrt(weights.link), self.answer)
+
+    def _factor(self, band: Array) -> Array:
+        """The Cholesky factor (4, 2n) of a band (2n, 4)."""
+        factor, failed = dpbtrf(band.T, lower=1)
+        if failed:
+            window = (failed - 1) // 2
+            raise MagycError(
+                f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
+                "its weight or its noise is out of range"
+            )
+        result: Array = factor
+        return result
 
     def _rotation(self, parameters: Array) -> Array:
         late = parameters[DELAY] - self.windows.delay

@@ -16,12 +16,10 @@ from magyc_gtsam.factors.field_chain import (
     Noise,
     State,
     Weights,
-    exponential_matrices,
-    tangent_basis,
 )
 from magyc_gtsam.factors.field_chain_factor import field_chain_factor
 from magyc_gtsam.factors.preintegration import Preintegration
-from magyc_gtsam.factors.rotations import increments
+from magyc_gtsam.factors.rotations import exponential_matrices, increments, tangent_basis
 from magyc_gtsam.simulation import simulate
 
 NOISE = Noise(1e-6, 5e-3)

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dtbtrs
 
-from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State, Weights
+from magyc_gtsam.factors.chain_directions import Known
+from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, State, Weights
 from magyc_gtsam.factors.preintegration import FieldWindows
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.soft_iron import unvech
@@ -93,39 +92,18 @@ class ContinuedChain(FieldChain):
             sigma[0] *= _UNMEASURED
         return sigma
 
-    def eliminate(self, state: State, weights: Weights) -> Reduced:
-        """As `FieldChain.eliminate`, with the past's information on θ and on the first direction."""
-        reduced = super().eliminate(state, weights)
+    def _known(self, state: State, basis: Array) -> Known | None:
+        """The past, on θ and on the first direction as this chain sees it."""
         if self.past is None:
-            return reduced
+            return None
         away = self._away(state)
-        onto = np.eye(PARAMETERS + 2)
-        onto[PARAMETERS:, PARAMETERS:] = self.origin[1].T @ reduced.basis[:, :, 0]
-        information = onto.T @ self.past.information @ onto
         slope = self.past.information @ away
-        gradient = onto.T @ (self.past.gradient + slope)
-        half = reduced.half
-        free = reduced.information + half[:, :PARAMETERS].T @ half[:, :PARAMETERS] + information[:13, :13]
-        pull = reduced.gradient + half[:, :PARAMETERS].T @ half[:, PARAMETERS] + gradient[:13]
-        band, right = reduced.band.copy(order="F"), reduced.right.copy()
-        band[0, 0] += information[13, 13]
-        band[1, 0] += information[14, 13]
-        band[0, 1] += information[14, 14]
-        right[:PARAMETERS, :2] += information[:13, 13:]
-        right[PARAMETERS, :2] += gradient[13:]
-        factor, failed = dpbtrf(band, lower=1)
-        if failed:
-            raise MagycError(f"the chain after {self.windows.time[0]:.1f} s has no finite direction")
-        half, _ = dtbtrs(factor, right.T, uplo="L")
-        reduction = half.T @ half
-        return reduced._replace(
-            cost=reduced.cost + float(self.past.gradient @ away + 0.5 * away @ slope),
-            information=_symmetric(free - reduction[:PARAMETERS, :PARAMETERS]),
-            gradient=pull - reduction[:PARAMETERS, PARAMETERS],
-            band=band,
-            factor=factor,
-            right=right,
-            half=half,
+        onto = np.eye(PARAMETERS + 2)
+        onto[PARAMETERS:, PARAMETERS:] = self.origin[1].T @ basis[:, :, 0]
+        return Known(
+            self.past_cost(state),
+            _symmetric(onto.T @ self.past.information @ onto),
+            onto.T @ (self.past.gradient + slope),
         )
 
     def seen(self, parameters: Array) -> Array:
