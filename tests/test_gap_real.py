@@ -13,6 +13,8 @@ import magyc_gtsam as mg
 from magyc_gtsam import metrics
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
+from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.simulation import inject
@@ -94,6 +96,17 @@ def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:
     assert off.setting["time"] == pytest.approx(95, abs=1)
     np.testing.assert_allclose(on.value, [-6, -1, 58], atol=3)
     np.testing.assert_allclose(off.value, [6, 1, -58], atol=3)
+
+
+def test_the_first_model_beside_a_magnet_does_not_hang_on_rounding(shared_data: Path) -> None:
+    """The fit of the twelve parameters at the sensors' own noise ends anywhere there."""
+    recording = mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap")
+    hard_iron = []
+    for scale in (1.0, 1.0 + 1e-9):
+        scaled = replace(recording, magnetic_field=recording.magnetic_field * scale)
+        hard_iron.append(base_model(scaled, None, short_term_noise(scaled)).model.parameters[6:9] * 1e6)
+    np.testing.assert_allclose(*hard_iron, atol=0.1)
+    np.testing.assert_allclose(hard_iron[0], [-5, 3, 49], atol=1)
 
 
 @pytest.mark.parametrize(

@@ -136,8 +136,10 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
     delay = 0.0 if calibration is None else calibration.delay
     still = moving(recording)
     fit, _ = fit_field_chain(still, robust=False, delay=delay)
-    if not fit.converged:  # something large is missing: begin where most of the recording agrees
-        fit, _ = fit_field_chain(still, robust=True, delay=delay)
+    if not fit.converged:
+        # Something as large as the field is missing. Where that passes for noise there is one minimum.
+        field = float(np.median(np.linalg.norm(still.magnetometer.value, axis=1)))
+        fit, _ = fit_field_chain(still, robust=False, delay=delay, noise=(field, short_term.gyroscope))
     free = np.ones(PARAMETERS, dtype=bool)
     terms: tuple[Active, ...] = ()
     if calibration is not None:
