@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +19,10 @@ from magyc_gtsam.factors.rotations import (
 )
 from magyc_gtsam.factors.signals import Signals
 
-_PASSES = 5  # a term reads the corrected signal, and is small: each pass gains two digits or more
+_PASSES = 20  # most need three; where next to nothing of a change is read, the last digits are lost anyway
+_CLOSE = 1e-12  # T and rad/s
+_NEARBY = 1e-8  # T and rad/s
+_LOST = 0.2  # of a change in what is read, below which it is not to be had back from the noise
 
 
 def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals: Signals) -> Array:
@@ -34,10 +37,28 @@ def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals:
     sign, turn = _exchanged(terms)
     still = turn @ (sign * measured) - bias[:, None]
     own = [term for term in terms if term.side == "gyroscope" and term.name != "misalignment"]
-    true = still
-    for _ in range(_PASSES if own else 0):
-        true = still - sum(term.evaluate(replace(signals, rate=true)) for term in own)
-    return turn.T @ true
+
+    def added(rate: Array) -> Array:
+        at = replace(signals, rate=rate)
+        return sum((term.evaluate(at) for term in own), np.zeros_like(rate))
+
+    return turn.T @ (_straightened(still, added) if own else still)
+
+
+def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
+    """The x (3, n) of which x + added(x) was read: Newton's steps, each axis by itself.
+
+    Terms read what they change, and may bend it much: the plain iteration of a response that grows with the cube of
+    the field runs away from some field on.
+    """
+    x = read
+    for _ in range(_PASSES):
+        missing = read - x - added(x)
+        slope = 1 + (added(x + _NEARBY) - added(x - _NEARBY)) / (2 * _NEARBY)
+        x = x + missing / np.maximum(slope, _LOST)
+        if np.abs(missing).max() < _CLOSE:
+            break
+    return x
 
 
 def _exchanged(terms: Sequence[Term]) -> tuple[float, Array]:
@@ -73,13 +94,15 @@ def corrected_field(
     needed = {name for term in own for name in FORMS[term.name].needs}
     if "to_sensor" in needed:
         signals = replace(signals, to_sensor=_to_sensor(signals))
-    iron = measured - hard_iron[:, None]
-    for _ in range(_PASSES if own else 0):
+
+    def added(iron: Array) -> Array:
         at = replace(signals, field=iron, hard_iron=hard_iron)
         if "field_rate" in needed:
             at = replace(at, field_rate=soft_iron @ -cross(signals.need("rate"), inverse @ iron))
-        iron = measured - hard_iron[:, None] - sum(term.evaluate(at) for term in own)
-    field = inverse @ iron
+        return sum((term.evaluate(at) for term in own), np.zeros_like(iron))
+
+    iron = measured - hard_iron[:, None]
+    field = inverse @ (_straightened(iron, added) if own else iron)
     for term in terms:
         if term.name == "misalignment":
             field = exponential_matrices(term.value[:, None])[:, :, 0] @ field

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import magyc_gtsam as mg
 from magyc_gtsam.cli.app import app
 from magyc_gtsam.factors.effects import Term
-from magyc_gtsam.factors.signals import channels_by_kind
+from magyc_gtsam.factors.signals import Signals, channels_by_kind
 from magyc_gtsam.io import write_mcap
 
 
@@ -42,6 +42,38 @@ def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
         )
         > 1
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "setting"),
+    [("cubic", [250e-6, -4e-6, 20e-6], {}), ("saturation", [0.75], {"level": 30e-6})],
+)
+def test_a_reading_that_is_bent_much_is_straightened(
+    name: str, value: list[float], setting: dict[str, float]
+) -> None:
+    """Also where the field's change is read as several times it, or as a quarter of it."""
+    random = np.random.default_rng(0)
+    soft_iron = np.eye(3) + 0.05 * (lambda m: m + m.T)(random.normal(size=(3, 3)))
+    hard_iron = np.array([5e-6, -3e-6, 8e-6])
+    field = random.normal(size=(500, 3))
+    field *= 45e-6 / np.linalg.norm(field, axis=1)[:, None]
+    term = Term(name, value, np.zeros((len(value),) * 2), setting)
+    straight = (soft_iron @ field.T) + hard_iron[:, None]
+    at = Signals(np.zeros(500), field=soft_iron @ field.T, hard_iron=hard_iron)
+    reading = (straight + term.evaluate(at)).T
+    assert np.abs(reading - straight.T).max() > 10e-6
+    np.testing.assert_allclose(
+        mg.Calibration(soft_iron, hard_iron, terms=(term,)).apply(reading), field, atol=1e-11
+    )
+
+
+def test_a_rate_that_is_bent_much_is_straightened() -> None:
+    """A scale that grows with the rate, found in slow turns, applied in fast ones."""
+    rate = np.random.default_rng(0).normal(size=(3, 500)) * 3.0
+    term = Term("gyro-quadratic", [0.15, 0.15, 0.15], np.zeros((3, 3)))
+    reading = (rate + term.evaluate(Signals(np.zeros(500), rate=rate))).T
+    calibration = mg.Calibration(np.eye(3), np.zeros(3), np.array([1e-3, 0.0, 2e-3]), terms=(term,))
+    np.testing.assert_allclose(calibration.apply_gyroscope(reading + calibration.gyro_bias), rate.T, atol=1e-10)
 
 
 def test_exports_say_what_they_do_not_hold() -> None:
