@@ -49,7 +49,8 @@ class Signals:
         value = getattr(self, name, None) if name not in CHANNELS else self.channels.get(name)
         if value is None or (name == "time" and np.isnan(value).any()):
             raise MagycError(
-                f"{name}: this effect needs it, and the data at hand do not have it; pass a recording"
+                f"{name}: a term of the calibration reads it, and the data do not hold it: "
+                "give the recording of a log that does, or take the term out of the calibration"
             )
         array: Array = value
         return array

@@ -206,6 +206,26 @@ def test_a_log_of_another_instrument(
     assert cli.main([*command, str(logs / "brief.mcap")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"magyc-gtsam: --validate {logs / 'brief.mcap'}: 2 windows")
+    assert (tmp_path / "here" / "report.html").exists()  # what was found is kept
+    # Of another instrument too, but it cannot show.
+    write_mcap(tmp_path / "short.mcap", simulate("wide", 15, hard_iron=[3e-5, 0, 0], seed=4).recording)
+    moving = simulate("wide", 100, seed=4).recording
+    noise = np.random.default_rng(4).normal(size=(2, len(moving.time), 3))
+    write_mcap(
+        tmp_path / "still.mcap",
+        replace(
+            moving,
+            magnetic_field=moving.magnetic_field[0] + 1e-6 * noise[0],
+            angular_rate=5e-3 * noise[1],
+            attitude=None,
+        ),
+    )
+    for log, why in (
+        ("short", "short.mcap is too short to judge by"),
+        ("still", "still.mcap cannot be judged by"),
+    ):
+        assert cli.main([*command, str(tmp_path / f"{log}.mcap")]) == 1
+        assert why in capsys.readouterr().err
 
 
 def test_a_simulator_of_two_seconds(late: tuple[mg.Recording, Gap]) -> None:
@@ -309,7 +329,7 @@ def test_plan_rows() -> None:
 def test_page_of_a_closed_gap(opened: Any, late: tuple[mg.Recording, Gap], tmp_path: Path) -> None:
     recording, gap = late
     target = tmp_path / "report.html"
-    target.write_text(render_gap(recording, gap, Validation("other.mcap", gap.before, gap.after)))
+    target.write_text(render_gap(recording, gap, Validation("other.mcap", 5e-5, gap.before, gap.after)))
     page = opened(target)
     assert page.locator("#verdict h1").inner_text() == "Gap found and closed"
     assert drawn_figures(page) == len(gap.before.maps) + 1 + 2

@@ -12,6 +12,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.discrete import moving
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.simulation.environment import CHANNELS
 
 CATALOGUE = [
     "motor-current",
@@ -173,6 +174,38 @@ def test_the_users_simulator_is_compared() -> None:
     assert "magnetometer noise per sample" in rejected
     assert any("late magnetometer" in what for what in rejected)
     assert not any(what.startswith("hard iron") for what in rejected)
+
+
+@pytest.mark.parametrize(
+    "effect", ["motor-current", "hard-iron-step", "local-anomaly", "spikes", "tone", "quantisation", "axis-order"]
+)
+def test_what_the_users_simulator_lacks_is_said(effect: str) -> None:
+    """Whatever was searched over to find it; and what the simulator alone has."""
+    measured = mg.simulate("wide", seed=5, channels=CHANNELS, effects=[effect]).recording
+    simulated = mg.simulate("wide", seed=6, channels=("temperature",)).recording
+    assumptions = mg.find_gap(measured, simulated=simulated).assumptions
+    lacking = [a for a in assumptions if a.sentence.startswith("the simulator lacks: ")]
+    assert len(lacking) == 1
+    assert lacking[0] is assumptions[0]
+    assert lacking[0].rejected
+    assert lacking[0].measured > 3 * lacking[0].sigma
+    assert lacking[0].simulated == 0
+    not_compared = {a.what for a in assumptions if not a.compared}
+    current = {"magnetic field of a current"} - ({lacking[0].what})
+    assert not_compared == {*current, "field strength that changes with depth or position"}
+    (turned,) = (a for a in mg.find_gap(simulated, simulated=measured).assumptions if "alone has" in a.sentence)
+    assert turned.measured == 0
+    assert turned.simulated == pytest.approx(lacking[0].measured, rel=0.05)
+
+
+def test_an_effect_in_data_and_simulator_is_compared_by_its_size() -> None:
+    measured = mg.simulate("wide", seed=5, effects=[("hard-iron-step", 4.0), ("timing", 1.0)]).recording
+    simulated = mg.simulate("wide", seed=6, effects=[("hard-iron-step", 2.0), ("timing", 1.0)]).recording
+    said = {a.what: a for a in mg.find_gap(measured, simulated=simulated).assumptions}
+    assert said["jump of the hard iron"].rejected
+    assert said["jump of the hard iron"].measured == pytest.approx(2.4, abs=0.2)
+    assert said["jump of the hard iron"].simulated == pytest.approx(1.2, abs=0.2)
+    assert not said["late magnetometer"].rejected
 
 
 def test_isolability_says_what_a_motion_can_tell() -> None:

@@ -87,7 +87,7 @@ def run(
     """
     if plan is not None:
         return _plan(plan, quiet, json)
-    from magyc_gtsam import Calibration, find_gap
+    from magyc_gtsam import Calibration, MagycError, find_gap
     from magyc_gtsam.report.gap_page import render_gap
     from magyc_gtsam.report.gap_words import closed, contradicted
 
@@ -102,9 +102,12 @@ def run(
         gap = find_gap(
             recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
         )
-        validation = None
+        validation, unjudged = None, ""
         if validate is not None and held_out is not None:
-            validation = _validation(validate, held_out, gap, stage("validating"))
+            try:
+                validation = _validation(validate, held_out, gap, stage("validating"))
+            except MagycError as problem:  # what was found on LOG is kept
+                unjudged = f"--validate {validate}: {problem}"
         page = stage("drawing the page")
         (part / "gap.json").write_text(_json(_values(gap, validation)), encoding="utf-8")
         gap.calibration.save(part / "calibration.yaml")
@@ -134,6 +137,9 @@ def run(
         doubts = [f"the gap is left open: {gap.sentence}"]
     if validation is not None:
         doubts += contradicted(gap, validation)
+    if unjudged:
+        typer.echo(f"magyc-gtsam: {'; '.join([unjudged, *doubts])}", err=True)
+        return 2
     if not doubts:
         return 0
     typer.echo(f"magyc-gtsam: {'; '.join(doubts)}", err=True)
@@ -180,22 +186,18 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
-    from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.gap.validation import agreement
     from magyc_gtsam.report.gap_words import Validation
 
-    try:
-        before = agreement(recording, gap.base)
-        progress(0.5)
-        after = before if gap.after is gap.before else agreement(recording, gap.calibration)
-    except MagycError as problem:
-        raise MagycError(f"--validate {log}: {problem}") from None
+    before = after = agreement(recording, gap.base)
+    progress(0.5)
+    if gap.after is not gap.before:
+        after = agreement(recording, gap.calibration)
+        # What noise leaves is for the better model to say: the other calls its misfit noise.
+        before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     progress(1.0)
-    if after is before:
-        return Validation(log.name, before, before)
-    # What noise leaves is for the better model to say: the other calls its misfit noise.
-    before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
-    return Validation(log.name, before, after)
+    field = recording.magnetic_field
+    return Validation(log.name, float((field.max(axis=0) - field.min(axis=0)).max()), before, after)
 
 
 def _values(gap: Gap, validation: Validation | None) -> dict[str, Any]:
@@ -232,7 +234,9 @@ def _show(gap: Gap, validation: Validation | None) -> None:
         show_table(words.METRICS, words.metric_rows(validation.before, validation.after))
     rejected = [a.sentence for a in gap.assumptions if a.rejected]
     if gap.assumptions:
-        show("", f"your simulator: {len(rejected)} of {len(gap.assumptions)} assumptions rejected")
+        compared = sum(a.compared for a in gap.assumptions)
+        show("", f"your simulator: {len(rejected)} of {compared} assumptions rejected")
         show(*(f"  {sentence}" for sentence in rejected))
+        show(*(f"  {a.sentence}" for a in gap.assumptions if not a.compared))
     if gap.next_manoeuvre is not None:
         show("", f"next: {gap.next_manoeuvre.sentence}")

@@ -19,7 +19,7 @@ from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.fine import fine_innovations
 from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.moved import against, contradiction, moved
-from magyc_gtsam.gap.naming import Look, as_found, term_places
+from magyc_gtsam.gap.naming import as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
 from magyc_gtsam.gap.problem import Active, Model, Problem
@@ -36,8 +36,8 @@ from magyc_gtsam.gap.refit import (
 from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verdict
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
-from magyc_gtsam.gap.search import Search, look, search
-from magyc_gtsam.gap.simulated import compare
+from magyc_gtsam.gap.search import Search, search
+from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
@@ -69,11 +69,44 @@ def find_gap(
         MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion
             or no noise at all is no error but a verdict, "not enough information".
     """
-    started = clock.perf_counter()
     _check_types(recording, calibration, simulated)
     names = _names(candidates)
     report = progress or (lambda _: None)
     report(0.0)
+    share = 1.0 if simulated is None else 0.5
+    gap, result = _looked(recording, calibration, names, lambda done: report(share * done))
+    if simulated is not None and result is not None:
+        ours = _side(recording, names, "", lambda done: None) if calibration is not None else _told(gap, result)
+        theirs = _side(simulated, names, "simulated: ", lambda done: report(0.5 + 0.5 * done))
+        gap = replace(gap, assumptions=compare(ours, theirs))
+    report(1.0)
+    return gap
+
+
+def _side(recording: Recording, names: tuple[str, ...], what: str, report: Callable[[float], None]) -> Side:
+    """What is missing in the twelve parameters of one of two recordings.
+
+    Raises:
+        MagycError: what is wrong with the recording, after `what` it is.
+    """
+    try:
+        gap, result = _looked(recording, None, names, report)
+    except MagycError as problem:
+        raise MagycError(f"{what}{problem}") from None
+    if result is None:
+        raise MagycError(f"{what}{gap.sentence}")
+    return _told(gap, result)
+
+
+def _told(gap: Gap, result: Search) -> Side:
+    return Side(gap, replace(result.last, refit=widened(result.last.refit)))
+
+
+def _looked(
+    recording: Recording, calibration: Calibration | None, names: tuple[str, ...], report: Callable[[float], None]
+) -> tuple[Gap, Search | None]:
+    """The gap of one recording, and the search that found it; None where nothing can be told."""
+    started = clock.perf_counter()
     recording.gyroscope  # noqa: B018 - raises where there is none
     recording, left_out = without_faults(recording, ("magnetic_field", "angular_rate"))
     recording, discrete = settled(recording, names)
@@ -90,17 +123,11 @@ def find_gap(
         reasons = f"the magnetometer has no measurable noise (under {LEAST * 1e9:.2g} nT): {_SILENT}", _ADD_NOISE
     if reasons is not None:
         gap = _nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
-        return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out})
+        return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
     result = search(recording, base, short_term, names, _problem, report)
     report(0.8)
     gap = _gap(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
-    if simulated is not None:
-        allowed = tuple(name for name in names if name in TERMS)
-        theirs = _first_look(simulated, allowed, "simulated: ")
-        ours = result.first if calibration is None else _first_look(recording, allowed)
-        gap = replace(gap, assumptions=compare(ours, theirs))
-    report(1.0)
-    return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out})
+    return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
 
 
 def _check_types(recording: object, calibration: object, simulated: object) -> None:
@@ -116,7 +143,7 @@ def _check_types(recording: object, calibration: object, simulated: object) -> N
 def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
     if candidates is None:
         return NAMES
-    if isinstance(candidates, str) or not candidates:
+    if isinstance(candidates, str) or not isinstance(candidates, Sequence) or not candidates:
         raise MagycError(
             f"candidates: a list of names is needed, got {candidates!r}; None takes the whole catalogue"
         )
@@ -150,24 +177,6 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
         )
     free[DELAY] = any(term.name == "timing" for term in terms)
     return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
-
-
-def _first_look(recording: Recording, names: tuple[str, ...], what: str = "") -> Look:
-    """All candidates against the twelve parameters alone.
-
-    Raises:
-        MagycError: what is wrong with the recording, after `what` it is.
-    """
-    try:
-        recording, _ = without_faults(recording, ("magnetic_field", "angular_rate"))
-        short_term = short_term_noise(recording)
-        base = base_model(recording, None, short_term)
-        motion = _determined(recording, base, short_term)
-        if not motion.observable:
-            raise MagycError(f"too little motion: {motion.weak[0].sentence}; {motion.weak[0].remedy}")
-        return look(recording, base, names, np.random.default_rng(0))
-    except MagycError as problem:
-        raise MagycError(f"{what}{problem}") from None
 
 
 def _determined(recording: Recording, base: Refit, short_term: Noise) -> Observability:
@@ -260,6 +269,8 @@ def _gap(
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
     contradicted = () if calibration is None else against(calibration, started)
+    if contradicted and word == "none":
+        word = "closed"  # by the fit: the calibration was the model, and it does not hold
     return Gap(
         verdict=word,
         sentence=contradiction(contradicted) + sentence,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -204,8 +205,9 @@ class Assumption:
 
     Attributes:
         what: e.g. "magnetometer noise", "hard iron x", "timing".
-        simulated, measured, sigma: in `unit`; sigma of the difference.
-        rejected: whether the difference is significant (family-wise 1 %).
+        simulated, measured, sigma: in `unit`; sigma of the difference. NaN where one of the two recordings lacks the
+            channel, and nothing was compared.
+        rejected: whether the difference is significant (family-wise 1 %), or the effect was found in one alone.
         sentence: in words.
     """
 
@@ -216,6 +218,11 @@ class Assumption:
     unit: str
     rejected: bool
     sentence: str
+
+    @property
+    def compared(self) -> bool:
+        """Whether both recordings could show it."""
+        return math.isfinite(self.measured)
 
 
 @dataclass(frozen=True)
@@ -235,7 +242,8 @@ class Gap:
     """The result of `find_gap`.
 
     Attributes:
-        verdict: "none" (nothing significant), "closed" (named, added, nothing significant left), "unknown"
+        verdict: "none" (nothing significant), "closed" (named, added, nothing significant left; or a calibration
+            that was given did not fit, and was fitted anew), "unknown"
             (something is missing that is not in the catalogue; nothing was changed), "open" (named, but not
             or not wholly corrected), "not enough information" (the motion does not determine the twelve
             parameters, or there is no noise to measure a misfit against; nothing was tested or changed).

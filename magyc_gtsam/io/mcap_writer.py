@@ -1,4 +1,4 @@
-"""A `Recording` as a ROS 2 log: its fresh samples, each at its own stamp."""
+"""A `Recording` as a ROS 2 log: the samples of each sensor, each at its own stamp."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def write_mcap(
 
     `/imu/mag` (sensor_msgs/msg/MagneticField), `/imu/data_raw` (sensor_msgs/msg/Imu), `/reference/attitude`
     (geometry_msgs/msg/QuaternionStamped), and each channel as `/<name>` (std_msgs/msg/Float64 or
-    Float64MultiArray). Held and filled rows are not written: reading the log makes them again.
+    Float64MultiArray). Filled rows are not written: reading the log makes them again. Repeated ones are: that a
+    sensor repeats itself is in the data.
 
     Args:
         path: the file, which is replaced where it exists.
@@ -82,9 +83,9 @@ def write_mcap(
 
 
 def _topics(recording: Recording, stamp: NDArray[np.int64]) -> Iterator[_Topic]:
-    fresh = recording.magnetic_field_fresh
+    entries = recording.magnetic_field_stamped
     yield _topic(
-        "/imu/mag", "sensor_msgs/MagneticField", stamp[fresh], magnetic_field=recording.magnetic_field[fresh]
+        "/imu/mag", "sensor_msgs/MagneticField", stamp[entries], magnetic_field=recording.magnetic_field[entries]
     )
     imu = {"angular_rate": recording.angular_rate, "acceleration": recording.acceleration}
     known = {k: v[recording.angular_rate_fresh] for k, v in imu.items() if v is not None}

@@ -14,6 +14,7 @@ from magyc_gtsam.report.words import Number, uncertain
 _MICRO = 1e6
 _WORSE = 0.005  # nats per window, by which what was found may make another recording worse
 _FOREIGN = 0.1  # of the field; a prediction beyond it is no matter of effects that were not found
+_SWEPT = 0.5  # of the field, by which another recording must turn it to be one to judge by
 _TITLES = {
     "none": "Nothing was found missing",
     "closed": "Gap found and closed",
@@ -30,9 +31,10 @@ PLAN = ("effect", "found from", "matters from", "what matters is found", "left",
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Both models on another recording: its name, and how well each agrees with it."""
+    """Both models on another recording: its name, how well each agrees with it, and T that its field swept."""
 
     name: str
+    swept: float
     before: Metrics
     after: Metrics
 
@@ -46,6 +48,16 @@ def contradicted(gap: Gap, validation: Validation) -> list[str]:
     """Why the result does not hold on the other recording; empty where it does."""
     loop, strength = validation.after.open_loop, gap.calibration.field_strength
     assert strength is not None
+    if not len(loop.time):
+        return [
+            f"{validation.name} is too short to judge by: it holds no stretch of more than {loop.horizon:g} s to "
+            "predict; give a log of a minute or more"
+        ]
+    if validation.swept < _SWEPT * strength:
+        return [
+            f"{validation.name} cannot be judged by: its field swept {validation.swept * 1e6:.1f} µT, at least "
+            f"{_SWEPT * strength * 1e6:.0f} are needed for iron and gyroscope to show; give a log that turns"
+        ]
     if not loop.rms > max(_FOREIGN * strength, 3 * loop.floor):
         before, after = validation.before.held_out, validation.after.held_out
         if after > before - _WORSE:
@@ -195,9 +207,8 @@ def assumption_rows(gap: Gap) -> list[list[str]]:
     return [
         [
             f"{a.what} ({a.unit})" if a.unit else a.what,
-            f"{a.simulated:.4g}",
-            uncertain(a.measured, a.sigma),
-            "rejected" if a.rejected else "agrees",
+            *((f"{a.simulated:.4g}", uncertain(a.measured, a.sigma)) if a.compared else ("–", "–")),
+            "rejected" if a.rejected else "agrees" if a.compared else "not compared",
         ]
         for a in gap.assumptions
     ]
