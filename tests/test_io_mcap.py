@@ -97,11 +97,11 @@ def test_repeated_readings_are_written(tmp_path: Path) -> None:
     whole = small()
     recording = replace(
         whole,
-        magnetic_field=np.round(whole.magnetic_field / 1e-4) * 1e-4,
+        magnetic_field=5e-5 * np.sign(np.round(whole.magnetic_field, 5)),
         magnetic_field_fresh=None,
         magnetic_field_stamped=whole.magnetic_field_stamped,
     )
-    assert (recording.magnetic_field_stamped & ~recording.magnetic_field_fresh).sum() > 10
+    assert (recording.magnetic_field_stamped & ~recording.magnetic_field_fresh).sum() > 3
     write_mcap(tmp_path / "a.mcap", recording)
     assert_same(recording, read(tmp_path / "a.mcap"))
 
