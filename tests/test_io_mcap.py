@@ -95,13 +95,14 @@ def log(tmp_path: Path) -> Path:
 def test_repeated_readings_are_written(tmp_path: Path) -> None:
     """Coarse steps repeat themselves, and a held sensor too: without these rows a reader cannot tell."""
     whole = small()
+    coarse = 5e-5 * np.sign(whole.magnetic_field) * [1.0, 0.0, 0.0]
     recording = replace(
         whole,
-        magnetic_field=5e-5 * np.sign(np.round(whole.magnetic_field, 5)),
+        magnetic_field=coarse,
         magnetic_field_fresh=None,
         magnetic_field_stamped=whole.magnetic_field_stamped,
     )
-    assert (recording.magnetic_field_stamped & ~recording.magnetic_field_fresh).sum() > 3
+    assert (recording.magnetic_field_stamped & ~recording.magnetic_field_fresh).sum() > 20
     write_mcap(tmp_path / "a.mcap", recording)
     assert_same(recording, read(tmp_path / "a.mcap"))
 
