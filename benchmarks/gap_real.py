@@ -23,8 +23,9 @@ from magyc_gtsam.simulation import inject
 
 LOOKS = [  # s
     *(("broad_01_slow_rotation", a, b) for a, b in ((34, 160), (34, 150), (34, 158), (35, 157), (36, 154))),
-    *(("broad_01_slow_rotation", a, b) for a, b in ((38, 160), (40, 156))),
+    *(("broad_01_slow_rotation", a, b) for a, b in ((38, 160), (40, 156), (None, None))),
     ("broad_06_fast_rotation", 38, 160),
+    ("broad_06_fast_rotation", None, None),
     ("broad_32_attached_magnet_1cm", 41.5, 92),
     ("broad_32_attached_magnet_1cm", None, None),
     ("nexus5_augmented_reality", None, None),

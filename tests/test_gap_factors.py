@@ -15,7 +15,11 @@ from test_factors_jacobians import derivative
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.chain_search import preintegrate
-from magyc_gtsam.factors.effect_factor import effect_chain_factor, effect_magnetometer_factor
+from magyc_gtsam.factors.effect_factor import (
+    effect_chain_factor,
+    effect_magnetometer_factor,
+    semidefinite_root,
+)
 from magyc_gtsam.factors.effects import FORMS, Term
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.signals import Signals, channels_by_kind
@@ -351,3 +355,200 @@ def test_what_gap_named_is_a_factor(name: str) -> None:
     assert np.all(np.abs(value - term.value) < 1.5 * term.sigma)
     with pytest.raises(mg.MagycError, match="field_chain_factor"):
         term_factor(simulation.recording, found, Term("timing", [0.01], [[1e-6]]), (S(0), H(0), B(0), X(0)))
+
+
+def chained(simulation: mg.Simulation) -> gtsam.Values:
+    """The truth as the variables of a chain, in µT and rad/s."""
+    truth, values = simulation.truth, gtsam.Values()
+    assert truth.field_strength is not None
+    assert truth.gyro_bias is not None
+    values.insert(S(0), vech(truth.soft_iron) * truth.field_strength * 1e6)
+    values.insert(H(0), gtsam.Point3(*(truth.hard_iron * 1e6)))
+    values.insert(B(0), gtsam.Point3(*truth.gyro_bias))
+    return values
+
+
+@pytest.mark.parametrize("part", [None, (5, 30)])
+def test_the_gradient_of_several_effects_and_a_delay_on_every_key(part: tuple[int, int] | None) -> None:
+    simulation = mg.simulate("wide", duration=40, seed=3)
+    samples = preintegrate(simulation.recording, 1.0)
+    n = len(samples.starts)
+    current = np.eye(3)[:, :, None] * np.linspace(-1, 1, n) * 1e-6
+    step = np.eye(3)[:, :, None] * (np.arange(n) > 12) * 1e-6
+    scale = FORMS["gyro-scale"].columns(Signals(samples.gyroscope_time, rate=samples.angular_rate.T), {})
+    factor = effect_chain_factor(
+        S(0),
+        H(0),
+        B(0),
+        [X(0), X(1), X(2)],
+        samples,
+        [current, scale, step],
+        Noise(1e-6, 5e-3),
+        side=["magnetometer", "gyroscope", "magnetometer"],
+        delay_key=V(0),
+        part=part,
+    )
+    assert list(factor.keys()) == [S(0), H(0), B(0), V(0), X(0), X(1), X(2)]
+    base = chained(simulation)
+    base.insert(V(0), np.array([0.02]))
+    base.insert(X(0), np.array([0.5, -1.0, 1.0]))
+    base.insert(X(1), np.linspace(-0.02, 0.02, 6))
+    base.insert(X(2), np.array([1.0, 0.3, -0.5]))
+    jacobian, right = factor.linearize(base).jacobian()
+    sizes = [6, 3, 3, 1, 3, 6, 3]
+    assert 0.5 * right @ right == pytest.approx(factor.error(base), rel=1e-9)
+    gradient = dict(zip(factor.keys(), np.split(-jacobian.T @ right, np.cumsum(sizes)[:-1]), strict=True))
+    for key, size in zip(factor.keys(), sizes, strict=True):
+        small = 1e-5 if key in (B(0), V(0), X(1)) else 1e-3
+        for index in range(size):
+            slope = 0.0
+            for sign in (1, -1):
+                change, moved = np.zeros(size), gtsam.Values(base)
+                change[index] = sign * small
+                is_point = key in (H(0), B(0))
+                moved.update(key, (base.atPoint3(key) if is_point else base.atVector(key)) + change)
+                slope += sign * factor.error(moved) / (2 * small)
+            assert slope == pytest.approx(gradient[key][index], rel=3e-3, abs=2e-2), (key, index)
+
+
+@pytest.mark.parametrize(
+    ("name", "setting"),
+    [
+        ("hard-iron-step", {"time": 70.0}),
+        ("hard-iron-drift", {"start": 0.0, "end": 120.0, "order": 3.0}),
+        ("local-anomaly", {"time": 55.0, "width": 3.0}),
+    ],
+)
+def test_stretches_hold_what_the_whole_holds(name: str, setting: dict[str, float]) -> None:
+    """Four stretches, none of which determines the value, are the whole but for the links between them."""
+    simulation = mg.simulate("wide", duration=120, seed=7)
+    samples = preintegrate(simulation.recording, 1.0)
+    windows = samples.integrate()
+    columns = FORMS[name].columns(Signals(windows.time, to_sensor=windows.rotation), setting) * 1e-6
+    edges = np.linspace(0, len(windows), 5).astype(int)
+    keys, noise = (S(0), H(0), B(0), X(0)), Noise(1e-6, 5e-3)
+    stretches = gtsam.NonlinearFactorGraph()
+    for part in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        stretches.push_back(effect_chain_factor(*keys, samples, columns, noise, part=part))
+    samples.linked[edges[1:-1] - 1] = False
+    whole = gtsam.NonlinearFactorGraph()
+    whole.push_back(effect_chain_factor(*keys, samples, columns, noise))
+    values = chained(simulation)
+    values.insert(X(0), np.linspace(-0.5, 0.5, len(columns)))
+    assert stretches.error(values) == pytest.approx(whole.error(values), rel=1e-6)
+    order = gtsam.Ordering()
+    for key in keys:
+        order.push_back(key)
+    (information, gradient), (expected, pull) = (
+        graph.linearize(values).hessian(order) for graph in (stretches, whole)
+    )
+    scale = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(information / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-5)
+    np.testing.assert_allclose(gradient / scale, pull / scale, atol=1e-4 * np.abs(pull / scale).max())
+    found, wanted = optimize(stretches, values), optimize(whole, values)
+    assert found.converged, found.message
+    sigma = np.sqrt(np.diag(gtsam.Marginals(whole, wanted.values).marginalCovariance(X(0))))
+    assert np.all(np.abs(found.values.atVector(X(0)) - wanted.values.atVector(X(0))) < 0.02 * sigma)
+    assert np.all(np.abs(wanted.values.atVector(X(0))) < 4 * sigma)
+
+
+def test_a_root_of_what_is_not_determined() -> None:
+    rows = np.random.default_rng(8).standard_normal((4, 6)) * [1, 1e6, 1, 1e-6, 1, 0]
+    root, pull = semidefinite_root(rows.T @ rows, rows.T @ np.ones(4), np.linalg.norm(rows, axis=0))
+    np.testing.assert_allclose(root.T @ root, rows.T @ rows, rtol=1e-9)
+    np.testing.assert_allclose(root.T @ pull, rows.sum(axis=0), rtol=1e-6)
+    assert pull @ pull == pytest.approx(4)  # four equations for six unknowns can all be met
+    assert np.linalg.matrix_rank(root) == 4
+
+
+def test_effects_of_one_factor_are_as_many_as_their_keys() -> None:
+    samples = preintegrate(mg.simulate("wide", duration=20, seed=3).recording, 1.0)
+    columns = np.ones((1, 3, len(samples.starts))) * 1e-6
+    noise = Noise(1e-6, 5e-3)
+    with pytest.raises(mg.MagycError, match="2 value keys, 1 columns"):
+        effect_chain_factor(S(0), H(0), B(0), [X(0), X(1)], samples, [columns], noise)
+    with pytest.raises(mg.MagycError, match="windows 4 to 6 of"):
+        effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, noise, part=(4, 6))
+    with pytest.raises(mg.MagycError, match="neither"):
+        effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, noise, side="both")  # type: ignore[arg-type]
+
+
+def deviations(
+    recording: mg.Recording, found: mg.Calibration, length: float
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """What a graph of stretches of this length finds of all terms: its difference, in sigmas, and its sigmas."""
+    terms = found.terms
+    keys = [S(0), H(0), B(0), *(X(i) for i in range(len(terms)))]
+    graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for start in np.arange(0, recording.duration, length):
+        graph.push_back(term_factor(recording, found, terms, keys, between=(start, start + length)))
+    assert found.field_strength is not None
+    assert found.gyro_bias is not None
+    initial.insert(S(0), vech(found.soft_iron) * found.field_strength * 1e6)
+    initial.insert(H(0), gtsam.Point3(*(found.hard_iron * 1e6)))
+    initial.insert(B(0), gtsam.Point3(*found.gyro_bias))
+    for i, term in enumerate(terms):
+        initial.insert(X(i), np.zeros(len(term.value)))
+    result = optimize(graph, initial)
+    assert result.converged, result.message
+    marginals = gtsam.Marginals(graph, result.values)
+    return (
+        [(result.values.atVector(X(i)) - term.value) / term.sigma for i, term in enumerate(terms)],
+        [np.sqrt(np.diag(marginals.marginalCovariance(X(i)))) / term.sigma for i, term in enumerate(terms)],
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["temperature-hard-iron", "temperature-gyro", "hard-iron-step", "hard-iron-drift", "local-anomaly"]
+)
+def test_stretches_of_a_minute_share_what_was_found_in_the_whole(name: str) -> None:
+    """What acts late, once, or over the whole recording: the value is the one of the whole but for the links lost."""
+    recording = mg.simulate("wide", duration=300, seed=2, effects=[(name, 2.0)]).recording
+    found = mg.find_gap(recording).calibration
+    assert [term.name for term in found.terms] == [name]
+    (difference,), (sigma,) = deviations(recording, found, 60.0)
+    assert np.all(np.abs(difference) < 0.7)
+    assert np.all(np.abs(sigma - 1) < 0.1)
+
+
+@pytest.mark.parametrize("length", [600.0, 100.0])
+def test_two_effects_of_one_recording_are_one_factor(length: float) -> None:
+    effects = [("motor-current", 2.0), ("misalignment", 2.0)]
+    recording = mg.simulate("wide", duration=600, seed=2, effects=effects, channels=["current"]).recording
+    found = mg.find_gap(recording).calibration
+    assert {term.name for term in found.terms} == {"motor-current", "misalignment"}
+    differences, sigmas = deviations(recording, found, length)
+    for difference, sigma in zip(differences, sigmas, strict=True):
+        assert np.all(np.abs(difference) < 1.0)
+        assert np.all(np.abs(sigma - 1) < 0.05)
+
+
+def test_a_timing_beside_another_effect_is_the_delay_of_their_factor() -> None:
+    effects = [("motor-current", 2.0), ("timing", 4.0)]
+    recording = mg.simulate("wide", duration=300, rate=20, seed=2, effects=effects).recording
+    found = mg.find_gap(recording).calibration
+    assert {term.name for term in found.terms} == {"motor-current", "timing"}
+    differences, _ = deviations(recording, found, 300.0)
+    assert np.all(np.abs(np.concatenate(differences)) < 0.1)
+
+
+def test_what_is_no_variable_of_a_factor_is_refused() -> None:
+    recording = mg.simulate("wide", duration=60, seed=2).recording
+    cal = calibration()
+    keys = (S(0), H(0), B(0), X(0))
+    tone = Term("tone", np.ones(6) * 1e-7, np.eye(6), {"frequency": 1.5})
+    with pytest.raises(mg.MagycError, match=r"silenced\(recording"):
+        term_factor(recording, cal, tone, keys)
+    step = Term("hard-iron-step", np.zeros(3), np.eye(3), {"time": 20.0})
+    with pytest.raises(mg.MagycError, match="4 keys for 2 terms, expected 5"):
+        term_factor(recording, cal, [step, step], keys)
+    with pytest.raises(mg.MagycError, match="lacks field strength or noise"):
+        term_factor(recording, cal, step, keys)
+    with pytest.raises(mg.MagycError, match="at least 3"):
+        term_factor(
+            recording,
+            replace(cal, noise={"magnetic_field": 1e-6, "angular_rate": 5e-3}),
+            step,
+            keys,
+            between=(58, 59),
+        )

@@ -182,6 +182,11 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
             f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 10 mG, gyroscope 5 mrad/s)", ""
         )
         show_table(PLAN, plan_rows(table))
+        show(
+            "",
+            "named as: at the larger of both strengths; after “or” what the effect is called in most cases instead, "
+            "or what it cannot be told from, and in how many",
+        )
     return 0
 
 
@@ -220,6 +225,7 @@ def _show(gap: Gap, validation: Validation | None) -> None:
     if gap.verdict == "not enough information":
         return
     show(*(f"  {e.sentence}" for e in gap.effects if e.sentence not in gap.sentence), "")
+    show("What each would explain by itself, beside the model that the search began with:")
     rows = words.hypothesis_rows(gap.hypotheses)
     show_table(words.HYPOTHESES, rows[:_SHOWN])
     if len(rows) > _SHOWN:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import gtsam
+import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_search import preintegrate
 from magyc_gtsam.factors.effect_factor import effect_chain_factor
 from magyc_gtsam.factors.effects import FORMS, Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import Noise
-from magyc_gtsam.gap.problem import Problem
+from magyc_gtsam.gap.problem import Active, Problem
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.gap.validation import as_model
 from magyc_gtsam.recording import Recording
@@ -21,43 +22,84 @@ from magyc_gtsam.recording import Recording
 def term_factor(
     recording: Recording,
     calibration: Calibration,
-    term: Term,
-    keys: tuple[int, int, int, int],
+    term: Term | Sequence[Term],
+    keys: Sequence[int],
     *,
+    between: tuple[float, float] | None = None,
     window: float = 1.0,
     soft_iron_unit: float = 1e-6,
     field_unit: float = 1e-6,
 ) -> gtsam.CustomFactor:
-    """A factor over a whole recording on soft iron, hard iron, gyroscope bias and the value of one term.
+    """A factor over a recording, or a stretch of it, on soft iron, hard iron, gyroscope bias and terms' values.
 
-    Its columns are those of `calibration` on this recording; the calibration's delay is held.
+    Its columns are those of `calibration` with these terms on the whole recording, which is what a stretch needs too: a
+    temperature acts with a lag, an anomaly's axes are those of the first row. So cut by `between`, not the recording.
 
     Args:
-        recording: the data.
+        recording: the data, whole.
         calibration: what `find_gap` returned, or any with noise and field strength; its other terms are not in the
             factor.
-        term: of the catalogue but a timing, which is `field_chain_factor`'s own variable. Its value's unit is SI.
-        keys: of soft iron, hard iron, gyroscope bias and value, as in `effect_chain_factor`.
+        term: of the catalogue, one or several; effects of the same data belong into one factor. Their values' unit is
+            SI. Beside others a timing is the chain's delay; without one the calibration's delay is held.
+        keys: of soft iron, hard iron, gyroscope bias and a value per term, as in `effect_chain_factor`.
+        between: s since the first row, of the stretch; windows that begin at its end belong to the next.
         window: s.
         soft_iron_unit, field_unit: T per unit of the keys.
 
     Raises:
-        MagycError: a term that is no effect on a reading, or that needs a channel which the recording lacks.
+        MagycError: a term that is no effect on a reading, a tone, or a timing alone; not a key per term; a channel that
+            the recording lacks; a calibration without noise or field strength; a stretch of fewer than 3 windows.
     """
-    if term.side is None or term.name == "timing":
-        raise MagycError(f"term {term.name!r}: no factor of its own; a delay is a variable of field_chain_factor")
+    terms = [term] if isinstance(term, Term) else list(term)
+    own = [each for each in terms if each.name != "timing"]
+    _check(calibration, terms, own, keys)
     problem = Problem.of(recording, preintegrate(recording, window))
-    twin = Twin.of(problem, as_model(problem, replace(calibration, terms=())))
-    form = FORMS[term.name]
-    on_rate = form.side == "gyroscope"
-    columns = form.columns(twin.gyroscope if on_rate else twin.windows, term.setting)
+    model = as_model(problem, replace(calibration, terms=()))
+    twin = Twin.of(problem, replace(model, terms=tuple(Active(t.name, t.setting, t.value) for t in own)))
+    part = None
+    if between is not None:
+        begin = problem.samples.magnetometer_time[problem.samples.starts] - recording.time[0]
+        first, last = np.searchsorted(begin, between)
+        part = int(first), int(last)
+    at = {"magnetometer": twin.windows, "gyroscope": twin.gyroscope}
+    key_of = list(zip(terms, keys[3:], strict=True))
+    late = [key for each, key in key_of if each.name == "timing"]
     return effect_chain_factor(
-        *keys,
+        keys[0],
+        keys[1],
+        keys[2],
+        [key for each, key in key_of if each.name != "timing"],
         problem.samples,
-        columns,
-        Noise(calibration.noise["magnetic_field"], calibration.noise["angular_rate"]),
-        side="gyroscope" if on_rate else "magnetometer",
+        [FORMS[t.name].columns(at[FORMS[t.name].side], t.setting) for t in own],
+        model.noise,
+        side=["gyroscope" if t.side == "gyroscope" else "magnetometer" for t in own],
+        delay_key=late[0] if late else None,
         delay=calibration.delay,
+        part=part,
         soft_iron_unit=soft_iron_unit,
         field_unit=field_unit,
     )
+
+
+def _check(calibration: Calibration, terms: Sequence[Term], own: Sequence[Term], keys: Sequence[int]) -> None:
+    for term in terms:
+        if term.side is None:
+            raise MagycError(f"term {term.name!r}: it changes no reading, so no factor holds it; leave it out")
+        if term.name == "tone":
+            raise MagycError(
+                "term 'tone': the windows' means do not hold it; take it out of the readings first, by "
+                "magyc_gtsam.gap.tones.silenced(recording, [term]), and leave it out of the factor"
+            )
+    if not own:
+        raise MagycError("a timing without another term: a delay is a variable of field_chain_factor")
+    if len(terms) > len(own) + 1:
+        raise MagycError(f"{len(terms) - len(own)} timings: a factor has one delay")
+    if len(keys) != 3 + len(terms):
+        raise MagycError(
+            f"{len(keys)} keys for {len(terms)} terms, expected {3 + len(terms)}: soft iron, hard iron, gyroscope "
+            "bias, and a value per term"
+        )
+    if calibration.field_strength is None or not {"magnetic_field", "angular_rate"} <= calibration.noise.keys():
+        raise MagycError(
+            f"the calibration of method {calibration.method!r} lacks field strength or noise; calibrate with smoother"
+        )
