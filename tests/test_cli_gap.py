@@ -240,7 +240,9 @@ def test_the_plan_of_a_motion(capsys: pytest.CaptureFixture[str]) -> None:
     assert {"timing", "motor-current", "g-sensitivity", "misalignment"} <= rows.keys()
     assert " yes" in rows["hard-iron-drift"]
     assert " no" in rows["g-sensitivity"]
-    assert rows["timing"].endswith("timing or eddy-plane (100%)")
+    assert rows["timing"].split("%")[-1].split() == ["timing"]
+    assert rows["gyro-quadratic"].endswith("gyro-quadratic or gyro-scale (100%)")
+    assert rows["named"].startswith("named as: at the larger of the two strengths")
     assert rows["timing"].count("ms") == 2
 
 
@@ -253,8 +255,10 @@ def test_the_plan_for_programs_and_in_silence(capsys: pytest.CaptureFixture[str]
     timing = next(row for row in values["effects"] if row["name"] == "timing")
     assert timing["smallest"] > timing["matters"] > 0
     assert timing["nameable"] is False
-    assert list(timing["confused_with"]) == ["eddy-plane"]
-    assert "as timing or eddy-plane, which this motion cannot tell apart" in timing["sentence"]
+    assert timing["confused_with"] == {}
+    quadratic = next(row for row in values["effects"] if row["name"] == "gyro-quadratic")
+    assert list(quadratic["confused_with"]) == ["gyro-scale"]
+    assert "as gyro-quadratic or gyro-scale, which this motion can hardly tell apart" in quadratic["sentence"]
     assert cli.main(["gap", "-q", "--plan", "moderate"]) == 0
     assert capsys.readouterr() == ("", "")
     assert cli.main(["gap"]) == 2  # a LOG is needed again
@@ -276,7 +280,7 @@ def test_isolability_is_that_of_the_table_of_one_sigma_sizes() -> None:
             assert 3 * sigma < table[name].smallest < 13 * sigma, name
     assert moderate["g-sensitivity"].smallest > 4 * wide["g-sensitivity"].smallest
     assert wide["timing"].left > 0.9
-    assert "hard-iron-drift" in wide["temperature-hard-iron"].confused_with
+    assert "hard-iron-drift" in wide["hard-iron-step"].confused_with
     bare = {row.name: row for row in isolability(simulate("wide", 300).recording)}
     assert bare["motor-current"].smallest == np.inf
     assert not bare["motor-current"].nameable

@@ -1,9 +1,8 @@
-"""Effects as terms of a calibration and as variables of a graph."""
+"""Effects as variables of a graph."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Literal
 
 import gtsam
@@ -20,126 +19,15 @@ from magyc_gtsam.factors.effect_factor import (
     effect_magnetometer_factor,
     semidefinite_root,
 )
-from magyc_gtsam.factors.effects import FORMS, Term
+from magyc_gtsam.factors.effects import FORMS
 from magyc_gtsam.factors.field_chain import Noise
-from magyc_gtsam.factors.signals import Signals, channels_by_kind
+from magyc_gtsam.factors.signals import Signals
 from magyc_gtsam.factors.soft_iron import vech
-from magyc_gtsam.gap import term_factor
 from magyc_gtsam.runners.batch import optimize
 from magyc_gtsam.runners.incremental import Incremental
 
 SOFT = np.array([[1.05, 0.04, 0.0], [0.04, 0.95, 0.02], [0.0, 0.02, 1.01]])
 HARD = np.array([2e-6, -12e-6, 9e-6])
-BIAS = np.array([4e-3, -5e-3, 2e-3])
-
-
-def signals(n: int = 50) -> Signals:
-    random = np.random.default_rng(1)
-    return Signals(
-        np.arange(n) * 0.1,
-        field=random.standard_normal((3, n)) * 3e-5,
-        field_rate=random.standard_normal((3, n)) * 1e-5,
-        hard_iron=HARD,
-        rate=random.standard_normal((3, n)) * 0.3,
-        to_sensor=np.repeat(np.eye(3)[:, :, None], n, axis=2),
-        acceleration=random.standard_normal((3, n)) + np.array([[0.0], [0.0], [-9.8]]),
-        channels={kind: random.standard_normal((2, n)) for kind in ("current", "temperature", "position")},
-    )
-
-
-SETTINGS = {
-    "hard-iron-step": {"time": 2.0},
-    "hard-iron-drift": {"order": 2.0, "start": 0.0, "end": 5.0},
-    "eddy-plane": {"x": 0.6, "y": 0.0, "z": 0.8},
-    "local-anomaly": {"time": 2.0, "width": 1.0},
-    "saturation": {"level": 3e-5},
-    "hysteresis": {"width": 1e-5},
-    "tone": {"frequency": 1.3},
-}
-
-
-@pytest.mark.parametrize("name", FORMS)
-def test_a_form_is_its_columns_times_its_value(name: str) -> None:
-    at, setting = signals(), SETTINGS.get(name, {})
-    columns = FORMS[name].columns(at, setting)
-    assert columns.shape[1:] == (3, 50)
-    value = np.linspace(1, 2, len(columns)) * (1e-3 if FORMS[name].rotates else 1.0)
-    added = FORMS[name].evaluate(at, value, setting)
-    linear = np.tensordot(value, columns, axes=1)
-    # A rotation of axes is exact, its columns are the first order of it.
-    np.testing.assert_allclose(
-        added, linear, atol=(np.abs(linear).max() * (3e-3 if FORMS[name].rotates else 1e-12))
-    )
-
-
-def test_channels_are_known_by_their_names() -> None:
-    found = channels_by_kind({"battery_current": np.ones(4), "Temp": np.zeros(4), "position": np.ones((4, 3))})
-    assert {kind: rows.shape for kind, rows in found.items()} == {
-        "current": (1, 4),
-        "temperature": (1, 4),
-        "position": (3, 4),
-    }
-
-
-def calibration(*terms: Term) -> mg.Calibration:
-    return mg.Calibration(SOFT, HARD, BIAS, terms=terms, field_strength=5e-5)
-
-
-def test_terms_survive_saving(tmp_path: Path) -> None:
-    term = Term("hard-iron-step", [1e-6, 2e-6, 3e-6], np.diag([1e-16] * 3), {"time": 41.5})
-    calibration(term).save(tmp_path / "cal.yaml")
-    (loaded,) = mg.Calibration.load(tmp_path / "cal.yaml").terms
-    assert loaded.name == term.name
-    assert loaded.setting == {"time": 41.5}
-    np.testing.assert_array_equal(loaded.value, term.value)
-    np.testing.assert_array_equal(loaded.covariance, term.covariance)
-
-
-def test_apply_takes_a_current_out() -> None:
-    random = np.random.default_rng(3)
-    u = random.standard_normal((40, 3)) * 3e-5
-    current = random.uniform(0, 5, 40)
-    value = np.array([1e-7, -2e-7, 3e-7])
-    m = u @ SOFT.T + HARD + current[:, None] * value
-    cal = calibration(Term("motor-current", value, np.eye(3) * 1e-18))
-    np.testing.assert_allclose(cal.apply(m, channels={"current": current}), u, atol=1e-18)
-    with pytest.raises(mg.MagycError, match="current"):
-        cal.apply(m)
-
-
-def test_apply_takes_a_cubic_response_out_without_any_channel() -> None:
-    u = np.random.default_rng(4).standard_normal((40, 3)) * 3e-5
-    clean = u @ SOFT.T + HARD
-    value = np.array([5e-7, -5e-7, 3e-7])
-    m = clean + value * (clean / 50e-6) ** 3
-    cal = calibration(Term("cubic", value, np.eye(3) * 1e-18))
-    np.testing.assert_allclose(cal.apply(m), u, atol=2e-10)
-    np.testing.assert_allclose(cal.apply(m[0]), u[0], atol=2e-10)
-
-
-def test_apply_brings_the_field_to_the_axes_of_the_gyroscope() -> None:
-    angle = np.array([0.02, -0.03, 0.05])
-    turn = gtsam.Rot3.Expmap(angle).matrix()
-    u = np.random.default_rng(5).standard_normal((20, 3)) * 3e-5
-    # w − b = Exp(v) ω with ω in the magnetometer's axes; so the field in the gyroscope's is Exp(v) u.
-    cal = calibration(Term("misalignment", angle, np.eye(3) * 1e-8))
-    np.testing.assert_allclose(cal.apply(u @ SOFT.T + HARD), u @ turn.T, atol=1e-18)
-
-
-def test_apply_gyroscope_takes_a_scale_out() -> None:
-    rate = np.random.default_rng(6).standard_normal((30, 3)) * 0.5
-    scale = np.array([0.02, -0.01, 0.015, 0.003, -0.002, 0.001])
-    x, y, z = rate.T
-    error = np.stack(
-        [
-            scale[0] * x + scale[3] * y + scale[4] * z,
-            scale[1] * y + scale[3] * x + scale[5] * z,
-            scale[2] * z + scale[4] * x + scale[5] * y,
-        ],
-        axis=1,
-    )
-    cal = calibration(Term("gyro-scale", scale, np.eye(6) * 1e-8))
-    np.testing.assert_allclose(cal.apply_gyroscope(rate + error + BIAS), rate, atol=1e-9)
 
 
 def test_an_effect_is_a_variable_of_a_graph() -> None:
@@ -331,32 +219,6 @@ def test_jacobians_of_a_reading_with_an_effect() -> None:
     np.testing.assert_allclose(jacobian, numeric, rtol=1e-6, atol=1e-6 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize("name", ["motor-current", "temperature-gyro"])
-def test_what_gap_named_is_a_factor(name: str) -> None:
-    """Two stretches of the log share it, and give the value that the search gave, one after the other on iSAM2."""
-    simulation = mg.simulate("wide", duration=300, seed=2, effects=[(name, 2.0)])
-    found = mg.find_gap(simulation.recording).calibration
-    (term,) = found.terms
-    truth, strength = simulation.truth, found.field_strength
-    assert strength is not None
-    initial = gtsam.Values()
-    initial.insert(S(0), vech(truth.soft_iron) * strength * 1e6)
-    initial.insert(H(0), gtsam.Point3(*(truth.hard_iron * 1e6)))
-    initial.insert(B(0), gtsam.Point3(0, 0, 0))
-    initial.insert(X(0), np.zeros(3))
-    runner = Incremental()
-    for first in (0, 150):
-        stretch = simulation.recording.between(first, first + 150)
-        graph = gtsam.NonlinearFactorGraph()
-        graph.push_back(term_factor(stretch, found, term, (S(0), H(0), B(0), X(0))))
-        result = runner.update(graph, initial if first == 0 else gtsam.Values())
-        assert result.updated, result.message
-    value = runner.values.atVector(X(0))
-    assert np.all(np.abs(value - term.value) < 1.5 * term.sigma)
-    with pytest.raises(mg.MagycError, match="field_chain_factor"):
-        term_factor(simulation.recording, found, Term("timing", [0.01], [[1e-6]]), (S(0), H(0), B(0), X(0)))
-
-
 def chained(simulation: mg.Simulation) -> gtsam.Values:
     """The truth as the variables of a chain, in µT and rad/s."""
     truth, values = simulation.truth, gtsam.Values()
@@ -471,84 +333,3 @@ def test_effects_of_one_factor_are_as_many_as_their_keys() -> None:
         effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, noise, part=(4, 6))
     with pytest.raises(mg.MagycError, match="neither"):
         effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, noise, side="both")  # type: ignore[arg-type]
-
-
-def deviations(
-    recording: mg.Recording, found: mg.Calibration, length: float
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """What a graph of stretches of this length finds of all terms: its difference, in sigmas, and its sigmas."""
-    terms = found.terms
-    keys = [S(0), H(0), B(0), *(X(i) for i in range(len(terms)))]
-    graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    for start in np.arange(0, recording.duration, length):
-        graph.push_back(term_factor(recording, found, terms, keys, between=(start, start + length)))
-    assert found.field_strength is not None
-    assert found.gyro_bias is not None
-    initial.insert(S(0), vech(found.soft_iron) * found.field_strength * 1e6)
-    initial.insert(H(0), gtsam.Point3(*(found.hard_iron * 1e6)))
-    initial.insert(B(0), gtsam.Point3(*found.gyro_bias))
-    for i, term in enumerate(terms):
-        initial.insert(X(i), np.zeros(len(term.value)))
-    result = optimize(graph, initial)
-    assert result.converged, result.message
-    marginals = gtsam.Marginals(graph, result.values)
-    return (
-        [(result.values.atVector(X(i)) - term.value) / term.sigma for i, term in enumerate(terms)],
-        [np.sqrt(np.diag(marginals.marginalCovariance(X(i)))) / term.sigma for i, term in enumerate(terms)],
-    )
-
-
-@pytest.mark.parametrize(
-    "name", ["temperature-hard-iron", "temperature-gyro", "hard-iron-step", "hard-iron-drift", "local-anomaly"]
-)
-def test_stretches_of_a_minute_share_what_was_found_in_the_whole(name: str) -> None:
-    """What acts late, once, or over the whole recording: the value is the one of the whole but for the links lost."""
-    recording = mg.simulate("wide", duration=300, seed=2, effects=[(name, 2.0)]).recording
-    found = mg.find_gap(recording).calibration
-    assert [term.name for term in found.terms] == [name]
-    (difference,), (sigma,) = deviations(recording, found, 60.0)
-    assert np.all(np.abs(difference) < 0.7)
-    assert np.all(np.abs(sigma - 1) < 0.1)
-
-
-@pytest.mark.parametrize("length", [600.0, 100.0])
-def test_two_effects_of_one_recording_are_one_factor(length: float) -> None:
-    effects = [("motor-current", 2.0), ("misalignment", 2.0)]
-    recording = mg.simulate("wide", duration=600, seed=2, effects=effects, channels=["current"]).recording
-    found = mg.find_gap(recording).calibration
-    assert {term.name for term in found.terms} == {"motor-current", "misalignment"}
-    differences, sigmas = deviations(recording, found, length)
-    for difference, sigma in zip(differences, sigmas, strict=True):
-        assert np.all(np.abs(difference) < 1.0)
-        assert np.all(np.abs(sigma - 1) < 0.05)
-
-
-def test_a_timing_beside_another_effect_is_the_delay_of_their_factor() -> None:
-    effects = [("motor-current", 2.0), ("timing", 4.0)]
-    recording = mg.simulate("wide", duration=300, rate=20, seed=2, effects=effects).recording
-    found = mg.find_gap(recording).calibration
-    assert {term.name for term in found.terms} == {"motor-current", "timing"}
-    differences, _ = deviations(recording, found, 300.0)
-    assert np.all(np.abs(np.concatenate(differences)) < 0.1)
-
-
-def test_what_is_no_variable_of_a_factor_is_refused() -> None:
-    recording = mg.simulate("wide", duration=60, seed=2).recording
-    cal = calibration()
-    keys = (S(0), H(0), B(0), X(0))
-    tone = Term("tone", np.ones(6) * 1e-7, np.eye(6), {"frequency": 1.5})
-    with pytest.raises(mg.MagycError, match=r"silenced\(recording"):
-        term_factor(recording, cal, tone, keys)
-    step = Term("hard-iron-step", np.zeros(3), np.eye(3), {"time": 20.0})
-    with pytest.raises(mg.MagycError, match="4 keys for 2 terms, expected 5"):
-        term_factor(recording, cal, [step, step], keys)
-    with pytest.raises(mg.MagycError, match="lacks field strength or noise"):
-        term_factor(recording, cal, step, keys)
-    with pytest.raises(mg.MagycError, match="at least 3"):
-        term_factor(
-            recording,
-            replace(cal, noise={"magnetic_field": 1e-6, "angular_rate": 5e-3}),
-            step,
-            keys,
-            between=(58, 59),
-        )

@@ -217,7 +217,7 @@ def test_isolability_says_what_a_motion_can_tell() -> None:
     # One sigma is 3.2 ms in such a recording, and the threshold of some hundred tests some four of them.
     assert 3 * 3.2 < wide["timing"].smallest < 8 * 3.2
     assert not wide["timing"].nameable
-    assert "eddy-plane" in wide["timing"].sentence
+    assert "where 5 would matter; turn fast" in wide["timing"].sentence
 
 
 def test_a_log_that_stands_still_is_refused_with_the_reason() -> None:

@@ -1,0 +1,80 @@
+"""The isolability table against what `find_gap` says of the same strengths."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.gap import isolability
+from magyc_gtsam.gap.result import Isolability
+from magyc_gtsam.simulation.environment import CHANNELS
+
+_SEEDS = (0, 1)
+_MOTIONS = ("wide", "survey", "tiny")
+
+
+@pytest.fixture(scope="module")
+def tables() -> dict[str, dict[str, Isolability]]:
+    return {
+        motion: {row.name: row for row in isolability(mg.simulate(motion, channels=CHANNELS).recording)}
+        for motion in _MOTIONS
+    }
+
+
+# Factor 1 is 40 ms, 0.6 µT, and values of 0.6 to 1 times 150·10⁻³ s/rad about each of the three axes.
+@pytest.mark.parametrize(
+    ("motion", "name", "factor_1"),
+    [
+        ("survey", "gyro-quadratic", 0.8 * np.sqrt(3) * 150),
+        ("tiny", "gyro-quadratic", 0.8 * np.sqrt(3) * 150),
+        ("survey", "timing", 40.0),
+        ("wide", "hard-iron-step", 0.6),
+    ],
+)
+def test_found_and_named_as_the_table_says(
+    tables: dict[str, dict[str, Isolability]], motion: str, name: str, factor_1: float
+) -> None:
+    """At one and a half of the smallest strength always, and by the names of the table; at a quarter hardly."""
+    row = tables[motion][name]
+    for share in (1.5, 0.25):
+        effect = (name, share * row.smallest / factor_1)
+        simulations = (mg.simulate(motion, effects=[effect], seed=s, channels=CHANNELS) for s in _SEEDS)
+        gaps = [mg.find_gap(simulation.recording) for simulation in simulations]
+        found = [next(h for h in gap.hypotheses if h.name == name).significant for gap in gaps]
+        if share < 1:
+            assert not all(found)
+            continue
+        assert all(found)
+        for gap in gaps:
+            names = [{effect.name, *effect.ambiguous_with} for effect in gap.effects]
+            assert names == [{name, *row.confused_with}]
+
+
+def test_what_a_motion_leaves_open_is_not_found(tables: dict[str, dict[str, Isolability]]) -> None:
+    """A survey turns at 0.03 rad/s about two axes, and at 0.26 about the third: it sees no gyroscope better."""
+    for name in ("gyro-scale", "gyro-quadratic", "misalignment", "timing", "g-sensitivity", "cubic"):
+        survey, wide = tables["survey"][name], tables["wide"][name]
+        assert survey.smallest > 4 * wide.smallest, name
+        assert not survey.nameable, name
+        assert "would matter" in survey.sentence, name
+
+
+def test_no_claim_is_out_of_proportion(tables: dict[str, dict[str, Isolability]]) -> None:
+    for motion, table in tables.items():
+        for row in table.values():
+            # The axes are tried before anything is estimated: any exchange is found.
+            assert row.name == "axis-order" or 0.01 * row.matters < row.smallest < 100 * row.matters, (motion, row)
+
+
+def test_names_are_alone_where_a_search_tells_them_from_their_rivals(
+    tables: dict[str, dict[str, Isolability]],
+) -> None:
+    """Delays lie in every matrix of eddy currents, and warming is much like a drift: both are told apart."""
+    wide = tables["wide"]
+    for name in ("timing", "temperature-hard-iron", "motor-current"):
+        assert not wide[name].confused_with, name
+    assert wide["temperature-hard-iron"].nameable
+    assert wide["gyro-quadratic"].confused_with["gyro-scale"] > 0.9
+    assert "as hard-iron-step or hard-iron-drift, which" in wide["hard-iron-step"].sentence
+    assert not wide["hard-iron-step"].nameable

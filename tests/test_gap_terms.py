@@ -1,0 +1,126 @@
+"""Effects as terms of a calibration: their forms, saved, and taken out of what was read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.factors.effects import FORMS, Term
+from magyc_gtsam.factors.signals import Signals, channels_by_kind
+
+SOFT = np.array([[1.05, 0.04, 0.0], [0.04, 0.95, 0.02], [0.0, 0.02, 1.01]])
+HARD = np.array([2e-6, -12e-6, 9e-6])
+BIAS = np.array([4e-3, -5e-3, 2e-3])
+
+
+def signals(n: int = 50) -> Signals:
+    random = np.random.default_rng(1)
+    return Signals(
+        np.arange(n) * 0.1,
+        field=random.standard_normal((3, n)) * 3e-5,
+        field_rate=random.standard_normal((3, n)) * 1e-5,
+        hard_iron=HARD,
+        rate=random.standard_normal((3, n)) * 0.3,
+        to_sensor=np.repeat(np.eye(3)[:, :, None], n, axis=2),
+        acceleration=random.standard_normal((3, n)) + np.array([[0.0], [0.0], [-9.8]]),
+        channels={kind: random.standard_normal((2, n)) for kind in ("current", "temperature", "position")},
+    )
+
+
+SETTINGS = {
+    "hard-iron-step": {"time": 2.0},
+    "hard-iron-drift": {"order": 2.0, "start": 0.0, "end": 5.0},
+    "eddy-plane": {"x": 0.6, "y": 0.0, "z": 0.8},
+    "local-anomaly": {"time": 2.0, "width": 1.0},
+    "saturation": {"level": 3e-5},
+    "hysteresis": {"width": 1e-5},
+    "tone": {"frequency": 1.3},
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_form_is_its_columns_times_its_value(name: str) -> None:
+    at, setting = signals(), SETTINGS.get(name, {})
+    columns = FORMS[name].columns(at, setting)
+    assert columns.shape[1:] == (3, 50)
+    value = np.linspace(1, 2, len(columns)) * (1e-3 if FORMS[name].rotates else 1.0)
+    added = FORMS[name].evaluate(at, value, setting)
+    linear = np.tensordot(value, columns, axes=1)
+    # A rotation of axes is exact, its columns are the first order of it.
+    np.testing.assert_allclose(
+        added, linear, atol=(np.abs(linear).max() * (3e-3 if FORMS[name].rotates else 1e-12))
+    )
+
+
+def test_channels_are_known_by_their_names() -> None:
+    found = channels_by_kind({"battery_current": np.ones(4), "Temp": np.zeros(4), "position": np.ones((4, 3))})
+    assert {kind: rows.shape for kind, rows in found.items()} == {
+        "current": (1, 4),
+        "temperature": (1, 4),
+        "position": (3, 4),
+    }
+
+
+def calibration(*terms: Term) -> mg.Calibration:
+    return mg.Calibration(SOFT, HARD, BIAS, terms=terms, field_strength=5e-5)
+
+
+def test_terms_survive_saving(tmp_path: Path) -> None:
+    term = Term("hard-iron-step", [1e-6, 2e-6, 3e-6], np.diag([1e-16] * 3), {"time": 41.5})
+    calibration(term).save(tmp_path / "cal.yaml")
+    (loaded,) = mg.Calibration.load(tmp_path / "cal.yaml").terms
+    assert loaded.name == term.name
+    assert loaded.setting == {"time": 41.5}
+    np.testing.assert_array_equal(loaded.value, term.value)
+    np.testing.assert_array_equal(loaded.covariance, term.covariance)
+
+
+def test_apply_takes_a_current_out() -> None:
+    random = np.random.default_rng(3)
+    u = random.standard_normal((40, 3)) * 3e-5
+    current = random.uniform(0, 5, 40)
+    value = np.array([1e-7, -2e-7, 3e-7])
+    m = u @ SOFT.T + HARD + current[:, None] * value
+    cal = calibration(Term("motor-current", value, np.eye(3) * 1e-18))
+    np.testing.assert_allclose(cal.apply(m, channels={"current": current}), u, atol=1e-18)
+    with pytest.raises(mg.MagycError, match="current"):
+        cal.apply(m)
+
+
+def test_apply_takes_a_cubic_response_out_without_any_channel() -> None:
+    u = np.random.default_rng(4).standard_normal((40, 3)) * 3e-5
+    clean = u @ SOFT.T + HARD
+    value = np.array([5e-7, -5e-7, 3e-7])
+    m = clean + value * (clean / 50e-6) ** 3
+    cal = calibration(Term("cubic", value, np.eye(3) * 1e-18))
+    np.testing.assert_allclose(cal.apply(m), u, atol=2e-10)
+    np.testing.assert_allclose(cal.apply(m[0]), u[0], atol=2e-10)
+
+
+def test_apply_brings_the_field_to_the_axes_of_the_gyroscope() -> None:
+    angle = np.array([0.02, -0.03, 0.05])
+    turn = gtsam.Rot3.Expmap(angle).matrix()
+    u = np.random.default_rng(5).standard_normal((20, 3)) * 3e-5
+    # w − b = Exp(v) ω with ω in the magnetometer's axes; so the field in the gyroscope's is Exp(v) u.
+    cal = calibration(Term("misalignment", angle, np.eye(3) * 1e-8))
+    np.testing.assert_allclose(cal.apply(u @ SOFT.T + HARD), u @ turn.T, atol=1e-18)
+
+
+def test_apply_gyroscope_takes_a_scale_out() -> None:
+    rate = np.random.default_rng(6).standard_normal((30, 3)) * 0.5
+    scale = np.array([0.02, -0.01, 0.015, 0.003, -0.002, 0.001])
+    x, y, z = rate.T
+    error = np.stack(
+        [
+            scale[0] * x + scale[3] * y + scale[4] * z,
+            scale[1] * y + scale[3] * x + scale[5] * z,
+            scale[2] * z + scale[4] * x + scale[5] * y,
+        ],
+        axis=1,
+    )
+    cal = calibration(Term("gyro-scale", scale, np.eye(6) * 1e-8))
+    np.testing.assert_allclose(cal.apply_gyroscope(rate + error + BIAS), rate, atol=1e-9)
