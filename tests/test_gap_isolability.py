@@ -10,7 +10,7 @@ from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.simulation.environment import CHANNELS
 
-_SEEDS = (0, 1)
+_SEEDS = (0, 1, 2)
 _MOTIONS = ("wide", "survey", "tiny")
 
 
@@ -26,7 +26,6 @@ def tables() -> dict[str, dict[str, Isolability]]:
 @pytest.mark.parametrize(
     ("motion", "name", "factor_1"),
     [
-        ("survey", "gyro-quadratic", 0.8 * np.sqrt(3) * 150),
         ("tiny", "gyro-quadratic", 0.8 * np.sqrt(3) * 150),
         ("survey", "timing", 40.0),
         ("wide", "hard-iron-step", 0.6),
@@ -35,7 +34,7 @@ def tables() -> dict[str, dict[str, Isolability]]:
 def test_found_and_named_as_the_table_says(
     tables: dict[str, dict[str, Isolability]], motion: str, name: str, factor_1: float
 ) -> None:
-    """At one and a half of the smallest strength always, and by the names of the table; at a quarter hardly."""
+    """Always at one and a half of the smallest strength, mostly by the names of the table; hardly at a quarter."""
     row = tables[motion][name]
     for share in (1.5, 0.25):
         effect = (name, share * row.smallest / factor_1)
@@ -46,9 +45,18 @@ def test_found_and_named_as_the_table_says(
             assert not all(found)
             continue
         assert all(found)
-        for gap in gaps:
-            names = [{effect.name, *effect.ambiguous_with} for effect in gap.effects]
-            assert names == [{name, *row.confused_with}]
+        named = [[{effect.name, *effect.ambiguous_with} for effect in gap.effects] for gap in gaps]
+        assert named.count([{name, *row.confused_with}]) > 0.5 * len(gaps)
+
+
+def test_a_survey_does_not_find_a_scale_that_grows_with_the_rate(
+    tables: dict[str, dict[str, Isolability]],
+) -> None:
+    """Nor does the table say so: values of 1 s/rad would be, the 0.15 about each axis of a bad part are not."""
+    row = tables["survey"]["gyro-quadratic"]
+    assert row.smallest > 0.15e3 * np.sqrt(3)
+    gap = mg.find_gap(mg.simulate("survey", effects=["gyro-quadratic"], seed=0).recording)
+    assert gap.verdict == "none"
 
 
 def test_what_a_motion_leaves_open_is_not_found(tables: dict[str, dict[str, Isolability]]) -> None:

@@ -184,8 +184,8 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
         show_table(PLAN, plan_rows(table))
         show(
             "",
-            "named as: at the larger of both strengths; after “or” what the effect is called in most cases instead, "
-            "or what it cannot be told from, and in how many",
+            "named as: at the larger of the two strengths; “or” what it is called instead, or cannot be told from, "
+            "in most cases, and in how many",
         )
     return 0
 

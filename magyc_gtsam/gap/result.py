@@ -243,10 +243,10 @@ class Gap:
 
     Attributes:
         verdict: "none" (nothing significant), "closed" (named, added, nothing significant left; or a calibration
-            that was given did not fit, and was fitted anew), "unknown"
-            (something is missing that is not in the catalogue; nothing was changed), "open" (named, but not
-            or not wholly corrected), "not enough information" (the motion does not determine the twelve
-            parameters, or there is no noise to measure a misfit against; nothing was tested or changed).
+            that was given did not fit, and was fitted anew), "unknown" (something is missing that is not in the
+            catalogue; nothing was changed), "open" (named, but not or not wholly corrected), "not enough information"
+            (the motion does not determine the twelve parameters, or there is no noise to measure a misfit against;
+            nothing was tested or changed).
         sentence: the verdict, for a navigator.
         effects: what was found, in the order of adding.
         untested: candidates whose channel is missing.
@@ -290,14 +290,14 @@ class Isolability:
 
     Attributes:
         name, label: the effect.
-        smallest: the strength that would be found with probability 0.9, in `unit`; infinite if it needs a
-            channel that is absent.
+        smallest: the strength (length of the vector of values) that would be found with probability 0.9, in `unit`;
+            infinite if it needs a channel that is absent, or the motion determines none of its values.
         unit: of it.
         matters: the smallest strength that matters, in `unit`.
         left: share of the effect's signature that the base parameters cannot absorb, 0 to 1.
         nameable: whether `matters` would be found and told from all rivals.
-        confused_with: rivals that share more than 80 % of the signature, with the shared part: it is named as itself
-            or one of them.
+        confused_with: names that it gets instead of its own, or beside it, in most cases at the larger of
+            `smallest` and `matters`, with the share of the cases.
         sentence: in words.
     """
 

@@ -250,7 +250,7 @@ def plan_rows(table: Sequence[Isolability]) -> list[list[str]]:
 
 
 def _named_as(row: Isolability) -> str:
-    """The name that it gets, or the set of names, with the share of its signature that each rival has."""
+    """Its name, and those that it gets instead or beside it in most cases, with the share of the cases."""
     if not np.isfinite(row.smallest):
         return ""
     return " or ".join([row.name, *(f"{name} ({share:.0%})" for name, share in row.confused_with.items())])
