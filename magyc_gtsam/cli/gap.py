@@ -86,6 +86,10 @@ def run(
     or the noise was too little to look for one, or the result does not hold on OTHER_LOG.
     """
     if plan is not None:
+        if any(value is not None for value in (reading.log, simulated, validate, calibration, candidates, output)):
+            raise typer.BadParameter(
+                "it is of a motion, and of no file: leave out all but --quiet and --json", param_hint="--plan"
+            )
         return _plan(plan, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
     from magyc_gtsam.report.gap_page import render_gap
