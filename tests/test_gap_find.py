@@ -12,6 +12,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.discrete import moving
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.report.gap_words import assumption_rows
 from magyc_gtsam.simulation.environment import CHANNELS
 
 CATALOGUE = [
@@ -196,6 +197,16 @@ def test_what_the_users_simulator_lacks_is_said(effect: str) -> None:
     (turned,) = (a for a in mg.find_gap(simulated, simulated=measured).assumptions if "alone has" in a.sentence)
     assert turned.measured == 0
     assert turned.simulated == pytest.approx(lacking[0].measured, rel=0.05)
+
+
+def test_that_something_without_a_name_is_missing_in_the_users_simulator() -> None:
+    measured = mg.simulate("wide", seed=5, effects=[("servo-magnet", 1.0)]).recording
+    gap = mg.find_gap(measured, simulated=mg.simulate("wide", seed=6).recording)
+    assert gap.verdict == "unknown"
+    first = gap.assumptions[0]
+    assert first.rejected
+    assert first.sentence == f"the simulator lacks: {gap.sentence}"
+    assert next(row[1:] for row in assumption_rows(gap)) == ["0", f"{first.measured:.0f}", "rejected"]
 
 
 def test_an_effect_in_data_and_simulator_is_compared_by_its_size() -> None:

@@ -46,6 +46,7 @@ def compare(measured: Side, simulated: Side) -> tuple[Assumption, ...]:
     compared.sort(key=lambda a: -abs(a.measured - a.simulated) / max(a.sigma, 1e-300))
     return (
         *(_lacking(own, other) for own, other in pairs if own is None or other is None),
+        *_nameless(measured.gap, simulated.gap),
         *compared,
         *_untested(measured.gap, simulated.gap),
     )
@@ -86,6 +87,18 @@ def _lacking(measured: Effect | None, simulated: Effect | None) -> Assumption:
     sizes = (0.0, size) if measured else (size, 0.0)
     words = "the simulator lacks" if measured else "the simulator alone has"
     return Assumption(effect.label, *sizes, sigma, effect.unit, True, f"{words}: {effect.sentence}")
+
+
+def _nameless(measured: Gap, simulated: Gap) -> Iterator[Assumption]:
+    """What is missing in one of the two alone and was given no name, by how many hypotheses show it."""
+    own, other = (float(len(gap.diagnostics["leftover"])) for gap in (measured, simulated))
+    if bool(own) != bool(other):
+        words = (
+            f"the simulator lacks: {measured.sentence}"
+            if own
+            else f"the simulator alone has: {simulated.sentence}"
+        )
+        yield Assumption("hypotheses that something without a name is missing", other, own, 0.0, "", True, words)
 
 
 def _untested(measured: Gap, simulated: Gap) -> Iterator[Assumption]:

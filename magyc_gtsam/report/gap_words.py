@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.result import Effect, Gap, Hypothesis, Isolability, Metrics
+from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolability, Metrics
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
@@ -204,10 +204,14 @@ def moved_rows(gap: Gap) -> list[list[str]]:
 
 def assumption_rows(gap: Gap) -> list[list[str]]:
     """One row per assumption of the user's simulator; see `ASSUMPTIONS`."""
+
+    def measured(a: Assumption) -> str:
+        return uncertain(a.measured, a.sigma) if a.sigma > 0 else f"{a.measured:.4g}"
+
     return [
         [
             f"{a.what} ({a.unit})" if a.unit else a.what,
-            *((f"{a.simulated:.4g}", uncertain(a.measured, a.sigma)) if a.compared else ("–", "–")),
+            *((f"{a.simulated:.4g}", measured(a)) if a.compared else ("–", "–")),
             "rejected" if a.rejected else "agrees" if a.compared else "not compared",
         ]
         for a in gap.assumptions
