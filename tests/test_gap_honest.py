@@ -47,6 +47,7 @@ def test_a_calibration_that_is_given_is_tested(clean: mg.Recording, nothing: Gap
     wrong = replace(nothing.calibration, hard_iron=nothing.calibration.hard_iron + [20e-6, 0, 0])
     gap = mg.find_gap(clean, calibration=wrong)
     assert gap.sentence.startswith("the calibration given does not fit these data, hard iron x is off by -20")
+    assert (same.verdict, gap.verdict) == ("none", "closed")
     assert gap.moved[0].name == "hard iron x"
     assert gap.moved[0].after - gap.moved[0].before == pytest.approx(-20, abs=0.1)
 
@@ -127,6 +128,7 @@ def test_restricted_candidates_are_not_called_a_catalogue() -> None:
         ({"simulated": 3}, "simulated: a Recording is needed, got int"),
         ({"candidates": "timing"}, "a list of names is needed"),
         ({"candidates": []}, "a list of names is needed"),
+        ({"candidates": 5}, "a list of names is needed"),
     ],
 )
 def test_wrong_arguments_are_named(clean: mg.Recording, arguments: dict[str, Any], said: str) -> None:
