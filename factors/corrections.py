@@ -54,10 +54,10 @@ def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
     x = read
     for _ in range(_PASSES):
         missing = read - x - added(x)
-        slope = 1 + (added(x + _NEARBY) - added(x - _NEARBY)) / (2 * _NEARBY)
-        x = x + missing / np.maximum(slope, _LOST)
         if np.abs(missing).max() < _CLOSE:
             break
+        slope = 1 + (added(x + _NEARBY) - added(x - _NEARBY)) / (2 * _NEARBY)
+        x = x + missing / np.maximum(slope, _LOST)
     return x
 
 

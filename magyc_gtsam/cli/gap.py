@@ -195,7 +195,7 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
-    from magyc_gtsam.gap.validation import agreement
+    from magyc_gtsam.gap.validation import agreement, swept
     from magyc_gtsam.report.gap_words import Validation
 
     before = after = agreement(recording, gap.base)
@@ -205,8 +205,7 @@ def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Val
         # What noise leaves is for the better model to say: the other calls its misfit noise.
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     progress(1.0)
-    field = recording.magnetic_field
-    return Validation(log.name, float((field.max(axis=0) - field.min(axis=0)).max()), before, after)
+    return Validation(log.name, swept(recording), before, after)
 
 
 def _values(gap: Gap, validation: Validation | None) -> dict[str, Any]:

@@ -55,6 +55,12 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
     return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
 
 
+def swept(recording: Recording) -> float:
+    """T that the field sweeps on the axis that sees most of it; single wrong samples are no turn."""
+    low, high = np.quantile(recording.magnetic_field, (0.01, 0.99), axis=0)
+    return float((high - low).max())
+
+
 def as_model(problem: Problem, calibration: Calibration) -> Model:
     """The model of a calibration, its bias free, without what belongs to the recording it was made from."""
     assert calibration.field_strength is not None
