@@ -24,7 +24,7 @@ from magyc_gtsam.factors.guard import Array, Residual, custom_factor, gyro_bias,
 from magyc_gtsam.factors.pose import MICROTESLA, attitude, body_field, check_unit, in_unit, sensor_rotation
 from magyc_gtsam.factors.preintegration import Preintegration
 from magyc_gtsam.factors.rate_columns import attitude as attitudes
-from magyc_gtsam.factors.rate_columns import rate_columns, with_rate
+from magyc_gtsam.factors.rate_columns import rate_columns
 from magyc_gtsam.factors.rotations import cross
 from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS, unvech
 
@@ -107,7 +107,7 @@ def effect_chain_factor(
         full *= unit
         parameters, value = full[:PARAMETERS], full[PARAMETERS:]
         turning = np.tensordot(value[rated], on_rate, axes=1)
-        corrected = with_rate(samples, samples.angular_rate - turning.T) if rated.any() else samples
+        corrected = samples.with_rate(samples.angular_rate - turning.T) if rated.any() else samples
         windows = corrected.integrate(parameters[9:12], parameters[DELAY])
         added = np.tensordot(value[~rated], on_field, axes=1)
         chain = FieldChain(replace(windows, field=windows.field - added), noise)
@@ -158,22 +158,7 @@ def _stretch(
         )
     if last - first == count:
         return samples, slice(None), slice(None)
-    edges = np.append(samples.starts, len(samples.magnetometer_time))
-    rows = slice(edges[first], edges[last])
-    time, rate_time = samples.magnetometer_time[rows], samples.gyroscope_time
-    beyond = _BEYOND + abs(delay)
-    begin = max(int(np.searchsorted(rate_time, time[0] - beyond, side="right")) - 1, 0)
-    rates = slice(begin, int(np.searchsorted(rate_time, time[-1] + beyond)) + 1)
-    result = with_rate(samples, samples.angular_rate[rates])
-    for name, value in {
-        "magnetometer_time": time,
-        "magnetic_field": samples.magnetic_field[rows],
-        "gyroscope_time": rate_time[rates],
-        "step": np.diff(rate_time[rates]),
-        "starts": samples.starts[first:last] - samples.starts[first],
-        "linked": samples.linked[first : last - 1],
-    }.items():
-        object.__setattr__(result, name, value)
+    result, rates = samples.stretch(first, last, _BEYOND + abs(delay))
     return result, slice(first, last), rates
 
 

@@ -17,6 +17,7 @@ order in δ: when the bias has moved far, integrate again. A delay τ of the mag
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -171,6 +172,40 @@ class Preintegration:
             bias=bias,
             delay=delay,
         )
+
+    def with_rate(self, angular_rate: Array) -> Preintegration:
+        """The same samples and windows with another angular rate (G, 3) rad/s."""
+        return self._with(angular_rate=np.ascontiguousarray(angular_rate))
+
+    def stretch(self, first: int, last: int, beyond: float) -> tuple[Preintegration, slice]:
+        """The samples of the windows from `first` up to `last`, and which of the gyroscope's samples these are.
+
+        Args:
+            first, last: as of a slice.
+            beyond: s of the gyroscope kept before the first and after the last magnetometer sample.
+        """
+        edges = np.append(self.starts, len(self.magnetometer_time))
+        rows = slice(edges[first], edges[last])
+        time = self.magnetometer_time[rows]
+        begin = int(np.searchsorted(self.gyroscope_time, time[0] - beyond, side="right")) - 1
+        rates = slice(max(begin, 0), int(np.searchsorted(self.gyroscope_time, time[-1] + beyond)) + 1)
+        result = self._with(
+            magnetometer_time=time,
+            magnetic_field=self.magnetic_field[rows],
+            gyroscope_time=self.gyroscope_time[rates],
+            angular_rate=self.angular_rate[rates],
+            step=np.diff(self.gyroscope_time[rates]),
+            starts=self.starts[first:last] - self.starts[first],
+            linked=self.linked[first : last - 1],
+        )
+        return result, rates
+
+    def _with(self, **changes: Array) -> Preintegration:
+        """With other fields, and the windows as they are: they are not cut anew."""
+        result = copy.copy(self)
+        for name, value in changes.items():
+            object.__setattr__(result, name, value)
+        return result
 
     def _increments(self, bias: Array) -> Array:
         """Rotation vectors from sample k to k + 1, (G − 1, 3)."""

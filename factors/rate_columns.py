@@ -7,7 +7,6 @@ A mean_j Rⱼᵀ [g]× (φⱼ − φ̄).
 
 from __future__ import annotations
 
-import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -21,13 +20,6 @@ class RateColumns(NamedTuple):
 
     window: Array
     link: Array
-
-
-def with_rate(samples: Preintegration, angular_rate: Array) -> Preintegration:
-    """The samples, in the same windows, with another angular rate (G, 3) rad/s."""
-    result = copy.copy(samples)
-    object.__setattr__(result, "angular_rate", np.ascontiguousarray(angular_rate))
-    return result
 
 
 def attitude(samples: Preintegration, rate: Array) -> Array:

@@ -16,7 +16,6 @@ from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.factors.effects import FORMS, Setting
 from magyc_gtsam.factors.field_chain import DELAY, FieldChain, Noise, Reduced, State
 from magyc_gtsam.factors.preintegration import FieldWindows, Preintegration
-from magyc_gtsam.factors.rate_columns import with_rate
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.soft_iron import unvech
@@ -133,7 +132,7 @@ def prepare(problem: Problem, model: Model, rate: Array | None = None) -> tuple[
         added = sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros_like(measured))
         true = measured - added
     if terms:
-        samples = with_rate(samples, (true + bias[:, None]).T)
+        samples = samples.with_rate((true + bias[:, None]).T)
     return samples, true
 
 
