@@ -28,7 +28,7 @@ from magyc_gtsam.blindtest.scenarios import (
     rivals,
     scenarios,
 )
-from magyc_gtsam.blindtest.scoring import Outcome, confusion, judged, score
+from magyc_gtsam.blindtest.scoring import Outcome, beyond, confusion, judged, score
 from magyc_gtsam.blindtest.sealing import MANIFEST, RECORDINGS, SEALED, opened, seal
 from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test, stands_out
 from magyc_gtsam.blindtest.tables import markdown, outcome_rows, standing_rows
@@ -328,6 +328,23 @@ def test_what_a_real_recording_holds_anyway_is_not_judged(tmp_path: Path) -> Non
     assert [name for name, _ in outcomes["nothing"].named] == ["timing"]
     assert len(list((tmp_path / "results").iterdir())) == 7
     assert outcomes["hard-iron-step"].kind in ("right", "in its set")
+
+
+def test_a_set_counts_where_it_holds_what_was_put_in_and_did_not_without() -> None:
+    already = {"timing": frozenset({"eddy-plane"}), "gyro-scale": frozenset()}
+
+    def kind(hidden: str, *named: tuple[str, tuple[str, ...]]) -> str:
+        scenario = Scenario("x", "real", "log", 1, ((hidden, 1.0),))
+        return judged(scenario, "closed", beyond(named, scenario.names, already))
+
+    late, scale = ("timing", ("eddy-plane",)), ("gyro-scale", ())
+    assert kind("cubic", late, scale) == "silent"
+    assert kind("cubic", late, ("cubic", ())) == "right"
+    assert kind("cubic", late, ("hysteresis", ())) == "wrong"
+    assert kind("cubic", ("cubic", ()), ("gyro-quadratic", ("gyro-scale",))) == "right"
+    assert kind("cubic", ("cubic", ()), ("gyro-quadratic", ())) == "wrong"
+    assert kind("gyro-quadratic", late, ("gyro-scale", ("gyro-quadratic",))) == "in its set"
+    assert kind("eddy-plane", late) == "silent"
 
 
 def test_a_small_blind_test_from_end_to_end(tmp_path: Path) -> None:

@@ -42,6 +42,44 @@ def _standing(recording: mg.Recording) -> str:
     return next(h.status for h in gap.hypotheses if h.name == "field-gradient")
 
 
+@pytest.mark.parametrize(
+    ("motion", "seed", "name", "withheld"),
+    [
+        ("wide", 197051994413771, "field-gradient", ("depth", "position")),
+        ("moderate", 236653751600636, "temperature-gyro", ("temperature",)),
+    ],
+)
+def test_what_a_missing_channel_may_have_done_is_not_corrected(
+    motion: str, seed: int, name: str, withheld: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Corrected as something that was passed, it made the heading worse, from 0.07° to 0.37° and 0.13° to 2.5°."""
+    hidden = Scenario("x", "withheld", motion, seed, ((name, 1.0),), withheld)
+    gap = mg.find_gap(generate(hidden).recording)
+    assert gap.verdict == "open"
+    (passed,) = gap.effects
+    assert passed.name == "local-anomaly"
+    assert name in passed.ambiguous_with
+    assert not passed.applied
+    assert "not corrected: what nobody recorded may be behind it" in gap.sentence
+    assert not gap.calibration.terms
+    np.testing.assert_allclose(gap.calibration.hard_iron, gap.base.hard_iron, atol=1e-9)
+    assert gap.next_manoeuvre is not None
+    assert gap.next_manoeuvre.motion == f"log the {withheld[-1]} as well"
+    monkeypatch.setattr("magyc_gtsam.gap.steps.any_change", lambda *_: False)
+    assert mg.find_gap(generate(hidden).recording).effects[0].applied
+
+
+def test_something_that_was_passed_is_named_without_depth_or_temperature() -> None:
+    hidden = Scenario("x", "single", "moderate", 126921929947415, (("local-anomaly", 1.0),))
+    recording = generate(hidden).recording
+    kept = {k: v for k, v in recording.channels.items() if k.startswith("current")}
+    assert 0 < len(kept) < len(recording.channels)
+    (passed,) = mg.find_gap(replace(recording, channels=kept)).effects
+    assert passed.name == "local-anomaly"
+    assert passed.applied
+    assert {"field-gradient", "temperature-gyro"} <= set(passed.ambiguous_with)
+
+
 def test_a_channel_that_agrees_by_chance_is_no_name() -> None:
     """Of ways that have nothing to do with the field some explain much of it, and are vetoed."""
     assert _standing(_in_a_room(1)) == "named"

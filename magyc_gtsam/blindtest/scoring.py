@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ class Outcome:
     number: str
     scenario: Scenario
     verdict: str
-    named: tuple[tuple[str, tuple[str, ...]], ...]
+    named: tuple[Named, ...]
     kind: str
     sentence: str
     excess: tuple[float, float] | None
@@ -71,6 +71,8 @@ class Outcome:
         return " + ".join(name for name, _ in self.named)
 
 
+Named = tuple[str, tuple[str, ...]]  # a name and its ambiguity set
+Already = dict[str, frozenset[str]]  # what a real recording holds as it is, with all that each was confused with
 Heading = Callable[[Scenario, dict[str, Any]], tuple[float, float] | None]
 Standing = Callable[[Scenario], float | None]
 
@@ -102,22 +104,40 @@ def score(
         if result.exists():
             truth = opened(folder, number, manifest)
             pairs.append((number, _scenario(truth), json.loads(result.read_text(encoding="utf-8"))))
-    already: dict[str, set[str]] = {}
+    already: dict[str, Already] = {}
     for _, scenario, result in pairs:
         if scenario.set == "real" and not scenario.effects:
-            already[scenario.motion] = already.get(scenario.motion, set()) | _there(result)
+            there = already.setdefault(scenario.motion, {})
+            for name, rivals in _there(result):
+                there[name] = there.get(name, frozenset()) | set(rivals)
     outcomes = []
     for done, (number, scenario, result) in enumerate(pairs):
-        there = already.get(scenario.motion, set())
-        if there.isdisjoint(scenario.names):  # else it would be found without
+        there = already.get(scenario.motion, {})
+        if there.keys().isdisjoint(scenario.names):  # else it would be found without
             outcomes.append(_outcome(number, scenario, result, there, heading, standing))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
 
 
-def _there(result: dict[str, Any]) -> set[str]:
-    """What a real recording holds as it is: the names given, and those left that could not be given."""
-    return {e["name"] for e in result["effects"]} | set(result.get("diagnostics", {}).get("leftover", ()))
+def _there(result: dict[str, Any]) -> list[Named]:
+    """What a real recording holds as it is: the names given with their sets, and those left that could not be given."""
+    left = result.get("diagnostics", {}).get("leftover", ())
+    return [*((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"]), *((name, ()) for name in left)]
+
+
+def beyond(named: Sequence[Named], hidden: Container[str], already: Already) -> tuple[Named, ...]:
+    """What is said of an effect that was put into a recording, beside what is there anyway.
+
+    A name or a set that holds what is there anyway is neither right nor wrong; but for a set that holds what was put
+    in, and did not without it.
+    """
+
+    def counts(name: str, rivals: tuple[str, ...]) -> bool:
+        if name in hidden or any(r in hidden and r not in already.get(name, ()) for r in rivals):
+            return True
+        return already.keys().isdisjoint((name, *rivals))
+
+    return tuple(n for n in named if counts(*n))
 
 
 def _scenario(truth: dict[str, Any]) -> Scenario:
@@ -131,13 +151,13 @@ def _outcome(
     number: str,
     scenario: Scenario,
     result: dict[str, Any],
-    already: set[str],
+    already: Already,
     heading: Heading,
     standing: Standing,
 ) -> Outcome:
     named = tuple((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"])
     if scenario.set == "real" and scenario.effects:
-        named = tuple(n for n in named if n[0] not in already)
+        named = beyond(named, scenario.names, already)
     verdict = result["verdict"]
     excess = None
     if "before" in result:
@@ -160,7 +180,7 @@ def _outcome(
     )
 
 
-def judged(scenario: Scenario, verdict: str, named: Sequence[tuple[str, tuple[str, ...]]]) -> str:
+def judged(scenario: Scenario, verdict: str, named: Sequence[Named]) -> str:
     """The kind of an outcome; see `Outcome.kind`."""
     if verdict in (UNKNOWN, REFUSED, CRASHED):
         return verdict

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import TIE, Found, Look, choices, left_over, less, related, term_places
+from magyc_gtsam.gap.naming import TIE, Found, Look, choices, less, related, term_places
 from magyc_gtsam.gap.refined import nearer, sharpened
 from magyc_gtsam.gap.refit import determined, possible, without_term
 from magyc_gtsam.gap.score import Score
@@ -55,9 +55,8 @@ def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
 
 
 def rest(now: Look) -> float:
-    """Nats of what explains most of what still speaks against the names."""
-    left = (s.evidence for s in now.scores if left_over(s) and now.gains.get(s.name, 0.0) > 0)
-    return max(left, default=0.0)
+    """Nats of what explains most of what is left, significant or not, and predicts something."""
+    return max((s.evidence for s in now.scores if now.gains.get(s.name, 0.0) > 0), default=0.0)
 
 
 def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -> State | None:

@@ -236,7 +236,9 @@ def _gap(
         if f.noise is not None
     )
     open_places = {
-        place: index for place, index in term_places(found, plain.model).items() if not determined(plain, index)
+        place: index
+        for place, index in term_places(found, plain.model).items()
+        if found[place].unsure or not determined(plain, index)
     }
     corrected, fine = last.refit, last.fine
     if open_places:

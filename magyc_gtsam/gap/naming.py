@@ -31,14 +31,14 @@ TIE = (3.0, 0.05)  # nats, and share of the evidence, by which one that is as go
 _TRIED = 3  # names in a tie, at most
 SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
 NOISE_LIMIT = float(np.log(22 / 0.01))
-_REMAINDER = float(np.log(20 / 0.05))  # −ln p from which a generic remainder speaks against the names given
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
     """An effect that was added: its evidence when it was, its rivals, and of which score it is a term.
 
-    Two steps that are terms of one score have half its evidence each, as long as there are two.
+    Two steps that are terms of one score have half its evidence each, as long as there are two. What is `unsure` may
+    as well be what a channel would have shown that is missing: to correct it may make the heading worse.
     """
 
     name: str
@@ -48,6 +48,7 @@ class Found:
     rivals: tuple[str, ...] = ()
     noise: NoiseScore | None = None
     of: Score | None = None
+    unsure: bool = False
 
     def times(self, factor: float) -> Found:
         """With so much of the evidence."""
@@ -146,6 +147,25 @@ def _shadow(now: Look, found: Sequence[Found]) -> float:
     return max(in_time, default=0.0)
 
 
+def any_change(sharp: Score, now: Look) -> bool:
+    """Whether a channel is missing that an effect may have followed, and other changes with time explain as much.
+
+    What follows a depth or a temperature that nobody recorded may be something that was passed where it is large, or
+    a drift on level turns. Changes in the sensor's axes are what steps and drifts themselves are.
+    """
+    if not _untested(sharp.name, now.refit.twin):
+        return False
+    own = _IN_TIME if sharp.name in ("hard-iron-step", "hard-iron-drift") else ()
+    return any(
+        s.generic
+        and s.significant
+        and s.name.startswith("time:")
+        and not s.name.startswith(own)
+        and s.evidence > sharp.evidence - _AHEAD
+        for s in now.scores
+    )
+
+
 def _of_the_model(noise: NoiseScore, now: Look) -> bool:
     """Whether noise is the model's own: a slow tone of which a family holds some, colour of a bent reading."""
     if noise.name == "coloured-noise":
@@ -153,11 +173,6 @@ def _of_the_model(noise: NoiseScore, now: Look) -> bool:
     if noise.name != "tone" or noise.setting["frequency"] > _SLOW:
         return False
     return any(s.generic and s.significant for s in now.scores)
-
-
-def left_over(score: Score) -> bool:
-    """Whether a score speaks against the names given; of what is generic a milder level is enough."""
-    return score.significance > (min(_REMAINDER, score.limit) if score.generic else score.limit)
 
 
 def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, left_over, shape_of, weights
+from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, shape_of, weights
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.score import Projector, Variant, variant
 
@@ -90,8 +90,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
         # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
         many = score.generic and len(score.variant.unit) > _MANY
         more = many and score.significant and excess > all_named
-        speaks = left_over(score) if named else score.significant
-        if not speaks or (now.gains.get(score.name, 0.0) <= 0 and not more):
+        if not score.significant or (now.gains.get(score.name, 0.0) <= 0 and not more):
             continue
         if found and excess < SHAPE * explained:
             continue

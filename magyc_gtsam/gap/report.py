@@ -19,7 +19,8 @@ from magyc_gtsam.gap.step_time import step_time_sigma
 _POWER = 0.8
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
-_UNCORRECTED = "named, not corrected: this motion leaves part of it open"
+_OPEN = "named, not corrected: this motion leaves part of it open"
+_UNSURE = "named, not corrected: what nobody recorded may be behind it"
 _VETOED = (
     "significant, but it predicts nothing on data it was not fitted to",
     "significant, but its channel, shifted in time, would explain as much",
@@ -139,7 +140,7 @@ def _described(found: Found, refitted: Refit, index: int | None, applied: bool) 
         found.statistic,
         found.threshold,
         applied,
-        sentence if applied else f"{sentence} ({_UNCORRECTED})",
+        sentence if applied else f"{sentence} ({_UNSURE if found.unsure else _OPEN})",
     )
 
 
@@ -249,8 +250,12 @@ def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
 def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
     """The motion that determines what is named only, separates an effect from its rivals, or finds the unseen."""
     for place in uncorrected:
-        term = TERMS[found[place].name]
-        return Manoeuvre((term.name,), term.motion, f"to correct “{term.label}”: {term.motion}")
+        one = found[place]
+        motion = TERMS[one.name].motion
+        if one.unsure:
+            channels = dict.fromkeys(c for rival in one.rivals for c in TERMS[rival].missing(look.refit.twin))
+            motion = f"log the {' and the '.join(channels)} as well"
+        return Manoeuvre((one.name,), motion, f"to correct “{LABELS[one.name]}”: {motion}")
     for f in found:
         if f.rivals and f.name in TERMS and word in ("closed", "open"):
             names = (f.name, *f.rivals)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,18 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.fine import Fine
-from magyc_gtsam.gap.naming import Found, Look, as_found, less, rivals_of, term_places
+from magyc_gtsam.gap.naming import (
+    LEFT,
+    WEAK,
+    Found,
+    Look,
+    any_change,
+    as_found,
+    less,
+    related,
+    rivals_of,
+    term_places,
+)
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
@@ -92,9 +103,36 @@ def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State |
     ahead = state.refitted(model)
     if ahead is None:
         return None
-    whole = Found(choice.name, sharp.statistic, sharp.threshold, sharp.evidence, rivals_of(choice, now), of=sharp)
+    whole = Found(
+        choice.name,
+        sharp.statistic,
+        sharp.threshold,
+        sharp.evidence,
+        rivals_of(choice, now),
+        of=sharp,
+        unsure=any_change(sharp, now),
+    )
     parts = [whole.times(1 / len(added))] * len(added)
-    return _backwards(replace(state, current=ahead, found=(*state.found, *parts)))
+    after = _backwards(replace(state, current=ahead, found=(*state.found, *parts)))
+    return _taken_over(state, after, sharp)
+
+
+def _taken_over(before: State, after: State, sharp: Score) -> State:
+    """With the evidence of what an effect has made superfluous added to its own: it explains that too."""
+    own = [f for f in after.found if f.of is sharp]
+    others = [f for f in after.found if f.of is not sharp]
+
+    def given(found: Found) -> Found:
+        if found.of is not sharp:
+            return found
+        lost = {n: _sum(before.found, n) - _sum(others, n) for n in ("statistic", "evidence")}
+        return replace(found, **{n: getattr(found, n) + more / len(own) for n, more in lost.items()})
+
+    return replace(after, found=tuple(given(f) for f in after.found))
+
+
+def _sum(found: Sequence[Found], of: str) -> float:
+    return float(sum(getattr(f, of) for f in found if f.of is not None))
 
 
 def with_more_modes(state: State, now: Look) -> State | None:
@@ -136,13 +174,13 @@ def terms_of(name: str, current: Refit, setting: Setting) -> list[Active]:
 
 
 def _backwards(state: State) -> State:
-    """Take out terms whose value has become insignificant beside the others."""
+    """Take out terms whose value has become insignificant beside the others, or what a rival leaves of its form."""
     current, found = state.current, state.found
     while len(current.model.terms) > 1:
         weakest, least = -1, 1.0
         places = term_places(found, current.model)
         for place, index in places.items():
-            strength = current.weight_of(index) / found[place].threshold
+            strength = current.weight_of(index) / max(found[place].threshold, _asked(current, index))
             if strength < least:
                 weakest, least = place, strength
         if weakest < 0:
@@ -150,6 +188,15 @@ def _backwards(state: State) -> State:
         current = refit(state.problem, without_term(current.model, places[weakest]), state.short_term)
         found = less(found, {weakest})
     return replace(state, current=current, found=found)
+
+
+def _asked(current: Refit, index: int) -> float:
+    """What a term must explain beside its strongest rival in the same model, to be no more than the rival's form."""
+    terms = current.model.terms
+    if terms[index].setting.get("uneven"):
+        return 0.0  # no filter of all axes alike leaves something else on each
+    rivals = (i for i, other in enumerate(terms) if related(other.name, terms[index].name))
+    return min(LEFT * max((current.weight_of(i) for i in rivals), default=0.0), 2 * WEAK)
 
 
 def _without(recording: Recording, fine: Fine, spikes: NoiseScore) -> Recording:
