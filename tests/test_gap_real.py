@@ -69,6 +69,17 @@ def test_one_instrument_has_one_delay_and_one_misalignment(shared_data: Path) ->
         np.testing.assert_allclose(first.value, second.value, atol=size)
 
 
+def test_products_of_a_name_do_not_take_its_evidence(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drift of 1.4 µT beside a room: what is left is of the form of its products, and a tenth of what it explains."""
+    recording = mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
+    drifting = generate(
+        Scenario("x", "real", "log", 242620365030394, (("hard-iron-drift", 1.0),)), recording
+    ).recording
+    assert "hard-iron-drift" in mg.find_gap(drifting).names
+    monkeypatch.setattr("magyc_gtsam.gap.objections.product_of", lambda _: None)
+    assert "hard-iron-drift" not in mg.find_gap(drifting).names
+
+
 def test_a_small_step_put_in_is_found_beside_the_room(shared_data: Path) -> None:
     """Of 1.3 times the published strength, in a room that leaves more than it explains; the delay stays."""
     recording = mg.read(shared_data / "broad_01_slow_rotation.mcap").between(36, 154)

@@ -187,6 +187,19 @@ def test_coarse_steps_are_no_hold() -> None:
     assert not sample_hold(coarse).significant
 
 
+def test_coarse_steps_of_a_motion_that_comes_and_goes_are_no_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All axes repeat together more often than by chance where a motion is slow and fast by turns of five seconds."""
+    random = np.random.default_rng(3)
+    row = np.arange(4000)
+    speed = np.where(row // 250 % 2 == 0, 0.9, 0.15)[:, None]  # of noise and motion, in steps
+    field = 2e-6 * np.round(np.cumsum(speed * random.standard_normal((4000, 3)), axis=0))
+    coarse = mg.Recording(row / 50, field, random.standard_normal((4000, 3)))
+    assert (~coarse.magnetic_field_fresh).mean() > 0.2
+    assert not sample_hold(coarse).significant
+    monkeypatch.setattr("magyc_gtsam.gap.noise_effects._LOCALLY", 20.0)
+    assert sample_hold(coarse).significant
+
+
 def test_a_fitted_scale_leaves_no_pull() -> None:
     """Beside a scale that is in the model the rest of the matrix is expected at nothing, on level motion as well."""
     statistics = []

@@ -29,7 +29,7 @@ _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of s
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
 COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
-_LOCALLY = 10.0  # s over which the chance of a repeat hardly changes
+_LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
 _MOSTLY = 0.7  # share of the repeated entries that chance must leave over: axes that pause together are no hold
 
 

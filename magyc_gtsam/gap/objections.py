@@ -10,13 +10,14 @@ import numpy as np
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, shape_of, weights
+from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.score import Projector, Variant, variant
 
 _FIRM = 0.7  # share of what a term should explain beside whatever else is missing
 _MOSTLY = 0.6  # share that a term must explain of what families that hold its signature could explain
 _LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
-_STRONG = 5.0  # thresholds that a term must pass where something else is missing too
+_STRONG = 3.0  # thresholds that a term must pass where something else is missing too
 _HELD = 0.98  # share of what a family explains from which the names hold it: 0.995 of what they are, 0.7 of others
 _BEATS = (3.0, 0.05)  # nats, and share, by which a generic family must be ahead of all names: form is less
 _MANY = 9  # values of one family, from which half of the data do not determine them for the other half
@@ -27,9 +28,9 @@ _CHANGES = 2  # with time, that one recording may hold
 def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str, ...]) -> bool:
     """Whether a term keeps its evidence when the families that are still significant are in the model too.
 
-    A term that is right keeps the share of its statistic that the families do not hold of its signature. Of those that
-    hold most of it, it must explain the most itself: what may lie along any of so many values would hardly lie along
-    the few of the term by chance.
+    A term that is right keeps what the families do not hold of what it explains; its own products are judged by
+    themselves. Of those that hold most of its signature, it must explain the most itself: what may lie along any of
+    so many values would hardly lie along the few of the term by chance.
     """
     twin = current.twin
     term = twin.model.terms[index]
@@ -40,28 +41,30 @@ def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str,
     without = replace(twin, model=without_term(twin.model, index))
     target = twin.residual().ravel() - value @ own  # as if the term were not there
 
-    def explained(rows: Array, pulls: Array, beside: list[tuple[Array, Array]]) -> tuple[float, Array]:
-        """The statistic of columns beside others, and their directions."""
+    def explained(rows: Array, pulls: Array, beside: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+        """What columns explain of it beside others (3n,), and their directions."""
         project = Projector(np.concatenate([b for b, _ in beside]), np.concatenate([p for _, p in beside]))
         result = variant(term.setting, rows, project, pulls)
-        return _squared(result.score(project(target[None])[0])), result.unit
+        return result.score(project(target[None])[0]) @ result.unit, result.unit
 
     beside = [(without.base_columns, without.base_pull)]
     all_of_it, alone = explained(own, pull, beside)
     holding: list[tuple[Array, Array]] = []
-    for other in (s.variant for s in now.scores if s.name in left and s.name != term.name):
+    for other in (
+        s.variant for s in now.scores if s.name in left and term.name not in (s.name, product_of(s.name))
+    ):
         _, unit = explained(other.columns, other.pull, beside[:1])
         holds = _squared(alone @ unit.T) > (1 - _LITTLE) * len(alone)
         (holding if holds else beside).append((other.columns, other.pull))
-    statistic, rest = explained(own, pull, beside)
-    kept = _squared(alone @ rest.T) / len(alone)
-    if statistic <= max(_STRONG * found.threshold, _FIRM * kept * all_of_it):
+    still, rest = explained(own, pull, beside)
+    statistic, kept = _squared(still), _squared(rest @ all_of_it)
+    if statistic <= max(_STRONG * found.threshold, _FIRM * kept):
         return False
     if not holding:
         return True
     rows, pulls = (np.concatenate(part) for part in zip(*holding, strict=True))
     more, unit = explained(rows, pulls, [*beside, (own, pull)])
-    return statistic > _MOSTLY * (statistic + more - len(unit))
+    return statistic > _MOSTLY * (statistic + _squared(more) - len(unit))
 
 
 def _squared(values: Array) -> float:
