@@ -181,7 +181,7 @@ class Preintegration:
         """The samples of the windows from `first` up to `last`, and which of the gyroscope's samples these are.
 
         Args:
-            first, last: as of a slice.
+            first, last: 0 ≤ first < last ≤ number of windows.
             beyond: s of the gyroscope kept before the first and after the last magnetometer sample.
         """
         edges = np.append(self.starts, len(self.magnetometer_time))

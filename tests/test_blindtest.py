@@ -345,6 +345,8 @@ def test_a_set_counts_where_it_holds_what_was_put_in_and_did_not_without() -> No
     assert kind("cubic", ("cubic", ()), ("gyro-quadratic", ())) == "wrong"
     assert kind("gyro-quadratic", late, ("gyro-scale", ("gyro-quadratic",))) == "in its set"
     assert kind("eddy-plane", late) == "silent"
+    # What is there anyway and was said by itself excuses no other name.
+    assert kind("cubic", late, ("cubic", ()), ("hysteresis", ("timing",))) == "wrong"
 
 
 def test_a_small_blind_test_from_end_to_end(tmp_path: Path) -> None:

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
+from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
+from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.gap.steps import _asked
 
 ALONE = (1e-9, 0.0)  # only the strongest is tried
 
@@ -121,3 +127,21 @@ def test_what_makes_another_superfluous_explains_that_too(monkeypatch: pytest.Mo
     assert gap.effects[0].statistic > 120
     monkeypatch.setattr("magyc_gtsam.gap.steps._taken_over", lambda _, after, __: after)
     assert _gap("multi", 45163682133384, ("hard-iron-drift", 1.0)).verdict == "unknown"
+
+
+def test_a_weak_name_beside_a_strong_rival_explains_a_fifth_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of what each explains in one model; what is strong by itself stands, as do the plates of a matrix."""
+
+    def asked(weights: dict[str, float], index: int, uneven: str = "") -> float:
+        terms = [Active(n, {"uneven": 1.0} if n == uneven else {}, np.zeros(3)) for n in weights]
+        model = replace(gap_model, terms=tuple(terms))
+        monkeypatch.setattr(Refit, "weight_of", lambda _, i: list(weights.values())[i])
+        return _asked(Refit(replace(twin, model=model), np.zeros((0, 0)), True), index, range(len(terms)))
+
+    twin = base_model(mg.simulate("wide", 60, seed=3).recording, None, Noise(1e-6, 5e-3)).twin
+    gap_model = twin.model
+    assert asked({"misalignment": 300.0, "cubic": 47.0}, 1) == pytest.approx(60.0)
+    assert asked({"misalignment": 3000.0, "cubic": 47.0}, 1) == pytest.approx(100.0)
+    assert asked({"misalignment": 300.0, "hard-iron-step": 47.0}, 1) == 0
+    assert asked({"timing": 3000.0, "eddy-plane": 47.0}, 1, uneven="eddy-plane") == 0
+    assert asked({"timing": 47.0, "eddy-plane": 3000.0}, 0, uneven="eddy-plane") == 0

@@ -200,6 +200,17 @@ def test_coarse_steps_of_a_motion_that_comes_and_goes_are_no_hold(monkeypatch: p
     assert sample_hold(coarse).significant
 
 
+@pytest.mark.parametrize("rate", [1, 5, 50])
+def test_a_hold_is_found_at_any_rate(rate: int) -> None:
+    """One row in ten repeats the one before it."""
+    random = np.random.default_rng(4)
+    row = np.arange(600)
+    field = 5e-5 * random.standard_normal((600, 3))[row - (row % 10 == 9)]
+    held = sample_hold(mg.Recording(row / rate, field, random.standard_normal((600, 3))))
+    assert held.significant
+    assert held.statistic == pytest.approx(0.1, abs=0.01)
+
+
 def test_a_fitted_scale_leaves_no_pull() -> None:
     """Beside a scale that is in the model the rest of the matrix is expected at nothing, on level motion as well."""
     statistics = []

@@ -128,14 +128,15 @@ def _there(result: dict[str, Any]) -> list[Named]:
 def beyond(named: Sequence[Named], hidden: Container[str], already: Already) -> tuple[Named, ...]:
     """What is said of an effect that was put into a recording, beside what is there anyway.
 
-    A name or a set that holds what is there anyway is neither right nor wrong; but for a set that holds what was put
-    in, and did not without it.
+    A name that is there anyway is neither right nor wrong, nor is a set that holds one which was not said by itself;
+    but for a set that holds what was put in, and did not without it.
     """
+    unsaid = already.keys() - {name for name, _ in named}
 
     def counts(name: str, rivals: tuple[str, ...]) -> bool:
         if name in hidden or any(r in hidden and r not in already.get(name, ()) for r in rivals):
             return True
-        return already.keys().isdisjoint((name, *rivals))
+        return name not in already and unsaid.isdisjoint(rivals)
 
     return tuple(n for n in named if counts(*n))
 
@@ -165,7 +166,7 @@ def _outcome(
         floor = loops[0]["floor"] ** 2
         first, last = (max(loop["rms"] ** 2 - loop["floor"] ** 2, 0.0) / floor for loop in loops)
         excess = first, last
-    accepted = bool(named) and verdict not in (UNKNOWN, REFUSED, CRASHED)
+    accepted = any(e["applied"] for e in result["effects"]) and verdict not in (UNKNOWN, REFUSED, CRASHED)
     return Outcome(
         number,
         scenario,

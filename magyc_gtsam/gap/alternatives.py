@@ -103,8 +103,8 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
         if ahead is not None:
             (newcomer,) = _newcomers(ahead, without)
             # It explains what the other did, and more.
-            statistic = one.statistic + sharp.statistic - own.statistic
-            evidence = one.evidence + sharp.evidence - own.evidence
+            statistic = one.statistic + newcomer.statistic - own.statistic
+            evidence = one.evidence + newcomer.evidence - own.evidence
             stronger = replace(newcomer, statistic=statistic, evidence=evidence)
             return replace(ahead, found=tuple(stronger if f is newcomer else f for f in ahead.found))
     return None

@@ -30,6 +30,7 @@ _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no nois
 COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
 _LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
+_ROWS = 30  # that a share is told from, at least
 _MOSTLY = 0.7  # share of the repeated entries that chance must leave over: axes that pause together are no hold
 
 
@@ -229,7 +230,8 @@ def _held_together(time: Array, repeats: np.ndarray) -> float:
     all three with h + (1 − h) q_x q_y q_z; solved for h in each stretch of the recording by bisection. Of the stretches
     the median counts: what is held is so all the time, while a pause is none.
     """
-    stretch = np.floor((time[1:] - time[0]) / _LOCALLY).astype(int)
+    length = max(_LOCALLY, _ROWS * float(np.median(np.diff(time))))
+    stretch = np.floor((time[1:] - time[0]) / length).astype(int)
     _, starts, count = np.unique(stretch, return_index=True, return_counts=True)
     each = np.add.reduceat(repeats, starts, axis=0, dtype=float) / count[:, None]
     together = np.add.reduceat(repeats.all(axis=1), starts, dtype=float) / count

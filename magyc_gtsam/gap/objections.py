@@ -17,7 +17,7 @@ from magyc_gtsam.gap.score import Projector, Variant, variant
 _FIRM = 0.7  # share of what a term should explain beside whatever else is missing
 _MOSTLY = 0.6  # share that a term must explain of what families that hold its signature could explain
 _LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
-_STRONG = 3.0  # thresholds that a term must pass where something else is missing too
+_STRONG = 5.0  # thresholds that a term must pass where something else is missing too
 _HELD = 0.98  # share of what a family explains from which the names hold it: 0.995 of what they are, 0.7 of others
 _BEATS = (3.0, 0.05)  # nats, and share, by which a generic family must be ahead of all names: form is less
 _MANY = 9  # values of one family, from which half of the data do not determine them for the other half
@@ -92,7 +92,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
         excess = score.statistic - len(score.variant.unit)
         # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
         many = score.generic and len(score.variant.unit) > _MANY
-        more = many and score.significant and excess > all_named
+        more = many and excess > all_named
         if not score.significant or (now.gains.get(score.name, 0.0) <= 0 and not more):
             continue
         if found and excess < SHAPE * explained:

@@ -175,7 +175,7 @@ def _hypothesis(
     scale = term.scale if term else 1.0
     status: Status
     if score.name in named:
-        status, words = "named", "named and added"
+        status, words = "named", "named"
     elif score.significant and not gain > 0 and score.name not in left:
         status, words = "vetoed", _VETOED[gain == 0]
     elif score.significant and score.name in slight:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from magyc_gtsam.factors.effects import Setting
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.naming import (
@@ -118,21 +119,20 @@ def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State |
 
 
 def _taken_over(before: State, after: State, sharp: Score) -> State:
-    """With the evidence of what an effect has made superfluous added to its own: it explains that too."""
-    own = [f for f in after.found if f.of is sharp]
-    others = [f for f in after.found if f.of is not sharp]
+    """With the evidence of rivals that an effect has made superfluous added to its own: it explains that too."""
+    own = sum(f.of is sharp for f in after.found)
+    statistic, evidence = (_of_rivals(before.found, sharp) - _of_rivals(after.found, sharp)) / max(own, 1)
 
-    def given(found: Found) -> Found:
-        if found.of is not sharp:
-            return found
-        lost = {n: _sum(before.found, n) - _sum(others, n) for n in ("statistic", "evidence")}
-        return replace(found, **{n: getattr(found, n) + more / len(own) for n, more in lost.items()})
+    def more(found: Found) -> Found:
+        return replace(found, statistic=found.statistic + statistic, evidence=found.evidence + evidence)
 
-    return replace(after, found=tuple(given(f) for f in after.found))
+    return replace(after, found=tuple(more(f) if f.of is sharp else f for f in after.found))
 
 
-def _sum(found: Sequence[Found], of: str) -> float:
-    return float(sum(getattr(f, of) for f in found if f.of is not None))
+def _of_rivals(found: Sequence[Found], sharp: Score) -> Array:
+    """(2,) statistic and evidence of all that are confused with an effect."""
+    rivals = [(f.statistic, f.evidence) for f in found if f.of is not None and related(f.name, sharp.name)]
+    return np.sum([(0.0, 0.0), *rivals], axis=0)
 
 
 def with_more_modes(state: State, now: Look) -> State | None:
@@ -180,7 +180,9 @@ def _backwards(state: State) -> State:
         weakest, least = -1, 1.0
         places = term_places(found, current.model)
         for place, index in places.items():
-            strength = current.weight_of(index) / max(found[place].threshold, _asked(current, index))
+            strength = current.weight_of(index) / max(
+                found[place].threshold, _asked(current, index, places.values())
+            )
             if strength < least:
                 weakest, least = place, strength
         if weakest < 0:
@@ -190,12 +192,12 @@ def _backwards(state: State) -> State:
     return replace(state, current=current, found=found)
 
 
-def _asked(current: Refit, index: int) -> float:
-    """What a term must explain beside its strongest rival in the same model, to be no more than the rival's form."""
+def _asked(current: Refit, index: int, found: Iterable[int]) -> float:
+    """What a term must explain lest it be no more than the form of its strongest rival among those found."""
     terms = current.model.terms
     if terms[index].setting.get("uneven"):
         return 0.0  # no filter of all axes alike leaves something else on each
-    rivals = (i for i, other in enumerate(terms) if related(other.name, terms[index].name))
+    rivals = [i for i in found if related(terms[i].name, terms[index].name) and not terms[i].setting.get("uneven")]
     return min(LEFT * max((current.weight_of(i) for i in rivals), default=0.0), 2 * WEAK)
 
 
