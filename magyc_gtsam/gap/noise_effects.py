@@ -30,7 +30,7 @@ _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no nois
 COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
 _LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
-_ROWS = 30  # that a share is told from, at least
+_ROWS = 100  # that a share is told from, at least
 _MOSTLY = 0.7  # share of the repeated entries that chance must leave over: axes that pause together are no hold
 
 
