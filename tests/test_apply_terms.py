@@ -67,10 +67,11 @@ def test_a_reading_that_is_bent_much_is_straightened(
     )
 
 
-def test_a_rate_that_is_bent_much_is_straightened() -> None:
-    """A scale that grows with the rate, found in slow turns, applied in fast ones."""
+@pytest.mark.parametrize(("size", "setting"), [(0.15, {}), (-0.25, {"level": 3.0})])
+def test_a_rate_that_is_bent_much_is_straightened(size: float, setting: dict[str, float]) -> None:
+    """A scale that grows with the rate, found in slow turns, applied in fast ones; where it is less, up to a level."""
     rate = np.random.default_rng(0).normal(size=(3, 500)) * 3.0
-    term = Term("gyro-quadratic", [0.15, 0.15, 0.15], np.zeros((3, 3)))
+    term = Term("gyro-quadratic", [size] * 3, np.zeros((3, 3)), setting)
     reading = (rate + term.evaluate(Signals(np.zeros(500), rate=rate))).T
     calibration = mg.Calibration(np.eye(3), np.zeros(3), np.array([1e-3, 0.0, 2e-3]), terms=(term,))
     np.testing.assert_allclose(calibration.apply_gyroscope(reading + calibration.gyro_bias), rate.T, atol=1e-10)

@@ -14,6 +14,7 @@ from magyc_gtsam import metrics
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_page import render_gap
@@ -97,6 +98,45 @@ def test_what_a_growing_scale_leaves_is_no_passed_object(shared_data: Path) -> N
     gap = mg.find_gap(generate(hidden, mg.read(shared_data / "nexus5_calibration_d1.mcap")).recording)
     assert {"timing", "gyro-quadratic"} <= set(gap.names)
     assert "local-anomaly" not in gap.names
+
+
+@pytest.mark.parametrize(
+    ("log", "start", "end", "seed"),
+    [
+        ("nexus5_augmented_reality", None, None, 144180712129847),  # shaken: without a level nothing can be fitted
+        ("broad_06_fast_rotation", 40, 155, 231329256614374),  # at 16 rad/s it is as good as a scale
+    ],
+)
+def test_a_growing_scale_levels_off(
+    shared_data: Path,
+    log: str,
+    start: float | None,
+    end: float | None,
+    seed: int,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    hidden = Scenario("x", "real", log, seed, (("gyro-quadratic", 1.0),))
+    recording = generate(hidden, mg.read(shared_data / f"{log}.mcap").between(start, end)).recording
+    gap = mg.find_gap(recording)
+    growing = next(e for e in gap.effects if e.name == "gyro-quadratic")
+    assert 1.0 <= growing.setting["level"] <= 10.0
+    assert "ever less beyond" in growing.sentence
+    monkeypatch.setattr("magyc_gtsam.gap.effects.gyroscope._LEVELS", ())
+    assert "gyro-quadratic" not in mg.find_gap(recording).names
+
+
+def test_what_lies_between_the_bumps_of_the_grid_is_tried(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bump explains more than the position does, but on the grid a tenth less."""
+    hidden = Scenario("x", "real", "broad_06_fast_rotation", 209321639191110, (("tone", 1.0),))
+    recording = generate(hidden, mg.read(shared_data / "broad_06_fast_rotation.mcap").between(40, 155)).recording
+    names = mg.find_gap(recording).names
+    assert {"tone", "local-anomaly"} <= set(names)
+    assert "field-gradient" not in names
+    only_the_grid = {**TERMS, "local-anomaly": replace(TERMS["local-anomaly"], between=0.0)}
+    monkeypatch.setattr("magyc_gtsam.gap.naming.TERMS", only_the_grid)
+    assert "field-gradient" in mg.find_gap(recording).names
 
 
 def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:

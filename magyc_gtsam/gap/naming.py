@@ -132,7 +132,8 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     # Any matrix holds the plain delay, which explains most of it where it is the truth.
     options = [o for o in options if not o.variant.setting.get("full") or delay <= _MOST_OF * o.statistic]
     behind = max(TIE[0], TIE[1] * options[0].evidence)
-    return [o for o in options if o.evidence > options[0].evidence - behind][:_TRIED]
+    tied = [o for o in options if (1 + TERMS[o.name].between) * o.evidence > options[0].evidence - behind]
+    return tied[:_TRIED]
 
 
 def _shadow(now: Look, found: Sequence[Found]) -> float:

@@ -167,7 +167,7 @@ def terms_of(name: str, current: Refit, setting: Setting) -> list[Active]:
 
     A part of the matrix may be all that the motion shows, yet the rest of it is no better known: its prior holds it.
     """
-    settings: list[Setting] = [{} if name in ("gyro-scale", "gyro-quadratic") else dict(setting)]
+    settings: list[Setting] = [{} if name == "gyro-scale" else dict(setting)]
     if "until" in setting:
         settings = [{"time": setting["time"]}, {"time": setting["until"]}]
     return [Active(name, each, np.zeros(len(current.twin.columns(name, each).window))) for each in settings]

@@ -8,6 +8,22 @@ from magyc_gtsam.factors.effects import RATE_MATRIX, Setting
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.twin import Twin
+
+_LEVELS = (1.0, 3.0, 10.0)  # rad/s, from which a scale may grow less and less
+
+
+def _levels(twin: Twin) -> list[dict[str, float]]:
+    """None, and those that the fastest turn of the recording passes: slower turns show nothing of them."""
+    fastest = float(np.abs(twin.gyroscope.need("rate")).max())
+    return [{}, *({"level": level} for level in _LEVELS if level < fastest)]
+
+
+def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    if not setting:
+        return []
+    near = (setting["level"] * share for share in (0.5, 0.7, 1.0, 1.4, 2.0))
+    return [{"level": level} for level in near if level >= _LEVELS[0]]  # lower, it would be a plain scale
 
 
 def _say_scale(value: Array, sigma: Array, setting: Setting) -> str:
@@ -15,9 +31,9 @@ def _say_scale(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
-    return (
-        f"the gyroscope's scale grows with the rate, by {vector(value / 10, sigma / 10)} % per rad/s along x, y, z"
-    )
+    less = f", ever less beyond {setting['level']:.1f} rad/s" if setting else ""
+    by = vector(value / 10, sigma / 10)
+    return f"the gyroscope's scale grows with the rate, by {by} % per rad/s along x, y, z{less}"
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
@@ -56,6 +72,8 @@ QUADRATIC = EffectTerm(
     parameters=AXES,
     say=_say_quadratic,
     motion="turn slowly and fast about each axis: the same turn at several rates",
+    settings=_levels,
+    refined=_levels_nearby,
     many_shapes=True,
 )
 TEMPERATURE = EffectTerm(

@@ -53,6 +53,7 @@ class EffectTerm:
         alike: generic families a narrow part of which may look like it, so that it must explain clearly more.
         products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
         loose: share of its own nats by which a neighbour may be ahead of it, for its form is only the first order.
+        between: share of its evidence by which a setting between those of the grid may be ahead of the best of them.
     """
 
     name: str
@@ -76,6 +77,7 @@ class EffectTerm:
     alike: tuple[str, ...] = ()
     products: tuple[str, ...] = ()
     loose: float = 0.0
+    between: float = 0.0
 
     @property
     def form(self) -> Form:

@@ -97,4 +97,5 @@ ANOMALY = EffectTerm(
     refined=_bumps_nearby,
     block=lambda setting: float(np.clip(0.5 * setting["width"], 1.0, 10.0)),
     most=2,
+    between=0.25,
 )
