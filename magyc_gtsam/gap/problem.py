@@ -22,7 +22,8 @@ from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.recording import Recording
 
 _STILL = 1e-9  # of a channel's largest value: less is rounding
-_PASSES = 4  # for gyroscope terms that read the true rate
+_PASSES = 20  # for gyroscope terms that read the true rate; most need three
+_CLOSE = 1e-7  # rad/s
 _BENT = 5  # passes for magnetometer terms that bend the reading
 _NEARBY = 1e-8  # T
 
@@ -119,21 +120,21 @@ def _others(recording: Recording, at: Array) -> Signals:
     return Signals(at, acceleration=acceleration, channels=channels)
 
 
-def prepare(problem: Problem, model: Model, rate: Array | None = None) -> tuple[Preintegration, Array]:
+def prepare(problem: Problem, model: Model) -> tuple[Preintegration, Array]:
     """The samples with the gyroscope's terms taken out, and the true rate (3, G) rad/s."""
     samples = problem.samples
     bias = model.parameters[9:12]
     measured = samples.angular_rate.T - bias[:, None]
     terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope"]
-    true = measured if rate is None else rate
-    added = np.zeros_like(measured)
-    for _ in range(_PASSES if terms else 1):
-        signals = replace(problem.gyroscope, rate=true)
-        added = sum((FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros_like(measured))
-        true = measured - added
-    if terms:
-        samples = samples.with_rate((true + bias[:, None]).T)
-    return samples, true
+    if not terms:
+        return samples, measured
+    true = measured
+    for _ in range(_PASSES):
+        signals, before = replace(problem.gyroscope, rate=true), true
+        true = measured - sum(FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms)
+        if np.abs(true - before).max() < _CLOSE:
+            break
+    return samples.with_rate((true + bias[:, None]).T), true
 
 
 def window_signals(problem: Problem, windows: FieldWindows, state: State, rate: Array) -> Signals:
