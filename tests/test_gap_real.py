@@ -139,6 +139,38 @@ def test_what_lies_between_the_bumps_of_the_grid_is_tried(
     assert "field-gradient" in mg.find_gap(recording).names
 
 
+def test_a_slow_channel_counts_in_a_short_recording(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A temperature of 50 s, which explains as much a second later: that is no other time."""
+    hidden = Scenario("x", "real", "broad_32", 210326453580875, (("temperature-gyro", 1.0),))
+    recording = generate(
+        hidden, mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
+    ).recording
+    names = mg.find_gap(recording).names
+    assert "temperature-gyro" in names
+    assert "g-sensitivity" not in names
+    monkeypatch.setattr("magyc_gtsam.gap.own_time._SAME", 1.1)
+    assert "temperature-gyro" not in mg.find_gap(recording).names
+
+
+def test_what_a_channel_too_slow_to_tell_explains_better_may_be_its(shared_data: Path) -> None:
+    """In 28 s a temperature explains as much at most other times; a bump that explains less takes its place."""
+    hidden = Scenario("x", "real", "nexus5_calibration_d1", 269562187165566, (("temperature-gyro", 1.0),))
+    gap = mg.find_gap(generate(hidden, mg.read(shared_data / "nexus5_calibration_d1.mcap")).recording)
+    passed = next(e for e in gap.effects if e.name == "local-anomaly")
+    assert "temperature-gyro" in passed.ambiguous_with
+
+
+def test_coarse_steps_of_a_phone_are_no_hold(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They repeat for up to five rows where it is turned slowly; a clock would hold one at a time."""
+    hidden = Scenario("x", "real", "nexus5_calibration_d1", 266710381606992, (("quantisation", 1.0),))
+    recording = generate(hidden, mg.read(shared_data / "nexus5_calibration_d1.mcap")).recording
+    names = mg.find_gap(recording).names
+    assert "quantisation" in names
+    assert "sample-hold" not in names
+    monkeypatch.setattr("magyc_gtsam.gap.noise_effects._BY_CHANCE", 1.0)
+    assert "sample-hold" in mg.find_gap(recording).names
+
+
 def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:
     """Attached by hand and taken off again; its field is (−6, −1, 58) µT."""
     gap = mg.find_gap(mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap"))

@@ -72,6 +72,19 @@ def test_white_noise_keeps_its_own_residuals() -> None:
     np.testing.assert_array_equal(np.flatnonzero(found.rows), np.arange(0, _SAMPLES, 200))
 
 
+def test_wrong_samples_are_found_in_noise_of_two_levels() -> None:
+    """As a phone's: half of its samples scatter more than twice as much as the others."""
+    random = np.random.default_rng(4)
+    v = _white(random) * np.where(random.random(_SAMPLES) < 0.5, 2.3, 1.0)
+    assert not spikes(v, 1.0, NOISE_LIMIT).significant
+    v[0, ::100] += 20.0
+    found = spikes(v, 1.0, NOISE_LIMIT)
+    assert found.significant
+    assert found.rows is not None
+    assert (found.rows & (np.arange(_SAMPLES) % 100 == 0)).sum() > 36
+    assert found.rows.sum() < 44
+
+
 def test_what_comes_in_stretches_is_a_disturbance() -> None:
     random = np.random.default_rng(3)
     v = _white(random)

@@ -23,6 +23,7 @@ _TRACE = 0.03  # share of an effect's statistic below which another may be its f
 _MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
 _AHEAD = 9.0  # nats of evidence from which a rival is behind
 _SPAN = 2.5  # widths within which a second bump belongs to the first
+_OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # with time alone
 _IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
 WEAK = 50.0  # nats, up to which what is small may be the shadow of another effect
 LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
@@ -200,6 +201,21 @@ def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
     )
 
 
+def with_forms(found: tuple[Found, ...], now: Look) -> tuple[Found, ...]:
+    """With the names of what is left of each effect in its set, where that is no more than its form may leave."""
+    result = list(found)
+    for score in now.scores:
+        if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
+            continue
+        places = [i for i, f in enumerate(result) if f.name in TERMS and related(f.name, score.name)]
+        if not places or any(f.name == score.name for f in result) or not shape_of(score, now.refit, found):
+            continue
+        place = max(places, key=lambda i: result[i].statistic)
+        rivals = tuple(dict.fromkeys((*result[place].rivals, score.name)))
+        result[place] = replace(result[place], rivals=rivals)
+    return tuple(result)
+
+
 def related(one: str, other: str) -> bool:
     """Whether the catalogue says that one named effect is confused with another."""
     return other in TERMS[one].rivals or one in TERMS[other].rivals
@@ -222,14 +238,16 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
         alike = rival.significant and behind < _AHEAD and not _adds_beyond(choice.variant, rival.variant, now)
         tied = rival.significant and behind < max(TIE[0], TIE[1] * choice.evidence)
-        if alike or (related(choice.name, rival.name) and (tied or (shapes and close))):
+        # A channel that explains more, if at other times as well: what changed may have followed it.
+        slow = rival.significant and now.gains.get(rival.name) == 0.0 and behind < 0 and choice.name in _OF_TIME
+        if alike or slow or (related(choice.name, rival.name) and (tied or (shapes and close))):
             result.append(rival.name)
     return (*result, *_untested(choice.name, now.refit.twin))
 
 
 def _untested(name: str, twin: Twin) -> list[str]:
     """What else might have changed something with time, were its channel there to tell."""
-    if name not in ("hard-iron-step", "hard-iron-drift", "local-anomaly"):
+    if name not in _OF_TIME:
         return []
     return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
 

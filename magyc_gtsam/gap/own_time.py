@@ -18,24 +18,30 @@ from magyc_gtsam.gap.score import Projector, Score, variant
 from magyc_gtsam.gap.twin import Twin
 
 _SHIFTS = 32  # of the recording's length
-_AS_GOOD = 3  # shifts that may explain as much: about one in ten
+_AS_GOOD = 0.09  # of the shifts, that may explain as much
+_SAME = 0.7  # of what the channel explains, that it still holds when shifted: it is too slow to tell
 
 
 def in_its_own_time(score: Score, twin: Twin, innovation: Array, projector: Projector) -> bool:
     """Whether an effect explains more with its channels at their own time than at nearly all others.
 
-    Effects without a channel do; the acceleration is no channel, it comes of the motion.
+    Effects without a channel do; the acceleration is no channel, it comes of the motion. A shift by less than what a
+    slow channel hangs together over is no other time.
     """
     term = TERMS[score.name]
     if not set(term.channels) - {"acceleration"}:
         return True
-    as_good = 0
+    own = score.variant.unit.T @ score.variant.score(innovation)
+    others = as_good = 0
     for shift in np.arange(1, _SHIFTS) / _SHIFTS:
         columns = term.regressors(_shifted(twin, float(shift)), score.variant.setting)
         other = variant(score.variant.setting, twin.whiten(columns), projector, columns.pull)
-        pull = other.score(innovation)
+        held, pull = other.unit @ own, other.score(innovation)
+        if held @ held > _SAME * (own @ own):
+            continue
+        others += 1
         as_good += float(pull @ pull) >= score.statistic
-    return as_good < _AS_GOOD
+    return as_good < _AS_GOOD * others
 
 
 def _shifted(twin: Twin, share: float) -> Twin:

@@ -7,7 +7,7 @@ become superfluous is taken out again. Names that are as good as each other are 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,18 @@ from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
-from magyc_gtsam.gap.naming import LEFT, NOISE_LIMIT, WEAK, Found, Look, choices, less, loudest, term_places
+from magyc_gtsam.gap.naming import (
+    LEFT,
+    NOISE_LIMIT,
+    WEAK,
+    Found,
+    Look,
+    choices,
+    less,
+    loudest,
+    term_places,
+    with_forms,
+)
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.objections import ahead_of_names, leftover, stands, switched
 from magyc_gtsam.gap.own_time import in_its_own_time
@@ -159,8 +170,7 @@ def search(
                 except MagycError:
                     failed.add(way.sharp.name)  # a model under which the data cannot be looked at
         if ahead:
-            # Of those that are as good as each other, the one that leaves least to be said.
-            _, state, now = max(ahead, key=lambda one: one[0] - rest(one[2]))
+            _, state, now = _best(ahead)
             failed = set()  # beside another effect it may fit
     # It is in no model, so that what is real of it is still there; of the rest another effect made it seem.
     loud = {noise.name for noise in now.noise if noise.significant}
@@ -180,7 +190,18 @@ def search(
     final = _without(final, weak)
     if final.current is not state.current:
         now = seen(final)
-    return Search(final.recording, final.problem, first, now, final.found, left, slight)
+    return Search(final.recording, final.problem, first, now, with_forms(final.found, now), left, slight)
+
+
+def _best(ahead: Sequence[tuple[float, State, Look]]) -> tuple[float, State, Look]:
+    """Of names as good as each other, with their evidence, the one that leaves least to be said.
+
+    Where each leaves more than all explain, that is something else, and tells nothing of them.
+    """
+    left = [rest(now) for _, _, now in ahead]
+    if min(left) > max(evidence for evidence, _, _ in ahead):
+        left = [0.0] * len(ahead)
+    return max(zip(ahead, left, strict=True), key=lambda one: one[0][0] - one[1])[0]
 
 
 def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:

@@ -9,6 +9,8 @@ outlier effects in time series, 1993.) White innovations are their own residuals
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, median_filter
 
@@ -26,9 +28,17 @@ _PASSES = 8  # of taking wrong samples out of what their neighbours are compared
 
 
 def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
-    """Single samples that are wrong among innovations (3, n) of `level` T: a mixture of two normal distributions."""
+    """Single samples that are wrong among innovations (3, n) of `level` T: a mixture of normal distributions.
+
+    One more than of the noise itself, which has two where the wider one is not rare.
+    """
     order, residual, square, hit = _stand_out(innovation)
-    gain, share, ratio, belongs = _mixture(square)
+    noise, mixture = _one(square), _one(square).with_wider(square)
+    if mixture.share[-1] >= _RARE:
+        noise, mixture = mixture, mixture.with_wider(square)
+        hit &= mixture.belongs[-1] > 0.5
+    gain, share = mixture.likelihood - noise.likelihood, float(mixture.share[-1])
+    ratio, belongs = float(mixture.variance[-1] / mixture.variance[-2]), mixture.belongs[-1]
     # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
     beyond = np.pad(square > _SPIKE**2, 1)
     single = hit & ~beyond[:-2] & ~beyond[2:]
@@ -99,26 +109,31 @@ def _local_scale(square: Array) -> Array:
     return np.maximum(median, max(_LEAST * float(np.median(square)), np.finfo(float).tiny)) / _MEDIAN
 
 
-def _mixture(square: Array) -> tuple[float, float, float, Array]:
-    """Two normal distributions of squared lengths (n,) instead of one, by expectation and maximisation.
+@dataclass(frozen=True, eq=False)
+class _Mixture:
+    """Normal distributions of three axes, wider ones last: log-likelihood, shares and variances (k,), whose (k, n)."""
 
-    Returns:
-        Gain in nats, share of the wide one, its variance over that of the narrow one, and how far each sample belongs
-        to it.
-    """
-    n = len(square)
-    scale = float(np.median(square)) / _MEDIAN
-    share, wide = 0.01, max(float(square.max()) / 3, 4 * scale)
-    gain = 0.0
-    single = float(square.mean()) / 3
-    belongs = np.zeros(n)
-    for _ in range(60):
-        narrow_density = np.log(1 - share) - 1.5 * np.log(scale) - 0.5 * square / scale
-        wide_density = np.log(share) - 1.5 * np.log(wide) - 0.5 * square / wide
-        total = np.logaddexp(narrow_density, wide_density)
-        belongs = np.exp(wide_density - total)
-        gain = float(total.sum() + 1.5 * n * np.log(single) + 1.5 * n)
-        share = float(np.clip(belongs.mean(), 1e-6, 0.5))
-        scale = float(((1 - belongs) @ square) / (3 * max((1 - belongs).sum(), 1)))
-        wide = max(float((belongs @ square) / (3 * max(belongs.sum(), 1e-9))), 1.5 * scale)
-    return gain, share, wide / scale, belongs
+    likelihood: float
+    share: Array
+    variance: Array
+    belongs: Array
+
+    def with_wider(self, square: Array) -> _Mixture:
+        """One more distribution, by expectation and maximisation."""
+        share = np.append(0.99 * self.share, 0.01)
+        variance = np.append(self.variance, max(float(square.max()) / 3, 4 * self.variance[-1]))
+        likelihood, belongs = self.likelihood, self.belongs
+        for _ in range(60):
+            density = np.log(share / variance**1.5)[:, None] - 0.5 * square / variance[:, None]
+            total = np.logaddexp.reduce(density, axis=0)
+            likelihood, belongs = float(total.sum()), np.exp(density - total)
+            share = np.clip(belongs.mean(axis=1), 1e-6, 1.0)
+            variance = (belongs @ square) / (3 * np.maximum(belongs.sum(axis=1), 1e-9))
+            variance[-1] = max(variance[-1], 1.5 * variance[-2])
+        return _Mixture(likelihood, share, variance, belongs)
+
+
+def _one(square: Array) -> _Mixture:
+    """A single normal distribution of squared lengths (n,)."""
+    n, variance = len(square), float(square.mean()) / 3
+    return _Mixture(-1.5 * n * (np.log(variance) + 1), np.ones(1), np.array([variance]), np.ones((1, n)))
