@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,9 +13,11 @@ import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.gap import search
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
 from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.naming import faint
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.result import Gap
@@ -48,6 +52,28 @@ def test_of_names_as_good_the_one_is_taken_that_leaves_least(monkeypatch: pytest
     monkeypatch.setattr("magyc_gtsam.gap.naming.TIE", ALONE)
     # The temperature explains 0.1 nats more, and leaves a part that no temperature explains.
     assert "temperature-hard-iron" in _names(_gap("moderate", 214149218315110, *hidden))
+
+
+def test_what_is_left_decides_only_where_it_is_less_than_what_is_explained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("magyc_gtsam.gap.search.rest", lambda left: left)
+    decided: Any = search._best
+    assert decided([(175.0, "current", 50.0), (169.0, "drift", 5.0)])[1] == "drift"
+    assert decided([(175.0, "current", 220.0), (169.0, "drift", 209.0)])[1] == "current"
+
+
+def test_beside_colour_a_name_must_pass_clearly() -> None:
+    white: Any = (SimpleNamespace(name="timing"),)
+    coloured: Any = (*white, SimpleNamespace(name="coloured-noise"))
+    score: Any = SimpleNamespace(name="eddy-plane", statistic=78.0, threshold=72.0)
+    assert faint(score, coloured)
+    assert not faint(score, white)
+    score.statistic = 102.0
+    assert not faint(score, coloured)
+    # What lies between the settings of a grid may explain more.
+    passed: Any = SimpleNamespace(name="local-anomaly", statistic=85.0, threshold=72.0)
+    assert not faint(passed, coloured)
 
 
 def test_a_name_is_exchanged_for_the_rival_that_explains_more_beside_the_rest(

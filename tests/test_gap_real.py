@@ -160,6 +160,15 @@ def test_what_a_channel_too_slow_to_tell_explains_better_may_be_its(shared_data:
     assert "temperature-gyro" in passed.ambiguous_with
 
 
+def test_what_is_left_of_a_delay_for_its_form_may_be_the_effect(shared_data: Path) -> None:
+    """A plate and the phone's delay explain most of a hysteresis, and the rest of it is little beside the delay."""
+    hidden = Scenario("x", "real", "nexus5_calibration_d1", 158700465263294, (("hysteresis", 1.0),))
+    gap = mg.find_gap(generate(hidden, mg.read(shared_data / "nexus5_calibration_d1.mcap")).recording)
+    assert "hysteresis" not in gap.names
+    late = next(e for e in gap.effects if e.name == "timing")
+    assert "hysteresis" in late.ambiguous_with
+
+
 def test_coarse_steps_of_a_phone_are_no_hold(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They repeat for up to five rows where it is turned slowly; a clock would hold one at a time."""
     hidden = Scenario("x", "real", "nexus5_calibration_d1", 266710381606992, (("quantisation", 1.0),))

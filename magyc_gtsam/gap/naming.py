@@ -22,6 +22,7 @@ SHAPE = 0.08  # share of what was explained that may remain, for effects are not
 _TRACE = 0.03  # share of an effect's statistic below which another may be its form, whatever the name
 _MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
 _AHEAD = 9.0  # nats of evidence from which a rival is behind
+_CLEARLY = 1.4  # thresholds that a name must pass beside coloured noise
 _SPAN = 2.5  # widths within which a second bump belongs to the first
 _OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # with time alone
 _IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
@@ -119,6 +120,8 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
             continue
         if score.evidence < min(shadow, WEAK) and not _untested(score.name, now.refit.twin):
             continue
+        if faint(score, found):
+            continue
         held = sum(term.name == score.name for term in terms)
         if held < TERMS[score.name].most and score.name not in failed:
             (shapes if shape_of(score, now.refit, found) else options).append(score)
@@ -135,6 +138,12 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     behind = max(TIE[0], TIE[1] * options[0].evidence)
     tied = [o for o in options if (1 + TERMS[o.name].between) * o.evidence > options[0].evidence - behind]
     return tied[:_TRIED]
+
+
+def faint(score: Score, found: Sequence[Found]) -> bool:
+    """Whether a name hardly passes beside noise that hangs together: its threshold is by a model of the colour."""
+    coloured = any(f.name == "coloured-noise" for f in found)
+    return coloured and (1 + TERMS[score.name].between) * score.statistic < _CLEARLY * score.threshold
 
 
 def _shadow(now: Look, found: Sequence[Found]) -> float:

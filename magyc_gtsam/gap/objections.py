@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, shape_of, weights
+from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, faint, shape_of, weights
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.score import Projector, Variant, variant
@@ -97,7 +97,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
             continue
         if found and excess < SHAPE * explained:
             continue
-        if not score.generic and shape_of(score, now.refit, found):
+        if not score.generic and (faint(score, found) or shape_of(score, now.refit, found)):
             continue
         result.append(score.name)
     for noise in now.noise:
