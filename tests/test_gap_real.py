@@ -16,6 +16,7 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.chain_search import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.noise_effects import sample_hold
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.simulation import inject
@@ -170,14 +171,21 @@ def test_what_is_left_of_a_delay_for_its_form_may_be_the_effect(shared_data: Pat
 
 
 def test_coarse_steps_of_a_phone_are_no_hold(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They repeat for up to five rows where it is turned slowly; a clock would hold one at a time."""
+    """They repeat for one to five rows where it is turned slowly; a clock would hold one or two at a time."""
     hidden = Scenario("x", "real", "nexus5_calibration_d1", 266710381606992, (("quantisation", 1.0),))
     recording = generate(hidden, mg.read(shared_data / "nexus5_calibration_d1.mcap")).recording
     names = mg.find_gap(recording).names
     assert "quantisation" in names
     assert "sample-hold" not in names
-    monkeypatch.setattr("magyc_gtsam.gap.noise_effects._BY_CHANCE", 1.0)
+    monkeypatch.setattr("magyc_gtsam.gap.noise_effects._BY_CHANCE", 10.0)
     assert "sample-hold" in mg.find_gap(recording).names
+
+
+def test_a_magnetometer_that_holds_two_rows_is_held(shared_data: Path) -> None:
+    """In BROAD, always two: stamped by the rows, its samples would seem 0.7 ms later than they are."""
+    held = sample_hold(mg.read(shared_data / "broad_06_fast_rotation.mcap").between(38, 60))
+    assert held.significant
+    assert held.statistic == pytest.approx(0.3, abs=0.02)
 
 
 def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:

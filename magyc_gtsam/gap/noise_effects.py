@@ -31,8 +31,7 @@ COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
 _LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
 _ROWS = 100  # that a share is told from, at least
-_JITTER = 1.5  # periods of its clock that a sample may be held
-_BY_CHANCE = 0.5  # of the longer repeats that chance alone would give
+_BY_CHANCE = 0.5  # of the way from a clock's variance of how long rows repeat to that of chance
 _MOSTLY = 0.7  # share of the repeated entries that chance must leave over: axes that pause together are no hold
 
 
@@ -206,13 +205,13 @@ def sample_hold(recording: Recording) -> NoiseScore:
     """Entries of the magnetometer's log that repeat the one before them exactly.
 
     A hold repeats all axes together, a coarse step each by itself: of the entries that repeat, those count that the
-    repeats of the single axes do not explain by chance. It lasts for a period of the sensor's clock, and no longer.
+    repeats of the single axes do not explain by chance; it lasts for as many rows as a clock has it.
     """
     own = recording.magnetic_field_stamped
     stale = ~recording.magnetic_field_fresh[own]
     repeats = np.diff(recording.magnetic_field[own], axis=0) == 0
     share = _held_together(recording.time[own], repeats)
-    held = share > max(HELD, _MOSTLY * float(stale.mean())) and _paced(repeats.all(axis=1), share)
+    held = share > max(HELD, _MOSTLY * float(stale.mean())) and _paced(repeats.all(axis=1))
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
         "sample-hold",
@@ -226,15 +225,16 @@ def sample_hold(recording: Recording) -> NoiseScore:
     )
 
 
-def _paced(repeats: np.ndarray, share: float) -> bool:
-    """Whether steps (n,) that repeat, a share of them held, come as by a clock, half a period of jitter allowed.
+def _paced(repeats: np.ndarray) -> bool:
+    """Whether steps (n,) that repeat come as by a clock: for the same number of rows, or one more.
 
-    Coarse steps repeat while the field hardly changes, for as long as it does.
+    Coarse steps repeat while the field hardly changes, for as long as it does: as dice would, or longer.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], repeats.astype(int), [0]])))
     lengths = edges[1::2] - edges[::2]
-    longest = np.ceil(_JITTER * share / max(1 - share, 1e-9))
-    return bool((lengths > longest).mean() <= _BY_CHANCE * repeats.mean() ** longest)
+    mean = float(lengths.mean())
+    clock, chance = (mean % 1) * (1 - mean % 1), mean * (mean - 1)  # variances
+    return bool(lengths.var() <= clock + _BY_CHANCE * max(chance - clock, 0.0) + 1e-9)
 
 
 def _held_together(time: Array, repeats: np.ndarray) -> float:
