@@ -196,6 +196,8 @@ def test_coarse_steps_of_a_motion_that_comes_and_goes_are_no_hold(monkeypatch: p
     coarse = mg.Recording(row / 50, field, random.standard_normal((4000, 3)))
     assert (~coarse.magnetic_field_fresh).mean() > 0.2
     assert not sample_hold(coarse).significant
+    monkeypatch.setattr("magyc_gtsam.gap.noise_effects._ALONE", 1.0)  # nor do they repeat evenly
+    assert not sample_hold(coarse).significant
     monkeypatch.setattr("magyc_gtsam.gap.noise_effects._LOCALLY", 20.0)
     assert sample_hold(coarse).significant
 

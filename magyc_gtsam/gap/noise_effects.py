@@ -31,6 +31,7 @@ COARSE = 0.7  # step in sigmas from which quantisation counts
 HELD = 0.08  # share of rows that repeat exactly
 _LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
 _ROWS = 100  # that a share is told from, at least
+_ALONE = 0.1  # share of the entries of an axis that repeat by themselves, from which its steps are coarse
 _BY_CHANCE = 0.5  # of the way from a clock's variance of how long rows repeat to that of chance
 _MOSTLY = 0.7  # share of the repeated entries that chance must leave over: axes that pause together are no hold
 
@@ -205,13 +206,15 @@ def sample_hold(recording: Recording) -> NoiseScore:
     """Entries of the magnetometer's log that repeat the one before them exactly.
 
     A hold repeats all axes together, a coarse step each by itself: of the entries that repeat, those count that the
-    repeats of the single axes do not explain by chance; it lasts for as many rows as a clock has it.
+    repeats of the single axes do not explain by chance. Where these are many, those of all together must come evenly.
     """
     own = recording.magnetic_field_stamped
     stale = ~recording.magnetic_field_fresh[own]
     repeats = np.diff(recording.magnetic_field[own], axis=0) == 0
     share = _held_together(recording.time[own], repeats)
-    held = share > max(HELD, _MOSTLY * float(stale.mean())) and _paced(repeats.all(axis=1))
+    together = repeats.all(axis=1)
+    coarse = float(repeats.mean() - together.mean()) > _ALONE
+    held = share > max(HELD, _MOSTLY * float(stale.mean())) and (not coarse or _paced(together))
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
         "sample-hold",
