@@ -128,18 +128,15 @@ def _there(result: dict[str, Any]) -> list[Named]:
 def beyond(named: Sequence[Named], hidden: Container[str], already: Already) -> tuple[Named, ...]:
     """What is said of an effect that was put into a recording, beside what is there anyway.
 
-    A name that is there anyway is neither right nor wrong. Nor is one that takes its place: whose set holds what is
-    there anyway, or that is in the set of it, where that was not said by itself. But for a name whose set holds what
-    was put in, did not without it, and where nothing else says so by itself.
+    A name that is there anyway is neither right nor wrong, nor is a set that holds one which was not said by itself;
+    but for a set that holds what was put in, and did not without it.
     """
-    said = {name for name, _ in named}
-    unsaid = already.keys() - said
-    instead = {rival for name in unsaid for rival in already[name]}
+    unsaid = already.keys() - {name for name, _ in named}
 
     def counts(name: str, rivals: tuple[str, ...]) -> bool:
-        if name in hidden or any(r in hidden and r not in {*already.get(name, ()), *said} for r in rivals):
+        if name in hidden or any(r in hidden and r not in already.get(name, ()) for r in rivals):
             return True
-        return name not in already and name not in instead and unsaid.isdisjoint(rivals)
+        return name not in already and unsaid.isdisjoint(rivals)
 
     return tuple(n for n in named if counts(*n))
 
