@@ -155,8 +155,10 @@ def _gyro_scale(s: Signals, setting: Setting) -> Array:
 def _gyro_quadratic(s: Signals, setting: Setting) -> Array:
     """Axis by axis; the scale grows ever less beyond `level` rad/s, where there is one, as that of any sensor must."""
     rate = s.need("rate")
-    size = np.abs(rate)
-    return np.eye(3)[:, :, None] * (rate * size / (1 + size / setting.get("level", np.inf)))
+    grown = np.abs(rate)
+    if "level" in setting:
+        grown = -setting["level"] * np.expm1(-grown / setting["level"])
+    return np.eye(3)[:, :, None] * (rate * grown)
 
 
 def _g_sensitivity(s: Signals, setting: Setting) -> Array:
