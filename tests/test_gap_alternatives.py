@@ -169,5 +169,8 @@ def test_a_weak_name_beside_a_strong_rival_explains_a_fifth_of_it(monkeypatch: p
     assert asked({"misalignment": 300.0, "cubic": 47.0}, 1) == pytest.approx(60.0)
     assert asked({"misalignment": 3000.0, "cubic": 47.0}, 1) == pytest.approx(100.0)
     assert asked({"misalignment": 300.0, "hard-iron-step": 47.0}, 1) == 0
+    # No loop is quite of the form of another.
+    assert asked({"hysteresis": 3000.0, "eddy-plane": 147.0}, 1) == pytest.approx(600.0)
+    assert asked({"hysteresis": 3000.0, "eddy-plane": 147.0}, 1, uneven="eddy-plane") == pytest.approx(600.0)
     assert asked({"timing": 3000.0, "eddy-plane": 47.0}, 1, uneven="eddy-plane") == 0
     assert asked({"timing": 47.0, "eddy-plane": 3000.0}, 0, uneven="eddy-plane") == 0

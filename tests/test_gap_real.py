@@ -14,6 +14,7 @@ from magyc_gtsam import metrics
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.noise_effects import sample_hold
 from magyc_gtsam.gap.result import Gap
@@ -143,6 +144,14 @@ def test_what_a_channel_too_slow_to_tell_explains_better_may_be_its(shared_data:
     assert "temperature-gyro" in passed.ambiguous_with
 
 
+def test_what_warms_up_behind_the_thermometer_may_be_a_drift_in_half_a_minute(shared_data: Path) -> None:
+    """Of the lags that are looked for, 28 s hold none."""
+    hidden = Scenario("x", "real", "nexus5_calibration_d1", 276434416037446, (("temperature-hard-iron", 1.0),))
+    gap = mg.find_gap(generate(hidden, mg.read(shared_data / "nexus5_calibration_d1.mcap")).recording)
+    drift = next(e for e in gap.effects if e.name == "hard-iron-drift")
+    assert "temperature-hard-iron" in drift.ambiguous_with
+
+
 def test_what_is_left_of_a_delay_for_its_form_may_be_the_effect(shared_data: Path) -> None:
     """A plate and the phone's delay explain most of a hysteresis, and the rest of it is little beside the delay."""
     hidden = Scenario("x", "real", "nexus5_calibration_d1", 158700465263294, (("hysteresis", 1.0),))
@@ -150,6 +159,34 @@ def test_what_is_left_of_a_delay_for_its_form_may_be_the_effect(shared_data: Pat
     assert "hysteresis" not in gap.names
     late = next(e for e in gap.effects if e.name == "timing")
     assert "hysteresis" in late.ambiguous_with
+
+
+def test_a_matrix_of_eddy_currents_becomes_the_delay_once_the_loop_is_known(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before a hysteresis is in the model, a matrix explains more of it, and of the delay, than any other name."""
+    hidden = Scenario("x", "real", "broad_32", 109766625713881, (("hysteresis", 1.0),))
+    recording = generate(
+        hidden, mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
+    ).recording
+    names = mg.find_gap(recording).names
+    assert {"hysteresis", "timing"} <= set(names)
+    assert "eddy-plane" not in names
+    monkeypatch.setattr("magyc_gtsam.gap.search.with_exchange", lambda *_: None)
+    assert "timing" not in mg.find_gap(recording).names
+
+
+def test_what_a_loop_leaves_for_its_form_is_no_plate(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fifth of what the loop explained at the noise without it, a tenth of what it explains with it."""
+    hidden = Scenario("x", "real", "nexus5_augmented_reality", 106057416373883, (("hysteresis", 1.0),))
+    recording = generate(hidden, mg.read(shared_data / "nexus5_augmented_reality.mcap")).recording
+    gap = mg.find_gap(recording)
+    assert gap.names == ("hysteresis",)
+    assert gap.effects[0].ambiguous_with == ("eddy-plane", "timing")
+    exact = replace(TERMS["hysteresis"], rough=False)
+    monkeypatch.setattr("magyc_gtsam.gap.naming.TERMS", {**TERMS, "hysteresis": exact})
+    monkeypatch.setattr("magyc_gtsam.gap.steps.TERMS", {**TERMS, "hysteresis": exact})
+    assert "eddy-plane" in mg.find_gap(recording).names
 
 
 def test_coarse_steps_of_a_phone_are_no_hold(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, less, term_places
-from magyc_gtsam.gap.noise_effects import coloured_noise, sample_hold, tone
+from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, sample_hold, tone
 from magyc_gtsam.gap.objections import switched
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import determined, refit, with_term
@@ -82,6 +82,21 @@ def test_the_pattern_of_the_stamps_is_no_line() -> None:
     after_a_hole = np.array([[0.5], [0.0], [0.2]]) * (np.diff(np.flatnonzero(kept), prepend=-1) > 1)
     for other in (constant, after_a_hole):
         assert not tone(white + other, time, 1e-6, NOISE_LIMIT, 1.0).significant
+
+
+def test_at_half_the_rate_there_is_no_line() -> None:
+    """There a line meets its own mirror image: how much of it is seen is a matter of its phase."""
+    kept = np.tile(np.isin(np.arange(20), (1, 2, 6, 7, 12, 17), invert=True), 600)
+    time = np.flatnonzero(kept) / 285.7
+    white = np.random.default_rng(1).standard_normal((3, len(time)))
+
+    def found(frequency: float) -> NoiseScore:
+        line = np.array([0.0, 0.12, 0.08])[:, None] * np.cos(2 * np.pi * frequency * time)
+        return tone(white + line, time, 1e-6, NOISE_LIMIT)
+
+    half = 0.5 * 285.7
+    assert found(0.99 * half).significant
+    assert not found(half - 0.5 / time[-1]).significant
 
 
 def test_axes_that_pause_together_are_not_held() -> None:

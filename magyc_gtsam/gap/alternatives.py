@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import TIE, Found, Look, choices, less, related, term_places
@@ -92,22 +94,30 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
     if own.variant.setting.get("order", 0) < term.setting.get("order", 0):
         return None  # it has more modes than are tried before it is in the model
     options = choices(now, without.found, set())
+    # A matrix of eddy currents that is no choice any more may be no more than the delay.
+    matrix = bool(term.setting.get("full")) and not _wanted(one.name, now, without)
+    ahead_by = -np.inf if matrix else TIE[0]
     rivals = [(at_sharpest(option, now), option) for option in options if related(one.name, option.name)]
     for sharp, rival in sorted(rivals, key=lambda pair: -pair[0].evidence):
-        if sharp.evidence < own.evidence + TIE[0]:
+        if sharp.evidence < own.evidence + ahead_by:
             break
         added = terms_of(rival.name, current, sharp.variant.setting)
         if len(added) > 1 or len(added[0].value) > len(term.value):
             continue  # of more values, and so explains more whatever it is
         ahead = tried(without, now, rival, sharp).state
-        if ahead is not None:
-            (newcomer,) = _newcomers(ahead, without)
-            # It explains what the other did, and more.
-            statistic = one.statistic + newcomer.statistic - own.statistic
-            evidence = one.evidence + newcomer.evidence - own.evidence
-            stronger = replace(newcomer, statistic=statistic, evidence=evidence)
-            return replace(ahead, found=tuple(stronger if f is newcomer else f for f in ahead.found))
+        if ahead is None or (matrix and _wanted(one.name, seen(ahead), ahead)):
+            continue  # it cannot be fitted, or there are plates beside the delay
+        (newcomer,) = _newcomers(ahead, without)
+        # It explains what the other did, and more.
+        statistic = one.statistic + newcomer.statistic - own.statistic
+        evidence = one.evidence + newcomer.evidence - own.evidence
+        stronger = replace(newcomer, statistic=statistic, evidence=evidence)
+        return replace(ahead, found=tuple(stronger if f is newcomer else f for f in ahead.found))
     return None
+
+
+def _wanted(name: str, now: Look, state: State) -> bool:
+    return any(option.name == name for option in choices(now, state.found, set()))
 
 
 def _newcomers(ahead: State, before: State) -> list[Found]:

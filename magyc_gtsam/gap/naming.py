@@ -193,21 +193,23 @@ def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
         near = score.name == term.name == "local-anomaly"
         if near and abs(at["time"] - term.setting["time"]) < _SPAN * (at["width"] + term.setting["width"]):
             return True
-    explained = [f.statistic for f in found if f.name in TERMS] + weights(current)
-    if score.statistic < _TRACE * max(explained, default=0.0):
+    places = term_places(found, current.model)
+    most = max([f.statistic for f in found if f.name in TERMS] + weights(current), default=0.0)
+    if score.statistic < _TRACE * most:
         return True
     if score.name == "hard-iron-step" and any(
         f.name == "hard-iron-drift" and score.statistic < f.statistic for f in found
     ):
         return True  # a slow change that is steeper here than there, not something that jumped
-    if at.get("uneven"):
-        return False  # no filter of all axes alike leaves something else on each
-    return any(
-        f.name in TERMS
-        and (related(f.name, score.name) or f.name == score.name)
-        and score.statistic < LEFT * f.statistic
-        for f in found
-    )
+    for place, index in places.items():
+        one, rough = found[place], TERMS[found[place].name].rough
+        if not related(one.name, score.name) and one.name != score.name:
+            continue
+        if at.get("uneven") and not rough:
+            continue  # no filter of all axes alike leaves something else on each
+        if score.statistic < LEFT * max(one.statistic, current.weight_of(index) if rough else 0.0):
+            return True
+    return False
 
 
 def with_forms(found: tuple[Found, ...], now: Look) -> tuple[Found, ...]:
@@ -234,7 +236,8 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
     """Names that this motion cannot tell from the chosen one.
 
     Those beside which it adds nothing, those it is known to be confused with that explain as much (nearly as much,
-    where one has many shapes), and for what changes with time those whose channel is missing.
+    where one has many shapes), for what changes with time those whose channel is missing, and for what drifts
+    those that are too slow for this recording.
     """
     result = []
     for rival in now.scores:
@@ -251,7 +254,8 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         slow = rival.significant and now.gains.get(rival.name) == 0.0 and behind < 0 and choice.name in _OF_TIME
         if alike or slow or (related(choice.name, rival.name) and (tied or (shapes and close))):
             result.append(rival.name)
-    return (*result, *_untested(choice.name, now.refit.twin))
+    twin = now.refit.twin
+    return tuple(dict.fromkeys((*result, *_untested(choice.name, twin), *_too_slow(choice.name, twin))))
 
 
 def _untested(name: str, twin: Twin) -> list[str]:
@@ -259,6 +263,15 @@ def _untested(name: str, twin: Twin) -> list[str]:
     if name not in _OF_TIME:
         return []
     return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
+
+
+def _too_slow(name: str, twin: Twin) -> list[str]:
+    """What else something of many shapes may be, were the recording long enough to tell."""
+    if not TERMS[name].many_shapes:
+        return []
+    duration = float(twin.time[-1] - twin.time[0])
+    slow = {other for other, term in TERMS.items() if term.slowest > 0.5 * duration and not term.missing(twin)}
+    return [other for other in TERMS[name].rivals if other in slow]
 
 
 def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:

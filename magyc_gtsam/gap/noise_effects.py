@@ -106,7 +106,8 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     pattern, _ = _periodogram(grid[3:], 1 / step)
     of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > _PATTERN * len(time) ** 2
     power = np.where(of_pattern, 0.0, power * grid.shape[1] / len(time))
-    below = frequency < (0.5 - 0.25 / len(time)) / (_CELLS * step)
+    # What leaks at half the rate meets its own mirror image there.
+    below = frequency < (0.5 - (_LEAKS + 0.5) / len(time)) / (_CELLS * step)
     return power[below], frequency[below]
 
 

@@ -12,6 +12,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.coarse import unrounded
+from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.naming import (
     LEFT,
@@ -194,11 +195,16 @@ def _backwards(state: State) -> State:
 
 def _asked(current: Refit, index: int, found: Iterable[int]) -> float:
     """What a term must explain lest it be no more than the form of its strongest rival among those found."""
-    terms = current.model.terms
-    if terms[index].setting.get("uneven"):
-        return 0.0  # no filter of all axes alike leaves something else on each
-    rivals = [i for i in found if related(terms[i].name, terms[index].name) and not terms[i].setting.get("uneven")]
-    return min(LEFT * max((current.weight_of(i) for i in rivals), default=0.0), 2 * WEAK)
+    own, most = current.model.terms[index], 0.0
+    for place in found:
+        rival, rough = current.model.terms[place], TERMS[current.model.terms[place].name].rough
+        if not related(rival.name, own.name):
+            continue
+        if not rough and (own.setting.get("uneven") or rival.setting.get("uneven")):
+            continue  # no filter of all axes alike leaves something else on each
+        asked = LEFT * current.weight_of(place)
+        most = max(most, asked if rough else min(asked, 2 * WEAK))
+    return most
 
 
 def _without(recording: Recording, fine: Fine, spikes: NoiseScore) -> Recording:

@@ -132,6 +132,7 @@ TEMPERATURE = EffectTerm(
     motion="let the temperature rise AND fall during the recording, so that it is no clock",
     settings=lagged,
     refined=lagged_nearby,
+    slowest=_LAGS[-1],
     products=("reading", "gain", "field"),
 )
 STEP = EffectTerm(

@@ -97,4 +97,5 @@ HYSTERESIS = EffectTerm(
     motion="turn through the same headings slowly and fast, both ways",
     settings=_loops,
     refined=_loops_nearby,
+    rough=True,
 )
