@@ -84,6 +84,18 @@ def test_the_pattern_of_the_stamps_is_no_line() -> None:
         assert not tone(white + other, time, 1e-6, NOISE_LIMIT, 1.0).significant
 
 
+def test_noise_along_one_axis_is_no_line() -> None:
+    """The power of one axis has a longer tail than the mean of three."""
+    white = [np.random.default_rng(seed).standard_normal((3, 6000)) for seed in range(60)]
+    misfit = [np.array([[0.3], [0.3], [1.7]]) * one for one in white]
+    evidence = [[tone(v, np.arange(6000) / 10, 1e-6, NOISE_LIMIT).evidence for v in each] for each in (white, misfit)]
+    assert np.mean(evidence[1]) == pytest.approx(np.mean(evidence[0]), abs=0.3)
+    line = np.array([[0.05], [0.0], [0.0]]) * np.cos(2 * np.pi * 3.1 * np.arange(6000) / 10)
+    found = tone(misfit[0] + line, np.arange(6000) / 10, 1e-6, NOISE_LIMIT)
+    assert found.significant
+    assert found.value[0] == pytest.approx(0.05e-6, rel=0.5)
+
+
 def test_at_half_the_rate_there_is_no_line() -> None:
     """There a line meets its own mirror image: how much of it is seen is a matter of its phase."""
     kept = np.tile(np.isin(np.arange(20), (1, 2, 6, 7, 12, 17), invert=True), 600)

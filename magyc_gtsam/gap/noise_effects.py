@@ -24,6 +24,7 @@ _LEAKS = 2  # bins to each side of a line into which it leaks
 _CELLS = 4  # of the grid per sample: at half the rate, rounding to them takes 3 % of an amplitude
 _EMPTY = 8.0  # times the samples, that a recording may last for its holes to be kept
 _PATTERN = 1e-3  # share of a constant's power that uneven stamps put at a frequency, from which it is their own
+_FLAT = 1e-6  # of the largest variance, below which a direction says nothing
 _LOWEST_BINS = 5  # of a tone: slower ones are drifts
 _LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
 _ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
@@ -63,9 +64,10 @@ class NoiseScore:
 def tone(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
     """A line in the spectrum of (3, n) innovations of unit variance at `time` (n,) s, `level` T each.
 
-    Below `edge` Hz the motion itself makes lines of whatever is missing; one there is no tone by name.
+    Below `edge` Hz the motion itself makes lines of whatever is missing; one there is no tone by name. A misfit may be
+    larger along one direction than along the others, whose noise would then hardly count: all are made as large.
     """
-    power, frequency = _periodogram_of(innovation, time, edge)
+    power, frequency = _periodogram_of(_as_large(innovation), time, edge)
     floor = np.maximum(_running_median(power), _beside(power)) / _MEDIAN
     height = power / np.maximum(floor, 0.3)
     surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
@@ -74,7 +76,8 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
     evidence = float(surprise[best] - np.log(len(frequency)))
     limit = limit + UNSURE
     needed = limit + np.log(len(frequency))
-    amplitude = 2 * np.sqrt(power[best] / innovation.shape[1]) * level
+    read, _ = _periodogram_of(innovation, time, edge)
+    amplitude = 2 * np.sqrt(read[best] / innovation.shape[1]) * level
     return NoiseScore(
         "tone",
         2 * float(height[best]),
@@ -85,6 +88,14 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
         np.array([amplitude / np.sqrt(max(2 * height[best], 1e-9))]),
         {"frequency": float(frequency[best])},
     )
+
+
+def _as_large(innovation: Array) -> Array:
+    """(3, n) of unit variance in every direction."""
+    variance, direction = np.linalg.eigh(innovation @ innovation.T / innovation.shape[1])
+    scale = np.sqrt(np.maximum(variance, _FLAT * variance[-1]))
+    result: Array = (direction / scale).T @ innovation
+    return result
 
 
 def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array, Array]:
