@@ -88,7 +88,9 @@ def test_noise_along_one_axis_is_no_line() -> None:
     """The power of one axis has a longer tail than the mean of three."""
     white = [np.random.default_rng(seed).standard_normal((3, 6000)) for seed in range(60)]
     misfit = [np.array([[0.3], [0.3], [1.7]]) * one for one in white]
-    evidence = [[tone(v, np.arange(6000) / 10, 1e-6, NOISE_LIMIT).evidence for v in each] for each in (white, misfit)]
+    evidence = [
+        [tone(v, np.arange(6000) / 10, 1e-6, NOISE_LIMIT).evidence for v in each] for each in (white, misfit)
+    ]
     assert np.mean(evidence[1]) == pytest.approx(np.mean(evidence[0]), abs=0.3)
     line = np.array([[0.05], [0.0], [0.0]]) * np.cos(2 * np.pi * 3.1 * np.arange(6000) / 10)
     found = tone(misfit[0] + line, np.arange(6000) / 10, 1e-6, NOISE_LIMIT)
