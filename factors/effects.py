@@ -182,8 +182,11 @@ def _local_anomaly(s: Signals, setting: Setting) -> Array:
 
 
 def _saturation(s: Signals, setting: Setting) -> Array:
+    """What is beyond the level, which may be reached with a knee of some width, as cores do."""
     reading = s.need("field") + s.need("hard_iron")[:, None]
-    return -(np.sign(reading) * np.maximum(np.abs(reading) - setting["level"], 0.0))[None]
+    beyond, knee = np.abs(reading) - setting["level"], setting.get("knee", 0.0)
+    lost = knee * np.logaddexp(0.0, beyond / knee) if knee > 0 else np.maximum(beyond, 0.0)
+    return -(np.sign(reading) * lost)[None]
 
 
 def _cubic(s: Signals, setting: Setting) -> Array:

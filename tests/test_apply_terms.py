@@ -46,7 +46,11 @@ def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "value", "setting"),
-    [("cubic", [250e-6, -4e-6, 20e-6], {}), ("saturation", [0.75], {"level": 30e-6})],
+    [
+        ("cubic", [250e-6, -4e-6, 20e-6], {}),
+        ("saturation", [0.75], {"level": 30e-6}),
+        ("saturation", [0.75], {"level": 30e-6, "knee": 4e-6}),
+    ],
 )
 def test_a_reading_that_is_bent_much_is_straightened(
     name: str, value: list[float], setting: dict[str, float]

@@ -144,6 +144,21 @@ def test_what_a_channel_too_slow_to_tell_explains_better_may_be_its(shared_data:
     assert "temperature-gyro" in passed.ambiguous_with
 
 
+def test_a_core_saturates_softly(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On one side of one axis, where a power of the field explains more than what lies beyond a level does."""
+    seed = 251224500127924
+    hidden = Scenario("x", "real", "nexus5_augmented_reality", seed, (("saturation", 1.0),))
+    recording = generate(hidden, mg.read(shared_data / "nexus5_augmented_reality.mcap")).recording
+    gap = mg.find_gap(recording)
+    assert gap.verdict == "closed"
+    (effect,) = [e for e in gap.effects if e.name != "coloured-noise"]
+    assert effect.name == "saturation"
+    assert effect.setting["knee"] > 0
+    assert "softly" in effect.sentence
+    monkeypatch.setattr("magyc_gtsam.gap.effects.response._KNEES", ())
+    assert "saturation" not in mg.find_gap(recording).names
+
+
 def test_what_warms_up_behind_the_thermometer_may_be_a_drift_in_half_a_minute(shared_data: Path) -> None:
     """Of the lags that are looked for, 28 s hold none."""
     hidden = Scenario("x", "real", "nexus5_calibration_d1", 276434416037446, (("temperature-hard-iron", 1.0),))

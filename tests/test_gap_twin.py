@@ -158,7 +158,11 @@ def test_columns_are_derivatives_of_the_innovations(twin: Twin) -> None:
 
 @pytest.mark.parametrize(
     ("name", "setting", "value"),
-    [("saturation", {"level": 38e-6}, [0.7]), ("cubic", {}, [2e-6, -1e-6, 3e-6])],
+    [
+        ("saturation", {"level": 38e-6}, [0.7]),
+        ("saturation", {"level": 38e-6, "knee": 4e-6}, [0.7]),
+        ("cubic", {}, [2e-6, -1e-6, 3e-6]),
+    ],
 )
 def test_a_reading_that_bends_is_linearised_as_it_is_bent(
     twin: Twin, name: str, setting: dict[str, float], value: list[float]

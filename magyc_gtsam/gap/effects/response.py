@@ -11,6 +11,7 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.twin import Twin
 
 _CLIPPED = 0.12  # of what is beyond a level, lost where it clips; less is a slight bend, and a gain none at all
+_KNEES = (0.05, 0.15)  # of the largest reading, over which a core saturates
 _WIDTHS = (0.03, 0.15, 0.6)  # of a loop, in spans of the field
 
 
@@ -21,11 +22,14 @@ def _reading(twin: Twin) -> Array:
 
 def _levels(twin: Twin) -> list[dict[str, float]]:
     largest = float(_reading(twin).max())
-    return [{"level": largest * share} for share in (0.6, 0.7, 0.78, 0.84, 0.89, 0.93, 0.96, 0.98)]
+    shares = (0.6, 0.7, 0.78, 0.84, 0.89, 0.93, 0.96, 0.98)
+    return [{"level": largest * share, "knee": largest * knee} for knee in (0.0, *_KNEES) for share in shares]
 
 
 def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    return [{"level": setting["level"] * share} for share in np.linspace(0.93, 1.07, 15)]
+    near = [{"level": setting["level"] * share, "knee": setting["knee"]} for share in np.linspace(0.93, 1.07, 15)]
+    knees = [{"level": setting["level"], "knee": setting["knee"] * share} for share in (0.5, 0.7, 1.4, 2.0)]
+    return near + (knees if setting["knee"] else [])
 
 
 def _loops(twin: Twin) -> list[dict[str, float]]:
@@ -42,7 +46,8 @@ def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the magnetometer clips at about {setting['level'] * 1e6:.0f} µT: raise its range, or move the magnet away"
+    how = "saturates softly from" if setting.get("knee") else "clips at"
+    return f"the magnetometer {how} about {setting['level'] * 1e6:.0f} µT: raise its range, or move the magnet away"
 
 
 def _say_cubic(value: Array, sigma: Array, setting: Setting) -> str:
