@@ -47,7 +47,9 @@ def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
     how = "saturates softly from" if setting.get("knee") else "clips at"
-    return f"the magnetometer {how} about {setting['level'] * 1e6:.0f} µT: raise its range, or move the magnet away"
+    return (
+        f"the magnetometer {how} about {setting['level'] * 1e6:.0f} µT: raise its range, or move the magnet away"
+    )
 
 
 def _say_cubic(value: Array, sigma: Array, setting: Setting) -> str:
