@@ -121,7 +121,7 @@ def test_what_clips_takes_away(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _anything(name: str) -> EffectTerm:
-    return replace(TERMS[name], possible=lambda _: True)
+    return replace(TERMS[name], possible=lambda *_: True)
 
 
 def test_of_two_steps_the_one_that_stays_has_all_their_evidence() -> None:

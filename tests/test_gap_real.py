@@ -144,6 +144,20 @@ def test_what_a_channel_too_slow_to_tell_explains_better_may_be_its(shared_data:
     assert "temperature-gyro" in passed.ambiguous_with
 
 
+def test_a_loop_as_wide_as_the_field_allows_is_none(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It never closes: a bent gain, of what a temperature leaves that comes late."""
+    hidden = Scenario("x", "real", "broad_32", 113857388251021, (("temperature-hard-iron", 1.0),))
+    recording = generate(
+        hidden, mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
+    ).recording
+    gap = mg.find_gap(recording)
+    assert "temperature-hard-iron" in gap.names
+    assert "hysteresis" not in gap.names
+    assert next(h for h in gap.hypotheses if h.name == "hysteresis").status == "slight"
+    monkeypatch.setattr("magyc_gtsam.gap.effects.response._NO_LOOP", 1.1)
+    assert "hysteresis" in mg.find_gap(recording).names
+
+
 def test_a_core_saturates_softly(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On one side of one axis, where a power of the field explains more than what lies beyond a level does."""
     seed = 251224500127924

@@ -71,7 +71,8 @@ def determined(result: Refit, index: int) -> bool:
 def possible(result: Refit, index: int) -> bool:
     """Whether the value of the model's term `index` is any that its effect can have."""
     value, _ = result.value_of(index)
-    return TERMS[result.model.terms[index].name].possible(value)
+    term = result.model.terms[index]
+    return TERMS[term.name].possible(result.twin, value, term.setting)
 
 
 def small(result: Refit, index: int) -> bool:

@@ -12,7 +12,9 @@ from magyc_gtsam.gap.twin import Twin
 
 _CLIPPED = 0.12  # of what is beyond a level, lost where it clips; less is a slight bend, and a gain none at all
 _KNEES = (0.05, 0.15)  # of the largest reading, over which a core saturates
-_WIDTHS = (0.03, 0.15, 0.6)  # of a loop, in spans of the field
+_LOOP = 0.3  # of the field's span, that a loop may be wide
+_WIDTHS = (0.1, 0.33, 1.0)  # of the widest, that are tried
+_NO_LOOP = 0.95  # of the widest, from which it would be wider if it might
 
 
 def _reading(twin: Twin) -> Array:
@@ -34,13 +36,17 @@ def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 def _loops(twin: Twin) -> list[dict[str, float]]:
     """Each axis by itself, and along thirteen directions, of several widths."""
-    span = float(np.ptp(twin.windows.need("field"), axis=1).max())
-    return [where | {"width": span * share} for share in _WIDTHS for where in ({}, *directions())]
+    widths = [_widest(twin) * share for share in _WIDTHS]
+    return [where | {"width": width} for width in widths for where in ({}, *directions())]
+
+
+def _widest(twin: Twin) -> float:
+    """T, of a loop that closes: a wider one is a bent gain."""
+    return _LOOP * float(np.ptp(twin.windows.need("field"), axis=1).max())
 
 
 def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    span = float(np.ptp(twin.windows.need("field"), axis=1).max())  # a wider loop would be no loop but a gain
-    widths = [min(setting["width"] * share, span) for share in (0.5, 0.7, 1.0, 1.4, 2.0)]
+    widths = [min(setting["width"] * share, _widest(twin)) for share in (0.5, 0.7, 1.0, 1.4, 2.0)]
     where = [{}] if "x" not in setting else directions_nearby(setting)
     return [place | {"width": width} for width in widths for place in where]
 
@@ -75,7 +81,7 @@ SATURATION = EffectTerm(
     motion="turn over, so that each axis sees its largest field in both directions",
     settings=_levels,
     refined=_levels_nearby,
-    possible=lambda value: bool(value[0] > _CLIPPED),
+    possible=lambda twin, value, setting: bool(value[0] > _CLIPPED),
 )
 CUBIC = EffectTerm(
     name="cubic",
@@ -104,5 +110,6 @@ HYSTERESIS = EffectTerm(
     motion="turn through the same headings slowly and fast, both ways",
     settings=_loops,
     refined=_loops_nearby,
+    possible=lambda twin, value, setting: setting["width"] < _NO_LOOP * _widest(twin),
     rough=True,
 )

@@ -48,7 +48,7 @@ class EffectTerm:
         refined: settings beside a found one, closer than the grid; empty where there is no grid.
         block: s, longest block of the held-out veto for a setting.
         most: how many of it one model may hold.
-        possible: whether fitted values (SI) are any that it can have; what is not is some other effect.
+        possible: whether fitted values (SI) at a setting are any that it can have; what is not is some other effect.
         many_shapes: its values make many shapes, of which only those are tried that the motion determines.
         alike: generic families a narrow part of which may look like it, so that it must explain clearly more.
         products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
@@ -74,7 +74,7 @@ class EffectTerm:
     block: Callable[[Setting], float] = lambda setting: 10.0
     most: int = 1
     least: float = 0.0
-    possible: Callable[[Array], bool] = lambda value: True
+    possible: Callable[[Twin, Array, Setting], bool] = lambda twin, value, setting: True
     many_shapes: bool = False
     alike: tuple[str, ...] = ()
     products: tuple[str, ...] = ()
