@@ -11,31 +11,15 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
 from magyc_gtsam.estimators.faults import without_faults
-from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
 from magyc_gtsam.gap.discrete import moving, settled
-from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
-from magyc_gtsam.gap.fine import fine_innovations
-from magyc_gtsam.gap.metrics import measure
-from magyc_gtsam.gap.moved import against, contradiction, moved
-from magyc_gtsam.gap.naming import as_found, term_places
-from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
+from magyc_gtsam.gap.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import (
-    Refit,
-    as_calibration,
-    determined,
-    refit,
-    tempered,
-    unmoved,
-    widened,
-    without_term,
-)
-from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verdict
-from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
-from magyc_gtsam.gap.score import DRAWS
+from magyc_gtsam.gap.refit import Refit, as_calibration, refit, widened
+from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.search import Search, search
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
@@ -122,11 +106,11 @@ def _looked(
     elif noiseless(recording):
         reasons = f"the magnetometer has no measurable noise (under {LEAST * 1e9:.2g} nT): {_SILENT}", _ADD_NOISE
     if reasons is not None:
-        gap = _nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
+        gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
     result = search(recording, base, short_term, names, _problem, report)
     report(0.8)
-    gap = _gap(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
+    gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
 
 
@@ -186,110 +170,3 @@ def _determined(recording: Recording, base: Refit, short_term: Noise) -> Observa
     assert fitted.field_strength is not None
     share = min(1.0, (short_term.magnetometer / base.model.noise.magnetometer) ** 2)
     return assess(share * fitted.covariance, fitted.soft_iron, fitted.field_strength, recording)
-
-
-def _nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibration | None, seconds: float) -> Gap:
-    fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
-    sentence = f"not enough information: {reason}; nothing was tested"
-    fitted = replace(fitted, converged=False, message=sentence)
-    metrics = measure(base.twin, fitted)
-    return Gap(
-        verdict="not enough information",
-        sentence=sentence,
-        effects=(),
-        untested=(),
-        hypotheses=(),
-        remaining=(),
-        before=metrics,
-        after=metrics,
-        moved=(),
-        calibration=fitted,
-        base=fitted,
-        next_manoeuvre=Manoeuvre((), remedy, f"to learn anything: {remedy}"),
-        diagnostics={"windows": base.twin.n, "draws": 0, "seconds": seconds, "leftover": []},
-    )
-
-
-def _gap(
-    result: Search,
-    base: Refit,
-    short_term: Noise,
-    calibration: Calibration | None,
-    names: tuple[str, ...],
-    discrete: tuple[NoiseScore, ...],
-    seconds: float,
-) -> Gap:
-    strength = None if calibration is None else calibration.field_strength
-    first, plain = result.first, widened(result.last.refit)
-    base, held = widened(base), tempered(result.problem, result.last.refit, short_term)
-    last = replace(result.last, refit=widened(held))
-    found = (*(as_found(score) for score in discrete if score.significant), *result.found)
-    again = {f.name for f in found}
-    known = tuple(
-        t
-        for t in (calibration.terms if calibration is not None else ())
-        if t.name == "tone" or (t.side is None and t.name not in again)
-    )
-    added = tuple(
-        Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
-        for f in found
-        if f.noise is not None
-    )
-    open_places = {
-        place: index
-        for place, index in term_places(found, plain.model).items()
-        if found[place].unsure or not determined(plain, index)
-    }
-    corrected, fine = last.refit, last.fine
-    if open_places:
-        model = held.model
-        for index in reversed(open_places.values()):
-            model = without_term(model, index)
-        corrected = widened(refit(result.problem, model, short_term))
-    if corrected.model is not result.last.refit.model:
-        fine = fine_innovations(result.recording, corrected.model)
-    started = as_calibration(base, strength, known)
-    final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
-    catalogue = "in the catalogue" if names == NAMES else "among the candidates"
-    effects = describe(found, last.refit, open_places)
-    word, sentence = verdict(effects, result.leftover, last, catalogue)
-    applied = word in ("closed", "open")
-    effects = effects if applied else ()
-    before = measure(first.refit.twin, started, first.fine)
-    after = before
-    if any(effect.applied for effect in effects) and result.found:
-        after = measure(corrected.twin, final, fine)
-        before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
-    untested = tuple(
-        Untested(
-            n, LABELS[n], f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or it stands still"
-        )
-        for n in names
-        if n in TERMS and TERMS[n].missing(base.twin)
-    )
-    tested = hypotheses(first, names, found, word, discrete, result.leftover, result.slight)
-    if word == "none":
-        sentence = f"{sentence}; {unseen(tested, len(untested))}"
-    contradicted = () if calibration is None else against(calibration, started)
-    if contradicted and word == "none":
-        word = "closed"  # by the fit: the calibration was the model, and it does not hold
-    return Gap(
-        verdict=word,
-        sentence=contradiction(contradicted) + sentence,
-        effects=effects,
-        untested=untested,
-        hypotheses=tested,
-        remaining=hypotheses(last, names, (), word, (), result.leftover, result.slight) if result.found else (),
-        before=before,
-        after=after,
-        moved=contradicted + (moved(started, final) if applied else ()),
-        calibration=final if applied else started,
-        base=started,
-        next_manoeuvre=manoeuvre(first, found, word, open_places),
-        diagnostics={
-            "windows": first.refit.twin.n,
-            "draws": DRAWS,
-            "seconds": seconds,
-            "leftover": list(result.leftover),
-        },
-    )

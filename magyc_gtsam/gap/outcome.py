@@ -1,0 +1,172 @@
+"""The gap that a search has found: what is said of it, the calibration with it, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.fine import Fine, fine_innovations
+from magyc_gtsam.gap.metrics import measure
+from magyc_gtsam.gap.moved import against, contradiction, moved
+from magyc_gtsam.gap.naming import Found, Look, as_found, term_places
+from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.refit import (
+    Refit,
+    as_calibration,
+    determined,
+    refit,
+    tempered,
+    unmoved,
+    widened,
+    without_term,
+)
+from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verdict
+from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
+from magyc_gtsam.gap.score import DRAWS
+from magyc_gtsam.gap.search import Search
+
+
+def nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibration | None, seconds: float) -> Gap:
+    """The verdict "not enough information", for a reason, with what would help."""
+    fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
+    sentence = f"not enough information: {reason}; nothing was tested"
+    fitted = replace(fitted, converged=False, message=sentence)
+    metrics = measure(base.twin, fitted)
+    return Gap(
+        verdict="not enough information",
+        sentence=sentence,
+        effects=(),
+        untested=(),
+        hypotheses=(),
+        remaining=(),
+        before=metrics,
+        after=metrics,
+        moved=(),
+        calibration=fitted,
+        base=fitted,
+        next_manoeuvre=Manoeuvre((), remedy, f"to learn anything: {remedy}"),
+        diagnostics={"windows": base.twin.n, "draws": 0, "seconds": seconds, "leftover": []},
+    )
+
+
+def gap_of(
+    result: Search,
+    base: Refit,
+    short_term: Noise,
+    calibration: Calibration | None,
+    names: tuple[str, ...],
+    discrete: tuple[NoiseScore, ...],
+    seconds: float,
+) -> Gap:
+    """The gap that a search has found.
+
+    Args:
+        result: of the search.
+        base: the model that it began with.
+        short_term: noise of the sensors between neighbouring samples.
+        calibration: the one given, if any.
+        names: candidates.
+        discrete: scores of what was settled before the search (held samples, exchanged axes).
+        seconds: that it took.
+    """
+    strength = None if calibration is None else calibration.field_strength
+    first, plain = result.first, widened(result.last.refit)
+    base, held = widened(base), tempered(result.problem, result.last.refit, short_term)
+    last = replace(result.last, refit=widened(held))
+    found = (*(as_found(score) for score in discrete if score.significant), *result.found)
+    known, added = _on_noise(calibration, found)
+    open_places = {
+        place: index
+        for place, index in term_places(found, plain.model).items()
+        if found[place].unsure or not determined(plain, index)
+    }
+    corrected, fine = _corrected(result, last, held, open_places.values(), short_term)
+    started = as_calibration(base, strength, known)
+    final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
+    catalogue = "in the catalogue" if names == NAMES else "among the candidates"
+    effects = describe(found, last.refit, open_places)
+    word, sentence = verdict(effects, result.leftover, last, catalogue)
+    applied = word in ("closed", "open")
+    effects = effects if applied else ()
+    before = measure(first.refit.twin, started, first.fine)
+    after = before
+    if any(effect.applied for effect in effects) and result.found:
+        after = measure(corrected.twin, final, fine)
+        before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+    untested = _untested(names, base)
+    tested = hypotheses(first, names, found, word, discrete, result.leftover, result.slight)
+    if word == "none":
+        sentence = f"{sentence}; {unseen(tested, len(untested))}"
+    contradicted = () if calibration is None else against(calibration, started)
+    if contradicted and word == "none":
+        word = "closed"  # by the fit: the calibration was the model, and it does not hold
+    return Gap(
+        verdict=word,
+        sentence=contradiction(contradicted) + sentence,
+        effects=effects,
+        untested=untested,
+        hypotheses=tested,
+        remaining=hypotheses(last, names, (), word, (), result.leftover, result.slight) if result.found else (),
+        before=before,
+        after=after,
+        moved=contradicted + (moved(started, final) if applied else ()),
+        calibration=final if applied else started,
+        base=started,
+        next_manoeuvre=manoeuvre(first, found, word, open_places),
+        diagnostics={
+            "windows": first.refit.twin.n,
+            "draws": DRAWS,
+            "seconds": seconds,
+            "leftover": list(result.leftover),
+        },
+    )
+
+
+def _on_noise(
+    calibration: Calibration | None, found: Sequence[Found]
+) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
+    """What is no term of the fit: of the calibration given, but for what was found again, and what was found."""
+    again = {f.name for f in found}
+    known = tuple(
+        t
+        for t in (calibration.terms if calibration is not None else ())
+        if t.name == "tone" or (t.side is None and t.name not in again)
+    )
+    added = tuple(
+        Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
+        for f in found
+        if f.noise is not None
+    )
+    return known, added
+
+
+def _corrected(
+    result: Search, last: Look, held: Refit, open_places: Collection[int], short_term: Noise
+) -> tuple[Refit, Fine]:
+    """The model without the terms that are named, not corrected, and its innovations sample by sample."""
+    corrected = last.refit
+    if open_places:
+        model = held.model
+        for index in sorted(open_places, reverse=True):
+            model = without_term(model, index)
+        corrected = widened(refit(result.problem, model, short_term))
+    if corrected.model is result.last.refit.model:
+        return corrected, last.fine
+    return corrected, fine_innovations(result.recording, corrected.model)
+
+
+def _untested(names: tuple[str, ...], base: Refit) -> tuple[Untested, ...]:
+    """Effects whose channel the recording lacks."""
+    return tuple(
+        Untested(
+            n, LABELS[n], f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or it stands still"
+        )
+        for n in names
+        if n in TERMS and TERMS[n].missing(base.twin)
+    )
