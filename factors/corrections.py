@@ -49,15 +49,22 @@ def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
     """The x (3, n) of which x + added(x) was read: Newton's steps, each axis by itself.
 
     Terms read what they change, and may bend it much: the plain iteration of a response that grows with the cube of
-    the field runs away from some field on.
+    the field runs away from some field on. A step that brings a sample no closer is halved, so that where nothing
+    reads so, as beyond the top of a response that turns round, x stays where it comes closest.
     """
     x = read
+    missing = read - x - added(x)
+    share = np.ones(read.shape[1])
     for _ in range(_PASSES):
-        missing = read - x - added(x)
         if np.abs(missing).max() < _CLOSE:
             break
         slope = 1 + (added(x + _NEARBY) - added(x - _NEARBY)) / (2 * _NEARBY)
-        x = x + missing / np.maximum(slope, _LOST)
+        ahead = x + share * missing / np.copysign(np.maximum(np.abs(slope), _LOST), slope)
+        left = read - ahead - added(ahead)
+        closer = np.abs(left).max(axis=0) < np.abs(missing).max(axis=0)
+        x = np.where(closer, ahead, x)
+        missing = left if closer.all() else read - x - added(x)  # what remembers reads its neighbours, too
+        share = np.where(closer, 1.0, 0.5 * share)
     return x
 
 

@@ -184,9 +184,14 @@ def _local_anomaly(s: Signals, setting: Setting) -> Array:
 def _saturation(s: Signals, setting: Setting) -> Array:
     """What is beyond the level, which may be reached with a knee of some width, as cores do."""
     reading = s.need("field") + s.need("hard_iron")[:, None]
-    beyond, knee = np.abs(reading) - setting["level"], setting.get("knee", 0.0)
-    lost = knee * np.logaddexp(0.0, beyond / knee) if knee > 0 else np.maximum(beyond, 0.0)
-    return -(np.sign(reading) * lost)[None]
+    level, knee = setting["level"], setting.get("knee", 0.0)
+
+    def beyond(value: Array) -> Array:
+        over = value - level
+        result: Array = knee * np.logaddexp(0.0, over / knee) if knee > 0 else np.maximum(over, 0.0)
+        return result
+
+    return (beyond(-reading) - beyond(reading))[None]
 
 
 def _cubic(s: Signals, setting: Setting) -> Array:

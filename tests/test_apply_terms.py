@@ -50,6 +50,7 @@ def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
         ("cubic", [250e-6, -4e-6, 20e-6], {}),
         ("saturation", [0.75], {"level": 30e-6}),
         ("saturation", [0.75], {"level": 30e-6, "knee": 4e-6}),
+        ("saturation", [0.75], {"level": 24e-6, "knee": 12e-6}),
     ],
 )
 def test_a_reading_that_is_bent_much_is_straightened(
@@ -69,6 +70,16 @@ def test_a_reading_that_is_bent_much_is_straightened(
     np.testing.assert_allclose(
         mg.Calibration(soft_iron, hard_iron, terms=(term,)).apply(reading), field, atol=1e-11
     )
+
+
+@pytest.mark.parametrize("setting", [{"level": 40e-6}, {"level": 40e-6, "knee": 2e-6}])
+def test_what_nothing_reads_stays_where_it_comes_closest(setting: dict[str, float]) -> None:
+    """Above the top of a response that turns round, where a plain Newton's step runs away."""
+    term = Term("saturation", [1.8], [[0.01]], setting)
+    reading = np.linspace(20e-6, 60e-6, 400)[:, None] * np.array([1.0, 0.0, 0.0])
+    field = mg.Calibration(np.eye(3), np.zeros(3), terms=(term,)).apply(reading)
+    np.testing.assert_allclose(field[reading[:, 0] < 30e-6], reading[reading[:, 0] < 30e-6], atol=1e-7)
+    np.testing.assert_allclose(field[reading[:, 0] > 42e-6, 0], 40e-6, atol=3e-6)
 
 
 @pytest.mark.parametrize(("size", "setting"), [(0.15, {}), (-0.25, {"level": 3.0})])

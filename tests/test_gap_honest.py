@@ -185,3 +185,40 @@ def test_a_small_misalignment_needs_more_than_significance() -> None:
     assert mg.find_gap(generate(servo).recording).effects == ()
     large = mg.find_gap(mg.simulate("wide", seed=2, effects=[("misalignment", 0.25)]).recording)
     assert large.names == ("misalignment",)
+
+
+def test_a_core_is_not_guessed_beyond_what_was_read() -> None:
+    """Of the foot of a knee alone any share might be lost beyond it, and the field would be anything."""
+    recording = mg.simulate("wide", 150, seed=23, effects=["saturation"]).recording
+    gap = mg.find_gap(recording)
+    assert gap.names == ("saturation",)
+    assert 0.3 < gap.effects[0].value[0] < 0.7
+    strength = np.linalg.norm(gap.calibration.apply(recording), axis=1)
+    assert np.abs(strength / np.median(strength) - 1).max() < 0.2
+
+
+def test_a_reading_that_bends_evenly_is_a_cubic() -> None:
+    """A wide knee explains as much with one value; so little loss is no saturation's."""
+    for seed in (3, 4):
+        recording = mg.simulate("wide", 150, seed=seed).recording
+        field = recording.magnetic_field
+        gap = mg.find_gap(replace(recording, magnetic_field=field - 2.5e-6 * (field / 50e-6) ** 3))
+        assert gap.names == ("cubic",)
+        assert "saturation" in gap.effects[0].ambiguous_with
+
+
+def test_what_only_looks_like_a_loop_is_missing_all_the_same() -> None:
+    """As wide as nothing that remembers is: it is not named, and the model and the data do not agree."""
+    recording = mg.simulate("wide", 120, seed=8).recording
+    field = recording.magnetic_field
+    loop = np.zeros(3)
+    loops = []
+    for step in np.diff(field, axis=0, prepend=field[:1]):
+        loop = loop + step / (0.6 * np.ptp(field)) * (1 - np.sign(step) * loop)
+        loops.append(loop)
+    gap = mg.find_gap(
+        replace(recording, magnetic_field=field + 1e-6 * np.array([1.2, 1.9, 1.8]) * np.array(loops))
+    )
+    assert "hysteresis" not in gap.names
+    assert gap.verdict == "unknown"
+    assert "nothing was changed" in gap.sentence

@@ -95,7 +95,9 @@ def test_noise_along_one_axis_is_no_line() -> None:
     line = np.array([[0.05], [0.0], [0.0]]) * np.cos(2 * np.pi * 3.1 * np.arange(6000) / 10)
     found = tone(misfit[0] + line, np.arange(6000) / 10, 1e-6, NOISE_LIMIT)
     assert found.significant
-    assert found.value[0] == pytest.approx(0.05e-6, rel=0.5)
+    loud = tone(misfit[0] + 8 * line, np.arange(6000) / 10, 1e-6, NOISE_LIMIT)
+    assert loud.value[0] == pytest.approx(0.4e-6, rel=0.1)
+    assert tone(np.zeros((3, 6000)), np.arange(6000) / 10, 1e-6, NOISE_LIMIT).significant is False
 
 
 def test_at_half_the_rate_there_is_no_line() -> None:

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import TIE, Found, Look, choices, less, related, term_places
@@ -62,7 +60,9 @@ def rest(now: Look) -> float:
 
 
 def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -> State | None:
-    """With a name exchanged for a rival that explains more beside all others; None: there is none.
+    """With a name exchanged for a rival that explains more beside all others, or a matrix for the delay in it.
+
+    None: there is none.
 
     Args:
         state: at its end.
@@ -95,22 +95,22 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
         return None  # it has more modes than are tried before it is in the model
     options = choices(now, without.found, set())
     # A matrix of eddy currents that is no choice any more may be no more than the delay.
-    matrix = bool(term.setting.get("full")) and not _wanted(one.name, now, without)
-    ahead_by = -np.inf if matrix else TIE[0]
+    matrix = bool(term.setting.get("full")) and all(option.name != one.name for option in options)
     rivals = [(at_sharpest(option, now), option) for option in options if related(one.name, option.name)]
     for sharp, rival in sorted(rivals, key=lambda pair: -pair[0].evidence):
-        if sharp.evidence < own.evidence + ahead_by:
-            break
+        delay = matrix and rival.name == "timing"
+        if not delay and sharp.evidence < own.evidence + TIE[0]:
+            continue
         added = terms_of(rival.name, current, sharp.variant.setting)
         if len(added) > 1 or len(added[0].value) > len(term.value):
             continue  # of more values, and so explains more whatever it is
         ahead = tried(without, now, rival, sharp).state
-        if ahead is None or (matrix and _wanted(one.name, seen(ahead), ahead)):
+        if ahead is None or (delay and _wanted(one.name, seen(ahead), ahead)):
             continue  # it cannot be fitted, or there are plates beside the delay
         (newcomer,) = _newcomers(ahead, without)
-        # It explains what the other did, and more.
-        statistic = one.statistic + newcomer.statistic - own.statistic
-        evidence = one.evidence + newcomer.evidence - own.evidence
+        # It explains what the other did, and more; what a delay leaves of a matrix was nothing.
+        statistic = one.statistic + max(newcomer.statistic - own.statistic, 0.0)
+        evidence = one.evidence + max(newcomer.evidence - own.evidence, 0.0)
         stronger = replace(newcomer, statistic=statistic, evidence=evidence)
         return replace(ahead, found=tuple(stronger if f is newcomer else f for f in ahead.found))
     return None

@@ -254,8 +254,7 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         slow = rival.significant and now.gains.get(rival.name) == 0.0 and behind < 0 and choice.name in _OF_TIME
         if alike or slow or (related(choice.name, rival.name) and (tied or (shapes and close))):
             result.append(rival.name)
-    twin = now.refit.twin
-    return tuple(dict.fromkeys((*result, *_untested(choice.name, twin), *_too_slow(choice.name, twin))))
+    return tuple(dict.fromkeys((*result, *_untested(choice.name, now.refit.twin), *_too_slow(choice.name, now))))
 
 
 def _untested(name: str, twin: Twin) -> list[str]:
@@ -265,13 +264,17 @@ def _untested(name: str, twin: Twin) -> list[str]:
     return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
 
 
-def _too_slow(name: str, twin: Twin) -> list[str]:
-    """What else something of many shapes may be, were the recording long enough to tell."""
+def _too_slow(name: str, now: Look) -> list[str]:
+    """What else something of many shapes may be, of what is tested, were the recording long enough to tell."""
     if not TERMS[name].many_shapes:
         return []
-    duration = float(twin.time[-1] - twin.time[0])
-    slow = {other for other, term in TERMS.items() if term.slowest > 0.5 * duration and not term.missing(twin)}
-    return [other for other in TERMS[name].rivals if other in slow]
+    time = now.refit.twin.time
+    open_ones = {score.name for score in now.scores} - {term.name for term in now.refit.model.terms}
+    return [
+        other
+        for other in TERMS[name].rivals
+        if other in open_ones and 2 * TERMS[other].slowest > float(time[-1] - time[0])
+    ]
 
 
 def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:

@@ -77,7 +77,8 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
     limit = limit + UNSURE
     needed = limit + np.log(len(frequency))
     read, _ = _periodogram_of(innovation, time, edge)
-    amplitude = 2 * np.sqrt(read[best] / innovation.shape[1]) * level
+    of_noise = 3 * _beside(read)[best] / _MEDIAN
+    amplitude = 2 * np.sqrt(max(read[best] - of_noise, 0.0) / innovation.shape[1]) * level
     return NoiseScore(
         "tone",
         2 * float(height[best]),
@@ -93,16 +94,17 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
 def _as_large(innovation: Array) -> Array:
     """(3, n) of unit variance in every direction."""
     variance, direction = np.linalg.eigh(innovation @ innovation.T / innovation.shape[1])
-    scale = np.sqrt(np.maximum(variance, _FLAT * variance[-1]))
+    scale = np.sqrt(np.maximum(variance, max(_FLAT * variance[-1], np.finfo(float).tiny)))
     result: Array = (direction / scale).T @ innovation
     return result
 
 
 def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array, Array]:
-    """As `_periodogram`, up to half the rate, of stamps that need not be even: each in the nearest cell of a fine grid.
+    """As `_periodogram`, short of half the rate, of stamps that need not be even.
 
-    Holes are empty cells, across which a line keeps its phase. Where stamps are uneven in a pattern nothing is told at
-    its frequencies, and what lies below `edge` Hz is taken out first, since it appears again beside them.
+    Each is in the nearest cell of a fine grid. Holes are empty cells, across which a line keeps its phase. Where stamps
+    are uneven in a pattern nothing is told at its frequencies, and what lies below `edge` Hz is taken out first, since
+    it appears again beside them.
     """
     step = float(np.median(np.diff(time))) / _CELLS
     cell = np.round((time - time[0]) / step).astype(int)
@@ -118,7 +120,7 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > _PATTERN * len(time) ** 2
     power = np.where(of_pattern, 0.0, power * grid.shape[1] / len(time))
     # What leaks at half the rate meets its own mirror image there.
-    below = frequency < (0.5 - (_LEAKS + 0.5) / len(time)) / (_CELLS * step)
+    below = frequency < 0.5 / (_CELLS * step) - (_LEAKS + 0.5) * frequency[0]
     return power[below], frequency[below]
 
 

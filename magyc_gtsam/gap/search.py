@@ -28,6 +28,7 @@ from magyc_gtsam.gap.naming import (
     choices,
     less,
     loudest,
+    shape_of,
     term_places,
     with_forms,
 )
@@ -181,15 +182,13 @@ def search(
         final = _firm(state, first, now, left)
         left = (*left, *(f.name for f in state.found if f.name == "coloured-noise"))
     places = term_places(final.found, final.current.model)
-    weak = {
-        p
-        for p, i in places.items()
-        if (final.found[p].evidence < WEAK and small(final.current, i)) or not possible(final.current, i)
-    }
-    slight = tuple(final.found[place].name for place in sorted(weak))
-    final = _without(final, weak)
+    weak = {p for p, i in places.items() if final.found[p].evidence < WEAK and small(final.current, i)}
+    other = {p for p, i in places.items() if not possible(final.current, i)}
+    slight, others = (tuple(final.found[p].name for p in sorted(every)) for every in (weak - other, other))
+    final = _without(final, weak | other)
     if final.current is not state.current:
         now = seen(final)
+    left = tuple(dict.fromkeys((*left, *_of_no_value(now, final.found, others))))
     return Search(final.recording, final.problem, first, now, with_forms(final.found, now), left, slight)
 
 
@@ -238,6 +237,18 @@ def _without(state: State, places: Container[int]) -> State:
         model = without_term(model, index)
     kept = refit(state.problem, model, state.short_term)
     return replace(state, current=kept, found=less(state.found, places))
+
+
+def _of_no_value(now: Look, found: Sequence[Found], names: Container[str]) -> list[str]:
+    """Those of some names, of which no value was possible, that are still wanted: something else looks like them."""
+    return [
+        score.name
+        for score in now.scores
+        if score.name in names
+        and score.significant
+        and now.gains.get(score.name, 0.0) > 0
+        and not shape_of(score, now.refit, found)
+    ]
 
 
 def _shows(honest: Refit, index: int) -> bool:

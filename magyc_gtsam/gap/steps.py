@@ -194,15 +194,16 @@ def _backwards(state: State) -> State:
 
 
 def _asked(current: Refit, index: int, found: Iterable[int]) -> float:
-    """What a term must explain lest it be no more than the form of its strongest rival among those found."""
+    """What a term must explain lest it be no more than the form of its strongest rival among `found` (indices)."""
     own, most = current.model.terms[index], 0.0
-    for place in found:
-        rival, rough = current.model.terms[place], TERMS[current.model.terms[place].name].rough
+    for other in found:
+        rival = current.model.terms[other]
+        rough = TERMS[rival.name].rough
         if not related(rival.name, own.name):
             continue
         if not rough and (own.setting.get("uneven") or rival.setting.get("uneven")):
             continue  # no filter of all axes alike leaves something else on each
-        asked = LEFT * current.weight_of(place)
+        asked = LEFT * current.weight_of(other)
         most = max(most, asked if rough else min(asked, 2 * WEAK))
     return most
 

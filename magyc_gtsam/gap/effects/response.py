@@ -11,10 +11,12 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.twin import Twin
 
 _CLIPPED = 0.12  # of what is beyond a level, lost where it clips; less is a slight bend, and a gain none at all
+_BENT = 0.3  # of it, lost where it saturates over a knee; less is what a cubic loses
 _KNEES = (0.05, 0.15)  # of the largest reading, over which a core saturates
+_FOOT = 2.0  # knees below the level, where an eighth of what is lost in the end is lost
 _LOOP = 0.3  # of the field's span, that a loop may be wide
 _WIDTHS = (0.1, 0.33, 1.0)  # of the widest, that are tried
-_NO_LOOP = 0.95  # of the widest, from which it would be wider if it might
+_NO_LOOP = 0.95  # of the widest: one fitted as wide has run into the limit
 
 
 def _reading(twin: Twin) -> Array:
@@ -25,13 +27,21 @@ def _reading(twin: Twin) -> Array:
 def _levels(twin: Twin) -> list[dict[str, float]]:
     largest = float(_reading(twin).max())
     shares = (0.6, 0.7, 0.78, 0.84, 0.89, 0.93, 0.96, 0.98)
-    return [{"level": largest * share, "knee": largest * knee} for knee in (0.0, *_KNEES) for share in shares]
+    tried = [{"level": largest * share, "knee": largest * knee} for knee in (0.0, *_KNEES) for share in shares]
+    return _read_beyond(tried, largest)
 
 
 def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
+    largest = float(_reading(twin).max())
+    widest = largest * max(_KNEES, default=0.0)
     near = [{"level": setting["level"] * share, "knee": setting["knee"]} for share in np.linspace(0.93, 1.07, 15)]
-    knees = [{"level": setting["level"], "knee": setting["knee"] * share} for share in (0.5, 0.7, 1.4, 2.0)]
-    return near + (knees if setting["knee"] else [])
+    knees = [min(setting["knee"] * share, widest) for share in (0.5, 0.7, 1.4, 2.0) if setting["knee"]]
+    return _read_beyond([*near, *({"level": setting["level"], "knee": knee} for knee in knees)], largest)
+
+
+def _read_beyond(tried: list[dict[str, float]], largest: float) -> list[dict[str, float]]:
+    """Those of which more than the foot of the knee was read: what is lost beyond it would be a guess."""
+    return [each for each in tried if each["level"] + each["knee"] <= largest]
 
 
 def _loops(twin: Twin) -> list[dict[str, float]]:
@@ -52,10 +62,10 @@ def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
-    how = "saturates softly from" if setting.get("knee") else "clips at"
-    return (
-        f"the magnetometer {how} about {setting['level'] * 1e6:.0f} µT: raise its range, or move the magnet away"
-    )
+    knee = setting.get("knee", 0.0)
+    how = "saturates softly from" if knee else "clips at"
+    level = setting["level"] - _FOOT * knee
+    return f"the magnetometer {how} about {level * 1e6:.0f} µT: raise its range, or move the magnet away"
 
 
 def _say_cubic(value: Array, sigma: Array, setting: Setting) -> str:
@@ -69,7 +79,7 @@ def _say_hysteresis(value: Array, sigma: Array, setting: Setting) -> str:
 
 SATURATION = EffectTerm(
     name="saturation",
-    label="magnetometer that clips",
+    label="magnetometer that clips or saturates",
     unit="of what is beyond the level",
     scale=1.0,
     matters=0.3,
@@ -81,7 +91,7 @@ SATURATION = EffectTerm(
     motion="turn over, so that each axis sees its largest field in both directions",
     settings=_levels,
     refined=_levels_nearby,
-    possible=lambda twin, value, setting: bool(value[0] > _CLIPPED),
+    possible=lambda twin, value, setting: bool(value[0] > (_BENT if setting["knee"] else _CLIPPED)),
 )
 CUBIC = EffectTerm(
     name="cubic",

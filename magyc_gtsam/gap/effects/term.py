@@ -53,7 +53,7 @@ class EffectTerm:
         alike: generic families a narrow part of which may look like it, so that it must explain clearly more.
         products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
         loose: share of its own nats by which a neighbour may be ahead of it, for its form is only the first order.
-        slowest: s, the longest lag that is looked for; in less than twice as long it is whatever drifts.
+        slowest: s, the longest of its lags behind its channel; what drifts in less than twice that may be it.
         rough: its form is one of many that it takes, so that what it leaves is seen as soon as the model has it.
         between: share of its evidence by which a setting between those of the grid may be ahead of the best of them.
     """
