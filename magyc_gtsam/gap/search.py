@@ -61,7 +61,7 @@ class Search:
         found: effects in the order of adding; see `naming.term_places`.
         leftover: names of what is significant in the last look, was not added and counts, and colour for which what is
             missing may pass.
-        slight: names of what would explain the data, and is too small and weak, or of no possible value, to be named.
+        slight: names of what would explain the data, and is too small and weak to be named.
     """
 
     recording: Recording
