@@ -59,8 +59,8 @@ class Search:
         recording, problem: the data, without what was found to be wrong samples, and without tones.
         first, last: looks at the base model and at the final one.
         found: effects in the order of adding; see `naming.term_places`.
-        leftover: names of what is significant in the last look, was not added and counts, what is still wanted though no
-            value of it is possible, and colour for which what is missing may pass.
+        leftover: names of what is significant in the last look, was not added and counts, what is still wanted
+            though no value of it is possible, and colour for which what is missing may pass.
         slight: names of what would explain the data, and is too small and weak to be named.
     """
 
