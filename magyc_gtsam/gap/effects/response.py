@@ -91,7 +91,7 @@ SATURATION = EffectTerm(
     motion="turn over, so that each axis sees its largest field in both directions",
     settings=_levels,
     refined=_levels_nearby,
-    possible=lambda twin, value, setting: bool(value[0] > (_BENT if setting["knee"] else _CLIPPED)),
+    possible=lambda twin, value, setting: bool(value[0] > (_BENT if setting.get("knee") else _CLIPPED)),
 )
 CUBIC = EffectTerm(
     name="cubic",
