@@ -80,6 +80,21 @@ def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
     return result
 
 
+def rows_by_kind(channels: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
+    """{kind: (k,)} what the rows of `channels_by_kind` are called."""
+    result = {}
+    for kind in CHANNELS:
+        found = [name for name in sorted(channels) if kind in kinds(name)]
+        if found:
+            columns = [np.asarray(channels[name]).reshape(len(channels[name]), -1).shape[1] for name in found]
+            result[kind] = tuple(
+                name if count == 1 else f"{name} {column + 1}"
+                for name, count in zip(found, columns, strict=True)
+                for column in range(count)
+            )
+    return result
+
+
 def kinds(name: str) -> tuple[str, ...]:
     """The kinds that a channel of this name counts as."""
     return tuple(kind for kind, words in CHANNELS.items() if _is_called(name, words))

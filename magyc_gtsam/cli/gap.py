@@ -83,7 +83,7 @@ def run(
     Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html. The options that
     say how LOG is read hold for a SIM and an OTHER_LOG of its format too, but for --start and --end.
     Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
-    or the noise was too little to look for one, or the result does not hold on OTHER_LOG.
+    or the noise was too little to look for one, or the result does not hold on OTHER_LOG or cannot be judged on it.
     """
     if plan is not None:
         if any(value is not None for value in (reading.log, simulated, validate, calibration, candidates, output)):
@@ -106,12 +106,12 @@ def run(
         gap = find_gap(
             recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
         )
-        validation, unjudged = None, ""
+        validation, unjudged = None, []
         if validate is not None and held_out is not None:
             try:
                 validation = _validation(validate, held_out, gap, stage("validating"))
             except MagycError as problem:  # what was found on LOG is kept
-                unjudged = f"--validate {validate}: {problem}"
+                unjudged = [f"the result could not be judged on {validate.name}: {problem}"]
         page = stage("drawing the page")
         (part / "gap.json").write_text(_json(_values(gap, validation)), encoding="utf-8")
         gap.calibration.save(part / "calibration.yaml")
@@ -141,9 +141,7 @@ def run(
         doubts = [f"the gap is left open: {gap.sentence}"]
     if validation is not None:
         doubts += contradicted(gap, validation)
-    if unjudged:
-        typer.echo(f"magyc-gtsam: {'; '.join([unjudged, *doubts])}", err=True)
-        return 2
+    doubts = [*unjudged, *doubts]
     if not doubts:
         return 0
     typer.echo(f"magyc-gtsam: {'; '.join(doubts)}", err=True)
@@ -153,6 +151,7 @@ def run(
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
     """Another log, read as LOG is where it is of LOG's format; --start and --end are LOG's own."""
     from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.gap.find import needs_gyroscope
     from magyc_gtsam.io import same_format
 
     hint = ""
@@ -163,7 +162,9 @@ def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Pro
             # What the instrument is stays.
             beside = Reading(log, gyroscope_axes=reading.gyroscope_axes, angular_rate_is=reading.angular_rate_is)
             hint = " ({} is of another format than LOG, whose columns, units and --read do not hold for it)"
-        return beside.recording(stage(f"reading {log.name}"))
+        recording = beside.recording(stage(f"reading {log.name}"))
+        needs_gyroscope(recording)
+        return recording
     except MagycError as problem:
         raise MagycError(f"{option}: {problem}{hint.format(option)}") from None
 
@@ -195,17 +196,19 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
-    from magyc_gtsam.gap.validation import agreement, swept
+    from magyc_gtsam.gap.validation import agreement, differences, swept
     from magyc_gtsam.report.gap_words import Validation
 
     before = after = agreement(recording, gap.base)
-    progress(0.5)
+    progress(0.3)
     if gap.after is not gap.before:
         after = agreement(recording, gap.calibration)
         # What noise leaves is for the better model to say: the other calls its misfit noise.
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+    progress(0.6)
+    differing = differences(recording, gap.calibration)
     progress(1.0)
-    return Validation(log.name, swept(recording), before, after)
+    return Validation(log.name, swept(recording), before, after, differing)
 
 
 def _values(gap: Gap, validation: Validation | None) -> dict[str, Any]:

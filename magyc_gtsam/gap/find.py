@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, s
 from magyc_gtsam.estimators.faults import without_faults
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
+from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
@@ -91,8 +92,10 @@ def _looked(
 ) -> tuple[Gap, Search | None]:
     """The gap of one recording, and the search that found it; None where nothing can be told."""
     started = clock.perf_counter()
-    recording.gyroscope  # noqa: B018 - raises where there is none
+    needs_gyroscope(recording)
     recording, left_out = without_faults(recording, ("magnetic_field", "angular_rate"))
+    recording, unlogged = without_channel_holes(recording)
+    left_out = [*left_out, *unlogged]
     recording, discrete = settled(recording, names)
     tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
     recording = silenced(recording, tones)
@@ -112,6 +115,19 @@ def _looked(
     report(0.8)
     gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
+
+
+def needs_gyroscope(recording: Recording) -> None:
+    """What a gap is looked for along.
+
+    Raises:
+        MagycError: there is none.
+    """
+    if recording.angular_rate is None:
+        raise MagycError(
+            f"recording {recording.name!r} has no angular rate, along whose turns the field is predicted; name the "
+            "gyroscope's topic or columns"
+        )
 
 
 def _check_types(recording: object, calibration: object, simulated: object) -> None:
@@ -159,6 +175,9 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
             for t in calibration.terms
             if t.side is not None and t.name != "tone"  # which is taken out of the readings
         )
+        if delay and not any(term.name == "timing" for term in terms):
+            # What `calibrate` took for a delay may be the shadow of something else: it is free to go.
+            terms = (*terms, Active("timing", {}, np.array([delay])))
     free[DELAY] = any(term.name == "timing" for term in terms)
     return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
 

@@ -82,9 +82,10 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
 
     To this belong generic families that explained the data clearly better than all names together.
     """
-    explained = max([s.statistic for s in first.scores] + weights(now.refit), default=0.0)
+    bent = weights(now.refit)  # found now, or in the calibration given
+    explained = max([s.statistic for s in first.scores] + bent, default=0.0)
     named = any(f.name in TERMS for f in found)
-    all_named = max(sum(f.statistic for f in found if f.name in TERMS), *weights(now.refit), 0.0)
+    all_named = max(sum(f.statistic for f in found if f.name in TERMS), *bent, 0.0)
     if not named or any(f.name == "coloured-noise" for f in found):
         all_named = np.inf  # nothing to compare with, or statistics that are those of the colour
     result = ahead_of_names(first, found)
@@ -95,14 +96,14 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
         more = many and excess > all_named
         if not score.significant or (now.gains.get(score.name, 0.0) <= 0 and not more):
             continue
-        if found and excess < SHAPE * explained:
+        if (found or bent) and excess < SHAPE * explained:
             continue
         if not score.generic and (faint(score, found) or shape_of(score, now.refit, found)):
             continue
         result.append(score.name)
     for noise in now.noise:
         loud = noise.evidence > NOISE_LIMIT and noise.name in ("tone", "coloured-noise")
-        if loud and noise.name not in noted and not (found and noise.statistic < SHAPE * explained):
+        if loud and noise.name not in noted and not ((found or bent) and noise.statistic < SHAPE * explained):
             result.append(noise.name)
     return tuple(dict.fromkeys(result))
 

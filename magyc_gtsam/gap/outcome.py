@@ -87,7 +87,8 @@ def gap_of(
         if found[place].unsure or not determined(plain, index)
     }
     corrected, fine = _corrected(result, last, held, open_places.values(), short_term)
-    started = as_calibration(base, strength, known)
+    turned = tuple(term for term in added if term.name == "axis-order")  # in the data that all was fitted to
+    started = as_calibration(base, strength, (*known, *turned))
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
     catalogue = "in the catalogue" if names == NAMES else "among the candidates"
     effects = describe(found, last.refit, open_places)
@@ -104,6 +105,7 @@ def gap_of(
     if word == "none":
         sentence = f"{sentence}; {unseen(tested, len(untested))}"
     contradicted = () if calibration is None else against(calibration, started)
+    shifted = moved(started, final) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the fit: the calibration was the model, and it does not hold
     return Gap(
@@ -115,7 +117,8 @@ def gap_of(
         remaining=hypotheses(last, names, (), word, (), result.leftover, result.slight) if result.found else (),
         before=before,
         after=after,
-        moved=contradicted + (moved(started, final) if applied else ()),
+        moved=contradicted
+        + tuple(row for row in shifted if row.name not in {known.name for known in contradicted}),
         calibration=final if applied else started,
         base=started,
         next_manoeuvre=manoeuvre(first, found, word, open_places),
@@ -165,7 +168,9 @@ def _untested(names: tuple[str, ...], base: Refit) -> tuple[Untested, ...]:
     """Effects whose channel the recording lacks."""
     return tuple(
         Untested(
-            n, LABELS[n], f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or it stands still"
+            n,
+            LABELS[n],
+            f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or not in half of it, or it stands still",
         )
         for n in names
         if n in TERMS and TERMS[n].missing(base.twin)

@@ -126,8 +126,9 @@ def _described(found: Found, refitted: Refit, index: int | None, applied: bool) 
         value, covariance = refitted.value_of(index)
         sigma, setting = np.sqrt(np.diag(covariance)), _setting(refitted, index)
         term = TERMS[found.name]
-        unit, scale, parameters = term.unit, term.scale, term.names(len(value))
-        sentence = term.say(value * scale, sigma * scale, setting)
+        rows = term.rows(refitted.twin, setting)
+        unit, scale, parameters = term.unit, term.scale, term.names(len(value), rows)
+        sentence = term.sentence(value * scale, sigma * scale, setting, rows)
     return Effect(
         found.name,
         LABELS[found.name],

@@ -257,7 +257,8 @@ class Gap:
         moved: parameters of the base model that the effects moved, most first; of a calibration that was given,
             those which the data contradict.
         calibration: with the effects as `terms`; the base calibration where nothing was added.
-        base: the twelve-parameter calibration the search began with.
+        base: the twelve-parameter calibration the search began with (and the order of the axes, where that was
+            settled before).
         assumptions: of the user's simulator, where one was given.
         next_manoeuvre: None where there is nothing to tell apart.
         diagnostics: about the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …

@@ -7,16 +7,22 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.chain_search import preintegrate
+from magyc_gtsam.estimators.chain_search import preintegrate, short_term_noise
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.factors.effects import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import PARAMETERS, Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.factors.soft_iron import vech
+from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.find import base_model, needs_gyroscope
 from magyc_gtsam.gap.metrics import measure
+from magyc_gtsam.gap.moved import against
 from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.result import Metrics
+from magyc_gtsam.gap.refit import as_calibration, widened
+from magyc_gtsam.gap.result import Metrics, Moved
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.recording import Recording
 
@@ -24,6 +30,8 @@ _WINDOW = 1.0  # s
 _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
+_MATTERS = 0.02  # of the field: a degree of heading
+_LATE = 0.01  # rad of a turn
 # What belongs to the time or place of one recording says nothing about another.
 _OF_ONE_RECORDING = ("hard-iron-step", "hard-iron-drift", "local-anomaly", "tone")
 
@@ -44,15 +52,61 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
             f"the calibration of method {calibration.method!r} lacks gyroscope bias, field strength or noise, "
             "without which it predicts nothing; calibrate with smoother"
         )
+    recording = _as_it_is_read(recording, calibration)
+    problem = Problem.of(recording, preintegrate(recording, _WINDOW))
+    twin = _own_bias(problem, as_model(problem, calibration))
+    return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
+
+
+def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, ...]:
+    """What another recording of the same instrument says otherwise when it is fitted by itself, most first.
+
+    Of iron and delay, beyond what both sigmas allow and by what matters: 2 % of the field, or a turn of 0.01 rad
+    (root mean square) within the delay. The strength of the field is that of a place, and counts for nothing.
+
+    Raises:
+        MagycError: no gyroscope, no uncertainty or field strength in the calibration, or data that cannot be fitted.
+    """
+    recording = _as_it_is_read(recording, calibration)
+    if calibration.field_strength is None or calibration.covariance is None:
+        raise MagycError(
+            f"the calibration of method {calibration.method!r} states no field strength or no uncertainty, without "
+            "which a difference has no size; calibrate with smoother"
+        )
+    terms = tuple(t for t in calibration.terms if t.side is not None and t.name not in _OF_ONE_RECORDING)
+    if not any(t.name == "timing" for t in terms):
+        known = calibration.delay_sigma or 0.0
+        terms = (*terms, Term("timing", np.array([calibration.delay]), np.array([[known**2]]), {}))
+    given = replace(calibration, terms=terms)
+    fitted = as_calibration(widened(base_model(recording, given, short_term_noise(recording))), None)
+    field, rate = calibration.field_strength, recording.gyroscope.value
+    turn = float(np.sqrt((np.square(rate).sum(axis=1)).mean()))
+    matters = {"soft iron": 100 * _MATTERS, "hard iron": _MATTERS * field * 1e6}
+    matters[TERMS["timing"].label] = _LATE / turn * TERMS["timing"].scale
+    return tuple(
+        row
+        for row in against(_without_strength(given), fitted)
+        if any(
+            row.name.startswith(name) and abs(row.after - row.before) > least for name, least in matters.items()
+        )
+    )
+
+
+def _without_strength(calibration: Calibration) -> Calibration:
+    """With a soft iron of determinant 1."""
+    assert calibration.covariance is not None
+    soft_iron, _, covariance = fix_scale(calibration.soft_iron, calibration.covariance)
+    return replace(calibration, soft_iron=soft_iron, covariance=covariance)
+
+
+def _as_it_is_read(recording: Recording, calibration: Calibration) -> Recording:
+    """With the axes of the gyroscope as the calibration has them, and held samples at their own times."""
+    needs_gyroscope(recording)
     for term in calibration.terms:
         if term.name == "axis-order" and recording.angular_rate is not None:
             turned = recording.angular_rate @ np.reshape(term.value, (3, 3)).T
             recording = replace(recording, angular_rate=turned)
-    recording.gyroscope  # noqa: B018 - raises where there is none
-    recording, _ = settled(recording, ())
-    problem = Problem.of(recording, preintegrate(recording, _WINDOW))
-    twin = _own_bias(problem, as_model(problem, calibration))
-    return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
+    return without_channel_holes(settled(recording, ())[0])[0]
 
 
 def swept(recording: Recording) -> float:

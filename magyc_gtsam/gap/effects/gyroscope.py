@@ -37,8 +37,9 @@ def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
-    by = vector(value[:3], sigma[:3])
-    return f"the gyroscope's bias moves with temperature, by {by} mrad/s per unit of the channel"
+    by = vector(value, sigma)
+    behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
+    return f"the gyroscope's bias moves with temperature, by {by} mrad/s per unit of the channel{behind}"
 
 
 def _say_g(value: Array, sigma: Array, setting: Setting) -> str:

@@ -45,8 +45,9 @@ def lagged(twin: Twin) -> list[dict[str, float]]:
 
 
 def lagged_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    """Lags between those of `lagged`."""
-    return [dict(setting) | {"lag": max(setting["lag"], 10.0) * share} for share in (0.0, 0.5, 0.7, 1.0, 1.4, 2.0)]
+    """Lags between those of `lagged`, and beyond, up to the recording's own length."""
+    lags = (max(setting["lag"], 10.0) * share for share in (0.0, 0.5, 0.7, 1.0, 1.4, 2.0))
+    return [dict(setting) | {"lag": lag} for lag in lags if lag < twin.time[-1] - twin.time[0]]
 
 
 def _edges(twin: Twin, count: int) -> Array:
@@ -83,12 +84,13 @@ def _drifts(twin: Twin) -> list[dict[str, float]]:
 
 
 def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
-    strength = np.linalg.norm(value[:3])
-    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value[:3], sigma[:3])} µT"
+    strength = np.linalg.norm(value)
+    return f"a current adds {strength:.3g} µT per unit of the current channel, along {vector(value, sigma)} µT"
 
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the hard iron moves with temperature, by {vector(value[:3], sigma[:3])} µT per unit of it"
+    behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
+    return f"the hard iron moves with temperature, by {vector(value, sigma)} µT per unit of it{behind}"
 
 
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:

@@ -13,12 +13,13 @@ import numpy as np
 
 from magyc_gtsam.factors.effects import FORMS, Form, Setting, referenced
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.signals import CHANNELS, Signals
+from magyc_gtsam.factors.signals import CHANNELS, Signals, rows_by_kind
 from magyc_gtsam.gap.twin import Columns, Twin
 
 Settings = Callable[[Twin], list[dict[str, float]]]
 Say = Callable[[Array, Array, Setting], str]
 AXES = ("x", "y", "z")
+_SHOWS = 3.0  # sigmas, from which one of several rows of a channel is spoken of
 
 
 def plain(twin: Twin) -> list[dict[str, float]]:
@@ -125,9 +126,31 @@ class EffectTerm:
         """(3, n) what it adds to the reading, T or rad/s."""
         return self.form.evaluate(signals, value, setting)
 
-    def names(self, count: int) -> tuple[str, ...]:
-        """(count,) what each value is."""
+    def rows(self, twin: Twin, setting: Setting) -> tuple[str, ...]:
+        """What the rows of the channel are called that its values are per unit of; empty where it reads none."""
+        kind = next((channel for channel in self.channels if channel in CHANNELS), None)
+        if kind is None:
+            return ()
+        called = rows_by_kind(twin.problem.recording.channels)[kind]
+        return tuple(called[row] for row in referenced(twin.windows.need(kind), setting))
+
+    def sentence(self, value: Array, sigma: Array, setting: Setting, rows: Sequence[str] = ()) -> str:
+        """For a navigator, of a value and its sigma as shown; of several rows of a channel, each that shows."""
+        if len(rows) < 2:
+            return self.say(value, sigma, setting)
+        values, sigmas = value.reshape(len(rows), -1), sigma.reshape(len(rows), -1)
+        shown = (np.abs(values) > _SHOWS * sigmas).any(axis=1)
+        return "; ".join(
+            f"{row}: {self.say(values[i], sigmas[i], setting)}"
+            for i, row in enumerate(rows)
+            if shown[i] or not shown.any()
+        )
+
+    def names(self, count: int, rows: Sequence[str] = ()) -> tuple[str, ...]:
+        """(count,) what each value is, and of which of the channel's rows, where there are several."""
         base = self.parameters
+        if len(rows) > 1:
+            return tuple(f"{part} of {row}" for row in rows for part in base[: count // len(rows)])
         if count <= len(base):
             return base[:count]
         return tuple(f"{base[i % len(base)]} {i // len(base) + 1}" for i in range(count))

@@ -7,7 +7,7 @@ import numpy as np
 from magyc_gtsam.factors.effects import Setting
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.effects.iron import references
-from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured
 from magyc_gtsam.gap.twin import Twin
 
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
@@ -53,17 +53,13 @@ def _bumps_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _say_gradient(value: Array, sigma: Array, setting: Setting) -> str:
-    return (
-        f"the field's strength changes by {measured(value[0], sigma[0])} % per unit of depth or position"
-        if len(value) == 1
-        else f"the field's strength changes with position, by {vector(value, sigma)} % per unit"
-    )
+    return f"the field's strength changes by {measured(value[0], sigma[0])} % per unit of depth or position"
 
 
 def _say_anomaly(value: Array, sigma: Array, setting: Setting) -> str:
     return (
         f"something magnetic in the surroundings was passed at {setting['time']:.0f} s "
-        f"(± {setting['width']:.0f} s, {np.linalg.norm(value[:3]):.2g} µT)"
+        f"({setting['width']:.0f} s wide, {np.linalg.norm(value[:3]):.2g} µT)"
     )
 
 

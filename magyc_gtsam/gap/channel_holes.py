@@ -1,0 +1,54 @@
+"""Channels that were not logged all the time: short pauses are filled, rows of long ones left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.signals import kinds
+from magyc_gtsam.recording import Recording
+
+_PAUSES = 5.0  # times the spacing of a channel's own values, up to which a pause is none
+_SHORT = 10.0  # s, likewise
+_MOST = 0.5  # of the rows may be left out; a channel that would take more is not used
+
+
+def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
+    """Every row with all channels that effects read, and what was left out for it, in words.
+
+    What a current did while nobody logged it would otherwise pass for a step, or for something that was passed.
+    """
+    time, said = recording.time, []
+    known = np.ones(len(time), dtype=bool)
+    channels = dict(recording.channels)
+    for name in filter(kinds, recording.channels):
+        columns = recording.channels[name].reshape(len(time), -1).T
+        if np.isfinite(columns).all():
+            continue
+        filled = [_filled(time, column) for column in columns]
+        there = np.all([have for _, have in filled], axis=0)
+        if (known & there).mean() < 1 - _MOST:
+            channels[name] = np.full_like(recording.channels[name], np.nan)
+            said.append(f"{name}, which was logged in {there.mean():.0%} of the rows only")
+            continue
+        channels[name] = np.stack([column for column, _ in filled]).T.reshape(recording.channels[name].shape)
+        if not there.all():
+            rows = np.flatnonzero(~there)
+            said.append(
+                f"{len(rows)} rows from {time[rows[0]]:.1f} to {time[rows[-1]]:.1f} s, in which {name} was not logged"
+            )
+        known &= there
+    return replace(recording, channels=channels).rows(known), said
+
+
+def _filled(time: Array, column: Array) -> tuple[Array, np.ndarray]:
+    """A channel's row with its short pauses filled, and where it is known."""
+    have = np.isfinite(column)
+    if have.sum() < 2:
+        return column, have
+    own = time[have]
+    spacing = np.diff(np.concatenate([time[:1], own, time[-1:]]))
+    long = spacing > max(_SHORT, _PAUSES * float(np.median(np.diff(own))))
+    return np.interp(time, own, column[have]), have | ~long[np.searchsorted(own, time)]
