@@ -90,6 +90,28 @@ def test_a_name_is_exchanged_for_the_rival_that_explains_more_beside_the_rest(
     assert "gyro-scale" in _names(_gap("moderate", 213673857261604, *hidden))
 
 
+@pytest.mark.parametrize("seed", [70, 71, 72])
+def test_two_causes_are_not_one_drift(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Iron that warms and is moved once; neither explains as much as a drift of twelve modes does."""
+    recording = mg.simulate("wide", seed=seed, channels=["temperature"]).recording
+    time = recording.time
+    warmth = 4 * (1 - np.exp(-time / 250))
+    extra = warmth[:, None] * np.array([0.15e-6, 0.1e-6, -0.12e-6]) + np.outer(
+        time > 400, [-0.6e-6, 0.8e-6, 0.1e-6]
+    )
+    hidden = replace(
+        recording, magnetic_field=recording.magnetic_field + extra, channels={"temperature": 15 + warmth}
+    )
+    gap = mg.find_gap(hidden)
+    assert gap.verdict == "closed"
+    assert _names(gap) == {"temperature-hard-iron", "hard-iron-step"}
+    jump = next(e for e in gap.effects if e.name == "hard-iron-step")
+    assert np.linalg.norm(jump.value - [-0.6, 0.8, 0.1]) < 4 * np.linalg.norm(jump.sigma)
+
+    monkeypatch.setattr("magyc_gtsam.gap.search.with_two_causes", lambda *_: None)
+    assert _names(mg.find_gap(hidden)) != {"temperature-hard-iron", "hard-iron-step"}
+
+
 def test_a_line_of_the_motion_is_not_a_tone_while_a_delay_explains_it(monkeypatch: pytest.MonkeyPatch) -> None:
     hidden = ("hard-iron-step", 1.0), ("timing", 1.0)
     gap = _gap("moderate", 76702749063867, *hidden)

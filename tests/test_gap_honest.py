@@ -60,6 +60,29 @@ def test_a_term_of_another_log_is_contradicted(clean: mg.Recording) -> None:
     assert "does not fit" in gap.sentence
 
 
+@pytest.mark.parametrize("seed", [50, 51, 52])
+def test_where_the_search_begins_does_not_decide(seed: int) -> None:
+    """Without g-sensitivity in its model `calibrate` takes some of it for a delay, which is none beside it."""
+    recording = mg.simulate("wide", seed=seed, effects=["g-sensitivity"]).recording
+    begun = mg.calibrate(recording)
+    gap = mg.find_gap(recording, calibration=begun)
+    assert gap.names == mg.find_gap(recording).names == ("g-sensitivity",)
+    (late,) = (term for term in gap.calibration.terms if term.name == "timing")
+    assert abs(late.value[0]) < 3 * late.sigma[0]
+    assert abs(begun.delay) > 2 * abs(late.value[0])
+
+
+@pytest.mark.parametrize("seed", [60, 61])
+def test_a_calibration_with_its_effects_closes_the_gap_again(seed: int) -> None:
+    """A saturation too, whose form leaves something beside it."""
+    recording = mg.simulate("wide", seed=seed).recording
+    level = 0.9 * np.abs(recording.magnetic_field).max()
+    clipped = replace(recording, magnetic_field=np.clip(recording.magnetic_field, -level, level))
+    gap = mg.find_gap(clipped)
+    assert gap.names == ("saturation",)
+    assert mg.find_gap(clipped, calibration=gap.calibration).verdict == "none"
+
+
 def test_another_log_may_contradict(
     clean: mg.Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,7 +17,8 @@ from magyc_gtsam.gap.refit import determined, possible, without_term
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.steps import State, terms_of, with_effect
 
-_BETTER = 9.0  # nats, by which two causes must be ahead of a drift
+_DRIFT = "hard-iron-drift"
+_BETTER = (20.0, 0.12)  # nats, and share of its evidence, by which two causes must be ahead of a drift
 _CERTAIN = 2.0  # limits that the significance of what the motion does not determine must pass
 
 
@@ -84,44 +85,38 @@ def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -
     return None
 
 
-def with_two_instead(state: State, seen: Callable[[State], Look], done: set[str]) -> State | None:
-    """With a drift exchanged for two changes of the hard iron that together explain more than it does.
+def with_two_causes(state: State, seen: Callable[[State], Look]) -> State | None:
+    """With a drift exchanged for two changes of the hard iron that explain more than it does; None: there are none.
 
     What warms and is moved once drifts in no other way, but no one cause of it explains as much as the drift.
-
-    Args and returns: as `with_exchange`.
     """
-    for place, index in term_places(state.found, state.current.model).items():
-        name = state.found[place].name
-        if name in done or not TERMS[name].many_shapes:
-            continue
-        done.add(name)
-        current = state.refitted(without_term(state.current.model, index))
-        if current is None:
-            continue
-        ahead = replace(state, current=current, found=less(state.found, {place}))
-        gained = 0.0
-        for _ in range(2):
-            step = _best_cause(name, ahead, seen(ahead))
-            if step is None:
-                break
-            ahead, evidence = step
-            gained += evidence
-        else:
-            if gained > state.found[place].evidence + _BETTER:
-                return ahead
-    return None
+    places = term_places(state.found, state.current.model)
+    place = next((place for place in places if state.found[place].name == _DRIFT), None)
+    if place is None:
+        return None
+    current = state.refitted(without_term(state.current.model, places[place]))
+    if current is None:
+        return None
+    drift = state.found[place].evidence
+    ahead, explained = replace(state, current=current, found=less(state.found, {place})), 0.0
+    for _ in range(2):
+        cause = _best_cause(ahead, seen(ahead))
+        if cause is None:
+            return None
+        ahead, evidence = cause
+        explained += evidence
+    return ahead if explained > drift + max(_BETTER[0], _BETTER[1] * drift) else None
 
 
-def _best_cause(name: str, state: State, now: Look) -> tuple[State, float] | None:
-    """A state with the strongest of the effects that one of many shapes is confused with, and its evidence."""
+def _best_cause(state: State, now: Look) -> tuple[State, float] | None:
+    """A state with the strongest of the effects that a drift is confused with, and its evidence."""
     causes = [
         at_sharpest(score, now)
         for score in now.scores
         if not score.generic
         and score.significant
         and now.gains.get(score.name, 0.0) > 0
-        and related(name, score.name)
+        and related(_DRIFT, score.name)
         and all(term.name != score.name for term in now.refit.model.terms)
     ]
     for sharp in sorted(causes, key=lambda score: -score.evidence):

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange, with_two_instead
+from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange, with_two_causes
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import (
@@ -142,7 +142,6 @@ def search(
     failed: set[str] = set()
     instead: tuple[str, ...] = ()
     exchanged: set[str] = set()
-    split: set[str] = set()
     for turn in range(_TURNS):
         progress(0.2 + 0.6 * turn / _TURNS)
         noise = loudest(now, names, noted)
@@ -154,7 +153,9 @@ def search(
             state, now = widest(with_noise(state, now, noise, prepare))
             continue
         if not options or len(state.current.model.terms) >= MOST_TERMS:
-            better = with_exchange(state, seen, exchanged) or with_two_instead(state, seen, split)
+            better = with_exchange(state, seen, exchanged)
+            if better is None and len(state.current.model.terms) < MOST_TERMS:
+                better = with_two_causes(state, seen)
             if better is None:
                 break
             state, now = widest(better)

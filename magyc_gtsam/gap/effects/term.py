@@ -139,7 +139,7 @@ class EffectTerm:
         if len(rows) < 2:
             return self.say(value, sigma, setting)
         values, sigmas = value.reshape(len(rows), -1), sigma.reshape(len(rows), -1)
-        shown = (np.abs(values) > _SHOWS * sigmas).any(axis=1)
+        shown = np.any(np.abs(values) > _SHOWS * sigmas, axis=1)
         return "; ".join(
             f"{row}: {self.say(values[i], sigmas[i], setting)}"
             for i, row in enumerate(rows)

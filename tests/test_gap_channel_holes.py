@@ -1,0 +1,71 @@
+"""A channel that was not logged all the time: its pauses are filled, its holes left out, neither becomes a name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.gap.channel_holes import without_channel_holes
+from magyc_gtsam.simulation.environment import CHANNELS
+
+
+def _driven(seed: int) -> mg.Recording:
+    return mg.simulate("wide", seed=seed, effects=["motor-current"], channels=CHANNELS).recording
+
+
+def _current(recording: mg.Recording) -> str:
+    return next(name for name in recording.channels if "current" in name)
+
+
+def _logged(recording: mg.Recording, where: np.ndarray) -> mg.Recording:
+    name = _current(recording)
+    channel = np.where(where, recording.channels[name], np.nan)
+    return replace(recording, channels={**recording.channels, name: channel})
+
+
+@pytest.mark.parametrize("seed", [41, 42, 43])
+def test_a_current_that_was_logged_late_is_all_that_is_named(seed: int) -> None:
+    recording = _driven(seed)
+    gap = mg.find_gap(_logged(recording, recording.time >= 150))
+    assert gap.names == ("motor-current",)
+    (left_out,) = gap.diagnostics["left_out"]
+    assert left_out.startswith("1500 rows from 0.0 to 149.9 s, in which")
+
+
+def test_sparse_values_are_a_channel() -> None:
+    """Every twentieth row, as a slow stream beside a fast one has it."""
+    recording = _driven(44)
+    sparse = _logged(recording, np.arange(len(recording.time)) % 20 == 0)
+    filled, said = without_channel_holes(sparse)
+    assert not said
+    assert len(filled.time) == len(recording.time)
+    name = _current(recording)
+    assert np.corrcoef(filled.channels[name], recording.channels[name])[0, 1] > 0.9
+    assert "motor-current" in mg.find_gap(sparse).names
+
+
+def test_a_channel_that_is_hardly_there_is_not_tested() -> None:
+    recording = _driven(45)
+    gap = mg.find_gap(_logged(recording, recording.time < 200), candidates=["motor-current", "hard-iron-step"])
+    assert [each.name for each in gap.untested] == ["motor-current"]
+    assert "was logged in 33% of the rows only" in gap.diagnostics["left_out"][0]
+    assert gap.base.diagnostics["windows"] >= 600
+
+
+def test_each_circuit_is_spoken_of_by_its_name() -> None:
+    """The second motor's field, beside a first that does nothing."""
+    recording = _driven(46)
+    name = _current(recording)
+    other = np.random.default_rng(46).normal(size=len(recording.time)).cumsum()
+    channels = {key: value for key, value in recording.channels.items() if key != name}
+    both = replace(recording, channels={**channels, "a_current": other, "b_current": recording.channels[name]})
+    (effect,) = mg.find_gap(both, candidates=["motor-current"]).effects
+    assert effect.parameters[0] == "x of a_current"
+    assert effect.parameters[-1] == "z of b_current"
+    assert effect.sentence.startswith("b_current: a current adds ")
+    assert "a_current" not in effect.sentence
+    (alone,) = mg.find_gap(recording, candidates=["motor-current"]).effects
+    assert np.linalg.norm(effect.value[3:] - alone.value) < 5 * np.linalg.norm(alone.sigma)

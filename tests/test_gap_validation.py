@@ -1,0 +1,96 @@
+"""A result on another log: what differs there is named, and what was settled before the search holds there too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam import cli
+from magyc_gtsam.gap.validation import agreement, differences
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.simulation.environment import CHANNELS
+
+_AXES = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+
+
+@pytest.fixture(scope="module")
+def calibration() -> mg.Calibration:
+    """Of a log in which nothing is missing."""
+    gap = mg.find_gap(mg.simulate("wide", 300, seed=1).recording)
+    assert gap.verdict == "none"
+    return gap.calibration
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_the_same_instrument_differs_in_nothing(calibration: mg.Calibration, seed: int) -> None:
+    """Not in another place either, where the field is a fifth weaker."""
+    for field in (1.0, 0.8):
+        other = mg.simulate("wide", 300, seed=seed, field=field * np.array([20e-6, 2e-6, 42e-6])).recording
+        assert differences(other, calibration) == ()
+
+
+@pytest.mark.parametrize("motion", ["wide", "moderate"])
+def test_what_differs_is_named(calibration: mg.Calibration, motion: str) -> None:
+    truth = mg.simulate("wide", 1).truth
+    moved = truth.hard_iron + np.array([3e-6, 0, 0])
+    worst = differences(mg.simulate(motion, seed=14, hard_iron=moved).recording, calibration)[0]
+    assert worst.name == "hard iron x"
+    assert worst.after - worst.before == pytest.approx(3.0, abs=4 * worst.sigma)
+
+    (late,) = differences(mg.simulate(motion, seed=15, delay=0.1).recording, calibration)
+    assert late.name.startswith("late magnetometer")
+    assert late.after == pytest.approx(100, abs=4 * late.sigma)
+
+    bent = truth.soft_iron * np.array([[1.05, 1, 1], [1, 1, 1], [1, 1, 1]])
+    names = {row.name for row in differences(mg.simulate(motion, seed=16, soft_iron=bent).recording, calibration)}
+    assert "soft iron xx" in names
+
+
+def test_exchanged_axes_hold_on_another_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    logs = []
+    for seed in (21, 22):
+        recording = mg.simulate("wide", 300, seed=seed).recording
+        assert recording.angular_rate is not None
+        turned = replace(recording, angular_rate=recording.angular_rate @ _AXES, attitude=None)
+        logs.append(str(tmp_path / f"{seed}.mcap"))
+        write_mcap(Path(logs[-1]), turned)
+    assert cli.main(["gap", *logs[:1], "--validate", logs[1], "-o", str(tmp_path / "out"), "-q"]) == 0
+    assert capsys.readouterr().err == ""
+    gap = mg.find_gap(mg.read(logs[0]))
+    assert gap.names == ("axis-order",)
+    assert [term.name for term in gap.base.terms] == ["axis-order"]
+    loop = agreement(mg.read(logs[1]), gap.base).open_loop
+    assert loop.rms < 1.2 * loop.floor
+
+
+def test_a_log_that_lacks_what_is_needed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """No gyroscope is seen before the search, and nothing is written; a channel of what was found only after it."""
+    driven = mg.simulate("wide", 300, seed=31, effects=["motor-current"], channels=CHANNELS).recording
+    write_mcap(tmp_path / "driven.mcap", driven)
+    for name, other in (
+        ("still", replace(driven, angular_rate=None, attitude=None, acceleration=None)),
+        ("unlogged", replace(driven, channels={})),
+    ):
+        write_mcap(tmp_path / f"{name}.mcap", other)
+    out = tmp_path / "out"
+    asked = [
+        "gap",
+        str(tmp_path / "driven.mcap"),
+        "--candidates",
+        "motor-current",
+        "-q",
+        "-o",
+        str(out),
+        "--validate",
+    ]
+    assert cli.main([*asked, str(tmp_path / "still.mcap")]) == 2
+    assert "no angular rate" in capsys.readouterr().err
+    assert not out.exists()
+    assert cli.main([*asked, str(tmp_path / "unlogged.mcap")]) == 1
+    assert "could not be judged on unlogged.mcap: " in (said := capsys.readouterr().err)
+    assert "no current channel" in said
+    assert (out / "report.html").exists()
