@@ -83,6 +83,22 @@ def test_a_calibration_with_its_effects_closes_the_gap_again(seed: int) -> None:
     assert mg.find_gap(clipped, calibration=gap.calibration).verdict == "none"
 
 
+@pytest.mark.parametrize("rate", [3e-4, -1e-3])
+def test_clocks_that_drift_apart_are_no_delay(rate: float) -> None:
+    """By 0.2 and 0.6 s over ten minutes: a delay is named, and the gap is left open."""
+    recording = mg.simulate("wide", seed=7).recording
+    assert recording.angular_rate is not None
+    time = recording.time
+    drifting = mg.Recording.from_streams(
+        (time * (1 + rate), recording.magnetic_field), (time, recording.angular_rate)
+    )
+    gap = mg.find_gap(drifting)
+    assert gap.verdict in ("open", "unknown")
+    assert "the clocks of the two sensors drift apart" in gap.sentence
+    late = mg.Recording.from_streams((time + 0.1, recording.magnetic_field), (time, recording.angular_rate))
+    assert mg.find_gap(late).names == ("timing",)
+
+
 def test_another_log_may_contradict(
     clean: mg.Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

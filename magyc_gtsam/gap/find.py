@@ -55,6 +55,8 @@ def find_gap(
             or no noise at all is no error but a verdict, "not enough information".
     """
     _check_types(recording, calibration, simulated)
+    if progress is not None and not callable(progress):
+        raise MagycError(f"progress: a function of the share done is needed, got {type(progress).__name__}")
     names = _names(candidates)
     report = progress or (lambda _: None)
     report(0.0)

@@ -7,6 +7,7 @@ from collections.abc import Container, Iterable, Sequence
 import numpy as np
 
 from magyc_gtsam.estimators.axes import Arrangement
+from magyc_gtsam.gap.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.naming import Found, Look, term_places
 from magyc_gtsam.gap.neighbours import label_of, product_of
@@ -71,6 +72,8 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
 def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
     """Where the strongest of what is left lives, in words."""
     names = set(left)
+    if CLOCK_DRIFT in names:
+        return APART
     for score in last.scores:
         if score.name in names and score.generic:
             return f"something that lives in {score.place} is missing, and it is not {catalogue}"

@@ -17,6 +17,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import Noise
 from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange, with_two_causes
+from magyc_gtsam.gap.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import (
@@ -60,7 +61,7 @@ class Search:
         first, last: looks at the base model and at the final one.
         found: effects in the order of adding; see `naming.term_places`.
         leftover: names of what is significant in the last look, was not added and counts, what is still wanted
-            though no value of it is possible, and colour for which what is missing may pass.
+            though no value of it is possible, colour for which what is missing may pass, and clocks that drift apart.
         slight: names of what would explain the data, and is too small and weak to be named.
     """
 
@@ -191,6 +192,8 @@ def search(
     if final.current is not state.current:
         now = seen(final)
     left = tuple(dict.fromkeys((*left, *_of_no_value(now, final.found, others))))
+    if drift_apart(now.refit):
+        left = (CLOCK_DRIFT, *left)
     return Search(final.recording, final.problem, first, now, with_forms(final.found, now), left, slight)
 
 

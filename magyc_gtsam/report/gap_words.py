@@ -159,7 +159,7 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
     return [
         [
             hypothesis_label(h),
-            h.status,
+            "rejected: of another form" if h.status == "rejected" and h.statistic > h.threshold else h.status,
             f"{h.statistic:.1f}",
             f"{h.threshold:.1f}",
             f"{h.held_out_gain:+.1f}" if h.significant and np.isfinite(h.held_out_gain) else "",
