@@ -187,8 +187,14 @@ def calibrate(
         raise MagycError(
             f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
         )
-    usable, left_out = without_faults(recording, ("magnetic_field", *_METHODS[method].needs))
-    result: Calibration = function(usable, progress=progress, **given)
+    usable = without_faults(recording, ("magnetic_field", *_METHODS[method].needs))
+    try:
+        result: Calibration = function(usable.recording, progress=progress, **given)
+    except MagycError as problem:
+        if usable.clipped is None:
+            raise
+        raise MagycError(f"{usable.clipped.sentence}; {problem}") from None
+    left_out = usable.left_out
     if left_out:
         message = f"{result.message}; left out: {'; '.join(left_out)}"
         result = replace(result, message=message, diagnostics={**result.diagnostics, "left_out": left_out})
@@ -196,6 +202,8 @@ def calibrate(
         doubt = doubt_strength(result.field_strength)
         if doubt:
             result = replace(result, converged=False, message=f"{doubt}; {result.message}")
+    if usable.clipped is not None:
+        result = replace(result, converged=False, message=f"{usable.clipped.sentence}; {result.message}")
     if counts:
         result = replace(result, configuration={**result.configuration, "magnetic_field_unit": "counts"})
     return result

@@ -69,12 +69,22 @@ class Stuck:
         )
 
 
-def find_stuck(recording: Recording, sensors: Sequence[str] = ("magnetic_field", "angular_rate")) -> list[Stuck]:
-    """The axes of the named sensors that stood still for more than an instant, the largest share first."""
+def find_stuck(
+    recording: Recording,
+    sensors: Sequence[str] = ("magnetic_field", "angular_rate"),
+    clipped: Array | None = None,
+) -> list[Stuck]:
+    """The axes of the named sensors that stood still for more than an instant, the largest share first.
+
+    Args:
+        recording: what to look at.
+        sensors: of "magnetic_field" and "angular_rate".
+        clipped: (3, 2) T or counts, levels at which the magnetometer's axes are not stuck but cut off; NaN for none.
+    """
     shown, unit = recording.field_shown
     found = []
     if "magnetic_field" in sensors:
-        found += _of_sensor("magnetic_field", recording.magnetometer, recording, shown, unit)
+        found += _of_sensor("magnetic_field", recording.magnetometer, recording, shown, unit, clipped)
     if "angular_rate" in sensors and recording.angular_rate is not None:
         found += _of_sensor("angular_rate", recording.gyroscope, recording, 1e3, "mrad/s")
     return sorted((s for s in found if s.share > _SMALL), key=lambda s: -s.share)
@@ -96,9 +106,15 @@ def without_stuck(recording: Recording, found: Sequence[Stuck]) -> Recording:
     return recording.rows(kept)
 
 
-def _of_sensor(sensor: str, samples: Samples, recording: Recording, shown: float, unit: str) -> list[Stuck]:
+def _of_sensor(
+    sensor: str, samples: Samples, recording: Recording, shown: float, unit: str, spared: Array | None = None
+) -> list[Stuck]:
     time, value = samples
     runs = [_runs(time, column) for column in value.T]
+    if spared is not None:
+        runs = [
+            [run for run in found if value[run[0], axis] not in spared[axis]] for axis, found in enumerate(runs)
+        ]
     if not any(runs):
         return []
     step = resolution(value)

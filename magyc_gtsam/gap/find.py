@@ -14,6 +14,7 @@ from magyc_gtsam.estimators.faults import without_faults
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
 from magyc_gtsam.gap.channel_holes import without_channel_holes
+from magyc_gtsam.gap.clipped import with_clipped
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
@@ -95,9 +96,9 @@ def _looked(
     """The gap of one recording, and the search that found it; None where nothing can be told."""
     started = clock.perf_counter()
     needs_gyroscope(recording)
-    recording, left_out = without_faults(recording, ("magnetic_field", "angular_rate"))
-    recording, unlogged = without_channel_holes(recording)
-    left_out = [*left_out, *unlogged]
+    usable = without_faults(recording, ("magnetic_field", "angular_rate"))
+    recording, unlogged = without_channel_holes(usable.recording)
+    left_out = [*usable.left_out, *unlogged]
     recording, discrete = settled(recording, names)
     tones = () if calibration is None else tuple(t for t in calibration.terms if t.name == "tone")
     recording = silenced(recording, tones)
@@ -112,10 +113,12 @@ def _looked(
         reasons = f"the magnetometer has no measurable noise (under {LEAST * 1e9:.2g} nT): {_SILENT}", _ADD_NOISE
     if reasons is not None:
         gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
+        gap = with_clipped(gap, usable.clipped)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
     result = search(recording, base, short_term, names, _problem, report)
     report(0.8)
     gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
+    gap = with_clipped(gap, usable.clipped)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
 
 

@@ -1,0 +1,137 @@
+"""A field beyond the magnetometer's full scale: an axis that reads its own extreme again and again, and no more.
+
+The rows cannot be left out, as turns beyond the gyroscope's full scale are: that chooses rows by their noise. Without
+them the hard iron was 1 to 17 sigmas off, and without 0.6 s around them, too, still 2 (in an hour 5) where an axis
+stays near the level, as on a vehicle that stays level. So they stay in, for the gap's saturation to see, and no
+calibration from them is trusted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from magyc_gtsam.estimators.stuck import resolution
+from magyc_gtsam.recording import Array, Recording
+
+MOST = 0.005  # share of the samples; so few moved the hard iron by up to half a sigma in an hour
+_LEAST = 20  # samples at the extreme; a handful comes together by chance
+_RUNS = 5  # separate ones: an axis that is stuck has one
+_NOISY = (
+    0.5,
+    1.0,
+)  # steps of the sensor, of noise on the axis and on another meanwhile; an axis at rest repeats without it
+_OFTEN = (3.0, 1.5)  # times as often as a value next to it, at so much noise; a turn that levels off reaches 2.4
+_STEEP = 1.5  # steps between the extreme and a neighbour, as on
+_STEEPLY = 0.05  # of the passages with noise; on the edge between two values none is
+
+
+@dataclass(frozen=True)
+class ClippedField:
+    """What the magnetometer's full scale cut off.
+
+    Attributes:
+        axes: of x, y, z, that reached it.
+        levels: (lowest, highest) reading of each axis in T, or counts; NaN where nothing was cut off.
+        shown: the largest reading that was cut off, in size, as shown: µT or counts with the unit.
+        count: of the samples in which an axis was cut off; share: of all samples.
+    """
+
+    axes: str
+    levels: tuple[tuple[float, float], ...] = field(repr=False, compare=False)
+    shown: str
+    count: int
+    share: float
+
+    @property
+    def where(self) -> str:
+        """Which axes, at which reading, how often."""
+        which = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
+        return (
+            f"magnetic_field: {which} of the magnetometer cut off at {self.shown} in {self.count} samples "
+            f"({self.share:.1%} of the recording)"
+        )
+
+    @property
+    def too_often(self) -> bool:
+        """Whether it harms a calibration."""
+        return self.share > MOST
+
+    @property
+    def sentence(self) -> str:
+        """`where`, the limit and the remedy."""
+        return (
+            f"{self.where}: at most {MOST:.1%} do no harm; choose a larger full scale, move what is magnetic away from "
+            "the sensor, or take the calibration of `magyc-gtsam gap`, where that can model it"
+        )
+
+
+def find_clipped_field(recording: Recording) -> ClippedField | None:
+    """Where an axis of the magnetometer reads its extreme as no turn does, so often that it does harm; else None."""
+    value = recording.magnetometer.value
+    levels = clipped_levels(value)
+    found = clipped_field(levels, int(at_level(value, levels).sum()), len(value), *recording.field_shown)
+    return found if found is not None and found.too_often else None
+
+
+def clipped_field(levels: Array, count: int, samples: int, shown: float, unit: str) -> ClippedField | None:
+    """The same from (3, 2) levels, the samples at them and of all, and how a field is shown; None without a level."""
+    known = np.isfinite(levels)
+    if not known.any():
+        return None
+    axes = "".join(axis for axis, sides in zip("xyz", known, strict=True) if sides.any())
+    level = float(np.abs(levels[known]).max()) * shown
+    each = tuple((float(low), float(high)) for low, high in levels)
+    return ClippedField(axes, each, f"{level:.4g} {unit}", count, count / samples)
+
+
+def at_level(value: Array, levels: Array) -> np.ndarray:
+    """(n,) bool, which samples (n, 3) are at a level (3, 2) of any axis."""
+    return np.asarray((value[:, :, None] == levels).any(axis=(1, 2)))
+
+
+def clipped_levels(value: Array) -> Array:
+    """(3, 2) lowest and highest reading of each axis of samples (n, 3) where it was cut off; NaN where it was not."""
+    levels = np.full((3, 2), np.nan)
+    step = resolution(value)
+    for axis, column in enumerate(value.T):
+        others = np.delete(value, axis, axis=1)
+        for side, sign in enumerate((-1.0, 1.0)):
+            if _cut_off(sign * column, others, step):
+                levels[axis, side] = sign * (sign * column).max()
+    return levels
+
+
+def _cut_off(side: Array, others: Array, step: float) -> bool:
+    """Whether a full scale cut off what was larger than the largest value of an axis.
+
+    A full scale gathers there what noise and turns spread over all values beyond.
+    """
+    away = side.max() - side
+    top = away == 0
+    if top.sum() <= max(_LEAST, MOST * len(top)):
+        return False
+    edges = np.flatnonzero(top[1:] != top[:-1])
+    bounds = np.concatenate([[0], edges + 1, [len(top)]])
+    runs = np.diff(bounds)[top[bounds[:-1]]]
+    if len(runs) < _RUNS:
+        return False
+    steep = int((np.abs(np.diff(side))[edges] > _STEEP * step).sum())
+    if steep < max(_RUNS, _STEEPLY * len(edges)):
+        return False
+    beside = np.histogram(away, np.array([0.5, 1.5, 2.5]) * step)[0].max()
+    often = (top.sum() - runs.max()) / max(beside, 1)  # without the longest: an axis that is stuck at its extreme
+    noise = min(_noise(others, top, step), _noise(side[:, None], ~top, step))
+    return any(noise >= least and often >= times for least, times in zip(_NOISY, _OFTEN, strict=True))
+
+
+def _noise(value: Array, rows: np.ndarray, step: float) -> float:
+    """Steps of white noise per sample about some rows, on the noisiest of the axes (n, axes), before it was rounded."""
+    second = np.diff(value, 2, axis=0)[rows[1:-1]] / step
+    if not len(second):
+        return 0.0
+    variance = (second**2).mean(
+        axis=0
+    ) / 6 - 1 / 12  # 6 is the gain of second differences, 1/12 what rounding adds
+    return float(np.sqrt(max(variance.max(), 0.0)))

@@ -1,0 +1,40 @@
+"""A magnetometer that is known to be cut off at its full scale: what that makes of a gap."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.clipped_field import ClippedField
+from magyc_gtsam.gap.result import Gap
+
+MOST = (
+    0.25  # share of the samples, beyond which the model of saturation is by sigmas off: 0.4 gives 2, 0.6 gives 4
+)
+
+
+def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
+    """The gap, open unless saturation was named and so little cut off that its model holds."""
+    if clipped is None:
+        return gap
+    named = "saturation" in gap.names
+    if named and clipped.share <= MOST and gap.verdict == "closed":
+        return gap
+    why = "which the search did not name" if not named else "and something else is missing"
+    if clipped.share > MOST:
+        why = f"at most {MOST:.0%} can be modelled"
+    sentence = (
+        f"{clipped.where}, {why}: choose a larger full scale, or move what is magnetic away from the sensor; "
+        f"{gap.sentence}"
+    )
+    return replace(
+        gap,
+        verdict=gap.verdict if gap.verdict == "not enough information" else "open",
+        sentence=sentence,
+        calibration=_doubted(gap.calibration, clipped),
+        base=_doubted(gap.base, clipped),
+    )
+
+
+def _doubted(calibration: Calibration, clipped: ClippedField) -> Calibration:
+    return replace(calibration, converged=False, message=f"{clipped.where}; {calibration.message}")
