@@ -162,6 +162,7 @@ class Json(Quiet):
             "left_out": progress.left_out,
             "stuck": [stuck.where for stuck in progress.stuck],
             "clipped": None if progress.clipped is None else progress.clipped.where,
+            "clipped_field": None if progress.clipped_field is None else progress.clipped_field.where,
             "coverage": progress.coverage,
             "converged": progress.converged,
             "sentence": progress.sentence,

@@ -15,7 +15,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 
-_FORMAT = "magyc-gtsam online state 5"
+_FORMAT = "magyc-gtsam online state 6"
 
 
 def write(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.clipped import Clipped
+from magyc_gtsam.estimators.clipped_field import ClippedField
 from magyc_gtsam.estimators.stuck import Stuck
 from magyc_gtsam.observability import Weakness
 from magyc_gtsam.recording import Array
@@ -28,6 +29,8 @@ class Progress:
             turns that were cut off.
         stuck: axes that stood still so far, or do so now, the largest share first; nothing is learnt from them.
         clipped: what the gyroscope's full scale cut off so far; nothing is learnt across it.
+        clipped_field: what the magnetometer's full scale cut off so far, if it is enough to do harm; it is learnt from,
+            and the estimate not converged.
     """
 
     time: float | None
@@ -40,6 +43,7 @@ class Progress:
     left_out: int = 0
     stuck: tuple[Stuck, ...] = ()
     clipped: Clipped | None = None
+    clipped_field: ClippedField | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,5 @@
-"""The watch over both sensors: what stands still, and turns that were cut off, are not learnt from, and said."""
+"""The watch over both sensors: what stands still, and turns that were cut off, are not learnt from, and said; a field
+that was cut off is said."""
 
 from __future__ import annotations
 
@@ -10,6 +11,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.stuck import Stuck, field_turned, shown_value
 from magyc_gtsam.online.buffers import Rows
+from magyc_gtsam.online.clipped_field import ClippedFieldWatch
 from magyc_gtsam.online.full_scale import FullScaleWatch
 from magyc_gtsam.online.repeats import Repeats
 from magyc_gtsam.online.standstill import AxisWatch
@@ -29,6 +31,7 @@ class Watch:
         self._axes = tuple(AxisWatch() for _ in _NAMES)
         self._repeats = Repeats()
         self._full_scale = FullScaleWatch()
+        self._clipped_field = ClippedFieldWatch()
         self._field = Rows(4)  # magnetometer samples that the gyroscope has not come to
         self._latest = -np.inf  # s, stamp of the last gyroscope sample
         self._stretches: list[tuple[float, ...]] = []  # sensor, 3 flags, 3 values, from, to
@@ -41,6 +44,7 @@ class Watch:
             self._latest = float(gyroscope.time[-1])
         if len(magnetometer.time):
             self._field.append(np.column_stack(magnetometer))
+        self._clipped_field.take(magnetometer.value)
         field, rate = self._axes
         passed = (
             field.take(magnetometer, lambda rows: False, lambda: self._end(0)),
@@ -66,19 +70,22 @@ class Watch:
         repeated = self._repeats.now()
         if repeated is not None:
             now.append(_stretch(0, np.ones(3, dtype=bool), repeated[2:], *repeated[:2].tolist()))
-        return _named([*self._stretches, *now], duration), _named(now, duration)
+        levels = self._clipped_field.levels
+        every, now = ([s for s in found if not _cut_off(s, levels)] for found in ([*self._stretches, *now], now))
+        return _named(every, duration), _named(now, duration)
 
     @property
     def refused(self) -> str:
         """Why what is left makes no calibration; empty where it does."""
-        clipped = self._full_scale.clipped
-        return clipped.sentence if clipped is not None and clipped.too_often else ""
+        faults = self._full_scale.clipped, self._clipped_field.clipped
+        return "; ".join(fault.sentence for fault in faults if fault is not None and fault.too_often)
 
     def noted(self, progress: Progress) -> Progress:
         """A progress with what only the watch knows."""
         every, now = self.stuck(progress.duration)
         clipped = self._full_scale.clipped
-        if not every and clipped is None:
+        clipped_field = self._clipped_field.clipped
+        if not every and clipped is None and clipped_field is None:
             return progress
         sentence, converged = progress.sentence, progress.converged
         if self.refused:
@@ -93,6 +100,7 @@ class Watch:
             converged=converged,
             stuck=every,
             clipped=clipped,
+            clipped_field=clipped_field,
             left_out=progress.left_out + self.dropped,
         )
 
@@ -100,9 +108,9 @@ class Watch:
         """A calibration with what was left out, as the batch methods say it."""
         faults = [*self.stuck(duration)[0], self._full_scale.clipped]
         where = [fault.where for fault in faults if fault is not None]
-        if not where or calibration is None:
+        if calibration is None or not (where or self.refused):
             return calibration
-        diagnostics = {**calibration.diagnostics, "left_out": where}
+        diagnostics = {**calibration.diagnostics} | ({"left_out": where} if where else {})
         if self.refused:
             return replace(calibration, converged=False, message=self.refused, diagnostics=diagnostics)
         message = f"{calibration.message}; left out: {'; '.join(where)}"
@@ -125,12 +133,13 @@ class Watch:
         self._stretches = [*self._stretches, _stretch(sensor, axes, value, since, until)][-_MOST:]
 
     @property
-    def _parts(self) -> tuple[tuple[str, AxisWatch | Repeats | FullScaleWatch], ...]:
+    def _parts(self) -> tuple[tuple[str, AxisWatch | Repeats | FullScaleWatch | ClippedFieldWatch], ...]:
         return (
             ("magnetometer", self._axes[0]),
             ("gyroscope", self._axes[1]),
             ("repeats", self._repeats),
             ("full_scale", self._full_scale),
+            ("clipped_field", self._clipped_field),
         )
 
     def state(self) -> Mapping[str, Array]:
@@ -155,6 +164,12 @@ class Watch:
 
 def _stretch(sensor: int, axes: np.ndarray, value: Array, since: float, until: float) -> tuple[float, ...]:
     return (float(sensor), *axes.astype(float).tolist(), *np.asarray(value).tolist(), since, until)
+
+
+def _cut_off(stretch: tuple[float, ...], levels: Array) -> bool:
+    """Whether a stretch of one axis of the magnetometer is at a level (3, 2) at which it is cut off."""
+    sensor, flags, value = stretch[0], np.array(stretch[1:4], dtype=bool), np.array(stretch[4:7])
+    return sensor == 0 and bool((value[flags, None] == levels[flags]).any(axis=1).all())
 
 
 def _named(stretches: list[tuple[float, ...]], duration: float) -> tuple[Stuck, ...]:
