@@ -18,10 +18,7 @@ from magyc_gtsam.recording import Array, Recording
 MOST = 0.005  # share of the samples; so few moved the hard iron by up to half a sigma in an hour
 _LEAST = 20  # samples at the extreme; a handful comes together by chance
 _RUNS = 5  # separate ones: an axis that is stuck has one
-_NOISY = (
-    0.5,
-    1.0,
-)  # steps of the sensor, of noise on the axis and on another meanwhile; an axis at rest repeats without it
+_NOISY = (0.5, 1.0)  # steps of the sensor, of noise on the axis and on another: at rest it repeats without it
 _OFTEN = (3.0, 1.5)  # times as often as a value next to it, at so much noise; a turn that levels off reaches 2.4
 _STEEP = 1.5  # steps between the extreme and a neighbour, as on
 _STEEPLY = 0.05  # of the passages with noise; on the edge between two values none is
@@ -131,7 +128,6 @@ def _noise(value: Array, rows: np.ndarray, step: float) -> float:
     second = np.diff(value, 2, axis=0)[rows[1:-1]] / step
     if not len(second):
         return 0.0
-    variance = (second**2).mean(
-        axis=0
-    ) / 6 - 1 / 12  # 6 is the gain of second differences, 1/12 what rounding adds
+    # 6 is the gain of second differences, 1/12 what rounding adds.
+    variance = (second**2).mean(axis=0) / 6 - 1 / 12
     return float(np.sqrt(max(variance.max(), 0.0)))

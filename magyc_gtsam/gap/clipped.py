@@ -8,9 +8,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.clipped_field import ClippedField
 from magyc_gtsam.gap.result import Gap
 
-MOST = (
-    0.25  # share of the samples, beyond which the model of saturation is by sigmas off: 0.4 gives 2, 0.6 gives 4
-)
+MOST = 0.25  # share of the samples, beyond which the model of saturation is sigmas off: 2 at 0.4, 4 at 0.6
 
 
 def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
