@@ -50,6 +50,20 @@ def test_what_differs_is_named(calibration: mg.Calibration, motion: str) -> None
     assert "soft iron xx" in names
 
 
+def test_terminal_and_page_show_what_differs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    moved = mg.simulate("wide", 1).truth.hard_iron + np.array([3e-6, 0, 0])
+    for name, iron in (("here", None), ("there", moved)):
+        more = {} if iron is None else {"hard_iron": iron}
+        write_mcap(tmp_path / f"{name}.mcap", mg.simulate("wide", 200, seed=17, **more).recording)
+    asked = ["gap", str(tmp_path / "here.mcap"), "--validate", str(tmp_path / "there.mcap")]
+    assert cli.main([*asked, "--candidates", "timing", "-o", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr()
+    assert "there hard iron x is " in said.err
+    for text in (said.out, (tmp_path / "out" / "report.html").read_text()):
+        assert "what differs there" in text
+        assert "hard iron x (µT)" in text
+
+
 def test_exchanged_axes_hold_on_another_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = []
     for seed in (21, 22):

@@ -244,6 +244,8 @@ def _show(gap: Gap, validation: Validation | None) -> None:
     if validation is not None:
         show("", f"on {validation.name}:")
         show_table(words.METRICS, words.metric_rows(validation.before, validation.after))
+        if validation.differences:
+            show_table(words.DIFFERS, words.moved_rows(validation.differences))
     rejected = [a.sentence for a in gap.assumptions if a.rejected]
     if gap.assumptions:
         compared = sum(a.compared for a in gap.assumptions)

@@ -25,6 +25,7 @@ _TITLES = {
 HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "by sigmas")
+DIFFERS = ("what differs there", "here", "there", "by sigmas")
 ASSUMPTIONS = ("assumption", "simulated", "measured", "")
 PLAN = ("effect", "found from", "matters from", "what matters is found", "left", "named as")
 
@@ -211,11 +212,11 @@ def line_sentences(metrics: Metrics) -> list[str]:
     ]
 
 
-def moved_rows(gap: Gap) -> list[list[str]]:
+def moved_rows(moved: Sequence[Moved]) -> list[list[str]]:
     """One row per parameter that moved; see `MOVED`."""
     return [
         [f"{m.name} ({m.unit})" if m.unit else m.name, f"{m.before:.4g}", f"{m.after:.4g}", f"{m.sigmas:+.1f}"]
-        for m in gap.moved
+        for m in moved
     ]
 
 
