@@ -18,7 +18,10 @@ from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.steps import State, terms_of, with_effect
 
 _DRIFT = "hard-iron-drift"
-_BETTER = (20.0, 0.12)  # nats, and share of its evidence, by which two causes must be ahead of a drift
+_BETTER = 9.0  # nats, by which two causes must be ahead of a drift
+_EACH = (
+    1 / 6
+)  # share of their evidence that each must have: a drift that is steeper once is no step beside another
 _CERTAIN = 2.0  # limits that the significance of what the motion does not determine must pass
 
 
@@ -85,10 +88,11 @@ def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -
     return None
 
 
-def with_two_causes(state: State, seen: Callable[[State], Look]) -> State | None:
-    """With a drift exchanged for two changes of the hard iron that explain more than it does; None: there are none.
+def with_two_causes(state: State, now: Look, seen: Callable[[State], Look]) -> State | None:
+    """With a drift exchanged for two changes of the hard iron that explain more than it does, and leave no more.
 
-    What warms and is moved once drifts in no other way, but no one cause of it explains as much as the drift.
+    What warms and is moved once drifts in no other way, but no one cause of it explains as much as the drift. None:
+    there are none.
     """
     places = term_places(state.found, state.current.model)
     place = next((place for place in places if state.found[place].name == _DRIFT), None)
@@ -97,19 +101,22 @@ def with_two_causes(state: State, seen: Callable[[State], Look]) -> State | None
     current = state.refitted(without_term(state.current.model, places[place]))
     if current is None:
         return None
-    drift = state.found[place].evidence
-    ahead, explained = replace(state, current=current, found=less(state.found, {place})), 0.0
+    ahead, explained = replace(state, current=current, found=less(state.found, {place})), []
     for _ in range(2):
         cause = _best_cause(ahead, seen(ahead))
         if cause is None:
             return None
         ahead, evidence = cause
-        explained += evidence
-    return ahead if explained > drift + max(_BETTER[0], _BETTER[1] * drift) else None
+        explained.append(evidence)
+    both = sum(explained)
+    if min(explained) < _EACH * both:
+        return None
+    better = both - rest(seen(ahead)) > state.found[place].evidence - rest(now) + _BETTER
+    return ahead if better else None
 
 
 def _best_cause(state: State, now: Look) -> tuple[State, float] | None:
-    """A state with the strongest of the effects that a drift is confused with, and its evidence."""
+    """A state with the strongest effect, of one change, that a drift is confused with, and its evidence."""
     causes = [
         at_sharpest(score, now)
         for score in now.scores
@@ -117,6 +124,7 @@ def _best_cause(state: State, now: Look) -> tuple[State, float] | None:
         and score.significant
         and now.gains.get(score.name, 0.0) > 0
         and related(_DRIFT, score.name)
+        and "until" not in score.variant.setting
         and all(term.name != score.name for term in now.refit.model.terms)
     ]
     for sharp in sorted(causes, key=lambda score: -score.evidence):

@@ -15,8 +15,8 @@ def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
     """The gap, open unless saturation was named and so little cut off that its model holds."""
     if clipped is None:
         return gap
-    named = "saturation" in gap.names
-    if named and clipped.share <= MOST and gap.verdict == "closed":
+    named = any(term.name == "saturation" for term in gap.calibration.terms)  # found now, or given
+    if named and clipped.share <= MOST and gap.verdict in ("none", "closed"):
         return gap
     why = "which the search did not name" if not named else "and something else is missing"
     if clipped.share > MOST:

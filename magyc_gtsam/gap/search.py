@@ -156,7 +156,7 @@ def search(
         if not options or len(state.current.model.terms) >= MOST_TERMS:
             better = with_exchange(state, seen, exchanged)
             if better is None and len(state.current.model.terms) < MOST_TERMS:
-                better = with_two_causes(state, seen)
+                better = with_two_causes(state, now, seen)
             if better is None:
                 break
             state, now = widest(better)
