@@ -76,7 +76,7 @@ def test_where_the_search_begins_does_not_decide(seed: int) -> None:
 def test_a_calibration_with_its_effects_closes_the_gap_again(seed: int) -> None:
     """A saturation too, whose form leaves something beside it."""
     recording = mg.simulate("wide", seed=seed).recording
-    level = 0.9 * np.abs(recording.magnetic_field).max()
+    level = 0.94 * np.abs(recording.magnetic_field).max()
     clipped = replace(recording, magnetic_field=np.clip(recording.magnetic_field, -level, level))
     gap = mg.find_gap(clipped)
     assert gap.names == ("saturation",)
