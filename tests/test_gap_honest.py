@@ -60,7 +60,7 @@ def test_a_term_of_another_log_is_contradicted(clean: mg.Recording) -> None:
     assert "does not fit" in gap.sentence
 
 
-@pytest.mark.parametrize("seed", [50, 51, 52])
+@pytest.mark.parametrize("seed", [50, 52])
 def test_where_the_search_begins_does_not_decide(seed: int) -> None:
     """Without g-sensitivity in its model `calibrate` takes some of it for a delay, which is none beside it."""
     recording = mg.simulate("wide", seed=seed, effects=["g-sensitivity"]).recording
