@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import B, H, S, X
 
 import magyc_gtsam as mg
+from magyc_gtsam.factors import vech
+from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.gap import term_factor
 from magyc_gtsam.gap.channel_holes import without_channel_holes
+from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.environment import CHANNELS
 
 
@@ -44,7 +50,40 @@ def test_sparse_values_are_a_channel() -> None:
     assert len(filled.time) == len(recording.time)
     name = _current(recording)
     assert np.corrcoef(filled.channels[name], recording.channels[name])[0, 1] > 0.9
-    assert "motor-current" in mg.find_gap(sparse).names
+    gap = mg.find_gap(sparse)
+    assert "motor-current" in gap.names
+    # What was found can be used: taken out of the readings, and in a graph.
+    assert np.isfinite(gap.calibration.apply(sparse)).all()
+    term = next(term for term in gap.calibration.terms if term.name == "motor-current")
+    assert np.isfinite(_information(sparse, gap.calibration, term)).all()
+
+
+def test_a_hole_is_in_no_factor() -> None:
+    """A value that is determined by the rows in which the current was logged alone."""
+    recording = _driven(47)
+    late = _logged(recording, recording.time >= 150)
+    gap = mg.find_gap(late, candidates=["motor-current"])
+    (term,) = gap.calibration.terms
+    whole, part = (_information(each, gap.calibration, term) for each in (recording, late))
+    assert np.all(np.diag(part) < 0.95 * np.diag(whole))
+    assert np.all(np.diag(part) > 0.4 * np.diag(whole))
+
+
+def _information(recording: mg.Recording, calibration: mg.Calibration, term: Term) -> Array:
+    """(3, 3) of the term's value, in the factor of a recording."""
+    keys = [S(0), H(0), B(0), X(0)]
+    values = gtsam.Values()
+    unit = 1e6 * float(calibration.field_strength or 0)
+    assert calibration.gyro_bias is not None
+    for key, value in zip(
+        keys,
+        (unit * vech(calibration.soft_iron), 1e6 * calibration.hard_iron, calibration.gyro_bias, term.value),
+        strict=True,
+    ):
+        values.insert(key, value)
+    linear = term_factor(recording, calibration, term, keys).linearize(values)
+    result: Array = linear.information()[-3:, -3:]
+    return result
 
 
 def test_a_channel_that_is_hardly_there_is_not_tested() -> None:

@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.chain_search import preintegrate
 from magyc_gtsam.factors.effect_factor import effect_chain_factor
 from magyc_gtsam.factors.effects import FORMS, Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.problem import Active, Problem
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.gap.validation import as_model
@@ -53,12 +54,14 @@ def term_factor(
     terms = [term] if isinstance(term, Term) else list(term)
     own = [each for each in terms if each.name != "timing"]
     _check(calibration, terms, own, keys)
+    start = recording.time[0]
+    recording, _ = without_channel_holes(recording)
     problem = Problem.of(recording, preintegrate(recording, window))
     model = as_model(problem, replace(calibration, terms=()))
     twin = Twin.of(problem, replace(model, terms=tuple(Active(t.name, t.setting, t.value) for t in own)))
     part = None
     if between is not None:
-        begin = problem.samples.magnetometer_time[problem.samples.starts] - recording.time[0]
+        begin = problem.samples.magnetometer_time[problem.samples.starts] - start
         first, last = np.searchsorted(begin, between)
         part = int(first), int(last)
     at = {"magnetometer": twin.windows, "gyroscope": twin.gyroscope}

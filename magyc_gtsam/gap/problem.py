@@ -104,7 +104,8 @@ class Problem:
 def _others(recording: Recording, at: Array) -> Signals:
     """Acceleration and channels at given times.
 
-    Rows with too little data, or that stand still, tell nothing and are 0; a kind of which all are so is left out.
+    Rows that are not known throughout (`channel_holes`), or that stand still, tell nothing and are 0; a kind of which all
+    are so is left out.
     """
     time = recording.time
 
@@ -114,7 +115,7 @@ def _others(recording: Recording, at: Array) -> Signals:
     acceleration = None if recording.acceleration is None else interpolated(recording.acceleration.T)
     channels = {}
     for kind, rows in channels_by_kind(recording.channels).items():
-        usable = [np.isfinite(r).mean() > 0.5 and np.nanstd(r) > _STILL * np.nanmax(np.abs(r)) for r in rows]
+        usable = [bool(np.isfinite(r).all()) and np.std(r) > _STILL * np.max(np.abs(r)) for r in rows]
         if any(usable):
             channels[kind] = interpolated(np.where(np.array(usable)[:, None], rows, 0.0))
     return Signals(at, acceleration=acceleration, channels=channels)
