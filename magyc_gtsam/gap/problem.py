@@ -104,7 +104,7 @@ class Problem:
 def _others(recording: Recording, at: Array) -> Signals:
     """Acceleration and channels at given times.
 
-    Rows that are not known throughout (`channel_holes`), or that stand still, tell nothing and are 0; a kind of which all
+    Rows not known throughout (`channel_holes`), or that stand still, tell nothing and are 0; a kind of which all
     are so is left out.
     """
     time = recording.time
