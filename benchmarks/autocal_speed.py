@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.autocal_fit import autocal
-from magyc_gtsam.estimators.ellipsoid import fit_ellipsoid, standardise
-from magyc_gtsam.estimators.kok_schon import fit_kok_schon
-from magyc_gtsam.estimators.l1_ellipsoid import fit_l1_ellipsoid, l1_start
+from magyc_gtsam.estimators.autocal.fit import autocal
+from magyc_gtsam.estimators.ellipsoid.ellipsoid import fit_ellipsoid, standardise
+from magyc_gtsam.estimators.ellipsoid.kok_schon import fit_kok_schon
+from magyc_gtsam.estimators.ellipsoid.l1_ellipsoid import fit_l1_ellipsoid, l1_start
 from magyc_gtsam.factors import KERNELS
 from magyc_gtsam.study.autocal import synthetic
 

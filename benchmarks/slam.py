@@ -9,6 +9,7 @@
 import argparse
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import gtsam
@@ -19,10 +20,12 @@ import magyc_gtsam as mg
 from magyc_gtsam.factors import (
     KeyframeField,
     NativeFactors,
+    calibration_prior,
     hard_iron_walk,
     keyframe_field_factor,
     magnetometer_factor,
     soft_iron_walk,
+    unvech,
     vech,
 )
 
@@ -53,7 +56,81 @@ def calibration_start(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, f
 
 # --- cost ------------------------------------------------------------------------------------------------
 
-BLOCK, NODE, FIX = 10, 240, 40  # keyframes per block, calibration node and position fix
+FIX = 40  # keyframes per position fix
+VEHICLES = {"survey": "hardly turns", "wide": "turns all the time"}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the magnetometer's samples go: keyframes per block, keyframes per calibration node, its walk."""
+
+    block: int = 10
+    node: int = 240
+    carried: bool = False  # the next node starts from the last one's marginal as a prior, not by a walk
+
+
+class Run:
+    """One graph in iSAM2, and the process time of each of its updates."""
+
+    def __init__(self, vehicle: Vehicle, path: str, layout: Layout, wildfire: float, count: int) -> None:
+        self.vehicle, self.path, self.layout = vehicle, path, layout
+        self.isam, self.native, self.node = isam2(wildfire), NativeFactors(), 0
+        self.random, self.spent = np.random.default_rng(0), np.zeros(count)
+        graph, values = vehicle.start(heading_error=0.0)
+        if path != "none":
+            calibration_start(graph, values)
+        self.isam.update(graph, values)
+
+    def step(self, k: int) -> None:
+        """Keyframe k."""
+        begin = time.process_time()
+        isam, vehicle = self.isam, self.vehicle
+        pose, velocity = isam.calculateEstimatePose3(X(k - 1)), isam.calculateEstimateVector(V(k - 1))
+        bias = isam.calculateEstimateConstantBias(B(k - 1))
+        graph, values = vehicle.step(k, pose, velocity, bias)
+        if k % FIX == 0:
+            fix = vehicle.poses[k].translation() + self.random.normal(size=3)
+            graph.push_back(gtsam.GPSFactor(X(k), fix, ISOTROPIC(3, 1.0)))
+        if self.path == "native":
+            self.calibrate(k, graph, values, bias)
+            self.native.update(isam, graph, values)
+        else:
+            if self.path == "per sample":
+                for row in range((k - 1) * vehicle.every + 5, k * vehicle.every + 1, 5):
+                    field = vehicle.recording.magnetic_field[row]
+                    graph.push_back(
+                        magnetometer_factor(X(k), A(0), H(0), field, SIGMA, field=vehicle.field, field_unit=UNIT)
+                    )
+            isam.update(graph, values)
+        isam.calculateEstimatePose3(X(k))
+        self.spent[k - 1] = time.process_time() - begin
+
+    def calibrate(
+        self, k: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, bias: gtsam.imuBias.ConstantBias
+    ) -> None:
+        """The nodes and blocks of keyframe k."""
+        isam, vehicle, node = self.isam, self.vehicle, self.node
+        if k % self.layout.node == 0:
+            elapsed = self.layout.node * vehicle.every / vehicle.rate
+            last = [isam.calculateEstimateVector(A(node)), isam.calculateEstimatePoint3(H(node))]
+            values.insert(A(k), last[0])
+            values.insert(H(k), last[1])
+            if self.layout.carried:
+                spread = isam.jointMarginalCovariance([A(node), H(node)]).fullMatrix()
+                spread += elapsed / 3600 * np.diag(np.r_[np.full(6, 1e-6), np.full(3, (0.1e-6 / UNIT) ** 2)])
+                unit = np.r_[np.ones(6), np.full(3, UNIT)]
+                covariance = spread * unit * unit[:, None]
+                graph.push_back(
+                    calibration_prior(A(k), H(k), unvech(last[0]), last[1] * UNIT, covariance, field_unit=UNIT)
+                )
+            else:
+                graph.push_back(soft_iron_walk(A(node), A(k), elapsed, 1e-3))
+                graph.push_back(hard_iron_walk(H(node), H(k), elapsed, 0.1e-6, field_unit=UNIT))
+            self.node = k
+        if k % self.layout.block == 0:
+            samples = block(vehicle, k, self.layout.block, 2, bias.gyroscope())
+            keys = (X(k), A(self.node), H(self.node))
+            graph.push_back(keyframe_field_factor(*keys, samples, SIGMA, field=vehicle.field, field_unit=UNIT))
 
 
 def isam2(wildfire: float) -> gtsam.ISAM2:
@@ -73,75 +150,29 @@ def isam2(wildfire: float) -> gtsam.ISAM2:
     return gtsam.ISAM2(settings)
 
 
-def drive(vehicle: Vehicle, path: str, wildfire: float, count: int) -> np.ndarray:
-    """Process time of each update, s, of the graph with the given magnetometer path."""
-    isam, native, node = isam2(wildfire), NativeFactors(), 0
-    random = np.random.default_rng(0)
-    graph, values = vehicle.start(heading_error=0.0)
-    if path != "none":
-        calibration_start(graph, values)
-    isam.update(graph, values)
-    spent, bias = np.zeros(count), gtsam.imuBias.ConstantBias()
+def cost(motion: str, count: int, layout: Layout, wildfire: float) -> None:
+    """Print what the magnetometer adds at 1,000, 5,000 and 10,000 poses; both graphs grow in turn, pose by pose."""
+    vehicle = Vehicle(motion, count / 4 + 0.1, 1, every=25, rate=100)
+    print(
+        f"{motion} ({VEHICLES.get(motion, '')}), {count} poses at 4 Hz, inertial samples at 100 Hz, "
+        f"{layout.block * 25 // 2} magnetometer samples per block of {layout.block / 4:g} s, node every "
+        f"{layout.node / 4:g} s{', carried over' if layout.carried else ''}, wildfire {wildfire:g}"
+    )
+    runs = [Run(vehicle, path, layout, wildfire, count) for path in ("none", "native")]
     for k in range(1, count + 1):
-        begin = time.process_time()
-        pose, velocity = isam.calculateEstimatePose3(X(k - 1)), isam.calculateEstimateVector(V(k - 1))
-        bias = isam.calculateEstimateConstantBias(B(k - 1))
-        graph, values = vehicle.step(k, pose, velocity, bias)
-        if k % FIX == 0:
-            fix = vehicle.poses[k].translation() + random.normal(size=3)
-            graph.push_back(gtsam.GPSFactor(X(k), fix, ISOTROPIC(3, 1.0)))
-        remove = []
-        if path == "native":
-            if k % NODE == 0:
-                elapsed = NODE * vehicle.every / vehicle.rate
-                graph.push_back(soft_iron_walk(A(node), A(k), elapsed, 1e-3))
-                graph.push_back(hard_iron_walk(H(node), H(k), elapsed, 0.1e-6, field_unit=UNIT))
-                values.insert(A(k), isam.calculateEstimateVector(A(node)))
-                values.insert(H(k), isam.calculateEstimatePoint3(H(node)))
-                node = k
-            if k % BLOCK == 0:
-                samples = block(vehicle, k, BLOCK, 5, bias.gyroscope())
-                keys = (X(k), A(node), H(node))
-                factor = keyframe_field_factor(*keys, samples, SIGMA, field=vehicle.field, field_unit=UNIT)
-                native.add(graph, factor, isam, values)
-            remove = native.refresh(graph, isam)
-        elif path == "per sample":
-            for row in range((k - 1) * vehicle.every + 5, k * vehicle.every + 1, 5):
-                field = vehicle.recording.magnetic_field[row]
-                graph.push_back(
-                    magnetometer_factor([X(k), A(0), H(0)], field, SIGMA, field=vehicle.field, field_unit=UNIT)
-                )
-        native.placed(isam.update(graph, values, remove).getNewFactorsIndices())
-        isam.calculateEstimatePose3(X(k))
-        spent[k - 1] = time.process_time() - begin
-    return spent
-
-
-def cost(count: int, per_sample: int, repeat: int) -> None:
-    """Print the times with and without the magnetometer, the least of `repeat` runs in turn.
-
-    The updates wait for memory, so that another load on the machine slows the faster graph more.
-    """
-    vehicle = Vehicle("survey", count / 4 + 0.1, 1, every=25, rate=100)
-    print(f"{count} poses at 4 Hz, inertial samples at 100 Hz, magnetometer at 20 Hz, a block every 2.5 s")
-    for wildfire in (1e-3, 1e-2):
-        runs = [[drive(vehicle, path, wildfire, count) for path in ("none", "native")] for _ in range(repeat)]
-        base, with_blocks = (min(of_path, key=np.sum) for of_path in zip(*runs, strict=True))
-        for name, spent in (("without", base), ("native", with_blocks)):
-            end = spent[-count // 10 :]
-            whole, last = spent.sum() / base.sum() - 1, end.mean() / base[-count // 10 :].mean() - 1
+        for run in runs if k % 2 else reversed(runs):
+            run.step(k)
+        if k in (1000, 5000, 10_000, count):
+            base, own = (run.spent[:k] for run in runs)
+            tenth = k // 10
             print(
-                f"wildfire {wildfire:g}  {name:8s} total {spent.sum():6.2f} s ({whole:+.0%})   last tenth, per update: "
-                f"mean {end.mean() * 1e3:.3f} ms ({last:+.0%}), median {np.median(end) * 1e3:.3f}, "
-                f"largest {end.max() * 1e3:.1f}",
+                f"  {k:6d} poses: {base.sum():6.2f} → {own.sum():6.2f} s (×{own.sum() / base.sum():.2f}); last tenth "
+                f"{base[-tenth:].mean() * 1e3:.2f} → {own[-tenth:].mean() * 1e3:.2f} ms each "
+                f"(×{own[-tenth:].mean() / base[-tenth:].mean():.2f})",
                 flush=True,
             )
-    for path in ("none", "native", "per sample"):
-        spent = drive(vehicle, path, 1e-2, per_sample)
-        print(
-            f"{path:10s} {per_sample} poses: total {spent.sum():.2f} s, "
-            f"last 50 updates {spent[-50:].mean() * 1e3:.2f} ms each"
-        )
+    native = runs[1].native
+    print(f"  {len(native)} blocks, {native.replaced} replaced; {native.health}")
 
 
 # --- accuracy --------------------------------------------------------------------------------------------
@@ -163,12 +194,8 @@ def batch(vehicle: Vehicle, free: str) -> tuple[gtsam.NonlinearFactorGraph, gtsa
         factor = keyframe_field_factor(
             X(k), A(0), H(0), samples, SIGMA, gyro_bias_key=B(k - 1), field=vehicle.field, field_unit=UNIT
         )
-        native.add(graph, factor, values)
-    for _ in range(20):
-        values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-        if not native.renew(graph, values):
-            break
-    return graph, values
+        graph.push_back(factor)
+    return native.solve(graph, values)
 
 
 def incremental(vehicle: Vehicle) -> gtsam.Values:
@@ -188,15 +215,9 @@ def incremental(vehicle: Vehicle) -> gtsam.Values:
         factor = keyframe_field_factor(
             X(k), A(0), H(0), samples, SIGMA, gyro_bias_key=B(k - 1), field=vehicle.field, field_unit=UNIT
         )
-        native.add(graph, factor, isam, values)
-        remove = native.refresh(graph, isam)
-        native.placed(isam.update(graph, values, remove).getNewFactorsIndices())
-    for _ in range(10):
-        graph = gtsam.NonlinearFactorGraph()
-        remove = native.refresh(graph, isam, everything=True)
-        native.placed(isam.update(graph, gtsam.Values(), remove).getNewFactorsIndices())
-        if not remove:
-            break
+        graph.push_back(factor)
+        native.update(isam, graph, values)
+    native.settle(isam)
     return isam.calculateEstimate()
 
 
@@ -255,15 +276,19 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     option = commands.add_parser("cost")
     option.add_argument("--poses", type=int, default=10_000)
-    option.add_argument("--per-sample", type=int, default=300)
-    option.add_argument("--repeat", type=int, default=3, help="runs of which the least counts")
+    option.add_argument("--motion", default="survey", help=f"one of {', '.join(VEHICLES)}, or any other")
+    option.add_argument("--block", type=int, default=Layout.block, help="keyframes per block")
+    option.add_argument("--node", type=int, default=Layout.node, help="keyframes per calibration node")
+    option.add_argument("--carried", action="store_true", help="nodes start from a marginal, not by a walk")
+    option.add_argument("--wildfire", type=float, default=0.01)
     option = commands.add_parser("accuracy")
     option.add_argument("--runs", type=int, default=40)
     option.add_argument("--motion", default="dive")
     option.add_argument("--figure", type=Path)
     arguments = parser.parse_args()
     if arguments.command == "cost":
-        cost(arguments.poses, arguments.per_sample, arguments.repeat)
+        layout = Layout(arguments.block, arguments.node, arguments.carried)
+        cost(arguments.motion, arguments.poses, layout, arguments.wildfire)
     elif arguments.command == "accuracy":
         accuracy(arguments.runs, arguments.motion, arguments.figure)
 

@@ -26,7 +26,6 @@ def main(duration: float = 200.0, seed: int = 2, robust: str | None = "geman-mcc
     graph.addPriorPoint3(H(0), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 50.0))  # µT
     values.insert(A(0), NO_IRON)
     values.insert(H(0), np.zeros(3))
-    blocks = []
     for k in range(1, len(vehicle.poses)):
         more, new = vehicle.step(
             k, values.atPose3(X(k - 1)), values.atVector(V(k - 1)), values.atConstantBias(B(0))
@@ -39,23 +38,14 @@ def main(duration: float = 200.0, seed: int = 2, robust: str | None = "geman-mcc
             (recording.time[rows], recording.angular_rate[rows]),
             recording.time[k * vehicle.every],
         )
-        # A start that far off makes every sample look disturbed: first without weights.
-        blocks.append((X(k), A(0), H(0), block))
-
-    for kernel in [None] if robust is None else [None, robust]:
-        native, whole = NativeFactors(tolerance=0.02), gtsam.NonlinearFactorGraph(graph)
-        for *keys, block in blocks:
-            bias = B(gtsam.Symbol(keys[0]).index())
-            factor = keyframe_field_factor(
-                *keys, block, 1e-6, gyro_bias_key=bias, field=vehicle.field, robust=kernel
+        graph.push_back(
+            keyframe_field_factor(
+                X(k), A(0), H(0), block, 1e-6, gyro_bias_key=B(k), field=vehicle.field, robust=robust
             )
-            native.add(whole, factor, values)
-        for _ in range(20):
-            values = gtsam.LevenbergMarquardtOptimizer(whole, values).optimize()
-            if not native.renew(whole, values):
-                break
+        )
 
-    covariance = gtsam.Marginals(whole, values).marginalCovariance(H(0))
+    graph, values = NativeFactors(tolerance=0.02).solve(graph, values)
+    covariance = gtsam.Marginals(graph, values).marginalCovariance(H(0))
     return {
         "heading, degrees": vehicle.heading_error(values),
         "hard iron, µT": float(np.linalg.norm(values.atPoint3(H(0)) - truth.hard_iron * 1e6)),

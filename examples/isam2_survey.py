@@ -61,9 +61,8 @@ def main(duration: float = 240.0, seed: int = 1, magnetometer: bool = True) -> d
             factor = keyframe_field_factor(
                 X(k), A(node), H(node), block, 1e-6, field=vehicle.field, field_unit=UNIT
             )
-            native.add(graph, factor, isam, values)
-        remove = native.refresh(graph, isam)
-        native.placed(isam.update(graph, values, remove).getNewFactorsIndices())
+            graph.push_back(factor)
+        native.update(isam, graph, values)
 
     result = {"heading, degrees": vehicle.heading_error(isam.calculateEstimate(), len(vehicle.poses) // 2)}
     if magnetometer:

@@ -1,59 +1,72 @@
-"""GTSAM factors for magnetometer and gyroscope calibration; needs gtsam, numpy and,
-for the field chain's banded elimination, scipy.
+"""GTSAM factors for magnetometer and gyroscope calibration, and their numeric core.
 
-Every gyroscope-bias key may hold a 3-vector, a `Point3` or an `imuBias.ConstantBias`.
+`chain/` and `effects/` need numpy and scipy only; every other module builds GTSAM factors. Names are imported at
+first use, so that the core works where GTSAM has no wheels.
+
+Every factor takes its keys as arguments of their own, before the data, in one order, named for what they hold:
+
+    attitude_key (or …direction_key), soft_iron_key, hard_iron_key, gyro_bias_key, value_key
+
+and by name where a key is optional: gyro_bias_key, field_key, mounting_key, delay_key; what has no key is held. The
+same order is that of `factor.keys()`. An attitude is a `Pose3`, `Rot3`, `NavState`, `Pose2` or `Rot2`, a gyroscope bias
+a 3-vector, `Point3` or `imuBias.ConstantBias`; `variables.py` has the list.
 """
 
-from magyc_gtsam.factors.effect_factor import effect_chain_factor, effect_magnetometer_factor
-from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import FieldChain, Noise
-from magyc_gtsam.factors.field_chain_factor import field_chain_factor
-from magyc_gtsam.factors.field_link import FieldLink, field_link_factor, preintegrate
-from magyc_gtsam.factors.guard import NonFiniteError, custom_factor
-from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative, gyro_derivative_factor
-from magyc_gtsam.factors.keyframe_buffer import KeyframeBuffer
-from magyc_gtsam.factors.keyframe_field import KeyframeField, keyframe_field_factor
-from magyc_gtsam.factors.native import NativeFactors, calibration_prior, native_factor
-from magyc_gtsam.factors.pose import magnetometer_factor, scaled_magnetometer_factor, world_field_prior
-from magyc_gtsam.factors.preintegration import FieldWindows, Preintegration
-from magyc_gtsam.factors.random_walk import gyro_bias_walk, hard_iron_walk, soft_iron_walk
-from magyc_gtsam.factors.robust import KERNELS, robust_noise
-from magyc_gtsam.factors.soft_iron import determinant_prior, norm_prior, unvech, vech
-from magyc_gtsam.factors.sphere import sphere_factor
+from __future__ import annotations
 
-__all__ = [
-    "KERNELS",
-    "CompressedGyroDerivative",
-    "FieldChain",
-    "FieldLink",
-    "FieldWindows",
-    "KeyframeBuffer",
-    "KeyframeField",
-    "MagycError",
-    "NativeFactors",
-    "Noise",
-    "NonFiniteError",
-    "Preintegration",
-    "calibration_prior",
-    "custom_factor",
-    "determinant_prior",
-    "effect_chain_factor",
-    "effect_magnetometer_factor",
-    "field_chain_factor",
-    "field_link_factor",
-    "gyro_bias_walk",
-    "gyro_derivative_factor",
-    "hard_iron_walk",
-    "keyframe_field_factor",
-    "magnetometer_factor",
-    "native_factor",
-    "norm_prior",
-    "preintegrate",
-    "robust_noise",
-    "scaled_magnetometer_factor",
-    "soft_iron_walk",
-    "sphere_factor",
-    "unvech",
-    "vech",
-    "world_field_prior",
-]
+from typing import Any
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.lazy import attribute
+
+_PUBLIC = {
+    "AlignmentLimits": "alignment",
+    "Health": "health",
+    "HealthLimits": "health",
+    "KERNELS": "kernels",
+    "CompressedGyroDerivative": "gyro_derivative",
+    "FieldChain": "chain.field_chain",
+    "FieldLink": "field_link",
+    "FieldWindows": "chain.preintegration",
+    "KeyframeBuffer": "keyframe_buffer",
+    "KeyframeField": "keyframe_field",
+    "NativeFactors": "native",
+    "NonFiniteError": "guard",
+    "GyroscopeTrack": "chain.gyroscope_track",
+    "Preintegration": "chain.preintegration",
+    "SensorNoise": "chain.field_chain",
+    "calibration_prior": "priors",
+    "custom_factor": "guard",
+    "determinant_prior": "soft_iron",
+    "delay_prior": "priors",
+    "effect_chain_factor": "effects.factor",
+    "effect_magnetometer_factor": "effects.factor",
+    "field_chain_factor": "field_chain",
+    "field_link_factor": "field_link",
+    "gyro_bias_walk": "random_walk",
+    "gyro_derivative_factor": "gyro_derivative",
+    "hard_iron_walk": "random_walk",
+    "keyframe_field_factor": "keyframe_factor",
+    "magnetometer_factor": "pose",
+    "mounting_prior": "priors",
+    "native_factor": "native",
+    "norm_prior": "soft_iron",
+    "preintegrate": "field_link",
+    "robust_noise": "robust",
+    "scaled_magnetometer_factor": "pose",
+    "soft_iron_walk": "random_walk",
+    "sphere_factor": "sphere",
+    "unvech": "chain.vech",
+    "vech": "chain.vech",
+    "world_field_prior": "priors",
+}
+
+__all__ = ["MagycError", *_PUBLIC]
+
+
+def __getattr__(name: str) -> Any:
+    return attribute(__name__, _PUBLIC, name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

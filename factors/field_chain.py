@@ -1,306 +1,105 @@
-"""The field chain: every window's field direction eliminated, leaving a cost on (B, h, b, τ) alone.
+"""The field chain as ONE GTSAM factor on soft iron, hard iron, gyroscope bias and delay.
 
-See docs/field_chain.md; in the integrated world frame of `preintegration`. Parameters θ (13):
-
-    vech(B) 6 T (soft iron times field strength), h 3 T, b 3 rad/s, τ 1 s (delay),
-
-states g_n ∈ S² (the field direction of window n), residuals
-
-    r_n = B M_n(τ) g_n + h − mean(m)_n,                     covariance σ_m²/W_n I,
-    e_n = g_{n+1} − Exp(−ΔK_n (b − b₀)) g_n  (chordal),     variance σ_g² Σdt² in the tangent plane.
-
-One Gauss–Newton step eliminates the directions by a banded Cholesky factorisation (2×2 blocks, three
-sub-diagonals) and is linear in the number of windows. All arrays keep the windows along their last,
-contiguous axis. `scipy.linalg.lapack` does the elimination: a
-numpy-only cyclic reduction was several times slower.
+As GTSAM's smart factors eliminate landmarks, the factor eliminates every window's field direction: its
+error is the cost at the best directions for the values at hand, its linearisation the Schur complement
+S = RᵀR with gradient g, written as the residual (R⁻ᵀg, rest) with the Jacobian (R, 0). A whole log, or any
+stretch of it, so enters a graph without a variable, or a Python call, per window.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Sequence
 
+import gtsam
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
+from scipy.linalg import solve_triangular
 
-from magyc_gtsam.factors.banded import inverse_blocks
-from magyc_gtsam.factors.chain_directions import Known, Sight, stepped
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain, SensorNoise, State, Weights
+from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.preintegration import FieldWindows
-from magyc_gtsam.factors.rotations import Array, cross, exponential_matrices
-from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.factors.guard import custom_factor
+from magyc_gtsam.factors.variables import Array, gyro_bias, scalar, vector
 
-PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
-UPPER = np.triu_indices(3)
-DELAY = 12
-_SETTLING = 20  # Gauss–Newton steps of the directions alone, at most
-_SETTLED = 1e-18  # squared step of a direction, rad²
+_MOVED = 2e-3  # rad by which a bias or delay may turn a window before the gyroscope is integrated again
 
 
-class Noise(NamedTuple):
-    """Standard deviations per sample and axis: magnetometer T, gyroscope rad/s."""
-
-    magnetometer: float
-    gyroscope: float
-
-
-class State(NamedTuple):
-    """θ (13,) and the directions g (3, n)."""
-
-    parameters: Array
-    direction: Array
-
-
-class Weights(NamedTuple):
-    """Robust weights in [0, 1] of the windows (n,) and of the links (n − 1,)."""
-
-    window: Array
-    link: Array
-
-
-class Residuals(NamedTuple):
-    """Unwhitened residuals: windows (3, n) T, links (3, n − 1) chordal."""
-
-    window: Array
-    link: Array
-
-
-class Reduced(NamedTuple):
-    """The normal equations after elimination, and what a step and the diagnostics need.
-
-    cost: half the weighted sum of squares at the state; information (13, 13): Schur complement on θ;
-    gradient (13,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
-    on_parameters (13, 3, n): whitened window Jacobians; band and factor (4, 2n): the directions' matrix and
-    its Cholesky factor L; right (14, 2n): its border with θ, and the directions' gradient; half (2n, 14):
-    L⁻¹ of it.
-    """
-
-    cost: float
-    information: Array
-    gradient: Array
-    basis: Array
-    on_direction: Array
-    on_parameters: Array
-    band: Array
-    factor: Array
-    right: Array
-    half: Array
-
-
-@dataclass(frozen=True, eq=False)
-class FieldChain:
-    """Cost, elimination and diagnostics of one chain of windows.
+def field_chain_factor(
+    soft_iron_key: int,
+    hard_iron_key: int,
+    gyro_bias_key: int,
+    samples: Preintegration,
+    noise: SensorNoise,
+    *,
+    delay_key: int | None = None,
+    delay: float = 0.0,
+    weights: Weights | None = None,
+    soft_iron_unit: float = 1e-6,
+    field_unit: float = 1e-6,
+) -> gtsam.CustomFactor:
+    """A factor over all windows of `samples` (docs/field_chain.md).
 
     Args:
-        windows: integrated windows; `windows.bias` and `.delay` are the points of linearisation.
+        soft_iron_key: 6-vector, vech of soft iron times field strength, in `soft_iron_unit` T. With the
+            field strength as its unit the key holds the soft iron itself.
+        hard_iron_key: Point3 or 3-vector in `field_unit` T.
+        gyro_bias_key: Point3, 3-vector or imuBias.ConstantBias, rad/s.
+        samples: both sensors' samples in windows.
         noise: standard deviations per sample.
-        answer: (3, n) by how much of the field's change the reading changes, where the sensor clips or bends.
-
-    Attributes:
-        window_scale: (n,) 1/T, one over the standard deviation of a window's mean.
-        link_scale: (n − 1,) 1/rad, one over that of a link; 0 across a hole.
+        delay_key: double or 1-vector, s; None fixes the delay at `delay`.
+        weights: robust weights of windows and links; None is all one.
+        soft_iron_unit, field_unit: T per unit of the keys; they keep a graph's variables of order one.
 
     Raises:
-        MagycError: fewer than 3 windows.
+        MagycError: here, for units that are not positive; later, as `custom_factor`.
+    """
+    if not (soft_iron_unit > 0 and field_unit > 0):
+        raise MagycError(f"soft_iron_unit {soft_iron_unit} and field_unit {field_unit} must be above 0")
+    unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(4)])
+    marginal = _Marginal(samples, noise, weights, delay)
+    keys = [soft_iron_key, hard_iron_key, gyro_bias_key] + ([] if delay_key is None else [delay_key])
+    used = PARAMETERS if delay_key is not None else DELAY
+
+    def error(*values: Array | bool) -> tuple[Array, Sequence[Array]]:
+        *parts, _ = values
+        parameters = np.concatenate([*parts, [delay]] if delay_key is None else parts) * unit
+        cost, information, gradient = marginal.at(parameters)
+        root = np.linalg.cholesky((information * unit * unit[:, None])[:used, :used]).T
+        pull = solve_triangular(root, (gradient * unit)[:used], trans="T")
+        rest = np.sqrt(max(2 * cost - float(pull @ pull), 0.0))
+        jacobian = np.vstack([root, np.zeros((1, used))])
+        return np.append(pull, rest), np.split(jacobian, [6, 9, 12][: len(keys) - 1], axis=1)
+
+    variables = [vector(6), vector(3), gyro_bias] + ([] if delay_key is None else [scalar])
+    return custom_factor("field chain", 1.0, keys, variables, used + 1, error)
+
+
+class _Marginal:
+    """The chain's cost with its directions eliminated, as a function of θ alone.
+
+    It remembers the last chain and directions, which only shortens the way to the same minimum.
     """
 
-    windows: FieldWindows
-    noise: Noise
-    answer: Array | None = field(default=None, kw_only=True)
-    window_scale: Array = field(init=False)
-    link_scale: Array = field(init=False)
+    def __init__(self, samples: Preintegration, noise: SensorNoise, weights: Weights | None, delay: float) -> None:
+        self._samples, self._noise = samples, noise
+        self._chain = FieldChain(samples.integrate(delay=delay), noise)
+        self._weights = weights or self._chain.unweighted()
+        self._direction: Array | None = None
 
-    def __post_init__(self) -> None:
-        if len(self.windows) < 3:
-            raise MagycError(
-                f"{len(self.windows)} windows, at least 3 are needed: the recording is too short or hardly moves"
-            )
-        w = self.windows
-        object.__setattr__(self, "window_scale", np.sqrt(w.count) / self.noise.magnetometer)
-        # A floor of a thousandth of the magnetometer's own angle keeps a perfect gyroscope solvable.
-        spread = float(np.linalg.norm(w.field - w.field.mean(axis=1)[:, None], axis=0).mean()) + 1e-9
-        floor = (0.001 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
-        variance = self.noise.gyroscope**2 * w.link_time + floor
-        object.__setattr__(self, "link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
-
-    @property
-    def window_sigma(self) -> Array:
-        """(n,) T, standard deviation of a window's mean."""
-        return 1 / self.window_scale
-
-    @property
-    def link_sigma(self) -> Array:
-        """(n − 1,) rad, standard deviation of a link; infinite across a hole."""
-        with np.errstate(divide="ignore"):
-            return 1 / self.link_scale
-
-    def unweighted(self) -> Weights:
-        """All weights one."""
-        return Weights(np.ones(len(self.windows)), np.ones(len(self.windows) - 1))
-
-    def start(self, parameters: Array) -> State:
-        """A state at θ: each direction read off its own window's field."""
-        body = np.linalg.solve(unvech(parameters[:6]), self.windows.field - parameters[6:9, None])
-        g = np.einsum("ijn,in->jn", self._rotation(parameters), body)
-        return State(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
-
-    def residuals(self, state: State) -> Residuals:
-        """Unwhitened residuals of both groups."""
-        parameters, g = state
-        body = np.einsum("ijn,jn->in", self._rotation(parameters), g)
-        window = unvech(parameters[:6]) @ body + parameters[6:9, None] - self.windows.field
-        turn = self._turn(parameters)
-        return Residuals(window, g[:, 1:] - np.einsum("ijn,jn->in", turn, g[:, :-1]))
-
-    def squares(self, residuals: Residuals) -> tuple[Array, Array]:
-        """Squared whitened residuals of windows (n,) and links (n − 1,)."""
-        return (
-            np.einsum("in,in->n", residuals.window, residuals.window) * self.window_scale**2,
-            np.einsum("in,in->n", residuals.link, residuals.link) * self.link_scale**2,
+    def at(self, parameters: Array) -> tuple[float, Array, Array]:
+        """Cost, information (13, 13) and gradient (13,) at the best directions for θ."""
+        windows = self._chain.windows
+        turned = (
+            np.abs(windows.lever[:, :, windows.linked]).max(initial=0.0)
+            * np.abs(parameters[9:12] - windows.bias).max()
         )
-
-    def eliminate(self, state: State, weights: Weights) -> Reduced:
-        """Linearise at `state` and eliminate the directions.
-
-        Raises:
-            MagycError: a window's direction has no finite curvature.
-        """
-        parameters, g = state
-        n = g.shape[1]
-        soft = unvech(parameters[:6])
-        scale = self.window_scale * np.sqrt(weights.window)
-        rotation = self._rotation(parameters)
-        sight = self._sight(state, weights, rotation)
-        linear = sight.at(g)
-        on_direction, residual, link = linear.on_direction, linear.window, linear.link
-
-        # Windows: r = B M g + h − m, its Jacobian on θ (13, 3, n).
-        x, y, z = np.einsum("ijn,jn->in", rotation, g) * scale
-        on_parameters = np.zeros((PARAMETERS, 3, n))
-        on_parameters[0, 0] = on_parameters[1, 1] = on_parameters[2, 2] = x
-        on_parameters[1, 0] = on_parameters[3, 1] = on_parameters[4, 2] = y
-        on_parameters[2, 0] = on_parameters[4, 1] = on_parameters[5, 2] = z
-        on_parameters[6, 0] = on_parameters[7, 1] = on_parameters[8, 2] = scale
-        for k in range(3):
-            on_parameters[9 + k] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_bias[:, :, k], g) * scale
-        on_parameters[DELAY] = soft @ np.einsum("ijn,jn->in", self.windows.rotation_rate, g) * scale
-        if self.answer is not None:
-            on_parameters *= self.answer
-
-        # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
-        on_bias = -cross(linear.ahead[:, None] * sight.link_scale, self.windows.lever)
-
-        # The directions' matrix H in 2×2 blocks, and its border [C, gradient].
-        right = np.empty((PARAMETERS + 1, n, 2))
-        band, right[PARAMETERS] = linear.normal_equations()
-        for a in (0, 1):
-            np.einsum("in,pin->pn", on_direction[:, a], on_parameters, out=right[:PARAMETERS, :, a])
-            right[9:12, 1:, a] += np.einsum("in,ikn->kn", linear.after[:, a], on_bias)
-            right[9:12, :-1, a] += np.einsum("in,ikn->kn", linear.before[:, a], on_bias)
-        flat = on_parameters.reshape(PARAMETERS, -1)
-        information, gradient = flat @ flat.T, flat @ residual.ravel()
-        information[9:12, 9:12] += np.einsum("ikn,iln->kl", on_bias, on_bias)
-        gradient[9:12] += np.einsum("ikn,in->k", on_bias, link)
-        cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
-
-        known = self._known(state, linear.basis)
-        if known is not None:
-            known.onto_first(band, right[PARAMETERS])
-            right[:PARAMETERS, 0] += known.information[:PARAMETERS, PARAMETERS:]
-            information += known.information[:PARAMETERS, :PARAMETERS]
-            gradient += known.gradient[:PARAMETERS]
-            cost += known.cost
-
-        border = right.reshape(PARAMETERS + 1, 2 * n)
-        factor = self._factor(band)
-        half, _ = dtbtrs(factor, border.T, uplo="L")  # L⁻¹ [C, gradient]
-        reduction = half.T @ half
-        information -= reduction[:PARAMETERS, :PARAMETERS]
-        gradient -= reduction[:PARAMETERS, PARAMETERS]
-        return Reduced(
-            cost, information, gradient, linear.basis, on_direction, on_parameters, band.T, factor, border, half
-        )
-
-    def move(self, state: State, reduced: Reduced, step: Array) -> State:
-        """The state after a step on θ; the directions follow by back-substitution."""
-        pull = reduced.right[PARAMETERS] + step @ reduced.right[:PARAMETERS]
-        tangent, _ = dpbtrs(reduced.factor, pull, lower=1)
-        return State(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
-
-    def settle(self, state: State, weights: Weights) -> tuple[State, Reduced]:
-        """The directions at their best for the state's θ, and the linearisation there."""
-        sight = self._sight(state, weights, self._rotation(state.parameters))
-        for _ in range(_SETTLING):
-            linear = sight.at(state.direction)
-            band, pull = linear.normal_equations()
-            known = self._known(state, linear.basis)
-            if known is not None:
-                known.onto_first(band, pull)
-            tangent, _ = dpbtrs(self._factor(band), pull.ravel(), lower=1)
-            ahead = stepped(state.direction, linear.basis, tangent)
-            moved = float(np.square(ahead - state.direction).max())
-            state = State(state.parameters, ahead)
-            if moved < _SETTLED:
-                break
-        return state, self.eliminate(state, weights)
-
-    def leverage(self, reduced: Reduced, covariance: Array) -> Array:
-        """(n,) how much of each window's 3 squared residuals the fit absorbs, in expectation.
-
-        The trace of the window's block of the hat matrix; `covariance` (13, 13) is the inverse of the
-        information (zeros for fixed parameters).
-        """
-        solve = _solve(reduced)
-        s00, s01, s11 = inverse_blocks(reduced.band, reduced.factor)
-        j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
-        inner = (
-            np.einsum("in,in->n", j0, j0) * s00
-            + 2 * np.einsum("in,in->n", j0, j1) * s01
-            + np.einsum("in,in->n", j1, j1) * s11
-        )
-        across = reduced.on_parameters - np.einsum("ian,pan->pin", reduced.on_direction, solve)
-        spread = (covariance @ across.reshape(PARAMETERS, -1)).reshape(across.shape)
-        return inner + np.einsum("pin,pin->n", across, spread)
-
-    def _known(self, state: State, basis: Array) -> Known | None:
-        """What is known of θ and the first direction besides the windows; here nothing."""
-        return None
-
-    def _sight(self, state: State, weights: Weights, rotation: Array) -> Sight:
-        parameters = state.parameters
-        scale = self.window_scale * np.sqrt(weights.window)
-        seen = (unvech(parameters[:6]) @ rotation.reshape(3, -1)).reshape(rotation.shape) * scale
-        field = (self.windows.field - parameters[6:9, None]) * scale
-        return Sight(seen, field, self._turn(parameters), self.link_scale * np.sqrt(weights.link), self.answer)
-
-    def _factor(self, band: Array) -> Array:
-        """The Cholesky factor (4, 2n) of a band (2n, 4)."""
-        factor, failed = dpbtrf(band.T, lower=1)
-        if failed:
-            window = (failed - 1) // 2
-            raise MagycError(
-                f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
-                "its weight or its noise is out of range"
-            )
-        result: Array = factor
-        return result
-
-    def _rotation(self, parameters: Array) -> Array:
-        late = parameters[DELAY] - self.windows.delay
-        moved = parameters[9:12] - self.windows.bias
-        return (
-            self.windows.rotation
-            + late * self.windows.rotation_rate
-            + np.einsum("ijkn,k->ijn", self.windows.rotation_bias, moved)
-        )
-
-    def _turn(self, parameters: Array) -> Array:
-        """E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
-        moved = self.windows.bias - parameters[9:12]
-        return exponential_matrices(np.einsum("ijn,j->in", self.windows.lever, moved))
-
-
-def _solve(reduced: Reduced) -> Array:
-    """H⁻¹ C: (13, 2, n)."""
-    solved, _ = dtbtrs(reduced.factor, reduced.half[:, :PARAMETERS], uplo="L", trans="T")
-    return np.ascontiguousarray(solved.T.reshape(PARAMETERS, -1, 2).swapaxes(1, 2))
+        slid = np.abs(windows.rotation_rate).max() * abs(parameters[DELAY] - windows.delay)
+        if max(turned, slid) > _MOVED:
+            self._chain = FieldChain(self._samples.integrate(parameters[9:12], parameters[DELAY]), self._noise)
+            self._direction = None
+        chain = self._chain
+        state = chain.start(parameters)
+        if self._direction is not None:
+            state = State(parameters, self._direction)
+        state, reduced = chain.settle(state, self._weights)
+        self._direction = state.direction
+        return reduced.cost, reduced.information, reduced.gradient

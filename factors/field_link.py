@@ -9,16 +9,17 @@ both have the same cost to second order, and the chord's Jacobians need no deriv
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
+from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, direction, gyro_bias, measured
-from magyc_gtsam.factors.rotations import chain, exponential, increments, matrices, skew
+from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
+from magyc_gtsam.factors.variables import Array, direction, gyro_bias
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +85,11 @@ def preintegrate(
         )
     inside = (t > start) & (t < end)
     stamps = np.concatenate([[start], t[inside], [end]])
-    step = np.diff(stamps)
-    if interval_mean:
-        turn = (w[np.searchsorted(t, stamps[1:])] - b) * step[:, None]
-    else:
-        turn = increments(stamps, np.stack([np.interp(stamps, t, axis) for axis in w.T], axis=1), b)
-    rotations = matrices(chain(exponential(turn))).T.reshape(-1, 3, 3)
-    lever = -np.einsum("nij,njk,n->ik", rotations[:-1], left_jacobian(turn), step)
-    return FieldLink(rotations[-1], lever, b, float(step @ step))
+    track = GyroscopeTrack.integrate(t, w, b, interval_mean=interval_mean, stamps=stamps)
+    # Steps may be long here, so that ∫ R dt is taken exactly over each.
+    r = track.matrices.T.reshape(-1, 3, 3)
+    lever = -np.einsum("nij,njk,n->ik", r[:-1], left_jacobian(track.increment), track.step)
+    return FieldLink(r[-1], lever, b, float(track.squared_time[-1]))
 
 
 def left_jacobian(rotation_vector: Array) -> Array:
@@ -105,11 +103,18 @@ def left_jacobian(rotation_vector: Array) -> Array:
     return np.eye(3) + first[:, None, None] * cross + second[:, None, None] * (cross @ cross)
 
 
-def field_link_factor(keys: Sequence[int], link: FieldLink, gyroscope_noise: Noise) -> gtsam.CustomFactor:
+def field_link_factor(
+    first_direction_key: int,
+    second_direction_key: int,
+    gyro_bias_key: int,
+    link: FieldLink,
+    gyroscope_noise: Noise,
+) -> gtsam.CustomFactor:
     """The link as a factor on (x̂₁, x̂₂, b).
 
     Args:
-        keys: of x̂₁ and x̂₂ (`Unit3`) and b (3-vector, `Point3` or `ConstantBias`).
+        first_direction_key, second_direction_key: x̂₁ and x̂₂, `Unit3`.
+        gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`.
         link: of `preintegrate`.
         gyroscope_noise: σ_g rad/s per sample and axis, or a noise model of the 3 rows in rad.
     """
@@ -117,4 +122,5 @@ def field_link_factor(keys: Sequence[int], link: FieldLink, gyroscope_noise: Noi
         noise = gyroscope_noise
     else:
         noise = gyroscope_noise * np.sqrt(link.squared_time)
+    keys = (first_direction_key, second_direction_key, gyro_bias_key)
     return custom_factor("field link", noise, keys, [direction, direction, gyro_bias], 3, link.error)

@@ -14,52 +14,27 @@ space (`Unit3` has 2 columns instead of 3, `imuBias.ConstantBias` 6 instead of 3
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import gtsam
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.variables import Array, Reader, Variable, choose, key_name
 
-Array = NDArray[np.float64]
 Residual = tuple[Array, Sequence[Array]]
 ErrorFunction = Callable[..., Residual]
 Noise = float | gtsam.noiseModel.Base
-Variable = Callable[[gtsam.Values, int], tuple[Array, Array | None]]
 
-_GYROSCOPE_PART = np.hstack([np.zeros((3, 3)), np.eye(3)])  # of a ConstantBias: accelerometer, gyroscope
-_GYROSCOPE_PART.flags.writeable = False
+_EMPTY = gtsam.Values()
+_asked = threading.local()
 
 
 class NonFiniteError(MagycError):
     """A variable, residual or Jacobian is NaN or infinite: the step went wrong, not the program."""
-
-
-def vector(size: int) -> Variable:
-    """A key that holds a vector; where `size` is 3 it may also be a `Point3`."""
-
-    def read(values: gtsam.Values, key: int) -> tuple[Array, None]:
-        value = values.atPoint3(key) if size == 3 else values.atVector(key)
-        if value.shape != (size,):
-            raise MagycError(f"{_name(key)} holds {value.size} numbers, {size} are expected")
-        return value, None
-
-    return read
-
-
-def direction(values: gtsam.Values, key: int) -> tuple[Array, Array]:
-    """A key that holds a `Unit3`, read as a unit vector (3,)."""
-    unit = values.atUnit3(key)
-    return unit.point3(), unit.basis()
-
-
-def gyro_bias(values: gtsam.Values, key: int) -> tuple[Array, Array | None]:
-    """A key that holds the gyroscope bias (3,) rad/s: `Point3`, vector, or `imuBias.ConstantBias`."""
-    try:
-        return values.atPoint3(key), None
-    except RuntimeError:
-        return values.atConstantBias(key).gyroscope(), _GYROSCOPE_PART
 
 
 def custom_factor(
@@ -69,6 +44,8 @@ def custom_factor(
     variables: Sequence[Variable],
     rows: int,
     error: ErrorFunction,
+    *,
+    details: object = None,
 ) -> gtsam.CustomFactor:
     """A factor whose error function cannot crash or mislead GTSAM.
 
@@ -76,9 +53,11 @@ def custom_factor(
         name: what the factor is, for error messages.
         noise: standard deviation of every row, or a GTSAM noise model of dimension `rows`.
         keys: the variables, in the order of the error function's arguments.
-        variables: how each key is read: `vector(n)`, `direction` or `gyro_bias`.
+        variables: how each key is read (`magyc_gtsam.factors.variables`); the type that a key holds is looked up
+            once per factor.
         rows: number of rows of the residual.
         error: (*values, want_jacobians) → residual (rows,), Jacobians (rows, len(value)) in key order.
+        details: what `factor_details` gives for this factor; its name if None.
 
     Raises:
         MagycError: here, if the arguments do not fit together; later, from inside the optimiser, if a
@@ -88,17 +67,29 @@ def custom_factor(
     keys = [int(key) for key in keys]
     if len(keys) != len(variables) or len(set(keys)) != len(keys):
         raise MagycError(
-            f"{name}: {len(variables)} different keys are needed, got {', '.join(map(_name, keys)) or 'none'}"
+            f"{name}: {len(variables)} different keys are needed, got {', '.join(map(key_name, keys)) or 'none'}"
         )
 
-    def evaluate(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        arguments, tangents = [], []
-        for key, read in zip(keys, variables, strict=True):
+    chosen: list[Reader | None] = [None] * len(keys)
+
+    def read(i: int, values: gtsam.Values) -> tuple[Array, Array | None]:
+        reader = chosen[i]
+        if reader is not None:
             try:
-                value, tangent = read(values, key)
-            except RuntimeError as problem:
-                raise MagycError(f"{name}: {problem}") from None
-            _check(name, f"variable {_name(key)}", value, value.shape)
+                return reader(values, keys[i])
+            except RuntimeError:  # the same factor in another graph, where the key holds another type
+                pass
+        chosen[i] = reader = choose(name, variables[i], values, keys[i])
+        return reader(values, keys[i])
+
+    def evaluate(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        if getattr(_asked, "waits", False):
+            _asked.waits, _asked.answer = False, name if details is None else details
+            return np.zeros(rows)
+        arguments, tangents = [], []
+        for i, key in enumerate(keys):
+            value, tangent = read(i, values)
+            _check(name, f"variable {key_name(key)}", value, value.shape)
             arguments.append(value)
             tangents.append(tangent)
         residual, derivatives = error(*arguments, jacobians is not None)
@@ -107,11 +98,29 @@ def custom_factor(
             if len(derivatives) != len(keys):
                 raise MagycError(f"{name}: {len(derivatives)} Jacobians for {len(keys)} keys")
             for i, (derivative, tangent) in enumerate(zip(derivatives, tangents, strict=True)):
-                _check(name, f"Jacobian on {_name(keys[i])}", derivative, (rows, len(arguments[i])))
+                _check(name, f"Jacobian on {key_name(keys[i])}", derivative, (rows, len(arguments[i])))
                 jacobians[i] = derivative if tangent is None else derivative @ tangent
         return residual
 
     return gtsam.CustomFactor(noise_model(noise, rows), keys, evaluate)
+
+
+def factor_details(factor: gtsam.NonlinearFactor) -> Any:
+    """The `details` of a `custom_factor`, or its name; None for any other factor.
+
+    GTSAM keeps a custom factor's function but not its Python object, so the function itself is asked.
+    """
+    if not isinstance(factor, gtsam.CustomFactor):
+        return None
+    _asked.waits, _asked.answer = True, None
+    try:
+        factor.unwhitenedError(_EMPTY)
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError):
+        # A custom factor of another maker, on values that do not hold its keys.
+        return None
+    finally:
+        _asked.waits = False
+    return _asked.answer
 
 
 def noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
@@ -154,7 +163,3 @@ def _check(name: str, what: str, array: Array, shape: tuple[int, ...]) -> None:
     if not np.isfinite(array).all():
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise NonFiniteError(f"{name}: {what} is {array[place]} at {place}")
-
-
-def _name(key: int) -> str:
-    return str(gtsam.DefaultKeyFormatter(key))

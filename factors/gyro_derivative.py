@@ -10,27 +10,18 @@ Field and derivative may be in any unit (sigma is then in that unit per second),
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.factors.chain.rotations import skew
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import (
-    Array,
-    Noise,
-    Residual,
-    custom_factor,
-    gyro_bias,
-    measured,
-    standard_deviation,
-    vector,
-)
-from magyc_gtsam.factors.robust import robustify, tuning_constant
-from magyc_gtsam.factors.rotations import skew
-from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS, unvech
+from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured, standard_deviation
+from magyc_gtsam.factors.kernels import robustify, tuning_constant
+from magyc_gtsam.factors.variables import Array, gyro_bias, vector
 
 Samples = tuple[Array, Array, Array]
 
@@ -78,7 +69,9 @@ def gyro_derivative_error(
 
 
 def gyro_derivative_factor(
-    keys: Sequence[int],
+    soft_iron_key: int,
+    hard_iron_key: int,
+    gyro_bias_key: int,
     magnetic_field: ArrayLike,
     derivative: ArrayLike,
     angular_rate: ArrayLike,
@@ -90,7 +83,9 @@ def gyro_derivative_factor(
     """Residual (7) as one factor on (l, d, b) over one sample or window, or over any number of them.
 
     Args:
-        keys: of l (6-vector), d (3-vector or `Point3`) and b (3-vector, `Point3` or `ConstantBias`).
+        soft_iron_key: l, 6-vector, vech of the soft iron's inverse.
+        hard_iron_key: d = C h, 3-vector or `Point3`.
+        gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`.
         magnetic_field, derivative, angular_rate: (n, 3), or (3,) for one sample.
         noise: standard deviation per row, or a GTSAM noise model of 3n rows.
         robust: name of a kernel that weighs each sample by itself; `noise` must then be a number.
@@ -101,7 +96,7 @@ def gyro_derivative_factor(
     """
     samples = derivative_samples(magnetic_field, derivative, angular_rate)
     rows = 3 * len(samples[0])
-    keys_read = [vector(6), vector(3), gyro_bias]
+    keys, keys_read = (soft_iron_key, hard_iron_key, gyro_bias_key), [vector(6), vector(3), gyro_bias]
 
     if robust is None:
 
@@ -184,12 +179,16 @@ class CompressedGyroDerivative:
         residual, _ = self.error(l, d, b)
         return float(residual @ residual)
 
-    def factor(self, keys: Sequence[int], noise: Noise) -> gtsam.CustomFactor:
+    def factor(
+        self, soft_iron_key: int, hard_iron_key: int, gyro_bias_key: int, noise: Noise
+    ) -> gtsam.CustomFactor:
         """One factor on (l, d, b) of 21 rows, equal to one residual (7) per sample.
 
         Args:
-            keys, noise: as for `gyro_derivative_factor`; `noise` is that of every sample's rows.
+            soft_iron_key, hard_iron_key, gyro_bias_key, noise: as for `gyro_derivative_factor`; `noise` is that of
+                every sample's rows.
         """
+        keys = (soft_iron_key, hard_iron_key, gyro_bias_key)
         variables = [vector(6), vector(3), gyro_bias]
         return custom_factor("compressed gyro derivative", noise, keys, variables, MONOMIALS, self.error)
 

@@ -1,10 +1,10 @@
-"""Magnetometer on an attitude of a graph that exists already: `Pose3`, `Rot3` or (heading only) `Rot2`.
+"""Magnetometer on an attitude of a graph that exists already: a sample as a factor.
 
-    m = A (ᵇRₛᵀ Rᵀ f) + h
+    m = A ᵇRₛᵀ Exp(ω τ) Rᵀ f + h
 
-R body→world from the graph, ᵇRₛ sensor→body, f the world's field in T, known or a variable of its own.
-A, h and f are keys in units that keep a graph's variables of order one: A as it is where f is known in
-tesla, h and f in `field_unit` tesla (µT unless said otherwise), which is also the unit of the residual.
+R body→world from the graph, ᵇRₛ sensor→body, f the world's field in T, τ the delay by which the magnetometer lags,
+ω the angular rate. A, h and f are keys in units that keep a graph's variables of order one: A as it is where f is
+known in tesla, h and f in `field_unit` tesla (µT unless said otherwise), which is also the unit of the residual.
 
 With A = I and f, h known this is GTSAM's `MagFactor1`, `MagPoseFactorPose3` and `MagFactor`; with the
 attitude known and a scale for A it is `MagFactor3`, which GTSAM does not wrap.
@@ -18,42 +18,14 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.factors.chain.rotations import exponential_matrices, skew
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import (
-    Array,
-    Noise,
-    Residual,
-    Variable,
-    custom_factor,
-    direction,
-    measured,
-    vector,
-)
-from magyc_gtsam.factors.rotations import skew
-from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS, unvech
+from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
+from magyc_gtsam.factors.units import check_field, check_noise, check_rates, check_readings
+from magyc_gtsam.factors.variables import Array, Variable, attitude, direction, mounting, scalar, vector
 
 MICROTESLA = 1e-6
-
-_TURNS = skew(np.eye(3))
-
-
-def attitude(values: gtsam.Values, key: int) -> tuple[Array, Array]:
-    """A key that holds a `Pose3`, `Rot3` or `Rot2`, read as the rotation matrix row by row (9,)."""
-    try:
-        rotation, columns = values.atPose3(key).rotation().matrix(), slice(0, 6)
-    except RuntimeError:
-        try:
-            rotation, columns = values.atRot3(key).matrix(), slice(0, 3)
-        except RuntimeError:
-            rotation, columns = gtsam.Rot3.Yaw(values.atRot2(key).theta()).matrix(), slice(2, 3)
-    tangent = np.zeros((9, 6))  # R Exp(φ) = R + R [φ]×, in the body frame as GTSAM has it
-    tangent[:, :3] = (rotation @ _TURNS).reshape(3, 9).T
-    return rotation.ravel(), tangent[:, columns]
-
-
-def scalar(values: gtsam.Values, key: int) -> tuple[Array, None]:
-    """A key that holds a double, read as (1,)."""
-    return np.array([values.atDouble(key)]), None
 
 
 def body_field(body_R_sensor: Array, rotation: Array, field: Array) -> tuple[Array, Array, Array]:
@@ -64,15 +36,30 @@ def body_field(body_R_sensor: Array, rotation: Array, field: Array) -> tuple[Arr
     return turn @ field, (field[None, :, None] * to_sensor[:, None, :]).reshape(3, 9), turn
 
 
-def known_field(field: ArrayLike | None, keys: Sequence[int], count: int, field_unit: float) -> Array | None:
-    """The world's field in `field_unit`, or None where the key after the first `count` ones holds it."""
+def known_field(
+    name: str, field: ArrayLike | None, field_key: int | None, field_unit: float, *, strength: bool = False
+) -> Array | None:
+    """The world's field in `field_unit`, or None where `field_key` holds it.
+
+    Args:
+        name: of the factor.
+        field: (3,) T; where `strength` is set also a number, the field's strength.
+        field_key: of the field as a variable.
+        field_unit: T per unit of the keys.
+        strength: whether a number will do.
+    """
     check_unit(field_unit)
-    if (field is None) == (len(keys) == count):
+    if (field is None) == (field_key is None):
         raise MagycError(
-            f"the world's field must be known (`field`, then {count} keys) or a variable (no `field`, "
-            f"{count + 1} keys); got {len(keys)} keys and {'no field' if field is None else 'a field'}"
+            f"{name}: the world's field is either known, `field` in T, or a variable, `field_key`; got "
+            f"{'neither' if field is None else 'both'}"
         )
-    return None if field is None else measured("field", field, (3,)) / field_unit
+    if field is None:
+        return None
+    shape = () if strength and np.ndim(field) == 0 else (3,)
+    known = measured(f"{name}: field", field, shape)
+    check_field(name, float(np.linalg.norm(known)))
+    return known / field_unit
 
 
 def check_unit(field_unit: float) -> None:
@@ -86,55 +73,108 @@ def sensor_rotation(body_R_sensor: gtsam.Rot3 | None) -> Array:
     return np.eye(3) if body_R_sensor is None else body_R_sensor.matrix()
 
 
-def in_unit(noise: Noise, field_unit: float) -> Noise:
-    """A standard deviation in T in `field_unit`; a noise model stays as it is."""
-    return noise if isinstance(noise, gtsam.noiseModel.Base) else noise / field_unit
+def given_keys(*pairs: tuple[int | None, Variable]) -> list[tuple[int, Variable]]:
+    """The optional keys of a factor that were given, with how they are read."""
+    return [(key, variable) for key, variable in pairs if key is not None]
+
+
+def in_unit(name: str, noise: Noise, field_unit: float) -> Noise:
+    """A standard deviation in T, checked, in `field_unit`; a noise model stays as it is."""
+    if isinstance(noise, gtsam.noiseModel.Base):
+        return noise
+    check_noise(name, noise)
+    return noise / field_unit
 
 
 def magnetometer_factor(
-    keys: Sequence[int],
+    attitude_key: int,
+    soft_iron_key: int,
+    hard_iron_key: int,
     measurement: ArrayLike,
     noise: Noise,
     *,
     field: ArrayLike | None = None,
+    field_key: int | None = None,
+    mounting_key: int | None = None,
+    delay_key: int | None = None,
+    delay: float = 0.0,
+    angular_rate: ArrayLike | None = None,
     body_R_sensor: gtsam.Rot3 | None = None,
     field_unit: float = MICROTESLA,
 ) -> gtsam.CustomFactor:
-    """One measured field on (R, A, h) with the world's field known, or on (R, A, h, f).
+    """One measured field on (R, A, h[, f][, ᵇRₛ][, τ]).
 
     Args:
-        keys: of R (`Pose3`, `Rot3`, `Rot2`, body→world), A (6-vector, vech of the soft iron), h (3-vector or
-            `Point3`, `field_unit`) and, where `field` is None, f (3-vector or `Point3`, `field_unit`).
+        attitude_key: R, body→world: `Pose3`, `Rot3`, `NavState`, `Pose2` or `Rot2`.
+        soft_iron_key: A, 6-vector, vech of the soft iron.
+        hard_iron_key: h, 3-vector or `Point3`, `field_unit`.
         measurement: (3,) T, sensor frame.
         noise: standard deviation per axis in T, or a noise model of the 3 rows in `field_unit`, such as
             `robust_noise`.
         field: (3,) T, world frame, e.g. `magyc_gtsam.world_field.world_magnetic_field(...).vector` in a
             north-east-down world. With f a variable it is that variable's prior (`world_field_prior`).
+        field_key: f as a variable, 3-vector or `Point3`, `field_unit`.
+        mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`); without it `body_R_sensor` is held.
+        delay_key: τ as a variable, s, double or 1-vector (`delay_prior`); without it `delay` is held.
+        delay: s by which the magnetometer lags the attitude's time.
+        angular_rate: (3,) rad/s at the measurement, body frame, less its bias; needed where there is a delay.
         body_R_sensor: sensor→body.
         field_unit: T per unit of the keys h and f.
 
     Raises:
-        MagycError: keys and `field` that do not fit together, or values that are not finite.
+        MagycError: arguments that do not fit together, units that cannot be, or values that are not finite.
     """
-    known = known_field(field, keys, 3, field_unit)
-    m, mounting = measured("measurement", measurement, (3,)) / field_unit, sensor_rotation(body_R_sensor)
+    name = "magnetometer"
+    known = known_field(name, field, field_key, field_unit)
+    m, fixed = measured("measurement", measurement, (3,)) / field_unit, sensor_rotation(body_R_sensor)
+    check_readings(name, m * field_unit)
+    late = delay_key is not None or delay != 0
+    if late and angular_rate is None:
+        raise MagycError(f"{name}: a delay needs `angular_rate` at the measurement, (3,) rad/s")
+    rate = measured("angular rate", np.zeros(3) if angular_rate is None else angular_rate, (3,))
+    check_rates(name, rate)
+    spin = skew(rate)
+    extra = given_keys((field_key, vector(3)), (mounting_key, mounting), (delay_key, scalar))
+    optional = [key for key, _ in extra]
 
     def error(rotation: Array, a: Array, h: Array, *rest: Array) -> Residual:
-        *variable, want_jacobians = rest
-        seen, on_rotation, on_field = body_field(mounting, rotation, variable[0] if known is None else known)
+        *more, want_jacobians = rest
+        found: dict[int | None, Array] = dict(zip(optional, more, strict=True))
+        f = found[field_key] if known is None else known
+        body_R = fixed if mounting_key is None else found[mounting_key].reshape(3, 3)
+        turned = np.eye(3)
+        if late:
+            tau = float(found[delay_key][0]) if delay_key is not None else delay
+            turned = exponential_matrices((rate * tau)[:, None])[:, :, 0]
+        in_body = turned @ (rotation.reshape(3, 3).T @ f)
+        seen = body_R.T @ in_body
         soft_iron = unvech(a)
         residual = soft_iron @ seen + h - m
         if not want_jacobians:
             return residual, []
-        jacobians = [soft_iron @ on_rotation, (SYMMETRIC_UNITS @ seen).T, np.eye(3)]
-        return residual, jacobians if known is not None else [*jacobians, soft_iron @ on_field]
+        to_sensor = soft_iron @ body_R.T @ turned
+        jacobians = [
+            np.einsum("j,ik->ijk", f, to_sensor).reshape(3, 9),
+            (SYMMETRIC_UNITS @ seen).T,
+            np.eye(3),
+        ]
+        if field_key is not None:
+            jacobians.append(to_sensor @ rotation.reshape(3, 3).T)
+        if mounting_key is not None:
+            jacobians.append(np.einsum("j,ik->ijk", in_body, soft_iron).reshape(3, 9))
+        if delay_key is not None:
+            jacobians.append((soft_iron @ body_R.T @ spin @ in_body)[:, None])
+        return residual, jacobians
 
-    variables: list[Variable] = [attitude, vector(6), vector(3)] + ([vector(3)] if known is None else [])
-    return custom_factor("magnetometer", in_unit(noise, field_unit), keys, variables, 3, error)
+    variables: list[Variable] = [attitude, vector(6), vector(3), *(variable for _, variable in extra)]
+    keys = [attitude_key, soft_iron_key, hard_iron_key, *optional]
+    return custom_factor(name, in_unit(name, noise, field_unit), keys, variables, 3, error)
 
 
 def scaled_magnetometer_factor(
-    keys: Sequence[int],
+    direction_key: int,
+    scale_key: int,
+    hard_iron_key: int,
     measurement: ArrayLike,
     rotation: gtsam.Rot3,
     noise: Noise,
@@ -145,40 +185,26 @@ def scaled_magnetometer_factor(
     """GTSAM's `MagFactor3`, m = s ᵇRₛᵀ Rᵀ d + h: the attitude known, scale, direction and bias unknown.
 
     Args:
-        keys: of s (double, `field_unit`), d (`Unit3`, world frame) and h (3-vector or `Point3`, `field_unit`).
+        direction_key: d, `Unit3`, world frame.
+        scale_key: s, double or 1-vector, `field_unit`.
+        hard_iron_key: h, 3-vector or `Point3`, `field_unit`.
         measurement: (3,) T, sensor frame.
         rotation: R, body→world.
         noise: standard deviation per axis in T, or a noise model of the 3 rows in `field_unit`.
         body_R_sensor: sensor→body.
         field_unit: T per unit of s and h.
     """
+    name = "scaled magnetometer"
     check_unit(field_unit)
     m, to_sensor = measured("measurement", measurement, (3,)) / field_unit, sensor_rotation(body_R_sensor).T
+    check_readings(name, m * field_unit)
     turn = to_sensor @ rotation.matrix().T
 
-    def error(s: Array, d: Array, h: Array, want_jacobians: bool) -> Residual:
+    def error(d: Array, s: Array, h: Array, want_jacobians: bool) -> Residual:
         seen = turn @ d
         residual = s * seen + h - m
-        return residual, [seen[:, None], s * turn, np.eye(3)] if want_jacobians else []
+        return residual, [s * turn, seen[:, None], np.eye(3)] if want_jacobians else []
 
-    variables = [scalar, direction, vector(3)]
-    return custom_factor("scaled magnetometer", in_unit(noise, field_unit), keys, variables, 3, error)
-
-
-def world_field_prior(
-    key: int, field: ArrayLike, sigma: ArrayLike, *, field_unit: float = MICROTESLA
-) -> gtsam.PriorFactorPoint3:
-    """Native prior on the world's field as a variable (`Point3`, `field_unit`).
-
-    Args:
-        key: of f.
-        field: (3,) T in the graph's world frame, e.g. of the World Magnetic Model.
-        sigma: T, one or three; the model is good to about 0.15 µT plus what the crust adds, which is 0.1 to
-            1 µT on most of the sea floor and far more beside steel.
-        field_unit: T per unit of the key.
-    """
-    deviation = np.broadcast_to(np.asarray(sigma, dtype=float), (3,)) / field_unit
-    if not (np.isfinite(deviation).all() and (deviation > 0).all()):
-        raise MagycError(f"world field prior: standard deviation {sigma!r}; it must be finite and above 0 T")
-    noise = gtsam.noiseModel.Diagonal.Sigmas(deviation)
-    return gtsam.PriorFactorPoint3(key, measured("field", field, (3,)) / field_unit, noise)
+    keys: Sequence[int] = (direction_key, scale_key, hard_iron_key)
+    variables = [direction, scalar, vector(3)]
+    return custom_factor(name, in_unit(name, noise, field_unit), keys, variables, 3, error)

@@ -15,39 +15,39 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Array
 from magyc_gtsam.factors.pose import MICROTESLA
+from magyc_gtsam.factors.variables import Array
 
 _HOUR = 3600.0
 
 
-def soft_iron_walk(first: int, second: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorVector:
+def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorVector:
     """Random walk between two soft irons (6-vectors).
 
     Args:
-        first, second: keys.
+        first_key, second_key: of the two nodes.
         elapsed: s between the two nodes.
         sigma: change per √hour of each entry, one or six; 1e-3 is a tenth of a percent in an hour.
     """
-    return gtsam.BetweenFactorVector(first, second, np.zeros(6), _grown(sigma, 6, elapsed))
+    return gtsam.BetweenFactorVector(first_key, second_key, np.zeros(6), _grown(sigma, 6, elapsed))
 
 
 def hard_iron_walk(
-    first: int, second: int, elapsed: float, sigma: ArrayLike, *, field_unit: float = MICROTESLA
+    first_key: int, second_key: int, elapsed: float, sigma: ArrayLike, *, field_unit: float = MICROTESLA
 ) -> gtsam.BetweenFactorPoint3:
     """Random walk between two hard irons (3-vectors or `Point3`, `field_unit`); `sigma` in T per √hour."""
     return gtsam.BetweenFactorPoint3(
-        first, second, np.zeros(3), _grown(np.asarray(sigma, dtype=float) / field_unit, 3, elapsed)
+        first_key, second_key, np.zeros(3), _grown(np.asarray(sigma, dtype=float) / field_unit, 3, elapsed)
     )
 
 
-def gyro_bias_walk(first: int, second: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorPoint3:
+def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorPoint3:
     """Random walk between two gyroscope biases (3-vectors or `Point3`); `sigma` in rad/s per √hour.
 
     A graph whose bias is an `imuBias.ConstantBias` has its own (`CombinedImuFactor`,
     `BetweenFactorConstantBias`) and needs no other.
     """
-    return gtsam.BetweenFactorPoint3(first, second, np.zeros(3), _grown(sigma, 3, elapsed))
+    return gtsam.BetweenFactorPoint3(first_key, second_key, np.zeros(3), _grown(sigma, 3, elapsed))
 
 
 def _grown(sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:

@@ -6,15 +6,14 @@ gyroscope a rotation of K cannot be told from one of the directions; with one, K
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Array, Noise, Residual, custom_factor, direction, measured, vector
-from magyc_gtsam.factors.soft_iron import SYMMETRIC_UNITS
+from magyc_gtsam.factors.guard import Noise, Residual, custom_factor, measured
+from magyc_gtsam.factors.variables import Array, direction, vector
 
 _FULL_UNITS = np.eye(9).reshape(9, 3, 3)
 
@@ -27,21 +26,29 @@ SHAPES = {
 
 
 def sphere_error(
-    units: Array, measurement: Array, k: Array, h: Array, x: Array, want_jacobians: bool = False
+    units: Array, measurement: Array, x: Array, k: Array, h: Array, want_jacobians: bool = False
 ) -> Residual:
-    """Eq. (7) and its Jacobians (18) to (20) on k, h and x̂: (3,), and (3, len(k)), (3, 3), (3, 3)."""
+    """Eq. (7) and its Jacobians (18) to (20) on x̂, k and h: (3,), and (3, 3), (3, len(k)), (3, 3)."""
     matrix = (k @ units.reshape(len(k), 9)).reshape(3, 3)
     residual = matrix @ x + h - measurement
-    return residual, [(units @ x).T, np.eye(3), matrix] if want_jacobians else []
+    return residual, [matrix, (units @ x).T, np.eye(3)] if want_jacobians else []
 
 
 def sphere_factor(
-    keys: Sequence[int], measurement: ArrayLike, noise: Noise, *, shape: str = "symmetric"
+    direction_key: int,
+    soft_iron_key: int,
+    hard_iron_key: int,
+    measurement: ArrayLike,
+    noise: Noise,
+    *,
+    shape: str = "symmetric",
 ) -> gtsam.CustomFactor:
-    """One measured field m = K x̂ + h on (k, h, x̂).
+    """One measured field m = K x̂ + h on (x̂, k, h).
 
     Args:
-        keys: of k (6-vector, or 9 for "full"), h (3-vector or `Point3`) and x̂ (`Unit3`).
+        direction_key: x̂, `Unit3`.
+        soft_iron_key: k, 6-vector, or 9 for "full".
+        hard_iron_key: h, 3-vector or `Point3`.
         measurement: (3,), in the unit of K and h.
         noise: standard deviation per axis, or a noise model of 3 rows, e.g. `robust_noise`.
         shape: of K, "symmetric", "triangular" (upper) or "full".
@@ -53,7 +60,8 @@ def sphere_factor(
         raise MagycError(f"sphere factor: shape {shape!r} unknown; there are {', '.join(SHAPES)}")
     units, m = SHAPES[shape], measured("measurement", measurement, (3,))
 
-    def error(k: Array, h: Array, x: Array, want_jacobians: bool) -> Residual:
-        return sphere_error(units, m, k, h, x, want_jacobians)
+    def error(x: Array, k: Array, h: Array, want_jacobians: bool) -> Residual:
+        return sphere_error(units, m, x, k, h, want_jacobians)
 
-    return custom_factor("sphere", noise, keys, [vector(len(units)), vector(3), direction], 3, error)
+    keys = (direction_key, soft_iron_key, hard_iron_key)
+    return custom_factor("sphere", noise, keys, [direction, vector(len(units)), vector(3)], 3, error)

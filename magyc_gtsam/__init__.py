@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
+
+from magyc_gtsam.factors.lazy import attribute
 
 # Name → module. Imported at first use, so that `magyc-gtsam --help` does not wait for gtsam.
 _PUBLIC = {
-    "AccelerometerCalibration": "magyc_gtsam.estimators.accelerometer",
-    "Calibration": "magyc_gtsam.calibration",
-    "MagycError": "magyc_gtsam.factors.errors",
-    "OnlineCalibrator": "magyc_gtsam.online",
-    "Recording": "magyc_gtsam.recording",
-    "Simulation": "magyc_gtsam.simulation",
-    "calibrate": "magyc_gtsam.estimators",
-    "calibrate_accelerometer": "magyc_gtsam.estimators.accelerometer",
-    "find_gap": "magyc_gtsam.gap",
-    "methods": "magyc_gtsam.estimators",
-    "read": "magyc_gtsam.io",
-    "simulate": "magyc_gtsam.simulation",
+    "AccelerometerCalibration": "estimators.autocal.accelerometer",
+    "Calibration": "calibration",
+    "History": "history",
+    "MagycError": "factors.errors",
+    "OnlineCalibrator": "online",
+    "Recording": "recording",
+    "Simulation": "simulation",
+    "calibrate": "estimators",
+    "compare": "study.comparison",
+    "calibrate_accelerometer": "estimators.autocal.accelerometer",
+    "calibrate_many": "history",
+    "find_gap": "gap",
+    "methods": "estimators",
+    "read": "io",
+    "read_many": "io.many",
+    "simulate": "simulation",
 }
 
 __all__ = [*_PUBLIC, "__version__"]
@@ -27,9 +32,7 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'magyc_gtsam' has no attribute {name!r}")
-    return getattr(importlib.import_module(_PUBLIC[name]), name)
+    return attribute(__name__, _PUBLIC, name)
 
 
 def __dir__() -> list[str]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -11,21 +13,25 @@ from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike
 
-from magyc_gtsam.export import export
-from magyc_gtsam.factors.corrections import corrected_field, corrected_rate, shifted
-from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.calibration_file import check
+from magyc_gtsam.export import do_not_use, export
+from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate, shifted
+from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.signals import Signals, channels_by_kind
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.stored import dump_yaml, load_mapping
 
+_PLAUSIBLE = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with the scale unknown by 2.5 either way
 _FORMAT = "magyc-gtsam calibration 1"
+_TURNING = ("misalignment", "axis-order")  # terms that bring the field to the gyroscope's axes
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
     """Soft iron, hard iron and gyroscope bias: m = soft_iron · u + hard_iron, w = ω + gyro_bias.
 
@@ -35,6 +41,9 @@ class Calibration:
         gyro_bias: (3,) rad/s, None where the method does not estimate it.
         covariance: (12, 12) of vech(soft_iron) row by row, hard_iron, gyro_bias, or (9, 9) where gyro_bias is
             None; None where the method has none. Its rank is less by one where det soft_iron = 1 fixed the scale.
+            All of the error: the sensors' noise, and what the model does not explain.
+        noise_covariance: the sensors' part of `covariance` alone, likewise; None where the method does not tell them
+            apart.
         delay: s by which the magnetometer lags the gyroscope; 0 if fixed or not estimated.
         delay_sigma: s, standard deviation of `delay`; None if fixed or not estimated.
         terms: extra effects beyond the twelve parameters; empty for the base model.
@@ -52,6 +61,7 @@ class Calibration:
     hard_iron: Array
     gyro_bias: Array | None = None
     covariance: Array | None = None
+    noise_covariance: Array | None = field(default=None, kw_only=True)
     delay: float = 0.0
     delay_sigma: float | None = None
     terms: tuple[Term, ...] = ()
@@ -67,10 +77,14 @@ class Calibration:
     def __post_init__(self) -> None:
         put = object.__setattr__
         freedoms = 9 if self.gyro_bias is None else 12
-        shapes = {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,), "covariance": (freedoms, freedoms)}
+        if self.covariance is None:  # a part of nothing
+            put(self, "noise_covariance", None)
+        square = (freedoms, freedoms)
+        shapes = {"soft_iron": (3, 3), "hard_iron": (3,), "gyro_bias": (3,), "covariance": square}
+        shapes["noise_covariance"] = square
         for name, shape in shapes.items():
             value = getattr(self, name)
-            if value is None and name in ("gyro_bias", "covariance"):
+            if value is None and name in ("gyro_bias", "covariance", "noise_covariance"):
                 continue
             try:
                 array = np.array(value, dtype=np.float64)
@@ -102,7 +116,7 @@ class Calibration:
         given = _signals(magnetic_field, "magnetic_field", signals)
         m = _vectors("magnetic_field", given.pop("magnetic_field"))
         if not self.terms:
-            return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
+            return self._plausible(cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T))
         rows = np.atleast_2d(m)
         at = _as_signals(len(rows), given)
         if at.rate is not None and self.gyro_bias is not None:
@@ -110,7 +124,20 @@ class Calibration:
         field = corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at)
         if given.get("time") is not None:
             field = shifted(at.time, field, self.terms)
-        return field.T.reshape(m.shape)
+        return self._plausible(field.T.reshape(m.shape))
+
+    def _plausible(self, field: Array) -> Array:
+        """The field, with a warning where it is none of the Earth's."""
+        strength = np.linalg.norm(np.atleast_2d(field), axis=1)
+        median = float(np.median(strength)) if len(strength) else np.nan
+        in_tesla = self.configuration.get("magnetic_field_unit") != "counts"
+        if in_tesla and not _PLAUSIBLE[0] <= median <= _PLAUSIBLE[1] and np.isfinite(median):
+            warnings.warn(
+                f"apply: the calibrated field is {median * 1e6:.3g} µT in the median, outside of 8 to 175 µT; "
+                "is it in tesla, raw, and from the instrument that was calibrated?",
+                stacklevel=3,
+            )
+        return field
 
     def apply_gyroscope(self, angular_rate: ArrayLike | Recording, **signals: Any) -> Array:
         """Calibrated angular rate w − gyro_bias, its terms taken out: (N, 3) or (3,) rad/s in and out.
@@ -125,6 +152,43 @@ class Calibration:
             return w - self.gyro_bias
         rows = np.atleast_2d(w)
         return corrected_rate(rows.T, self.gyro_bias, self.terms, _as_signals(len(rows), given)).T.reshape(w.shape)
+
+    @property
+    def recording(self) -> Recording | None:
+        """What `calibrate` made it from; None after loading, pickling or `dataclasses.replace`."""
+        found: Recording | None = self.__dict__.get("_recording")
+        return found
+
+    def made_from(self, recording: Recording) -> Calibration:
+        """The same, knowing its recording, for `plot` and `report`."""
+        object.__setattr__(self, "_recording", recording)
+        return self
+
+    def plot(self, recording: Recording | None = None) -> Any:
+        """The field before and after, as a matplotlib figure; `recording` where `self.recording` is None.
+
+        Raises:
+            MagycError: the recording is not known.
+        """
+        return _notebook().plot_calibration(self, recording)
+
+    def report(self, path: str | os.PathLike[str], recording: Recording | None = None) -> Path:
+        """Write the page (.html), or its figures (.pdf); `recording` where `self.recording` is None.
+
+        Raises:
+            MagycError: the recording is not known.
+        """
+        written: Path = _notebook().report(self, path, recording)
+        return written
+
+    def __repr__(self) -> str:
+        state = "trusted" if self.trusted else "not to be trusted"
+        iron = ", ".join(f"{value * 1e6:.2f}" for value in self.hard_iron)
+        return f"Calibration({self.method!r}, {state}, hard iron ({iron}) µT)"
+
+    def _repr_html_(self) -> str:
+        text: str = _notebook().html_of(self)
+        return text
 
     @property
     def trusted(self) -> bool:
@@ -144,17 +208,59 @@ class Calibration:
         sigma = {"soft_iron": soft_iron, "hard_iron": deviation[6:9]}
         return sigma if self.gyro_bias is None else sigma | {"gyro_bias": deviation[9:]}
 
-    def export(self, target: str) -> str:
-        """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`."""
+    def export(self, target: str, *, force: bool = False) -> str:
+        """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`.
+
+        Args:
+            target: whose parameters.
+            force: of a result that must not be trusted, give the values as comments, under DO NOT USE and the reason.
+
+        Raises:
+            MagycError: the result must not be trusted (without `force`), or the target cannot hold it.
+        """
+        if not self.trusted:
+            if not force:
+                raise MagycError(
+                    f"the result must not be trusted, so nothing is exported: {self.message or 'not observable'}; "
+                    "record again, or see the values as comments (force=True)"
+                )
+            return do_not_use(
+                self.message or "not observable", replace(self, converged=True, observability=None).export(target)
+            )
         if self.configuration.get("magnetic_field_unit") == "counts":
             raise MagycError("the calibration is of raw counts, which no instrument takes; calibrate in tesla")
-        bias, missing = self.gyro_bias, []
+        bias, offset, missing = self.gyro_bias, self.hard_iron, []
+        motor, thermal, reference = None, None, 0.0
+        rotating = any(term.name in _TURNING for term in self.terms)
         for term in self.terms:
-            if term.name == "axis-order" and bias is not None:
+            exchanged = term.name == "axis-order"
+            if exchanged and bias is not None:
                 bias = term.value.reshape(3, 3).T @ bias  # from the magnetometer's axes to the gyroscope's
-            if term.side is not None or term.name == "axis-order":  # the others concern the noise
+            if term.name == "motor-current" and len(term.value) == 3 and motor is None:
+                motor = term.value
+                offset = offset - motor * term.setting.get("reference_0", 0.0)
+            elif term.name == "temperature-hard-iron" and len(term.value) == 3 and not term.setting.get("lag"):
+                thermal, reference = term.value, term.setting.get("reference_0", 0.0)
+            elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
+                term.side is not None and term.name != "misalignment"
+            ):  # what is neither of a side nor an exchange concerns the noise
                 missing.append(term.name)
-        return export(target, self.soft_iron, self.hard_iron, bias, missing)
+        return export(
+            target,
+            self.soft_iron,
+            offset,
+            bias,
+            missing,
+            rotation=self._to_gyroscope() if rotating else None,
+            motor=motor,
+            thermal=thermal,
+            reference=reference,
+        )
+
+    def _to_gyroscope(self) -> Array:
+        """(3, 3) rotation of the calibrated field to the gyroscope's axes, by the terms that say so."""
+        turning = [term for term in self.terms if term.name in _TURNING]
+        return corrected_field(np.eye(3), np.eye(3), np.zeros(3), turning, Signals(np.zeros(3)))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_dict, (self.to_dict(),)
@@ -210,30 +316,28 @@ class Calibration:
             MagycError: no such file, or not a calibration.
         """
         path = Path(path)
+        data = load_mapping(path, "calibration")
         try:
-            text = path.read_text(encoding="utf-8")
-            data = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
-        except FileNotFoundError:
-            raise MagycError(f"{path}: no such file") from None
-        except OSError as error:
-            raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
-        except (json.JSONDecodeError, yaml.YAMLError, UnicodeDecodeError) as error:
-            raise MagycError(f"{path}: not readable as {path.suffix or 'YAML'} ({error})") from None
-        if not isinstance(data, dict):
-            raise MagycError(f"{path}: not a calibration")
-        try:
+            if data.get("format") == _FORMAT and {"soft_iron", "hard_iron"} <= data.keys():
+                check(data)
             return cls.from_dict(data)
         except MagycError as error:
-            raise MagycError(f"{path}: {error}") from None
-        except (KeyError, TypeError, ValueError) as error:
-            raise MagycError(f"{path}: a damaged calibration ({type(error).__name__}: {error})") from None
+            raise MagycError(f"{path}: {shortened(error)}") from None
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+            reason = f"{type(error).__name__}: {shortened(error)}"
+            raise MagycError(f"{path}: a damaged calibration ({reason})") from None
+
+
+def _notebook() -> Any:
+    """What draws, which lies above this module and is imported where it is asked for."""
+    return importlib.import_module("magyc_gtsam.report.notebook")
 
 
 def _dump(suffix: str, data: dict[str, Any]) -> str:
     if suffix == ".json":
         return json.dumps(data, indent=2) + "\n"
     if suffix in (".yaml", ".yml"):
-        return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+        return dump_yaml(data)
     raise MagycError(f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}")
 
 

@@ -2,12 +2,17 @@
 
 All four correct with a matrix and an offset, as we do (`soft_iron⁻¹ (m − hard_iron)`), but differ in
 units, in the sign of the offset and in the matrices they can hold. Nothing is rescaled: the field
-strength that `soft_iron` implies is kept.
+strength that `soft_iron` implies is kept. A rotation to the gyroscope's axes goes into the mounting, the
+motors' current and the temperature into the target's own terms where it has them:
+
+    PX4        R S (raw + power · COMP − TC(temperature) − OFF), R from ROT, ROLL, PITCH, YAW, power in kA
+    ArduPilot  M (R raw + OFS) + current · MOT, R from COMPASS_ORIENT and CUST_ROT1, current in A
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,15 +35,23 @@ def export(
     hard_iron: ArrayLike,
     gyro_bias: ArrayLike | None = None,
     terms: Sequence[str] = (),
+    *,
+    rotation: ArrayLike | None = None,
+    motor: ArrayLike | None = None,
+    thermal: ArrayLike | None = None,
+    reference: float = 0.0,
 ) -> str:
     """Text to paste into `target`.
 
     Args:
         target: "px4", "ardupilot", "vectornav" or "ros".
         soft_iron: (3, 3).
-        hard_iron: (3,) T.
+        hard_iron: (3,) T, at no current and at the `reference` temperature.
         gyro_bias: (3,) rad/s, in the gyroscope's own axes; None leaves the gyroscope out.
         terms: effects of the calibration beyond these; no target holds them, and the text says so.
+        rotation: (3, 3) that brings the calibrated field to the gyroscope's axes; it goes into the mounting.
+        motor: (3,) T/A that the motors' current adds to the reading.
+        thermal: (3,) T/°C that warming above `reference` (°C) adds to it.
 
     Raises:
         MagycError: unknown target, or a calibration that the target cannot hold.
@@ -47,21 +60,80 @@ def export(
         raise MagycError(f"no export called {target!r}; there are {', '.join(TARGETS)}")
     matrix = np.linalg.inv(np.asarray(soft_iron, dtype=np.float64))
     offset = np.asarray(hard_iron, dtype=np.float64)
-    bias = None if gyro_bias is None else np.asarray(gyro_bias, dtype=np.float64)
-    limit = [f"# LIMIT: not in here: {', '.join(terms)}. Only `magyc-gtsam apply` takes it out."] if terms else []
-    return "\n".join([*limit, *TARGETS[target](matrix, offset, bias)]) + "\n"
+    correction = Correction(
+        matrix,
+        offset,
+        None if gyro_bias is None else np.asarray(gyro_bias, dtype=np.float64),
+        _beyond_rounding(rotation),
+        None if motor is None else np.asarray(motor, dtype=np.float64),
+        None if thermal is None else np.asarray(thermal, dtype=np.float64),
+        reference,
+    )
+    lines = TARGETS[target](correction)
+    missing = [*terms]
+    missing += ["motor-current"] if motor is not None and target not in _WITH_MOTOR else []
+    missing += ["temperature-hard-iron"] if thermal is not None and target not in _WITH_TEMPERATURE else []
+    limit = (
+        [f"# LIMIT: not in here: {', '.join(missing)}. Only `magyc-gtsam apply` takes it out."] if missing else []
+    )
+    return "\n".join([*limit, *lines]) + "\n"
 
 
-def _px4(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
-    scale, notes = _symmetric(matrix, "PX4")
-    values = _axes("CAL_MAG0_{}OFF", offset * _GAUSS)
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What is written: field = rotation matrix (raw − offset − motor · current − thermal · (temperature − reference)).
+
+    Args:
+        matrix, offset: (3, 3), (3,) T.
+        gyro_bias: (3,) rad/s, or None.
+        rotation: (3, 3), or None.
+        motor, thermal: (3,) T/A, (3,) T/°C, or None.
+        reference: °C.
+    """
+
+    matrix: Array
+    offset: Array
+    gyro_bias: Array | None = None
+    rotation: Array | None = None
+    motor: Array | None = None
+    thermal: Array | None = None
+    reference: float = 0.0
+
+
+def do_not_use(reason: str, text: str) -> str:
+    """The values as comments, under DO NOT USE and the reason: no target reads any of them."""
+    lines = [f"DO NOT USE: {' '.join(reason.split())}", *text.splitlines()]
+    return "".join(f"# {line}\n" for line in lines)
+
+
+def _px4(c: Correction) -> list[str]:
+    scale, notes = _symmetric(c.matrix, "PX4")
+    rotation = c.rotation
+    values = _axes("CAL_MAG0_{}OFF", c.offset * _GAUSS)
     values |= _axes("CAL_MAG0_{}SCALE", np.diag(scale))
     values |= _axes("CAL_MAG0_{}ODIAG", scale[(0, 0, 1), (1, 2, 2)])
+    whole: dict[str, int] = {}
     low, high = _PX4_SCALE
     if not ((np.diag(scale) >= low) & (np.diag(scale) <= high)).all():
         notes.append(f"LIMIT: a CAL_MAG0_*SCALE is outside {low:g} to {high:g}, the range PX4 accepts.")
-    if gyro_bias is not None:
-        values |= _axes("CAL_GYRO0_{}OFF", gyro_bias)
+    if rotation is not None:
+        whole["CAL_MAG0_ROT"] = 100
+        values |= dict(zip(("CAL_MAG0_ROLL", "CAL_MAG0_PITCH", "CAL_MAG0_YAW"), _angles(rotation), strict=True))
+        notes.append(f"CAL_MAG0_ROT 100, with ROLL, PITCH, YAW in degrees, turns by {_degrees(rotation):.2f} deg.")
+        notes.append("It is for an external compass that had CAL_MAG0_ROT 0 as the log was recorded.")
+    if c.motor is not None:
+        whole["CAL_MAG_COMP_TYP"] = 2
+        values |= _axes("CAL_MAG0_{}COMP", -c.motor * _GAUSS * 1e3)
+        notes.append("CAL_MAG0_*COMP: gauss per kA of battery 1's current, ADDED to the raw field, while armed.")
+        notes.append("Where the channel was a throttle of 0 to 1: CAL_MAG_COMP_TYP 1, and COMP divided by 1000.")
+    if c.thermal is not None:
+        whole["TC_M_ENABLE"] = 1
+        values |= {f"TC_M0_X1_{k}": float(value) for k, value in enumerate(c.thermal * _GAUSS)}
+        values |= {"TC_M0_TREF": c.reference} | {f"TC_M0_X{n}_{k}": 0.0 for n in (0, 2, 3) for k in range(3)}
+        notes.append("TC_M0_*: gauss per degree of the magnetometer's own thermometer, subtracted; set TC_M0_ID")
+        notes.append("to CAL_MAG0_ID, and TC_M0_TMIN, TC_M0_TMAX to the range that the log covers.")
+    if c.gyro_bias is not None:
+        values |= _axes("CAL_GYRO0_{}OFF", c.gyro_bias)
     return [
         "# PX4 parameters (QGroundControl: Vehicle Setup > Parameters > Tools > Load from file).",
         "# Offsets in gauss, SUBTRACTED: field = scale * (raw - offset), in the sensor's own axes, before",
@@ -69,15 +141,28 @@ def _px4(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
         "# Gyroscope offsets in rad/s, subtracted. Another sensor than the first: replace MAG0, GYRO0.",
         *(f"# {note}" for note in notes),
         "# Vehicle-Id Component-Id Name Value Type",
+        *(f"1\t1\t{name}\t{value}\t6" for name, value in whole.items()),
         *(f"1\t1\t{name}\t{_number(value)}\t9" for name, value in values.items()),
     ]
 
 
-def _ardupilot(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
-    scale, notes = _symmetric(matrix, "ArduPilot")
-    added = -offset * _MILLIGAUSS
+def _ardupilot(c: Correction) -> list[str]:
+    scale, notes = _symmetric(c.matrix, "ArduPilot")
+    plain, rotation = scale, c.rotation
+    added = -c.offset * _MILLIGAUSS
+    values: dict[str, float] = {}
+    if rotation is not None:
+        # R P (raw + o) = (R P Rᵀ) (R raw + R o): the compass is turned first, and its matrix stays symmetric.
+        scale, added = rotation @ scale @ rotation.T, rotation @ added
+        angles = dict(zip(("ROLL", "PITCH", "YAW"), _angles(rotation), strict=True))
+        values |= {"COMPASS_ORIENT": 101, "CUST_ROT_ENABLE": 1}
+        values |= {f"CUST_ROT1_{name}": angle for name, angle in angles.items()}
+        notes.append(
+            f"COMPASS_ORIENT 101 turns by CUST_ROT1_*, degrees, {_degrees(rotation):.2f} deg in all. It is"
+        )
+        notes.append("for an external compass that had COMPASS_ORIENT 0 as the log was recorded.")
     diagonal, off_diagonal = np.diag(scale), scale[(0, 0, 1), (1, 2, 2)]
-    values = _axes("COMPASS_OFS_{}", added) | _axes("COMPASS_DIA_{}", diagonal)
+    values |= _axes("COMPASS_OFS_{}", added) | _axes("COMPASS_DIA_{}", diagonal)
     values |= _axes("COMPASS_ODI_{}", off_diagonal) | {"COMPASS_SCALE": 1.0}
     length = float(np.linalg.norm(added))
     if length > _ARDUPILOT_OFFSET:
@@ -90,8 +175,13 @@ def _ardupilot(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[st
         notes.append(f"LIMIT: a COMPASS_DIA is outside {low:g} to {high:g}, the range of ArduPilot's own fit.")
     if (np.abs(off_diagonal) >= _ARDUPILOT_OFF_DIAGONAL).any():
         notes.append("LIMIT: a COMPASS_ODI is beyond 1, the limit of ArduPilot's own fit.")
-    if gyro_bias is not None:
-        values |= _axes("INS_GYROFFS_{}", gyro_bias)
+    if c.motor is not None:
+        turn = np.eye(3) if rotation is None else rotation
+        values |= {"COMPASS_MOTCT": 2} | _axes("COMPASS_MOT_{}", -turn @ plain @ c.motor * _MILLIGAUSS)
+        notes.append("COMPASS_MOT: milligauss per ampere of battery 1's current, ADDED after the matrix.")
+        notes.append("Where the channel was a throttle of 0 to 1: COMPASS_MOTCT 1, with the same COMPASS_MOT.")
+    if c.gyro_bias is not None:
+        values |= _axes("INS_GYROFFS_{}", c.gyro_bias)
         notes.append("INS_GYROFFS is measured anew at every start unless INS_GYR_CAL is 0.")
     return [
         "# ArduPilot parameters (Mission Planner: Full Parameter List > Load from file).",
@@ -100,11 +190,13 @@ def _ardupilot(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[st
         "# COMPASS_SCALE 1 says that the field strength is absolute; where it was not given to the",
         "# calibration, set 0: the correction stays the same. Gyroscope offsets in rad/s, subtracted.",
         *(f"# {note}" for note in notes),
-        *(f"{name},{_number(value)}" for name, value in values.items()),
+        *(f"{name},{value if isinstance(value, int) else _number(value)}" for name, value in values.items()),
     ]
 
 
-def _vectornav(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
+def _vectornav(c: Correction) -> list[str]:
+    matrix = c.matrix if c.rotation is None else c.rotation @ c.matrix
+    offset, gyro_bias = c.offset, c.gyro_bias
     lines = [
         "# VectorNav registers: send the lines that begin with a dollar sign; command WNV keeps them.",
         "# For data recorded while these registers held their defaults; otherwise the two would add up.",
@@ -119,7 +211,9 @@ def _vectornav(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[st
     return lines
 
 
-def _ros(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
+def _ros(c: Correction) -> list[str]:
+    matrix = c.matrix if c.rotation is None else c.rotation @ c.matrix
+    offset, gyro_bias = c.offset, c.gyro_bias
     lines = [
         "# ROS 2 parameters, SI units: magnetic field in tesla, angular rate in rad/s.",
         "# Magnetometer: calibrated = matrix @ (m - bias), the matrix row by row. These are the names",
@@ -134,12 +228,17 @@ def _ros(matrix: Array, offset: Array, gyro_bias: Array | None) -> list[str]:
     return lines
 
 
-TARGETS: dict[str, Callable[[Array, Array, Array | None], list[str]]] = {
+TARGETS: dict[str, Callable[[Correction], list[str]]] = {
     "px4": _px4,
     "ardupilot": _ardupilot,
     "vectornav": _vectornav,
     "ros": _ros,
 }
+
+
+_WITH_MOTOR = ("px4", "ardupilot")
+_WITH_TEMPERATURE = ("px4",)
+_TURNED = 1e-6  # rad, below which a rotation is rounding
 
 
 def _symmetric(matrix: Array, target: str) -> tuple[Array, list[str]]:
@@ -150,12 +249,33 @@ def _symmetric(matrix: Array, target: str) -> tuple[Array, list[str]]:
     rotation = left @ right
     if np.linalg.det(rotation) < 0:
         raise MagycError(f"this calibration mirrors an axis, which {target}'s symmetric matrix cannot hold")
-    angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+    # The form of a matrix that the field strength alone determined; nothing measured this rotation.
     note = (
         f"LIMIT: {target} holds symmetric matrices only: the field strength is the same, but a fixed "
-        f"rotation of {angle:.2f} deg is left out."
+        f"rotation of {_degrees(rotation):.2f} deg is left out."
     )
     return right.T @ np.diag(stretch) @ right, [note]
+
+
+def _beyond_rounding(rotation: ArrayLike | None) -> Array | None:
+    if rotation is None:
+        return None
+    matrix = np.asarray(rotation, dtype=np.float64)
+    return matrix if np.radians(_degrees(matrix)) > _TURNED else None
+
+
+def _degrees(rotation: Array) -> float:
+    from scipy.spatial.transform import Rotation
+
+    return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
+
+
+def _angles(rotation: Array) -> list[float]:
+    """Roll, pitch, yaw in degrees, as both autopilots take them."""
+    from scipy.spatial.transform import Rotation
+
+    yaw, pitch, roll = Rotation.from_matrix(rotation).as_euler("ZYX", degrees=True).tolist()
+    return [roll, pitch, yaw]
 
 
 def _axes(name: str, values: Array) -> dict[str, float]:

@@ -77,6 +77,25 @@ def _multi(random: np.random.Generator) -> Path:
     return angles
 
 
+def _level(roll: float, pitch: float, turn_rate: tuple[float, float]) -> Motion:
+    """A vehicle that cannot tilt: it turns to and fro by 360° at a largest rate in rad/s, and rolls and pitches with
+    the waves, by so many degrees."""
+
+    def draw(random: np.random.Generator) -> Path:
+        amplitude = np.deg2rad([roll, pitch, 360.0])
+        waves = 2 * np.pi / random.uniform((5, 6), (12, 14))
+        frequency = np.append(waves, random.uniform(*turn_rate) / amplitude[2])
+        phase = random.uniform(-np.pi, np.pi, 3)
+
+        def angles(time: Array) -> Angles:
+            argument = time[:, None] * frequency + phase
+            return amplitude * np.sin(argument), amplitude * frequency * np.cos(argument)
+
+        return angles
+
+    return draw
+
+
 def _waypoints(draw_points: Callable[[np.random.Generator], tuple[Array, Array]]) -> Motion:
     """A smooth path through waypoints (time, angles in degrees) with a little swell on top."""
 
@@ -128,6 +147,8 @@ def _survey(random: np.random.Generator) -> tuple[Array, Array]:
 
 MOTIONS: dict[str, Motion] = {
     **{name: _sinusoids(name) for name in AMPLITUDES},
+    "level": _level(1.0, 1.0, RATES[2]),
+    "ship": _level(2.0, 1.0, (0.03, 0.03)),
     "multi": _multi,
     "dive": _waypoints(_dive),
     "survey": _waypoints(_survey),

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.level_turn import Askew, level_turn
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.validation import EARTH_FIELD
 
@@ -52,7 +53,7 @@ class Observability:
         observable: False where any weakness passes its limit.
         weak: the weak directions, worst first.
         heading_sigma: deg, largest standard deviation of heading that the calibration's own
-            uncertainty causes over a level turn.
+            uncertainty causes over a level turn (`level_turn.LevelTurn.systematic`).
     """
 
     observable: bool
@@ -69,7 +70,14 @@ class Observability:
         return cls(**{**data, "weak": tuple(Weakness(**w) for w in data["weak"])})
 
 
-def assess(covariance: Array, soft_iron: Array, field_strength: float, recording: Recording) -> Observability:
+def assess(
+    covariance: Array,
+    soft_iron: Array,
+    field_strength: float,
+    recording: Recording,
+    hard_iron: Array | None = None,
+    askew: Askew | None = None,
+) -> Observability:
     """Name the weak directions of a calibration and the motion that would fix them.
 
     Args:
@@ -77,6 +85,8 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
         soft_iron: (3, 3).
         field_strength: T.
         recording: the data it came from; says which way is up and about which axes it turned.
+        hard_iron: (3,) T; None for 0. The dip is taken from the field without it.
+        askew: what is open of the angles between magnetometer and gyroscope, which heading is as far off.
 
     Returns:
         All directions whose standard deviation passes half its limit, worst first; not observable where
@@ -103,7 +113,7 @@ def assess(covariance: Array, soft_iron: Array, field_strength: float, recording
     return Observability(
         observable=all(w.sigma <= w.limit for w in weak),
         weak=tuple(weak),
-        heading_sigma=_heading_sigma(covariance, soft_iron, field_strength, recording, up),
+        heading_sigma=_heading_sigma(covariance, soft_iron, field_strength, recording, hard_iron, askew),
     )
 
 
@@ -155,30 +165,14 @@ def _remedy(axis: Array, up: Array | None) -> str:
 
 
 def _heading_sigma(
-    covariance: Array, soft_iron: Array, field_strength: float, recording: Recording, up: Array | None
-) -> float | None:
-    """Largest standard deviation, in degrees, of the heading over a level turn, due to the calibration.
-
-    The level turn takes the field's mean dip in the recording; None without an accelerometer.
-    """
-    if up is None or recording.acceleration is None:
-        return None
-    field = _thin(recording.magnetic_field) @ np.linalg.inv(soft_iron).T
-    level = field - np.outer(field @ up, up)
-    # Spread of a turn's horizontal circle: half its squared radius per axis, as far as the log turned.
-    horizontal = float(np.sqrt(2 * np.linalg.eigvalsh(np.cov(level.T))[-1]))
-    horizontal = min(max(horizontal, 0.2 * field_strength), field_strength)
-    first = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    first /= np.linalg.norm(first)
-    second = np.cross(up, first)
-    vertical = -np.sqrt(field_strength**2 - horizontal**2)
-    angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)[:, None]
-    toward = np.cos(angle) * first + np.sin(angle) * second
-    u = horizontal * toward + vertical * up
-    # Error of the calibrated field: −A⁻¹ (dA u + dh); its part across the horizontal field turns heading.
-    gain = -np.cross(up, toward) @ np.linalg.inv(soft_iron) / horizontal
-    rows, columns = np.triu_indices(3)
-    mirrored = np.where(rows == columns, 0.0, gain[:, columns] * u[:, rows])
-    jacobian = np.concatenate([gain[:, rows] * u[:, columns] + mirrored, gain], axis=1)
-    variance = np.einsum("na,na->n", jacobian @ covariance[:9, :9], jacobian)
-    return float(np.rad2deg(np.sqrt(max(float(variance.max()), 0.0))))
+    covariance: Array,
+    soft_iron: Array,
+    field_strength: float,
+    recording: Recording,
+    hard_iron: Array | None,
+    askew: Askew | None,
+) -> float:
+    """Largest standard deviation, in degrees, of the heading over a level turn, due to the calibration."""
+    centre = np.zeros(3) if hard_iron is None else hard_iron
+    turn = level_turn(recording, soft_iron, centre, field_strength)
+    return float(turn.systematic(covariance, soft_iron, askew).max())

@@ -14,8 +14,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.signals import kinds
+from magyc_gtsam.given_data import check_seconds, origin_of, seconds
 from magyc_gtsam.time_base import Stream, unite
 from magyc_gtsam.validation import (
     Array,
@@ -51,7 +52,7 @@ class Recording:
     """Magnetometer and gyroscope data of one instrument, with what else was recorded.
 
     Args:
-        time: (N,) s, strictly ascending.
+        time: (N,) s, strictly ascending; or datetime64, datetime or pandas stamps, of which the first becomes 0 s.
         magnetic_field: (N, 3) T, sensor frame.
         angular_rate: (N, 3) rad/s, sensor frame; None where there is no gyroscope.
         acceleration: (N, 3) m/s², specific force, sensor frame.
@@ -93,10 +94,11 @@ class Recording:
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the only place that writes: the dataclass is frozen
-        time = frozen("time", self.time, (None,))
+        time = frozen("time", seconds("time", self.time, origin_of(self.time)), (None,))
         if len(time) < 3:
             raise MagycError(f"time: {len(time)} rows, at least 3 are needed; is the file or interval empty?")
         check_ascending(time)
+        check_seconds("time", time)
         n = len(time)
         put(self, "time", time)
         put(self, "magnetic_field", frozen("magnetic_field", self.magnetic_field, (n, 3)))

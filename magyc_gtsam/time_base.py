@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation, Slerp
 
+from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.signals import kinds
+from magyc_gtsam.given_data import origin_of, seconds
 from magyc_gtsam.validation import Array, check_ascending, frozen, unit_quaternions, without_no_values
 
 Stream = tuple[ArrayLike, ArrayLike]
@@ -30,7 +30,8 @@ def unite(
         MagycError: a stream that is no stream, or clocks that do not overlap.
     """
     streams = {"magnetic_field": magnetic_field, "angular_rate": angular_rate}
-    clean = {k: _stream(k, *v, width=3) for k, v in streams.items() if v is not None}
+    origin = origin_of(magnetic_field[0])
+    clean = {k: _stream(k, *v, width=3, origin=origin) for k, v in streams.items() if v is not None}
     first = max(t[0] for t, _ in clean.values())
     last = min(t[-1] for t, _ in clean.values())
     if last <= first:
@@ -57,7 +58,7 @@ def unite(
         "notes": (f"{cut} samples outside the time that both sensors cover were left out",) if cut else (),
     }
     for k, v in channels.items():
-        channel_time, channel = _stream(f"channel {k!r}", *v, None)
+        channel_time, channel = _stream(f"channel {k!r}", *v, None, origin)
         if kinds(k):  # before it is interpolated: a line to −99999 has many values
             channel, note = without_no_values(k, channel)
             result["notes"] += (note,) if note else ()
@@ -72,14 +73,16 @@ def unite(
             rate = _interpolate(time, gyro_time, gyro)
         result |= {"angular_rate": rate, "angular_rate_fresh": np.isin(time, gyro_time)}
     if acceleration is not None:
-        result["acceleration"] = _interpolate(time, *_stream("acceleration", *acceleration, 3))
+        result["acceleration"] = _interpolate(time, *_stream("acceleration", *acceleration, 3, origin))
     if attitude is not None:
-        result["attitude"] = _slerp(time, *_stream("attitude", *attitude, 4))
+        result["attitude"] = _slerp(time, *_stream("attitude", *attitude, 4, origin))
     return result
 
 
-def _stream(name: str, time: ArrayLike, value: ArrayLike, width: int | None) -> tuple[Array, Array]:
-    clean_time = frozen(f"time of {name}", time, (None,))
+def _stream(
+    name: str, time: ArrayLike, value: ArrayLike, width: int | None, origin: int = 0
+) -> tuple[Array, Array]:
+    clean_time = frozen(f"time of {name}", seconds(f"time of {name}", time, origin), (None,))
     if len(clean_time) < 2:
         raise MagycError(f"{name}: {len(clean_time)} samples, at least 2 are needed")
     try:
@@ -103,5 +106,17 @@ def _slerp(at: Array, time: Array, quaternion: Array) -> Array:
     step = np.diff(time)
     left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(step) - 1)
     inside &= (step[left] <= max(10 * float(np.median(step)), 0.1)) | np.isin(at, time)
-    result[inside] = Slerp(time, Rotation.from_quat(unit_quaternions(quaternion)))(at[inside]).as_quat()
+    # Spherical linear interpolation, the short way round (Shoemake 1985).
+    left = np.clip(np.searchsorted(time, at[inside], side="right") - 1, 0, len(time) - 2)
+    q = unit_quaternions(quaternion)
+    first, second = q[left], q[left + 1]
+    cosine = np.einsum("ni,ni->n", first, second)[:, None]
+    second = np.where(cosine < 0, -second, second)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    share = ((at[inside] - time[left]) / (time[left + 1] - time[left]))[:, None]
+    small = angle < 1e-6  # where the sines cancel
+    sine = np.where(small, 1.0, np.sin(angle))
+    weight = np.where(small, 1 - share, np.sin((1 - share) * angle) / sine)
+    other = np.where(small, share, np.sin(share * angle) / sine)
+    result[inside] = unit_quaternions(weight * first + other * second)
     return result

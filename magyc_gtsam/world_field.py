@@ -57,7 +57,7 @@ def world_magnetic_field(
         ("altitude", altitude, *_ALTITUDES),
     ):
         if not low <= value <= high:
-            raise MagycError(f"{name}: {value:g} is not between {low:g} and {high:g}")
+            raise MagycError(f"{name}: must be between {low:g} and {high:g}, got {value:g}")
     day = _day(date)
     if not _YEARS[0] <= day.year < _YEARS[1]:
         raise MagycError(

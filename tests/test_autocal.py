@@ -8,12 +8,12 @@ import pytest
 
 from magyc_gtsam import MagycError, Recording, calibrate, cli, simulate
 from magyc_gtsam.closest_point import closest_points
-from magyc_gtsam.estimators import autocal_fit
-from magyc_gtsam.estimators.autocal import covariance, inliers
-from magyc_gtsam.estimators.autocal_fit import autocal
-from magyc_gtsam.estimators.autocal_graph import refine_graph
+from magyc_gtsam.estimators.autocal import fit as autocal_fit
+from magyc_gtsam.estimators.autocal.autocal import covariance, inliers
+from magyc_gtsam.estimators.autocal.fit import autocal
+from magyc_gtsam.estimators.autocal.graph import refine_graph
 from magyc_gtsam.factors import KERNELS
-from magyc_gtsam.factors.field_chain import UPPER
+from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.factors.sphere import SHAPES, sphere_error
 from magyc_gtsam.simulation import disturb
 from magyc_gtsam.study.autocal import model_error, outlier_study, synthetic, triangular, vehicle_study
@@ -46,7 +46,7 @@ def test_the_schur_complement_leaves_the_residual_along_the_normal():
     points = closest_points(autocal_fit.triangle(K), B, value)
     information, gradient = np.zeros((9, 9)), np.zeros(9)
     for m, x in zip(value.T, points.direction.T, strict=True):
-        residual, (on_k, on_b, on_x) = sphere_error(SHAPES["triangular"], m, K, B, x, True)
+        residual, (on_x, on_k, on_b) = sphere_error(SHAPES["triangular"], m, x, K, B, True)
         on_p = np.hstack([on_k, on_b])
         on_tangent = on_x @ gtsam.Unit3(x).basis()
         block = np.linalg.inv(on_tangent.T @ on_tangent)
@@ -187,9 +187,9 @@ def test_noise_and_width_can_be_given():
     ("options", "words"),
     [
         ({"kernel": "tukey"}, "robust kernel 'tukey' unknown"),
-        ({"width": 0}, "width: 0 is no number"),
+        ({"width": 0}, "width: must be between 0 and 1e-3 T, got 0"),
         ({"solver": "ceres"}, "solver: 'ceres' is none of array, graph"),
-        ({"noise": 1e-6}, "noise: 1e-06 is no pair"),
+        ({"noise": 1e-6}, "noise: must be a pair"),
     ],
 )
 def test_wrong_options_are_refused(options, words):

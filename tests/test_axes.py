@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magyc_gtsam import MagycError, Recording, simulate
-from magyc_gtsam.estimators import axes
+from magyc_gtsam.estimators.smoother import axes
 
 MATRICES = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]

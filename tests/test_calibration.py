@@ -26,6 +26,7 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
     max_leaves=8,
 )
+POSITIVE = FINITE.map(abs)
 WEAKNESSES = st.builds(Weakness, TEXT, FINITE, FINITE, st.sampled_from(["µT", "%"]), TEXT)
 OBSERVABILITIES = st.builds(
     Observability, st.booleans(), st.lists(WEAKNESSES, max_size=3).map(tuple), st.none() | FINITE
@@ -36,20 +37,21 @@ OBSERVABILITIES = st.builds(
 def calibrations(draw):
     soft_iron = np.diag(draw(hnp.arrays(float, 3, elements=st.floats(0.5, 2.0))))
     soft_iron += draw(hnp.arrays(float, (3, 3), elements=st.floats(-0.1, 0.1)))
-    bias = draw(st.none() | hnp.arrays(float, 3, elements=FINITE))
+    bias = draw(st.none() | hnp.arrays(float, 3, elements=st.floats(-70, 70)))
     freedoms = 9 if bias is None else 12
+    root = draw(st.none() | hnp.arrays(float, (freedoms, 1), elements=st.floats(-1e3, 1e3)))
     return Calibration(
         soft_iron,
-        draw(hnp.arrays(float, 3, elements=FINITE)),
+        draw(hnp.arrays(float, 3, elements=st.floats(-0.01, 0.01))),
         bias,
-        draw(st.none() | hnp.arrays(float, (freedoms, freedoms), elements=FINITE)),
-        delay=draw(FINITE),
-        delay_sigma=draw(st.none() | FINITE),
+        None if root is None else root @ root.T,
+        delay=draw(st.floats(-60, 60)),
+        delay_sigma=draw(st.none() | POSITIVE),
         converged=draw(st.booleans()),
         message=draw(TEXT),
         method=draw(TEXT),
-        noise=draw(st.dictionaries(st.sampled_from(["magnetic_field", "angular_rate"]), FINITE)),
-        field_strength=draw(st.none() | FINITE),
+        noise=draw(st.dictionaries(st.sampled_from(["magnetic_field", "angular_rate"]), POSITIVE)),
+        field_strength=draw(st.none() | st.floats(0, 0.01)),
         observability=draw(st.none() | OBSERVABILITIES),
         diagnostics=draw(st.dictionaries(TEXT, JSON, max_size=3)),
         configuration=draw(st.dictionaries(TEXT, JSON, max_size=3)),
@@ -138,7 +140,7 @@ def test_what_cannot_be_written_leaves_the_old_file_alone(tmp_path):
     path = tmp_path / "cal.yaml"
     Calibration(SOFT_IRON, HARD_IRON).save(path)
     before = path.read_text()
-    with pytest.raises(Exception, match="cannot represent"):
+    with pytest.raises(yaml.YAMLError, match="cannot represent"):
         Calibration(SOFT_IRON, HARD_IRON, diagnostics={"bad": object()}).save(path)
     assert path.read_text() == before
 
@@ -239,3 +241,90 @@ def test_trusted_is_converged_and_where_that_is_known_observable(converged, obse
     observability = None if observable is None else Observability(observable)
     calibration = Calibration(np.eye(3), np.zeros(3), converged=converged, observability=observability)
     assert calibration.trusted is trusted
+
+
+ASYMMETRIC = str(np.triu(np.ones((9, 9))).tolist())
+IMPOSSIBLE = {
+    "hard iron of a tesla": ("hard_iron", "[1.0, 0.0, 0.0]", "at most 0.01 T"),
+    "hard iron beyond all": ("hard_iron", "[1.0e+300, 0.0, 0.0]", "at most 0.01 T"),
+    "not a number": ("hard_iron", "[.nan, 0.0, 0.0]", "finite"),
+    "true and false": ("hard_iron", "[true, false, true]", "hard_iron must be numbers"),
+    "numbers as text": ("hard_iron", "['1e-5', '0', '0']", "hard_iron must be numbers"),
+    "a gyroscope that spins": ("gyro_bias", "[1000.0, 0.0, 0.0]", "at most 70 rad/s"),
+    "soft iron of billions": ("soft_iron", "[[1.0e+9, 0, 0], [0, 1.0e+9, 0], [0, 0, 1.0e+9]]", "0.001 to 1000"),
+    "soft iron without volume": ("soft_iron", "[[1, 0, 0], [0, 1, 0], [0, 0, 1.0e-9]]", "singular"),
+    "a year late": ("delay", "3.0e+7", "delay must be a number from -60 to 60"),
+    "late by true": ("delay", "true", "delay must be a number"),
+    "converged by text": ("converged", "'yes'", "converged must be true or false"),
+    "negative deviation": ("delay_sigma", "-1.0", "delay_sigma must be a number from 0"),
+    "field of a magnet": ("field_strength", "5.0", "field_strength must be"),
+    "asymmetric covariance": ("covariance", ASYMMETRIC, "symmetric"),
+    "negative variance": ("covariance", str((-np.eye(9)).tolist()), "negative variances"),
+}
+
+
+@pytest.mark.parametrize("case", IMPOSSIBLE)
+def test_what_no_instrument_can_have_is_refused(tmp_path, case):
+    name, value, words = IMPOSSIBLE[case]
+    values = Calibration(SOFT_IRON, HARD_IRON).to_dict()
+    del values[name]
+    path = tmp_path / "cal.yaml"
+    path.write_text(yaml.safe_dump(values) + f"{name}: {value}\n")
+    with pytest.raises(MagycError, match=words):
+        Calibration.load(path)
+
+
+def test_counts_may_be_as_large_as_they_are(tmp_path):
+    counts = Calibration(SOFT_IRON, [500.0, 0, 0], configuration={"magnetic_field_unit": "counts"})
+    counts.save(tmp_path / "cal.yaml")
+    assert Calibration.load(tmp_path / "cal.yaml").hard_iron[0] == 500.0
+
+
+@pytest.mark.parametrize("suffix", [".yaml", ".json"])
+def test_a_key_that_comes_twice_is_refused(tmp_path, suffix):
+    path = tmp_path / f"cal{suffix}"
+    Calibration(SOFT_IRON, HARD_IRON).save(path)
+    text = path.read_text()
+    line = next(line for line in text.splitlines() if "delay:" in line or '"delay":' in line)
+    path.write_text(text.replace(line, f"{line}\n{line}"))
+    with pytest.raises(MagycError, match="the key 'delay' comes twice"):
+        Calibration.load(path)
+
+
+def test_files_that_expand_or_nest_without_end_are_refused_at_once(tmp_path):
+    path = tmp_path / "cal.yaml"
+    levels = "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 11))
+    path.write_text("a0: &a0 [x, x]\n" + levels)
+    with pytest.raises(MagycError, match="holds an alias") as caught:
+        Calibration.load(path)
+    assert len(str(caught.value)) < 500
+    for name, text in (("a.yaml", "[" * 100_000), ("b.yaml", "{a: " * 100_000), ("c.json", "[" * 1_000_000)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(MagycError, match=r"nested|not readable"):
+            Calibration.load(tmp_path / name)
+
+
+def test_what_is_held_twice_is_written_without_an_alias(tmp_path):
+    shared = [1.0, 2.0]
+    Calibration(SOFT_IRON, HARD_IRON, diagnostics={"a": shared, "b": shared}).save(tmp_path / "cal.yaml")
+    assert "&" not in (tmp_path / "cal.yaml").read_text()
+    assert Calibration.load(tmp_path / "cal.yaml").diagnostics["b"] == shared
+
+
+def test_errors_show_no_more_of_a_file_than_fits_a_line(tmp_path):
+    path = tmp_path / "cal.yaml"
+    path.write_text("soft_iron: \x1b]0;owned\x07" + "x" * 100_000 + ": : :")
+    with pytest.raises(MagycError) as caught:
+        Calibration.load(path)
+    message = str(caught.value)
+    assert len(message) < len(str(path)) + 300
+    assert "\x1b" not in message
+
+
+def test_a_term_of_no_numbers_is_refused(tmp_path):
+    values = Calibration(SOFT_IRON, HARD_IRON).to_dict()
+    for term in ("x", {"name": "current", "value": [True], "covariance": [[1.0]]}, {"name": "current"}):
+        path = tmp_path / "cal.yaml"
+        path.write_text(yaml.safe_dump(values | {"terms": [term]}))
+        with pytest.raises(MagycError, match="term|damaged"):
+            Calibration.load(path)

@@ -41,6 +41,7 @@ FILES = {
     "vectornav.txt",
     "ros.yaml",
 }
+UNTRUSTED = {"calibration.yaml", "configuration.yaml", "report.html"}
 Finished = subprocess.CompletedProcess[str]
 
 
@@ -110,7 +111,11 @@ def test_calibrate(result: tuple[Finished, Path], dive: mg.Simulation, logs: Pat
     calibration = mg.Calibration.load(folder / "calibration.yaml")
     agrees(calibration, dive.truth)
     assert calibration.converged
-    for text in ("Hard iron (µT)", "±", "observable: yes", str(folder.relative_to(folder.parents[1]))):
+    assert re.match(
+        r"✔ Calibrated: systematic heading error at most [\d.]+° \(1σ\); single samples [\d.]+° by sensor noise\n",
+        finished.stdout,
+    )
+    for text in ("Hard iron (µT)", "±", str(folder.relative_to(folder.parents[1]))):
         assert text in finished.stdout
 
     configuration = yaml.safe_load((folder / "configuration.yaml").read_text(encoding="utf-8"))
@@ -121,7 +126,7 @@ def test_calibrate(result: tuple[Finished, Path], dive: mg.Simulation, logs: Pat
     assert configuration["interval"] == [0.0, pytest.approx(239.9)]
 
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert page.count("<svg") > 3
+    assert page.count("application/json") > 3
     for target, name in {"px4": "px4.params", "ros": "ros.yaml"}.items():
         assert (folder / name).read_text(encoding="utf-8") == calibration.export(target)
 
@@ -152,9 +157,28 @@ def test_calibrate_with_every_option(logs: Path, dive: mg.Simulation, tmp_path: 
     assert configuration["reading"]["stamps"] == "log"
 
     again = run("calibrate", logs / "dive.mcap", "-o", ".", "-q", "--method", "magyc-bfg", cwd=tmp_path / "here")
-    assert again.stdout == ""
-    assert {file.name for file in (tmp_path / "here").iterdir()} == FILES
+    assert (again.returncode, again.stdout) == (1, "")  # this motion is too little for it
+    assert {file.name for file in (tmp_path / "here").iterdir()} == UNTRUSTED
     assert mg.Calibration.load(tmp_path / "here/calibration.yaml").method == "magyc-bfg"
+
+
+def test_a_configuration_is_read_back(logs: Path, tmp_path: Path) -> None:
+    """The same calibration to the last bit; what is given beside it counts more."""
+    given = ("--start", 20, "--noise", 1, 5, "--delay", 3.5, "--option", "turn=0.2", "--field-strength", 48.5)
+    assert run("calibrate", logs / "dive.mcap", "-o", "first", "-q", *given, cwd=tmp_path).returncode == 0
+    again = run("calibrate", "--config", "first/configuration.yaml", "-o", "again", "-q", cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    first, second = (mg.Calibration.load(tmp_path / name / "calibration.yaml") for name in ("first", "again"))
+    assert second.delay == pytest.approx(3.5e-3)
+    np.testing.assert_allclose(second.hard_iron, first.hard_iron, rtol=1e-12)
+    other = run(
+        *("calibrate", "--config", "first/configuration.yaml", "-o", "other", "-v", "--pdf", "--delay", "auto"),
+        cwd=tmp_path,
+    )
+    assert other.returncode == 0, other.stderr
+    assert '"iterations"' in other.stdout
+    assert mg.Calibration.load(tmp_path / "other" / "calibration.yaml").delay_sigma is not None
+    assert (tmp_path / "other" / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
 def test_the_field_of_a_place(logs: Path, tmp_path: Path) -> None:
@@ -165,17 +189,76 @@ def test_the_field_of_a_place(logs: Path, tmp_path: Path) -> None:
     assert strength == pytest.approx(23.0e-6, rel=0.02)  # the weak field of Santiago
 
 
+def test_an_earlier_calibration_is_a_prior(logs: Path, tmp_path: Path) -> None:
+    run("calibrate", logs / "dive.mcap", "-o", "first", "-q", "--misalignment", 0, cwd=tmp_path)
+    earlier = tmp_path / "first/calibration.yaml"
+    again = run(
+        "calibrate", logs / "dive.mcap", "-o", "second", "-q", "--prior", earlier, "--hard-iron-walk", 2, "--end", 60,
+        "--misalignment", 0, cwd=tmp_path,
+    )  # fmt: skip
+    assert again.returncode == 0, again.stderr
+    first, second = (mg.Calibration.load(tmp_path / each / "calibration.yaml") for each in ("first", "second"))
+    assert second.configuration["hard_iron_walk"] == pytest.approx(2e-6)
+    assert (second.sigma["soft_iron"] < 1.1 * first.sigma["soft_iron"]).all()
+
+
 def test_a_result_that_must_not_be_trusted(logs: Path, tmp_path: Path) -> None:
     finished = run("calibrate", logs / "still.mcap", "--output", "here", cwd=tmp_path)
     assert finished.returncode == 1
     assert "must not be trusted" in finished.stderr
     assert "motion" in finished.stderr or "observable" in finished.stderr
     assert finished.stderr.count("\n") == 1
-    assert "observable: no" in finished.stdout
+    first = finished.stdout.splitlines()[0]
+    assert first.startswith("✘ Do not use this calibration: ")
+    reason = first.removeprefix("✘ Do not use this calibration: ")
+    assert len(reason.split()) <= 30
+    assert finished.stderr == f"magyc-gtsam: the result must not be trusted: {reason}\n"
+    assert {file.name for file in (tmp_path / "here").iterdir()} == UNTRUSTED
+    assert reason[1:] in (tmp_path / "here" / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_must_not_be_trusted_cannot_be_pasted(logs: Path, tmp_path: Path) -> None:
+    """Parameters of an earlier run do not stay beside it, and what is forced holds comments only."""
+    run("calibrate", logs / "dive.mcap", "-o", "here", "-q", cwd=tmp_path)
     assert {file.name for file in (tmp_path / "here").iterdir()} == FILES
+    finished = run("calibrate", logs / "still.mcap", "-o", "here", "--json", cwd=tmp_path)
+    assert finished.returncode == 1
+    answer = json.loads(finished.stdout)
+    assert not answer["trusted"]
+    assert answer["verdict"]["sentence"].startswith("✘")
+    assert finished.stderr.rstrip().endswith(f"{answer['verdict']['cause']}: {answer['verdict']['action']}")
+    assert {file.name for file in (tmp_path / "here").iterdir()} == UNTRUSTED
+
     exported = run("export", "here/calibration.yaml", "px4", cwd=tmp_path)
-    assert exported.returncode == 1
+    assert (exported.returncode, exported.stdout) == (1, "")
     assert "must not be trusted" in exported.stderr
+    applied = run("apply", "here/calibration.yaml", logs / "dive.mcap", "-o", "out.csv", cwd=tmp_path)
+    assert (applied.returncode, applied.stdout) == (1, "")
+    assert not (tmp_path / "out.csv").exists()
+    assert run(
+        "apply", "here/calibration.yaml", logs / "dive.mcap", "-o", "out.csv", "--force", cwd=tmp_path
+    ).stdout
+    assert (tmp_path / "out.csv").exists()
+
+    forced = run("calibrate", logs / "still.mcap", "-o", "forced", "--force", "-q", cwd=tmp_path)
+    assert forced.returncode == 1
+    for name in FILES - UNTRUSTED:
+        lines = (tmp_path / "forced" / name).read_text(encoding="utf-8").splitlines()
+        assert lines[0].startswith("# DO NOT USE: "), name
+        assert len(lines) > 5, name
+        assert all(line.startswith("#") for line in lines), name
+
+
+def test_the_heading_is_the_same_number_everywhere(result: tuple[Finished, Path]) -> None:
+    finished, folder = result
+    calibration = mg.Calibration.load(folder / "calibration.yaml")
+    assert calibration.observability is not None
+    assert calibration.observability.heading_sigma is not None
+    number = f"{calibration.observability.heading_sigma:.2g}°"
+    assert f"at most {number} (1σ)" in finished.stdout
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert f"<b>{number}</b>" in page
+    assert f"at most {number} (1σ)" in page
 
 
 @pytest.mark.parametrize(
@@ -205,10 +288,15 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("calibrate {logs}/dive.mcap --start 9 --end 5", "--start 9 s is not before --end 5 s"),
         ("calibrate {logs}/dive.mcap -o {logs}/text.csv", "text.csv: is a file, a folder is expected"),
         ("calibrate {logs}/dive.mcap --option smooth=3", "no option 'smooth'; it has"),
-        ("calibrate {logs}/dive.mcap --option turn=much", "turn: 'much' is no number between"),
+        ("calibrate {logs}/dive.mcap --option turn=much", "turn must be between 0"),
         ("calibrate {logs}/dive.mcap --delay soon", "--delay: 'soon' is neither a number of milliseconds nor"),
         ("calibrate {logs}/dive.mcap --noise nan 1", "--noise: nan"),
+        ("calibrate --config {logs}/none.yaml", "--config: "),
+        ("calibrate --config {logs}/text.csv", "is no configuration.yaml"),
         ("calibrate {logs}/dive.mcap --location 1 2", "give --date YYYY-MM-DD too"),
+        ("calibrate {logs}/dive.mcap --misalignment much", "neither a number of degrees nor 'auto'"),
+        ("calibrate {logs}/dive.mcap --prior nowhere.yaml", "no such file"),
+        ("calibrate {logs}/dive.mcap --hard-iron-walk 2", "since an earlier calibration; give it"),
         ("calibrate {logs}/dive.mcap --gyroscope-axes x,y,y", "write it as 'y,-x,z'"),
         ("calibrate {logs}/dive.mcap --angular-rate-is never", "'never' is not one of"),
         ("calibrate {logs}/dive.mcap --frobnicate", "No such option: --frobnicate"),
@@ -257,7 +345,7 @@ def test_interrupted(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -
 @pytest.mark.parametrize(
     "stage",
     [
-        "magyc_gtsam.estimators.smoother.fit_field_chain",  # fitting
+        "magyc_gtsam.estimators.smoother.smoother.fit_field_chain",  # fitting
         "magyc_gtsam.cli.calibrate.write_exports",  # writing: calibration.yaml is there, the page is not
         "magyc_gtsam.cli.calibrate.write_page",
     ],

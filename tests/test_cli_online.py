@@ -347,7 +347,7 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
         (("{log}", "--state", "."), ""),
         (("{log}", "--field-strength", "0"), "field_strength: 0 T is no field of the Earth"),
         (("{log}", "--option", "field_strength=strong"), "field_strength: 'strong' is no number"),
-        (("{log}", "--option", "horizon=long"), "horizon: 'long' is no number of 120 or more"),
+        (("{log}", "--option", "horizon=long"), "horizon: must be a finite number of at least 120, got 'long'"),
         (("{log}", "--method", ""), "'' is none of smoother, magyc-ifg"),
         (("{log}", "--output", "{log}/there.yaml"), "is a file, a folder is expected"),
         (("{log}", "--state", "{log}/there.state"), "is a file, a folder is expected"),

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sensor_fault_findings import find_clipped_field, find_stuck
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
-from magyc_gtsam.estimators.clipped_field import find_clipped_field
-from magyc_gtsam.estimators.faults import without_faults
-from magyc_gtsam.estimators.stuck import find_stuck
 from magyc_gtsam.io import write_mcap
+from magyc_gtsam.sensor_faults.usable import without_faults
 from magyc_gtsam.simulation import AMPLITUDES
 from magyc_gtsam.study.efficiency import error, nees
 

@@ -9,8 +9,8 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
-from magyc_gtsam.estimators.clock_drift import restamped
-from magyc_gtsam.estimators.residuals import window_residuals
+from magyc_gtsam.estimators.smoother.clock_drift import restamped
+from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.simulation import AMPLITUDES, disturb
 from magyc_gtsam.study.efficiency import error, nees
@@ -100,7 +100,7 @@ def test_the_residuals_are_those_of_the_stamps_that_were_used() -> None:
 
 def test_no_number_is_refused() -> None:
     recording = mg.simulate("wide", duration=60).recording
-    with pytest.raises(mg.MagycError, match=r"clock_drift: 0\.5 is no number between -0\.1 and 0\.1 s/s"):
+    with pytest.raises(mg.MagycError, match=r"clock_drift must be between -0\.1 and 0\.1 s/s, got 0\.5"):
         mg.calibrate(recording, clock_drift=0.5)
 
 
@@ -108,8 +108,9 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     log = tmp_path / "drifting.mcap"
     write_mcap(log, drifting(mg.simulate("moderate", seed=1).recording, 1e-3))
     assert main(["calibrate", str(log), "-o", str(tmp_path / "first")]) == 1
-    said = " ".join(capsys.readouterr().err.split())
-    assert "must not be trusted: the magnetometer's clock gains 0.10" in said
+    output, errors = capsys.readouterr()
+    assert "the magnetometer's clock gains 0.10" in " ".join(errors.split())
+    said = " ".join((output + errors).split())
     remedy = said.split("(--option ")[1].split(")")[0]
     assert main(["calibrate", str(log), "-o", str(tmp_path / "second"), "--option", remedy]) == 0
     assert mg.Calibration.load(tmp_path / "second" / "calibration.yaml").trusted

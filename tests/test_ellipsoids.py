@@ -6,10 +6,10 @@ from scipy.optimize import linprog
 
 from magyc_gtsam import MagycError, Recording, calibrate
 from magyc_gtsam.closest_point import closest_points
-from magyc_gtsam.estimators.ellipsoid import fit_ellipsoid, monomials, standardise
-from magyc_gtsam.estimators.kok_schon import fit_kok_schon
-from magyc_gtsam.estimators.l1_ellipsoid import fit_l1_ellipsoid, l1_sphere, l1_start
-from magyc_gtsam.factors.field_chain import UPPER
+from magyc_gtsam.estimators.ellipsoid.ellipsoid import fit_ellipsoid, monomials, standardise
+from magyc_gtsam.estimators.ellipsoid.kok_schon import fit_kok_schon
+from magyc_gtsam.estimators.ellipsoid.l1_ellipsoid import fit_l1_ellipsoid, l1_sphere, l1_start
+from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.study.autocal import model_error, synthetic
 from magyc_gtsam.study.efficiency import nees
 

@@ -228,5 +228,10 @@ def test_it_is_called_alike(name):
     signature = inspect.signature(getattr(__import__(module, fromlist=[function]), function))
     parameters = list(signature.parameters.values())
     assert parameters[0].name == "recording"
-    assert all(p.kind is inspect.Parameter.KEYWORD_ONLY for p in parameters[1:])
-    assert {"field_strength", "progress"} <= signature.parameters.keys()
+    named = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.VAR_KEYWORD)
+    assert all(p.kind in named for p in parameters[1:])
+    names = set(signature.parameters)
+    if METHODS[name].options:
+        module, options = METHODS[name].options.split(":")
+        names |= getattr(__import__(module, fromlist=[options]), options).__dataclass_fields__.keys()
+    assert {"field_strength", "progress"} <= names

@@ -1,6 +1,7 @@
 """The examples run, stay short, and show what they say."""
 
 import importlib
+import re
 import sys
 from pathlib import Path
 
@@ -17,7 +18,9 @@ def example(monkeypatch):
         sys.modules.pop(file.stem, None)
 
 
-@pytest.mark.parametrize("name", ["isam2_survey", "batch_dive", "next_mission", "vehicle"])
+@pytest.mark.parametrize(
+    "name", ["isam2_survey", "batch_dive", "next_mission", "vehicle", "calibrate_log", "online_stream"]
+)
 def test_examples_are_short(name):
     assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) < 100
 
@@ -45,3 +48,18 @@ def test_next_mission(example):
     assert carried["heading, degrees"] < 0.6
     assert carried["hard iron, µT"] < 0.5
     assert alone["hard iron, µT"] > 5 * carried["hard iron, µT"]
+
+
+def test_calibrate_log(example, tmp_path):
+    said = example("calibrate_log").main(figure=tmp_path / "figure.png")
+    assert said.startswith("✔ Calibrated: systematic heading error at most")
+    assert (tmp_path / "figure.png").stat().st_size > 20_000
+
+
+def test_online_stream(example, tmp_path):
+    said = example("online_stream").main(tmp_path / "figure.png")
+    found = re.fullmatch(r"converged after (\d+) s; the hard iron is off by ([\d.]+) µT at the end", said)
+    assert found, said
+    assert 10 < int(found[1]) < 300
+    assert float(found[2]) < 1.5
+    assert (tmp_path / "figure.png").stat().st_size > 10_000

@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.export import TARGETS, export
+from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 
@@ -28,27 +29,51 @@ def symmetric(diagonal: list[float], off_diagonal: list[float]) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def px4(text: str, m: Array, w: Array) -> tuple[Array, Array]:
-    """Magnetometer::Correct and Gyroscope::Correct without rotation; gauss, rad/s."""
+def px4(
+    text: str, m: Array, w: Array, current: Array | None = None, warm: Array | None = None
+) -> tuple[Array, Array]:
+    """Magnetometer::Correct, with UpdatePower and TemperatureCompensation before it, and Gyroscope::Correct."""
     rows = parameters(text, "\t", 2, 3)
     offset = np.array([rows[f"CAL_MAG0_{axis}OFF"] for axis in "XYZ"])
     scale = symmetric(
         [rows[f"CAL_MAG0_{axis}SCALE"] for axis in "XYZ"], [rows[f"CAL_MAG0_{axis}ODIAG"] for axis in "XYZ"]
     )
+    raw = m * 1e4
+    if warm is not None and rows.get("TC_M_ENABLE"):
+        beyond = warm - rows["TC_M0_TREF"]
+        raw = raw - sum(
+            np.array([rows[f"TC_M0_X{n}_{k}"] for k in range(3)]) * beyond[:, None] ** n for n in range(4)
+        )
+    if current is not None and rows.get("CAL_MAG_COMP_TYP") == 2:
+        raw = raw + current[:, None] * 0.001 * np.array([rows[f"CAL_MAG0_{axis}COMP"] for axis in "XYZ"])
+    rotation = turned(rows, "CAL_MAG0_") if rows.get("CAL_MAG0_ROT") == 100 else np.eye(3)
     bias = np.array([rows.get(f"CAL_GYRO0_{axis}OFF", np.nan) for axis in "XYZ"])
-    return (m * 1e4 - offset) @ scale.T * 1e-4, w - bias
+    return (raw - offset) @ scale.T @ rotation.T * 1e-4, w - bias
 
 
-def ardupilot(text: str, m: Array, w: Array) -> tuple[Array, Array]:
-    """AP_Compass_Backend::correct_field; milligauss, rad/s."""
+def ardupilot(text: str, m: Array, w: Array, current: Array | None = None) -> tuple[Array, Array]:
+    """AP_Compass_Backend::rotate_field and correct_field; milligauss, rad/s."""
     rows = parameters(text, ",", 0, 1)
-    field = m * 1e7 + np.array([rows[f"COMPASS_OFS_{axis}"] for axis in "XYZ"])
+    rotation = turned(rows, "CUST_ROT1_") if rows.get("COMPASS_ORIENT") == 101 else np.eye(3)
+    field = m @ rotation.T * 1e7 + np.array([rows[f"COMPASS_OFS_{axis}"] for axis in "XYZ"])
     field = field * rows["COMPASS_SCALE"]
     scale = symmetric(
         [rows[f"COMPASS_DIA_{axis}"] for axis in "XYZ"], [rows[f"COMPASS_ODI_{axis}"] for axis in "XYZ"]
     )
+    field = field @ scale.T
+    if current is not None and rows.get("COMPASS_MOTCT") == 2:
+        field = field + current[:, None] * np.array([rows[f"COMPASS_MOT_{axis}"] for axis in "XYZ"])
     bias = np.array([rows.get(f"INS_GYROFFS_{axis}", np.nan) for axis in "XYZ"])
-    return field @ scale.T * 1e-7, w - bias
+    return field * 1e-7, w - bias
+
+
+def turned(rows: dict[str, float], prefix: str) -> Array:
+    """Dcm of roll, pitch, yaw in degrees, R_z(yaw) R_y(pitch) R_x(roll)."""
+    roll, pitch, yaw = (np.radians(rows[prefix + name]) for name in ("ROLL", "PITCH", "YAW"))
+    about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+    about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    return about_z @ about_y @ about_x
 
 
 def registers(text: str) -> dict[int, tuple[Array, Array]]:
@@ -190,3 +215,43 @@ def test_limits_of_the_target_are_said(target: str, soft_iron: Array, hard_iron:
     text = export(target, soft_iron, hard_iron)
     assert any(line.startswith("# LIMIT") and limit in line for line in text.splitlines())
     assert "LIMIT" not in export(target, SOFT_IRON, HARD_IRON)
+
+
+MOTOR = Term("motor-current", [3e-8, -5e-8, 8e-8], np.eye(3) * 1e-18, {"reference_0": 12.0})
+WARM = Term("temperature-hard-iron", [2e-8, 1e-8, -4e-8], np.eye(3) * 1e-18, {"reference_0": 24.0})
+MOUNTING = Term("misalignment", [0.05, -0.2, 0.1], np.eye(3) * 1e-9)
+CURRENT, TEMPERATURE = np.linspace(0, 40, len(FIELD)), np.linspace(5, 60, len(FIELD))
+CHANNELS = {"current": CURRENT, "temperature": TEMPERATURE}
+
+
+@pytest.mark.parametrize("terms", [(MOTOR,), (MOUNTING,), (MOTOR, MOUNTING), (WARM,), (WARM, MOTOR, MOUNTING)])
+def test_terms_are_exported_where_the_target_has_them(terms: tuple[Term, ...]) -> None:
+    """What is pasted corrects as `apply` does, the current's and temperature's references included."""
+    calibration = Calibration(SOFT_IRON, HARD_IRON, GYRO_BIAS, terms=terms)
+    expected = calibration.apply(FIELD, time=np.arange(40.0), channels=CHANNELS)
+    by_px4, _ = px4(calibration.export("px4"), FIELD, RATE, CURRENT, TEMPERATURE)
+    np.testing.assert_allclose(by_px4, expected, atol=2e-11)
+    text = calibration.export("ardupilot")
+    if WARM in terms:
+        assert "LIMIT: not in here: temperature-hard-iron" in text
+        calibration = Calibration(SOFT_IRON, HARD_IRON, terms=tuple(t for t in terms if t is not WARM))
+        expected = calibration.apply(FIELD, time=np.arange(40.0), channels=CHANNELS)
+    by_ardupilot, _ = ardupilot(text, FIELD, RATE, CURRENT)
+    np.testing.assert_allclose(by_ardupilot, expected, atol=2e-11)
+
+
+@pytest.mark.parametrize("target", ["vectornav", "ros"])
+def test_a_mounting_is_in_any_matrix_and_a_current_in_none(target: str) -> None:
+    calibration = Calibration(SOFT_IRON, HARD_IRON, terms=(MOUNTING,))
+    field, _ = CORRECTED_BY[target](calibration.export(target), FIELD, RATE)
+    np.testing.assert_allclose(field, calibration.apply(FIELD), atol=2e-11)
+    assert "not in here: motor-current" in Calibration(SOFT_IRON, HARD_IRON, terms=(MOTOR,)).export(target)
+
+
+def test_what_no_target_computes_is_said() -> None:
+    """A lag behind the thermometer, several currents, a second current term."""
+    lagging = Term("temperature-hard-iron", WARM.value, WARM.covariance, {"lag": 60.0})
+    several = Term("motor-current", np.ones(6) * 1e-8, np.eye(6))
+    for term in (lagging, several):
+        text = Calibration(SOFT_IRON, HARD_IRON, terms=(term,)).export("px4")
+        assert f"LIMIT: not in here: {term.name}" in text

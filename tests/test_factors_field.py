@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import expm
 
 from magyc_gtsam.factors import field_link_factor, preintegrate, sphere_factor, unvech, vech
-from magyc_gtsam.factors.rotations import skew
+from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.runners import optimize
 from magyc_gtsam.simulation import simulate
 
@@ -55,11 +55,11 @@ def field_graph(simulation, step, gyroscope_noise, magnetometer_noise):
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
     rows = range(0, len(time), step)
     for i in rows:
-        graph.add(sphere_factor([k, h, gtsam.symbol("x", i)], m[i], magnetometer_noise / MICROTESLA))
+        graph.add(sphere_factor(gtsam.symbol("x", i), k, h, m[i], magnetometer_noise / MICROTESLA))
         initial.insert(gtsam.symbol("x", i), gtsam.Unit3(m[i]))
     for i in rows[:-1]:
         link = preintegrate(time, w, time[i], time[i + step])
-        graph.add(field_link_factor([gtsam.symbol("x", i), gtsam.symbol("x", i + step), b], link, gyroscope_noise))
+        graph.add(field_link_factor(gtsam.symbol("x", i), gtsam.symbol("x", i + step), b, link, gyroscope_noise))
     accelerometer = gtsam.noiseModel.Diagonal.Sigmas(np.array([1, 1, 1, 1e3, 1e3, 1e3]))
     graph.addPriorConstantBias(b, gtsam.imuBias.ConstantBias(), accelerometer)
     initial.insert(k, 50 * vech(np.eye(3)))

@@ -15,9 +15,10 @@ from magyc_gtsam.factors import (
     robust_noise,
     sphere_factor,
 )
-from magyc_gtsam.factors.guard import direction, gyro_bias, vector
-from magyc_gtsam.factors.robust import kernel
-from magyc_gtsam.factors.soft_iron import unvech, vech
+from magyc_gtsam.factors.chain.vech import unvech, vech
+from magyc_gtsam.factors.guard import factor_details
+from magyc_gtsam.factors.kernels import kernel
+from magyc_gtsam.factors.variables import choose, direction, gyro_bias, vector
 
 X, Y = gtsam.symbol("x", 0), gtsam.symbol("y", 0)
 OPTIMIZERS = [gtsam.LevenbergMarquardtOptimizer, gtsam.DoglegOptimizer, gtsam.GaussNewtonOptimizer]
@@ -79,11 +80,11 @@ def test_exceptions_of_the_error_function_keep_their_type_and_text():
 def test_variables_that_do_not_fit():
     graph, _ = graph_of(lambda x, want: (x, [np.eye(3)]))
     empty = gtsam.Values()
-    with pytest.raises(MagycError, match=r"test: .*x0"):
+    with pytest.raises(MagycError, match=r"test: x0 has no value"):
         graph.error(empty)
     other = gtsam.Values()
     other.insert(X, gtsam.Rot3())
-    with pytest.raises(MagycError, match="Rot3"):
+    with pytest.raises(MagycError, match="test: x0 holds a Rot3; accepted: Point3 or 3-vector"):
         graph.error(other)
     nan = gtsam.Values()
     nan.insert(X, np.array([1.0, np.nan, 0.0]))
@@ -113,12 +114,36 @@ def test_readers():
     values = gtsam.Values()
     values.insert(X, gtsam.Unit3(np.array([1.0, 2.0, 2.0])))
     values.insert(Y, gtsam.imuBias.ConstantBias(np.ones(3), np.array([4.0, 5.0, 6.0])))
-    x, basis = direction(values, X)
+    x, basis = choose("test", direction, values, X)(values, X)
     np.testing.assert_allclose(x, [1 / 3, 2 / 3, 2 / 3])
     np.testing.assert_allclose(basis.T @ x, 0, atol=1e-15)
-    b, part = gyro_bias(values, Y)
+    b, part = choose("test", gyro_bias, values, Y)(values, Y)
     np.testing.assert_allclose(b, [4, 5, 6])
     np.testing.assert_allclose(part @ np.arange(6.0), [3, 4, 5])
+
+
+def test_a_factor_follows_its_key_into_a_graph_of_another_type():
+    """The type is looked up once, and again where the same factor meets another."""
+    factor = custom_factor("test", 1.0, [X], [gyro_bias], 3, lambda b, want: (b, [np.eye(3)]))
+    for value in (np.ones(3), gtsam.imuBias.ConstantBias(np.zeros(3), np.ones(3)), np.ones(3)):
+        values = gtsam.Values()
+        values.insert(X, value)
+        assert factor.error(values) == 1.5
+        assert factor.linearize(values).jacobian()[0].shape[1] == values.dim()
+
+
+def test_details_are_found_in_a_graph():
+    details = object()
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(custom_factor("test", 1.0, [X], [vector(3)], 3, lambda x, want: (x, []), details=details))
+    graph.push_back(
+        gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [X], lambda this, values, h: values.atVector(X)[:1])
+    )
+    graph.addPriorVector(X, np.zeros(3), gtsam.noiseModel.Unit.Create(3))
+    graph.push_back(custom_factor("plain", 1.0, [X], [vector(3)], 3, lambda x, want: (x, [])))
+    assert [factor_details(graph.at(i)) for i in range(4)] == [details, None, None, "plain"]
+    with pytest.raises(MagycError, match="x0 has no value"):
+        graph.at(0).error(gtsam.Values())
 
 
 GOOD = np.ones((4, 3))
@@ -128,28 +153,28 @@ KEYS = [gtsam.symbol(c, 0) for c in "ldb"]
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD[:3], GOOD, 1.0), "derivative: shape"),
-        (lambda: gyro_derivative_factor(KEYS, GOOD.T, GOOD, GOOD, 1.0), "magnetic_field: shape"),
+        (lambda: gyro_derivative_factor(*KEYS, GOOD, GOOD[:3], GOOD, 1.0), "derivative: shape"),
+        (lambda: gyro_derivative_factor(*KEYS, GOOD.T, GOOD, GOOD, 1.0), "magnetic_field: shape"),
         (
-            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD * np.nan, 1.0),
+            lambda: gyro_derivative_factor(*KEYS, GOOD, GOOD, GOOD * np.nan, 1.0),
             "angular_rate: not finite in row 0",
         ),
-        (lambda: gyro_derivative_factor(KEYS[:2], GOOD, GOOD, GOOD, 1.0), "3 different keys"),
-        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="median"), "'median' unknown"),
+        (lambda: gyro_derivative_factor(KEYS[0], KEYS[1], KEYS[1], GOOD, GOOD, GOOD, 1.0), "3 different keys"),
+        (lambda: gyro_derivative_factor(*KEYS, GOOD, GOOD, GOOD, 1.0, robust="median"), "'median' unknown"),
         (
-            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, robust_noise("huber", 1, 12, 2), robust="l1"),
+            lambda: gyro_derivative_factor(*KEYS, GOOD, GOOD, GOOD, robust_noise("huber", 1, 12, 2), robust="l1"),
             "one standard deviation",
         ),
-        (lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, -1.0, robust="l1"), "standard deviation"),
+        (lambda: gyro_derivative_factor(*KEYS, GOOD, GOOD, GOOD, -1.0, robust="l1"), "standard deviation"),
         (
-            lambda: gyro_derivative_factor(KEYS, GOOD, GOOD, GOOD, 1.0, robust="l1", tuning=0),
+            lambda: gyro_derivative_factor(*KEYS, GOOD, GOOD, GOOD, 1.0, robust="l1", tuning=0),
             "tuning constant 0",
         ),
         (lambda: CompressedGyroDerivative(np.ones((21, 21)), 1), "below the diagonal"),
         (lambda: CompressedGyroDerivative(np.ones((3, 21)), 1), r"shape \(3, 21\)"),
-        (lambda: sphere_factor(KEYS, np.ones(2), 1.0), "measurement: shape"),
-        (lambda: sphere_factor(KEYS, [0, 0, np.inf], 1.0), "measurement: not finite"),
-        (lambda: sphere_factor(KEYS, np.ones(3), 1.0, shape="round"), "'round' unknown"),
+        (lambda: sphere_factor(*KEYS, np.ones(2), 1.0), "measurement: shape"),
+        (lambda: sphere_factor(*KEYS, [0, 0, np.inf], 1.0), "measurement: not finite"),
+        (lambda: sphere_factor(*KEYS, np.ones(3), 1.0, shape="round"), "'round' unknown"),
         (lambda: preintegrate([0, 1], GOOD[:2], 0, 2), "from 0 to 2 s"),
         (lambda: preintegrate([0, 0, 1], GOOD[:3], 0, 1), "ascending"),
         (lambda: preintegrate([0, 1], GOOD[:2], 1, 1), "from 1 to 1 s"),

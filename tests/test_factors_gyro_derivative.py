@@ -110,11 +110,11 @@ def test_stacked_single_and_compressed_factors_have_the_same_error_and_hessian()
     values = values_at(L, D, B)
     singles = gtsam.NonlinearFactorGraph()
     for i in range(40):
-        singles.add(gyro_derivative_factor(KEYS, m[i], derivative[i], w[i], 0.3))
+        singles.add(gyro_derivative_factor(*KEYS, m[i], derivative[i], w[i], 0.3))
     expected = singles.linearize(values).hessian()
     for factor in (
-        gyro_derivative_factor(KEYS, m, derivative, w, 0.3),
-        CompressedGyroDerivative.from_samples(m, derivative, w).factor(KEYS, 0.3),
+        gyro_derivative_factor(*KEYS, m, derivative, w, 0.3),
+        CompressedGyroDerivative.from_samples(m, derivative, w).factor(*KEYS, 0.3),
     ):
         assert factor.error(values) == pytest.approx(singles.error(values), rel=1e-12)
         graph = gtsam.NonlinearFactorGraph()

@@ -31,23 +31,23 @@ BIASES = {
 FACTORS = {
     "norm prior": lambda: norm_prior(SOFT, 0.1),
     "determinant prior": lambda: determinant_prior(SOFT, 0.1),
-    "gyro derivative, one": lambda: gyro_derivative_factor([SOFT, HARD, BIAS], *SAMPLES[:, 0], 0.1),
-    "gyro derivative, stacked": lambda: gyro_derivative_factor([SOFT, HARD, BIAS], *SAMPLES, 0.1),
+    "gyro derivative, one": lambda: gyro_derivative_factor(SOFT, HARD, BIAS, *SAMPLES[:, 0], 0.1),
+    "gyro derivative, stacked": lambda: gyro_derivative_factor(SOFT, HARD, BIAS, *SAMPLES, 0.1),
     "gyro derivative, compressed": lambda: CompressedGyroDerivative.from_samples(*SAMPLES).factor(
-        [SOFT, HARD, BIAS], 0.1
+        SOFT, HARD, BIAS, 0.1
     ),
     **{
         f"gyro derivative, {name}": lambda name=name: gyro_derivative_factor(
-            [SOFT, HARD, BIAS], *SAMPLES, 0.5, robust=name
+            SOFT, HARD, BIAS, *SAMPLES, 0.5, robust=name
         )
         for name in KERNELS
     },
-    "sphere, symmetric": lambda: sphere_factor([SOFT, HARD, FIRST], SAMPLES[0, 0], 0.1),
-    "sphere, triangular": lambda: sphere_factor([SOFT, HARD, FIRST], SAMPLES[0, 0], 0.1, shape="triangular"),
-    "sphere, full": lambda: sphere_factor([FULL, HARD, FIRST], SAMPLES[0, 0], 0.1, shape="full"),
-    "field link": lambda: field_link_factor([FIRST, SECOND, BIAS], LINK, 0.01),
+    "sphere, symmetric": lambda: sphere_factor(FIRST, SOFT, HARD, SAMPLES[0, 0], 0.1),
+    "sphere, triangular": lambda: sphere_factor(FIRST, SOFT, HARD, SAMPLES[0, 0], 0.1, shape="triangular"),
+    "sphere, full": lambda: sphere_factor(FIRST, FULL, HARD, SAMPLES[0, 0], 0.1, shape="full"),
+    "field link": lambda: field_link_factor(FIRST, SECOND, BIAS, LINK, 0.01),
     "field link, noise model": lambda: field_link_factor(
-        [FIRST, SECOND, BIAS], LINK, gtsam.noiseModel.Isotropic.Sigma(3, 0.01)
+        FIRST, SECOND, BIAS, LINK, gtsam.noiseModel.Isotropic.Sigma(3, 0.01)
     ),
 }
 
@@ -89,7 +89,7 @@ def test_jacobian_is_the_derivative(name, bias):
 @pytest.mark.parametrize("name", KERNELS)
 def test_gradient_under_gtsams_robust_models(name):
     factor, values = (
-        gyro_derivative_factor([SOFT, HARD, BIAS], *SAMPLES[:, 0], robust_noise(name, 0.5)),
+        gyro_derivative_factor(SOFT, HARD, BIAS, *SAMPLES[:, 0], robust_noise(name, 0.5)),
         point(),
     )
     jacobian, right = factor.linearize(values).jacobian()

@@ -7,7 +7,7 @@ from scipy.integrate import quad
 from scipy.stats import chi
 
 from magyc_gtsam.factors import KERNELS, gyro_derivative_factor, robust_noise
-from magyc_gtsam.factors.robust import robustify, tuning_constant
+from magyc_gtsam.factors.kernels import robustify, tuning_constant
 
 E = np.array([1e-6, 0.1, 0.5, 1.0, 1.7, 3.0, 10.0, 100.0])
 
@@ -72,9 +72,9 @@ def test_stacked_samples_equal_single_factors_under_gtsams_models(name):
     for key, value in zip(keys, ([1.1, 0.1, -0.2, 0.9, 0.3, 1.2], [0.01, 0.02, 0.03], [0.1, 0, 0]), strict=True):
         values.insert(key, np.array(value, dtype=float))
     stacked, singles = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
-    stacked.add(gyro_derivative_factor(keys, m, derivative, w, 0.2, robust=name))
+    stacked.add(gyro_derivative_factor(*keys, m, derivative, w, 0.2, robust=name))
     for i in range(30):
-        singles.add(gyro_derivative_factor(keys, m[i], derivative[i], w[i], robust_noise(name, 0.2)))
+        singles.add(gyro_derivative_factor(*keys, m[i], derivative[i], w[i], robust_noise(name, 0.2)))
     assert stacked.error(values) == pytest.approx(singles.error(values), rel=1e-9)
     ours, theirs = (g.linearize(values).hessian()[1] for g in (stacked, singles))
     np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * np.abs(theirs).max())
@@ -104,7 +104,7 @@ def test_robust_kernels_recover_what_outliers_spoil(name):
     wrong = {}
     for kernel in (None, name):
         graph = gtsam.NonlinearFactorGraph()
-        graph.add(gyro_derivative_factor(keys, field + d, derivative, rate + b, noise, robust=kernel))
+        graph.add(gyro_derivative_factor(*keys, field + d, derivative, rate + b, noise, robust=kernel))
         graph.addPriorVector(keys[0], soft_iron, gtsam.noiseModel.Isotropic.Sigma(6, 1e-6))
         result = gtsam.LevenbergMarquardtOptimizer(graph, initial).optimize()
         wrong[kernel] = np.linalg.norm(result.atVector(keys[1]) - d)

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sensor_fault_findings import find_clipped, find_stuck
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
-from magyc_gtsam.estimators.clipped import find_clipped
-from magyc_gtsam.estimators.stuck import find_stuck
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.simulation import Simulation
 
@@ -122,6 +121,27 @@ def test_sample_held_and_quantised_axes_are_found(wide: Simulation) -> None:
     found = find_stuck(mg.Recording(recording.time, field, recording.angular_rate))
     assert [(s.sensor, s.axes) for s in found] == [("magnetic_field", "y")]
     assert found[0].stretches[0] == pytest.approx((100, 599.7), abs=0.5)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3])
+def test_rows_of_zeros_stand_for_no_value(wide: Simulation, share: float) -> None:
+    """Batch and online; 20 % of them once ended in an error of linear algebra."""
+    recording, random = wide.recording, np.random.default_rng(1)
+    zero = random.random(6000) < share
+    zero[0] = True
+    field = np.where(zero[:, None], 0.0, recording.magnetic_field)
+    log = mg.Recording(recording.time, field, recording.angular_rate)
+    online = mg.OnlineCalibrator()
+    for i in range(0, 6000, 37):
+        online.update(log.time[i : i + 37], log.magnetic_field[i : i + 37], log.angular_rate[i : i + 37])
+    count = int(zero.sum() - (zero[1:] & zero[:-1]).sum())  # what repeats is no sample
+    for calibration in (mg.calibrate(log), online.calibration):
+        assert calibration.trusted
+        (left_out,) = calibration.diagnostics["left_out"]
+        assert f"{count} samples are zero on all axes of the magnetometer and stand for no value" in left_out
+        error = (calibration.hard_iron - wide.truth.hard_iron) / calibration.sigma["hard_iron"]
+        assert np.abs(error).max() < 4
+    assert online.progress.left_out == count
 
 
 def test_on_the_command_line(

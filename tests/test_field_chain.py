@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam.estimators.smoother import calibrate_smoother
+from magyc_gtsam.estimators.smoother.smoother import calibrate_smoother
 from magyc_gtsam.factors import MagycError, unvech, vech
-from magyc_gtsam.factors.field_chain import (
+from magyc_gtsam.factors.chain.field_chain import (
     DELAY,
     PARAMETERS,
     FieldChain,
-    Noise,
+    SensorNoise,
     State,
     Weights,
 )
-from magyc_gtsam.factors.field_chain_factor import field_chain_factor
-from magyc_gtsam.factors.preintegration import Preintegration
-from magyc_gtsam.factors.rotations import exponential_matrices, increments, tangent_basis
+from magyc_gtsam.factors.chain.preintegration import Preintegration
+from magyc_gtsam.factors.chain.rotations import exponential_matrices, increments, tangent_basis
+from magyc_gtsam.factors.field_chain import field_chain_factor
 from magyc_gtsam.simulation import simulate
 
-NOISE = Noise(1e-6, 5e-3)
-STEP = np.concatenate([np.full(9, 1e-9), np.full(3, 1e-6), [1e-5]])  # of numeric differences on θ
+NOISE = SensorNoise(1e-6, 5e-3)
+STEP = np.concatenate([np.full(9, 1e-9), np.full(3, 1e-6), [1e-5], np.full(3, 1e-6)])  # of numeric differences
 
 
 def samples_of(recording):
@@ -50,12 +50,13 @@ def chain():
     return FieldChain(windows, NOISE)
 
 
-@pytest.fixture(scope="module")
-def state(chain):
-    """A point that is no minimum, at the bias and delay of the integration."""
+@pytest.fixture(scope="module", params=[[], [0.02, -0.03, 0.05]], ids=["", "skew"])
+def state(chain, request):
+    """A point that is no minimum, at the bias and delay of the integration; without and with a skew."""
     rng = np.random.default_rng(0)
     soft_iron = 50e-6 * np.array([1.1, 0.1, -0.05, 0.9, 0.1, 1.2])
     parameters = np.concatenate([soft_iron, [5e-6, 1e-6, -3e-6], chain.windows.bias, [chain.windows.delay]])
+    parameters = np.append(parameters, request.param)
     direction = chain.start(parameters).direction + 0.02 * rng.normal(size=(3, len(chain.windows)))
     return State(parameters, direction / np.linalg.norm(direction, axis=0))
 
@@ -78,8 +79,9 @@ def whitened(chain, state, weights):
 def dense_jacobian(chain, state, weights):
     """Central differences of all residuals on θ and on both tangent coordinates of every direction."""
     basis, columns = tangent_basis(state.direction), []
-    for i, step in enumerate(STEP):
-        moved = [state._replace(parameters=state.parameters + s * step * np.eye(PARAMETERS)[i]) for s in (1, -1)]
+    for unit in np.diag(STEP)[: len(state.parameters), : len(state.parameters)]:
+        moved = [state._replace(parameters=state.parameters + s * unit) for s in (1, -1)]
+        step = unit.sum()
         columns.append((whitened(chain, moved[0], weights) - whitened(chain, moved[1], weights)) / (2 * step))
     for n in range(len(chain.windows)):
         for a in (0, 1):
@@ -100,7 +102,7 @@ def test_elimination_is_dense_algebra_on_the_numeric_jacobian(chain, state, weig
     assert (~chain.windows.linked).sum() == 1
     jacobian, residual = dense_jacobian(chain, state, weights), whitened(chain, state, weights)
     normal, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-    p = PARAMETERS
+    p = len(state.parameters)
     solved = np.linalg.solve(normal[p:, p:], np.column_stack([normal[p:, :p], gradient[p:]]))
     information = normal[:p, :p] - normal[:p, p:] @ solved[:, :p]
     reduced = chain.eliminate(state, weights)
@@ -123,16 +125,18 @@ def test_elimination_is_dense_algebra_on_the_numeric_jacobian(chain, state, weig
 def test_gradient_is_that_of_the_cost_at_the_best_directions(chain, state, weights):
     """With the directions at their best the reduced gradient is the whole derivative of the cost on θ."""
 
+    size = len(state.parameters)
+
     def best(parameters):
         found = State(parameters, state.direction)
         for _ in range(30):
-            found = chain.move(found, chain.eliminate(found, weights), np.zeros(PARAMETERS))
+            found = chain.move(found, chain.eliminate(found, weights), np.zeros(size))
         return chain.eliminate(found, weights)
 
     # Links are exact derivatives at the bias of the integration only, windows everywhere.
     numeric = [
         (best(state.parameters + step * unit).cost - best(state.parameters - step * unit).cost) / (2 * step)
-        for step, unit in zip(STEP, np.eye(PARAMETERS), strict=True)
+        for step, unit in zip(STEP[:size], np.eye(size), strict=True)
     ]
     reduced = best(state.parameters)
     scale = 1 / np.sqrt(np.diag(reduced.information))
@@ -141,15 +145,17 @@ def test_gradient_is_that_of_the_cost_at_the_best_directions(chain, state, weigh
 
 def test_leverage_is_the_dense_hat_matrix(chain, state, weights):
     jacobian = dense_jacobian(chain, state, weights)
-    free = np.r_[:DELAY, PARAMETERS : jacobian.shape[1]]  # a fixed delay absorbs nothing
+    size = len(state.parameters)
+    free = np.r_[:DELAY, DELAY + 1 : jacobian.shape[1]]  # a fixed delay absorbs nothing
     q, _ = np.linalg.qr(jacobian[:, free])
     n = len(chain.windows)
     expected = (q[: 3 * n] ** 2).sum(axis=1).reshape(n, 3).sum(axis=1)
     reduced = chain.eliminate(state, weights)
-    covariance = np.zeros((PARAMETERS, PARAMETERS))
-    covariance[:DELAY, :DELAY] = np.linalg.inv(reduced.information[:DELAY, :DELAY])
+    kept = np.delete(np.arange(size), DELAY)
+    covariance = np.zeros((size, size))
+    covariance[np.ix_(kept, kept)] = np.linalg.inv(reduced.information[np.ix_(kept, kept)])
     np.testing.assert_allclose(chain.leverage(reduced, covariance), expected, atol=1e-6)
-    assert expected.sum() + (q[3 * n :] ** 2).sum() == pytest.approx(DELAY + 2 * n)
+    assert expected.sum() + (q[3 * n :] ** 2).sum() == pytest.approx(len(kept) + 2 * n)
 
 
 def test_a_window_of_weight_zero_is_not_seen(chain, state, weights):
@@ -312,7 +318,9 @@ def test_sigmas_are_per_window_and_link(chain):
 
 def test_a_perfect_gyroscope_is_solvable():
     simulation = simulate("wide", duration=60, rate=10, seed=1, gyroscope_noise=0)
-    chain = FieldChain(samples_of(simulation.recording).integrate(simulation.truth.gyro_bias), Noise(1e-6, 0.0))
+    chain = FieldChain(
+        samples_of(simulation.recording).integrate(simulation.truth.gyro_bias), SensorNoise(1e-6, 0.0)
+    )
     reduced = chain.eliminate(chain.start(truth_parameters(simulation)), chain.unweighted())
     assert np.isfinite(reduced.information).all()
     assert np.linalg.eigvalsh(reduced.information)[0] > 0
@@ -421,7 +429,9 @@ def test_levenberg_marquardt_over_the_factor_is_the_smoother(wide, delay):
     """From A = I, h = 0 to the estimate and covariance of `calibrate_smoother`."""
     simulation, samples = wide
     recording = simulation.recording
-    expected = calibrate_smoother(recording, noise=NOISE, robust=False, delay=delay, turn=0.2, window=1.0)
+    expected = calibrate_smoother(
+        recording, noise=NOISE, robust=False, delay=delay, turn=0.2, window=1.0, misalignment=0.0
+    )
     free = delay is None
     graph = gtsam.NonlinearFactorGraph()
     graph.add(field_chain_factor(SOFT, HARD, BIAS, samples, NOISE, delay_key=LATE if free else None))

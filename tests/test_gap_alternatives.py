@@ -12,7 +12,7 @@ import pytest
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
-from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
 from magyc_gtsam.gap import search
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
@@ -186,7 +186,7 @@ def test_a_weak_name_beside_a_strong_rival_explains_a_fifth_of_it(monkeypatch: p
         monkeypatch.setattr(Refit, "weight_of", lambda _, i: list(weights.values())[i])
         return _asked(Refit(replace(twin, model=model), np.zeros((0, 0)), True), index, range(len(terms)))
 
-    twin = base_model(mg.simulate("wide", 60, seed=3).recording, None, Noise(1e-6, 5e-3)).twin
+    twin = base_model(mg.simulate("wide", 60, seed=3).recording, None, SensorNoise(1e-6, 5e-3)).twin
     gap_model = twin.model
     assert asked({"misalignment": 300.0, "cubic": 47.0}, 1) == pytest.approx(60.0)
     assert asked({"misalignment": 3000.0, "cubic": 47.0}, 1) == pytest.approx(100.0)

@@ -13,16 +13,16 @@ from scipy.spatial.transform import Rotation
 from test_factors_jacobians import derivative
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.chain_search import preintegrate
-from magyc_gtsam.factors.effect_factor import (
+from magyc_gtsam.estimators.smoother.search import preintegrate
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.factors.effects.factor import (
     effect_chain_factor,
     effect_magnetometer_factor,
     semidefinite_root,
 )
-from magyc_gtsam.factors.effects import FORMS
-from magyc_gtsam.factors.field_chain import Noise
-from magyc_gtsam.factors.signals import Signals
-from magyc_gtsam.factors.soft_iron import vech
+from magyc_gtsam.factors.effects.forms import FORMS
+from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.runners.batch import optimize
 from magyc_gtsam.runners.incremental import Incremental
 
@@ -41,7 +41,7 @@ def test_an_effect_is_a_variable_of_a_graph() -> None:
     count = np.diff(np.append(samples.starts, len(current)))
     mean = np.add.reduceat(current, samples.starts) / count
     columns = np.eye(3)[:, :, None] * mean * 1e-6  # value in µT per unit
-    noise = Noise(1e-6, 5e-3)
+    noise = SensorNoise(1e-6, 5e-3)
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.push_back(effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, noise))
     truth = simulation.truth
@@ -69,7 +69,7 @@ def test_the_factors_jacobians(side: Literal["magnetometer", "gyroscope"]) -> No
         columns = FORMS["gyro-scale"].columns(Signals(samples.gyroscope_time, rate=samples.angular_rate.T), {})
     else:
         columns = np.eye(3)[:, :, None] * np.linspace(-1, 1, len(samples.starts)) * 1e-6
-    factor = effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, Noise(1e-6, 5e-3), side=side)
+    factor = effect_chain_factor(S(0), H(0), B(0), X(0), samples, columns, SensorNoise(1e-6, 5e-3), side=side)
     size = 12 + len(columns)
     # Away from zero: the effect is taken out before anything is integrated.
     value = np.linspace(-1, 1, len(columns)) * (0.02 if side == "gyroscope" else 1.0)
@@ -109,7 +109,7 @@ def test_an_effect_of_the_gyroscope_in_batch_and_incremental_graphs() -> None:
         samples = preintegrate(recording.between(start, start + 60), 1.0)
         signals = Signals(samples.gyroscope_time, rate=(samples.angular_rate - truth.gyro_bias).T / 1.01)
         columns = FORMS["gyro-scale"].columns(signals, dict.fromkeys("xyz", 1.0))
-        noise = Noise(1e-6, 5e-3)
+        noise = SensorNoise(1e-6, 5e-3)
         factors.append(
             effect_chain_factor(
                 S(0), H(0), B(0), X(0), samples, columns, noise, side="gyroscope", soft_iron_unit=50e-6
@@ -155,7 +155,9 @@ def pose_graph(
     count = np.diff(np.append(samples.starts, len(current)))
     columns = np.eye(3)[:, :, None] * (np.add.reduceat(current, samples.starts) / count) * 1e-6
     unit = truth.field_strength
-    chain = effect_chain_factor(S(0), H(0), B(0), V(0), samples, columns, Noise(1e-6, 5e-3), soft_iron_unit=unit)
+    chain = effect_chain_factor(
+        S(0), H(0), B(0), V(0), samples, columns, SensorNoise(1e-6, 5e-3), soft_iron_unit=unit
+    )
     clean = truth.apply(recording.magnetic_field)
     turn = Rotation.from_quat(recording.attitude)
     field = turn.apply(clean).mean(axis=0)
@@ -168,7 +170,7 @@ def pose_graph(
         reading = recording.magnetic_field[row] + added[row]
         factors.append(
             effect_magnetometer_factor(
-                [X(k), S(0), H(0), V(0)], reading, np.eye(3) * current[row] * 1e-6, 1e-6, field=field
+                X(k), S(0), H(0), V(0), reading, np.eye(3) * current[row] * 1e-6, 1e-6, field=field
             )
         )
     initial.insert(S(0), vech(np.eye(3)))
@@ -202,7 +204,10 @@ def test_an_effect_in_a_pose_graph() -> None:
 def test_jacobians_of_a_reading_with_an_effect() -> None:
     columns = np.random.default_rng(7).standard_normal((2, 3)) * 1e-6
     factor = effect_magnetometer_factor(
-        [X(0), S(0), H(0), V(0)],
+        X(0),
+        S(0),
+        H(0),
+        V(0),
         [1e-5, 2e-5, -3e-5],
         columns,
         1e-6,
@@ -245,7 +250,7 @@ def test_the_gradient_of_several_effects_and_a_delay_on_every_key(part: tuple[in
         [X(0), X(1), X(2)],
         samples,
         [current, scale, step],
-        Noise(1e-6, 5e-3),
+        SensorNoise(1e-6, 5e-3),
         side=["magnetometer", "gyroscope", "magnetometer"],
         delay_key=V(0),
         part=part,
@@ -288,7 +293,7 @@ def test_stretches_hold_what_the_whole_holds(name: str, setting: dict[str, float
     windows = samples.integrate()
     columns = FORMS[name].columns(Signals(windows.time, to_sensor=windows.rotation), setting) * 1e-6
     edges = np.linspace(0, len(windows), 5).astype(int)
-    keys, noise = (S(0), H(0), B(0), X(0)), Noise(1e-6, 5e-3)
+    keys, noise = (S(0), H(0), B(0), X(0)), SensorNoise(1e-6, 5e-3)
     stretches = gtsam.NonlinearFactorGraph()
     for part in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         stretches.push_back(effect_chain_factor(*keys, samples, columns, noise, part=part))
@@ -326,7 +331,7 @@ def test_a_root_of_what_is_not_determined() -> None:
 def test_effects_of_one_factor_are_as_many_as_their_keys() -> None:
     samples = preintegrate(mg.simulate("wide", duration=20, seed=3).recording, 1.0)
     columns = np.ones((1, 3, len(samples.starts))) * 1e-6
-    noise = Noise(1e-6, 5e-3)
+    noise = SensorNoise(1e-6, 5e-3)
     with pytest.raises(mg.MagycError, match="2 value keys, 1 columns"):
         effect_chain_factor(S(0), H(0), B(0), [X(0), X(1)], samples, [columns], noise)
     with pytest.raises(mg.MagycError, match="windows 4 to 6 of"):

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.noise_effects import sample_hold

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
-from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.estimators.smoother.search import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.isolability import isolability

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +9,6 @@ import pytest
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
-from magyc_gtsam.gap.effects import TERMS
 
 pytestmark = pytest.mark.real
 
@@ -80,16 +78,12 @@ def test_what_a_channel_too_slow_to_tell_explains_better_may_be_its(shared_data:
     assert "temperature-gyro" in passed.ambiguous_with
 
 
-def test_a_loop_as_wide_as_the_field_allows_is_none(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loop_as_wide_as_the_field_allows_is_none(shared_data: Path) -> None:
     """It never closes: a bent gain, of what a temperature leaves that comes late."""
     recording = with_hidden("temperature-hard-iron", 113857388251021, shared_data / MAGNET, 41.5, 92)
     gap = mg.find_gap(recording)
     assert "temperature-hard-iron" in gap.names
     assert "hysteresis" not in gap.names
-    assert "hysteresis" in gap.diagnostics["leftover"]
-    assert "something like “iron that remembers (hysteresis)” is missing" in gap.sentence
-    monkeypatch.setattr("magyc_gtsam.gap.effects.response._NO_LOOP", 1.1)
-    assert "hysteresis" in mg.find_gap(recording).names
 
 
 def test_a_core_saturates_softly(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,28 +114,20 @@ def test_what_is_left_of_a_delay_for_its_form_may_be_the_effect(shared_data: Pat
     assert "hysteresis" in late.ambiguous_with
 
 
-def test_a_matrix_of_eddy_currents_becomes_the_delay_once_the_loop_is_known(
-    shared_data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_matrix_of_eddy_currents_becomes_the_delay_once_the_loop_is_known(shared_data: Path) -> None:
     """Before a hysteresis is in the model, a matrix explains more of it, and of the delay, than any other name."""
     recording = with_hidden("hysteresis", 109766625713881, shared_data / MAGNET, 41.5, 92)
     names = mg.find_gap(recording).names
     assert {"hysteresis", "timing"} <= set(names)
     assert "eddy-plane" not in names
-    monkeypatch.setattr("magyc_gtsam.gap.search.with_exchange", lambda *_: None)
-    assert "timing" not in mg.find_gap(recording).names
 
 
-def test_what_a_loop_leaves_for_its_form_is_no_plate(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_loop_leaves_for_its_form_is_no_plate(shared_data: Path) -> None:
     """A fifth of what the loop explained at the noise without it, a tenth of what it explains with it."""
     recording = with_hidden("hysteresis", 106057416373883, shared_data / WALK)
     gap = mg.find_gap(recording)
     assert gap.names == ("hysteresis",)
     assert gap.effects[0].ambiguous_with == ("eddy-plane", "timing")
-    exact = replace(TERMS["hysteresis"], rough=False)
-    monkeypatch.setattr("magyc_gtsam.gap.naming.TERMS", {**TERMS, "hysteresis": exact})
-    monkeypatch.setattr("magyc_gtsam.gap.steps.TERMS", {**TERMS, "hysteresis": exact})
-    assert "eddy-plane" in mg.find_gap(recording).names
 
 
 def test_coarse_steps_of_a_phone_are_no_hold(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import metrics
-from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.estimators.smoother.search import short_term_noise
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.noise_effects import sample_hold
 from magyc_gtsam.gap.result import Gap

@@ -10,8 +10,8 @@ import pytest
 from gtsam.symbol_shorthand import B, H, S, X
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.effects import Term
-from magyc_gtsam.factors.soft_iron import vech
+from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.gap import term_factor
 from magyc_gtsam.runners.batch import optimize
 from magyc_gtsam.runners.incremental import Incremental

@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.effects import FORMS
-from magyc_gtsam.factors.signals import Signals
+from magyc_gtsam.factors.effects.forms import FORMS
+from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.coarse import rounding
 from magyc_gtsam.gap.effects.term import measured
 from magyc_gtsam.gap.refit import spread

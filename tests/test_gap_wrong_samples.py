@@ -11,7 +11,7 @@ import pytest
 from scipy.signal import lfilter
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.naming import NOISE_LIMIT
 from magyc_gtsam.gap.wrong_samples import spikes
 

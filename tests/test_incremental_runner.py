@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from magyc_gtsam.factors import MagycError, custom_factor, robust_noise
-from magyc_gtsam.factors.guard import vector
+from magyc_gtsam.factors.variables import vector
 from magyc_gtsam.runners import Incremental, Status, optimize
 
 X, Y = gtsam.symbol("x", 0), gtsam.symbol("y", 0)
@@ -227,12 +227,59 @@ def test_what_makes_no_sense_is_refused(samples):
         Incremental("lm")
     with pytest.raises(MagycError, match="factorization 'lu' unknown"):
         Incremental(factorization="lu")
-    with pytest.raises(MagycError, match="relinearize_threshold -1"):
+    with pytest.raises(MagycError, match="relinearize_threshold: must be finite and not negative, got -1"):
         Incremental(relinearize_threshold=-1)
-    with pytest.raises(MagycError, match="radius 0"):
+    with pytest.raises(MagycError, match="radius: must be finite and above 0, got 0"):
         Incremental(radius=0)
     runner = Incremental()
     with pytest.raises(MagycError, match="no initial value for x0"):
         runner.update(factors_of(samples)[:1])
-    with pytest.raises(MagycError, match="steps 0"):
+    with pytest.raises(MagycError, match="steps: must be at least 1, got 0"):
         runner.update(steps=0)
+
+
+def test_a_long_chain_is_what_isam2_makes_of_it_and_says_converged():
+    """Poses one by one; only what an update touches is looked at."""
+    random, isotropic = np.random.default_rng(0), gtsam.noiseModel.Isotropic.Sigma
+    settings = gtsam.ISAM2Params()
+    settings.setRelinearizeThreshold(0.1)
+    settings.relinearizeSkip = 1
+    runner, isam = Incremental("gauss-newton", relinearize_threshold=0.1), gtsam.ISAM2(settings)
+    pose = gtsam.Pose3()
+    for k in range(150):
+        graph, new = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        if k == 0:
+            graph.addPriorPose3(0, pose, isotropic(6, 0.1))
+        else:
+            step = gtsam.Pose3(gtsam.Rot3.Rz(0.05), np.array([1.0, 0, 0]))
+            step = step.compose(gtsam.Pose3.Expmap(0.01 * random.normal(size=6)))
+            graph.push_back(gtsam.BetweenFactorPose3(k - 1, k, step, isotropic(6, 0.01)))
+            pose = pose.compose(step)
+        new.insert(k, pose)
+        if k % 50 == 49:
+            graph.push_back(
+                gtsam.GPSFactor(k, pose.translation() + 0.2 * random.normal(size=3), isotropic(3, 0.1))
+            )
+        result = runner.update(graph, new)
+        isam.update(graph, new)
+        assert result.updated
+    for _ in range(3):
+        result = runner.update()
+        isam.update()
+    assert result.status is Status.CONVERGED
+    found = runner.values.localCoordinates(isam.calculateEstimate()).vector()
+    np.testing.assert_allclose(found, 0, atol=1e-12)
+
+
+def test_steps_that_grow_are_called_diverged():
+    """Gauss–Newton on a cost that flattens: each step is longer than the one before."""
+
+    def error(x, want_jacobians):
+        return np.arcsinh(x), [np.diag(1 / np.sqrt(1 + x**2))]
+
+    runner = Incremental("gauss-newton")
+    far = custom_factor("arcsinh", 1.0, [X], [vector(2)], 2, error)
+    result = runner.update([far], values(x=[5, 5]))
+    statuses = [result.status] + [runner.update().status for _ in range(12)]
+    assert Status.DIVERGED in statuses
+    assert Status.CONVERGED not in statuses

@@ -186,7 +186,109 @@ def test_parameters_in_the_order_of_the_log(tmp_path: Path) -> None:
 
 def test_without_pymavlink(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pymavlink", None)
-    monkeypatch.setitem(sys.modules, "pymavlink.DFReader", None)
-    (tmp_path / "a.BIN").write_bytes(b"\xa3\x95\x80" + bytes(100))
-    with pytest.raises(MagycError, match=r"pip install 'magyc-gtsam\[ardupilot\]'"):
-        read(tmp_path / "a.BIN")
+    assert len(read(dataflash(tmp_path / "a.BIN", flight())).time) == 40
+
+
+def flight() -> list[tuple[str, tuple]]:
+    messages: list[tuple[str, tuple]] = [("PARM", (0, "COMPASS_DIA_X", 0.0))]
+    for k, m in enumerate(np.round(RAW).astype(int).tolist()):
+        at = 1_000_000 + k * 100_000
+        messages.append(("MAG", (at, 0, *m, 0, 0, 0, 0, 0, 0, 1, at)))
+        messages.append(("IMU", (at, 0, 0.1 * k, 0.0, 0.0, 0.0, 0.0, -9.8)))
+    return messages
+
+
+OLD_NAMES = (
+    "TimeMS,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOfsX,MOfsY,MOfsZ",
+    "TimeUS,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOfsX,MOfsY,MOfsZ",
+)
+
+
+@pytest.mark.parametrize(("columns", "code", "unit"), [(OLD_NAMES[0], "I", 1e-3), (OLD_NAMES[1], "Q", 1e-6)])
+def test_logs_from_before_2015(tmp_path: Path, columns: str, code: str, unit: float) -> None:
+    """Milliseconds, motor offsets under another name, parameters without a time, messages of one compass."""
+    raw, offset, motor = np.round(RAW).astype(int), np.array([19, 49, 11]), np.array([3, -4, 5])
+    described = [
+        ("FMT", 128, "BBnNZ", "<BB4s16s64s", "Type,Length,Name,Format,Columns"),
+        ("PARM", 129, "Nf", "<16sf", "Name,Value"),
+        ("MAG", 130, f"{code}hhhhhhhhh", f"<{code}hhhhhhhhh", columns),
+        ("IMU", 131, f"{code}ffffff", f"<{code}ffffff", f"{columns[:6]},GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    ]
+    layouts = {name: (number, layout) for name, number, _, layout, _ in described}
+
+    def add(name: str, *values: object) -> bytes:
+        number, layout = layouts[name]
+        given = (v.encode() if isinstance(v, str) else v for v in values)
+        return bytes([0xA3, 0x95, number]) + struct.pack(layout, *given)
+
+    data = b"".join(add("FMT", n, 3 + struct.calcsize(s), name, c, names) for name, n, c, s, names in described)
+    data += b"".join(add("PARM", f"COMPASS_OFS_{a}", float(o)) for a, o in zip("XYZ", offset, strict=True))
+    for k, m in enumerate(raw):
+        at = round((1 + k / 10) / unit)
+        data += add("MAG", at, *(m + offset + motor).tolist(), *offset.tolist(), *motor.tolist())
+        data += add("IMU", at, 0.1 * k, 0.0, 0.0, 0.0, 0.0, -9.8)
+    (tmp_path / "old.bin").write_bytes(data)
+    back = read(tmp_path / "old.bin")
+    np.testing.assert_allclose(back.magnetometer.value, raw * 1e-7, atol=1e-15)
+    np.testing.assert_allclose(back.time, np.arange(40) / 10, atol=1e-9)
+    assert info(tmp_path / "old.bin").duration == pytest.approx(3.9)
+
+
+def test_damage_costs_itself(tmp_path: Path) -> None:
+    """A type that is not described, a format of unknown letters, bytes in between, a clock without sense."""
+    whole = dataflash(tmp_path / "a.BIN", flight()).read_bytes()
+    message = bytes([0xA3, 0x95, 65])
+    at = whole.index(message, 1000)
+    unknown = bytes([0xA3, 0x95, 99]) + bytes(20)
+    strange = bytes([0xA3, 0x95, 128]) + struct.pack("<BB4s16s64s", 70, 20, b"ODD", b"\\?!", b"A,B,C")
+    spoilt = bytearray(whole)
+    second = whole.index(message, at + 1)
+    spoilt[second + 3 : second + 11] = b"\xff" * 8  # TimeUS
+    (tmp_path / "b.BIN").write_bytes(
+        bytes(spoilt[:at]) + unknown + strange + b"\xa3\x95\xa3\x95" + bytes(spoilt[at:])
+    )
+    good, bad = read(tmp_path / "a.BIN"), read(tmp_path / "b.BIN")
+    assert len(good.magnetometer.value) - len(bad.magnetometer.value) == 1
+    kept = np.isin(np.round(good.time * 1e6), np.round(bad.magnetometer.time * 1e6))
+    np.testing.assert_array_equal(good.magnetic_field[kept], bad.magnetometer.value)
+    assert any("27 bytes are no messages" in n for n in bad.notes)
+    assert any("1 messages have impossible times" in n for n in bad.notes)
+
+
+def test_random_damage_is_refused_or_costs_itself(tmp_path: Path) -> None:
+    whole = dataflash(tmp_path / "a.BIN", flight()).read_bytes()
+    source = np.random.default_rng(9)
+    refused = 0
+    for _ in range(200):
+        data = bytearray(whole)
+        for place in source.integers(0, len(data), source.integers(1, 20)):
+            data[place] = source.integers(256)
+        (tmp_path / "b.BIN").write_bytes(data)
+        try:
+            read(tmp_path / "b.BIN")
+        except MagycError:
+            refused += 1
+    assert 0 < refused < 200
+
+
+@pytest.mark.parametrize(
+    ("kind", "code"), [("PARM", "QNn"), ("PARM", "Qnf"), ("MAG", "ZBhhhhhhhhhBI"), ("IMU", "Qnffffff")]
+)
+def test_formats_that_make_text_of_numbers(tmp_path: Path, kind: str, code: str) -> None:
+    """A description that damage changed, or somebody."""
+    whole = dataflash(tmp_path / "a.BIN", flight()).read_bytes()
+    number = {"PARM": 64, "MAG": 65, "IMU": 66}[kind]
+    at = whole.index(bytes([0xA3, 0x95, 0x80, number]))
+    columns = whole[at + 25 : at + 89]
+    length = 3 + struct.calcsize(
+        "<" + "".join({"Q": "Q", "N": "16s", "n": "4s", "Z": "64s"}.get(c, c) for c in code)
+    )
+    changed = (
+        bytes([0xA3, 0x95, 0x80]) + struct.pack("<BB4s16s", number, length, kind.encode(), code.encode()) + columns
+    )
+    (tmp_path / "b.BIN").write_bytes(whole[:at] + changed + whole[at + 89 :])
+    try:
+        found = f"{len(read(tmp_path / 'b.BIN').time)} rows"
+    except MagycError as error:
+        found = str(error)
+    assert found

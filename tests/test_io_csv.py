@@ -247,3 +247,48 @@ def test_raw_counts_without_time(shared_data: Path) -> None:
     back = read(path, columns="mx,my,mz", rate=10, magnetic_unit=2.5e-7)
     np.testing.assert_allclose(back.magnetic_field, np.loadtxt(path) * 2.5e-7, rtol=1e-15)
     assert any("multiplied by 2.5e-07" in n for n in back.notes)
+
+
+def test_a_sensor_that_no_method_asked_for_is_not_refused_for(tmp_path: Path) -> None:
+    """Two accelerometers, of which nobody said which: the calibration does not need one."""
+    header = "t,mx,my,mz,gx,gy,gz,imu1_acc_x,imu1_acc_y,imu1_acc_z,imu2_acc_x,imu2_acc_y,imu2_acc_z"
+    path = write(tmp_path / "a.csv", header, TIME, FIELD, RATE, RATE, 2 * RATE)
+    back = read(path)
+    assert back.acceleration is None
+    assert any("acceleration left out" in n and "name one (acceleration=)" in n for n in back.notes)
+    np.testing.assert_array_equal(read(path, acceleration="imu2_acc").acceleration, 2 * RATE)
+    with pytest.raises(MagycError, match="2 sets of columns could be meant"):
+        read(path, acceleration="imu")
+
+
+def test_pieces_are_as_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A table is read piece by piece; where they end decides nothing, and line numbers stay those of the file."""
+    path = write(tmp_path / "a.csv", "# made by hand\nt,mx,my,mz,gx,gy,gz", TIME, FIELD, RATE)
+    text = path.read_text().splitlines()
+    text[20:20] = ["", "# a remark", "  "]
+    path.write_text("\n".join(text) + "\n0.7,1e-5")
+    whole = read(path)
+    text[40] = text[40].replace(",", ",x", 1)
+    wrong = tmp_path / "b.csv"
+    wrong.write_text("\n".join(text))
+    for size in (1, 7, 64, 1000):
+        monkeypatch.setattr("magyc_gtsam.io.csv_table._AT_ONCE", size)
+        part = read(path)
+        np.testing.assert_array_equal(part.time, whole.time)
+        np.testing.assert_array_equal(part.magnetic_field, whole.magnetic_field)
+        assert part.notes == whole.notes
+        with pytest.raises(MagycError, match="line 41: 'x.*' in column 2 is not a number"):
+            read(wrong)
+    assert any("the last, is cut off" in n for n in whole.notes)
+
+
+@pytest.mark.parametrize("written", ["{:.9f}", "{:.3f}", "{:+.9f}", "{:.9e}", " {:.6f} "])
+def test_stamps_are_exact_however_they_are_written(tmp_path: Path, written: str) -> None:
+    from decimal import Decimal
+
+    seconds = [Decimal(k * 10_007_001) / 10**9 + (1_600_000_000 if k % 2 == 5 else 3) for k in range(N)]
+    cells = [written.format(s) for s in seconds]
+    rows = [f"{c},{m[0]!r},{m[1]!r},{m[2]!r}" for c, m in zip(cells, FIELD.tolist(), strict=True)]
+    (tmp_path / "a.csv").write_text("t,mx,my,mz\n" + "\n".join(rows))
+    expected = [int(Decimal(c.strip()) * 10**9) for c in cells]
+    np.testing.assert_array_equal(np.round(read(tmp_path / "a.csv").time * 1e9), np.array(expected) - expected[0])

@@ -179,3 +179,41 @@ def test_without_pyulog(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     (tmp_path / "a.ulg").write_bytes(b"ULog\x01\x12\x35\x01" + bytes(8))
     with pytest.raises(MagycError, match=r"pip install 'magyc-gtsam\[px4\]'"):
         read(tmp_path / "a.ulg")
+
+
+def test_damage_is_refused_or_costs_itself(
+    shared_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyulog")
+    whole = (shared_data / "px4_flight.ulg").read_bytes()[:150_000]
+    source = np.random.default_rng(4)
+    refused = 0
+    for _ in range(40):
+        data = bytearray(whole)
+        for place in source.integers(8, len(data), source.integers(1, 60)):
+            data[place] = source.integers(256)
+        (tmp_path / "bad.ulg").write_bytes(data)
+        try:
+            read(tmp_path / "bad.ulg")
+        except MagycError:
+            refused += 1
+    assert refused < 40
+    assert capfd.readouterr().out == ""  # the library prints to where results go
+
+
+def test_combined_message_without_the_magnetometers_own_stamps(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Logs of other versions have the field without `magnetometer_timestamp_relative`."""
+    from magyc_gtsam.io import px4_messages, ulog
+
+    def without(path: Path, names: list[str] | None) -> Any:
+        messages, parameters, notes = px4_messages.load(path, names)
+        for message in messages:
+            message.data.pop("magnetometer_timestamp_relative", None)  # type: ignore[attr-defined]
+        return messages, parameters, notes
+
+    pytest.importorskip("pyulog")
+    monkeypatch.setattr(ulog, "load", without)
+    back = read(shared_data / "px4_flight.ulg")
+    assert len(back.magnetometer.time) > 1000

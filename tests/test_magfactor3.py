@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.factors import custom_factor
-from magyc_gtsam.factors.guard import vector
 from magyc_gtsam.factors.pose import scaled_magnetometer_factor
+from magyc_gtsam.factors.variables import vector
 from magyc_gtsam.study.table_one import MAGNETIC_HEADING, PUBLISHED, table_one
 
 SCALE = 1.2
@@ -82,7 +82,7 @@ def test_unknown_field_is_the_minimum_of_a_graph_of_its_factors(dive):
     graph = gtsam.NonlinearFactorGraph()
     for field, attitude in zip(recording.magnetic_field, recording.attitude, strict=True):
         rotation = gtsam.Rot3(Rotation.from_quat(np.array(attitude)).as_matrix())
-        graph.add(scaled_magnetometer_factor((s, d, h), field, rotation, 1e-6))
+        graph.add(scaled_magnetometer_factor(d, s, h, field, rotation, 1e-6))
     initial = gtsam.Values()
     initial.insert(s, 50.0)
     initial.insert(d, gtsam.Unit3([1.0, 0.0, 1.0]))

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.derivative_windows import GAUSS, derivative_windows
-from magyc_gtsam.estimators.magyc_bfg import calibrate_magyc_bfg
-from magyc_gtsam.estimators.magyc_state import KEYS, MagycState
+from magyc_gtsam.estimators.magyc.derivative_windows import GAUSS, derivative_windows
+from magyc_gtsam.estimators.magyc.magyc_bfg import calibrate_magyc_bfg
+from magyc_gtsam.estimators.magyc.state import KEYS, MagycState
 from magyc_gtsam.factors import (
     CompressedGyroDerivative,
     MagycError,
@@ -79,7 +79,7 @@ def test_it_is_the_papers_graph_of_two_factors_per_window(wide):
     windows = derivative_windows(wide.recording)
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for m, derivative, w in zip(windows.magnetic_field, windows.derivative, windows.angular_rate, strict=True):
-        graph.add(gyro_derivative_factor(KEYS, m / GAUSS, derivative / GAUSS, w, 1e-3))
+        graph.add(gyro_derivative_factor(*KEYS, m / GAUSS, derivative / GAUSS, w, 1e-3))
         graph.add(norm_prior(KEYS[0], 1e-2))
     for key, value in zip(KEYS, (vech(np.eye(3)), np.zeros(3), np.zeros(3)), strict=True):
         initial.insert(key, value)
@@ -184,7 +184,7 @@ def test_its_weakness_is_that_of_numeric_differences(wide):
     windows = derivative_windows(wide.recording)
     samples = windows.magnetic_field / GAUSS, windows.derivative / GAUSS, windows.angular_rate
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(gyro_derivative_factor(KEYS, *samples, 1.0))
+    graph.add(gyro_derivative_factor(*KEYS, *samples, 1.0))
     graph.add(norm_prior(KEYS[0], 1e-3))
     for key, value in zip(KEYS, (vech(np.eye(3)), np.zeros(3), np.zeros(3)), strict=True):
         initial.insert(key, value)

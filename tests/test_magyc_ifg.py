@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.derivative_windows import GAUSS, derivative_windows, form_windows
-from magyc_gtsam.estimators.estimate_history import EstimateHistory
-from magyc_gtsam.estimators.magyc_graph import MagycGraph
+from magyc_gtsam.estimators.magyc.derivative_windows import GAUSS, derivative_windows, form_windows
+from magyc_gtsam.estimators.magyc.estimate_history import EstimateHistory
+from magyc_gtsam.estimators.magyc.graph import MagycGraph
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.runners import Status
 from magyc_gtsam.simulation import disturb, simulate

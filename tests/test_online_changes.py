@@ -10,12 +10,11 @@ from scipy.spatial.transform import Rotation
 from test_online import feed
 
 from magyc_gtsam import OnlineCalibrator, calibrate, read, simulate
-from magyc_gtsam.estimators.chain_fit import begin, descend
-from magyc_gtsam.estimators.chain_search import fit_field_chain
-from magyc_gtsam.online.retrospect import find_beginning
-from magyc_gtsam.online.step_profile import step_profile
-from magyc_gtsam.online.steps import find_step, in_sensor
-from magyc_gtsam.online.summary import ContinuedChain
+from magyc_gtsam.estimators.smoother.fit import begin, descend
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.online.change_point import find_earlier_change, find_step, in_sensor
+from magyc_gtsam.online.likelihood_ratio import step_profile
+from magyc_gtsam.online.marginal import ContinuedChain
 
 MICROTESLA = 1e-6
 
@@ -51,7 +50,7 @@ def test_a_step_is_found_timed_and_estimated(motion, at, step):
         assert (np.abs(calibration.hard_iron - expected) < 5 * calibration.sigma["hard_iron"]).all()
     assert online.converged
     # What was known before the step of all else still helps.
-    alone = calibrate(recording.between(at, None))
+    alone = calibrate(recording.between(at, None), misalignment=0)
     assert (online.calibration.sigma["hard_iron"] < alone.sigma["hard_iron"]).all()
 
 
@@ -142,7 +141,7 @@ def test_a_log_that_fits_from_a_step_on():
     fit, _ = fit_field_chain(recording.between(100, None))
     whole, _ = fit_field_chain(recording, start=fit.state.parameters)
     chain = ContinuedChain(whole.chain.windows, fit.chain.noise)
-    found = find_beginning(chain, fit.state.parameters)
+    found = find_earlier_change(chain, fit.state.parameters)
     assert found.time == pytest.approx(60, abs=2)
     assert found.in_sensor
     assert (np.abs(found.step - step) < 5 * found.sigma).all()
@@ -153,8 +152,10 @@ def test_a_log_that_fits_from_a_step_on():
     )
     chain = ContinuedChain(whole.chain.windows, fit.chain.noise)
     clean, _ = fit_field_chain(simulation.recording)
-    assert not find_beginning(chain, clean.state.parameters).in_sensor
-    assert find_beginning(ContinuedChain(clean.chain.windows, clean.chain.noise), clean.state.parameters) is None
+    assert not find_earlier_change(chain, clean.state.parameters).in_sensor
+    assert (
+        find_earlier_change(ContinuedChain(clean.chain.windows, clean.chain.noise), clean.state.parameters) is None
+    )
 
 
 @pytest.mark.real
@@ -169,6 +170,9 @@ def test_a_magnet_attached_by_hand_and_taken_off(shared_data):
     assert removed.time - start == pytest.approx(95.0, abs=0.6)
     assert (np.abs(attached.step / MICROTESLA - [-6, -1, 58]) < 3 * attached.step_sigma / MICROTESLA).all()
     np.testing.assert_allclose(removed.step / MICROTESLA, [6, 1, -58], atol=3)
-    with_magnet, without = calibrate(recording.between(41.5, 92)), calibrate(recording.between(95, None))
+    with_magnet, without = (
+        calibrate(recording.between(41.5, 92), misalignment=0),
+        calibrate(recording.between(95, None), misalignment=0),
+    )
     np.testing.assert_allclose(removed.before.hard_iron, with_magnet.hard_iron, atol=1e-6)
     np.testing.assert_allclose(online.calibration.hard_iron, without.hard_iron, atol=1e-6)

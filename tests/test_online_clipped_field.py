@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sensor_fault_findings import find_clipped_field
 from test_clipped_field import STEPS, coarse, cut
 from test_online_full_scale import fed
 from test_online_standstill import ways
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.clipped_field import find_clipped_field
-from magyc_gtsam.online.clipped_field import ClippedFieldWatch
+from magyc_gtsam.sensor_faults.full_scale import FullScale
 from magyc_gtsam.simulation import AMPLITUDES
 
 
@@ -42,15 +42,15 @@ def test_from_the_middle_on() -> None:
     before = fed(mg.Recording(recording.time[:3000], field[:3000], recording.angular_rate[:3000]))
     assert before.converged
     assert before.progress.clipped_field is None
-    watch = ClippedFieldWatch()
-    watch.take(np.clip(field[:3000], -1, 1))
-    assert watch.clipped is None
+    watch = FullScale()
+    watch.observe(np.clip(field[:3000], -1, 1))
+    assert watch.finding() is None
     low = recording.magnetic_field * 0.999  # a level below what was read before is none of the whole recording's
-    watch = ClippedFieldWatch()
-    watch.take(low)
-    assert watch.clipped is not None
-    watch.take(simulation.recording.magnetic_field)
-    assert watch.clipped is None
+    watch = FullScale()
+    watch.observe(low)
+    assert watch.finding() is not None
+    watch.observe(simulation.recording.magnetic_field)
+    assert watch.finding() is None
 
 
 def test_how_the_samples_are_cut_does_not_matter() -> None:
@@ -83,16 +83,16 @@ def test_clean_and_coarse_sensors_are_not_cut_off(motion: str) -> None:
     for seed in range(6):
         field = mg.simulate(motion, seed=seed).recording.magnetic_field
         for step in STEPS:
-            watch, value = ClippedFieldWatch(), coarse(field, step)
+            watch, value = FullScale(), coarse(field, step)
             for block in np.split(value, 20):
-                watch.take(block)
-                assert watch.clipped is None, (seed, step)
+                watch.observe(block)
+                assert watch.finding() is None, (seed, step)
 
 
 @pytest.mark.real
 def test_real_logs_have_none(shared_data: Path) -> None:
     for log in sorted(shared_data.glob("*.mcap")):
-        watch, value = ClippedFieldWatch(), mg.read(log).magnetometer.value
+        watch, value = FullScale(), mg.read(log).magnetometer.value
         for block in np.array_split(value, max(len(value) // 300, 1)):
-            watch.take(block)
-            assert watch.clipped is None, log.name
+            watch.observe(block)
+            assert watch.finding() is None, log.name

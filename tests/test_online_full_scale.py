@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sensor_fault_findings import cut_off, find_clipped, watched
 from test_online_standstill import ways
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
-from magyc_gtsam.estimators.clipped import find_clipped
 from magyc_gtsam.io import write_mcap
-from magyc_gtsam.online.full_scale import FullScaleWatch
 from magyc_gtsam.recording import Samples
+from magyc_gtsam.sensor_faults.cut_off import CutOff
+from magyc_gtsam.sensor_faults.gate import Gate
 from magyc_gtsam.simulation import AMPLITUDES, Simulation
 from magyc_gtsam.study.efficiency import error, nees
 
@@ -36,14 +37,6 @@ def fed(recording: mg.Recording, **options: Any) -> mg.OnlineCalibrator:
         rows = slice(*np.searchsorted(time, [edge, edge + 5]))
         online.update(time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
     return online
-
-
-def watched(samples: Samples, step: int = 16) -> FullScaleWatch:
-    """A watch that has seen all samples."""
-    watch = FullScaleWatch()
-    for i in range(0, len(samples.time), step):
-        watch.take(Samples(samples.time[i : i + step], samples.value[i : i + step]))
-    return watch
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +88,8 @@ def test_more_than_half_is_refused_in_the_words_of_the_batch(motion: str, seed: 
 
 def test_it_is_said_while_it_lasts(wide: Simulation) -> None:
     recording = clipped(wide.recording, 0.9)
-    last = find_clipped(recording).times[-1]
+    level = find_clipped(recording).level
+    last = recording.time[(np.abs(recording.angular_rate) == level).any(axis=1)][-1]
     watch, during, after = mg.OnlineCalibrator(), "", ""
     for row in zip(recording.time, recording.magnetic_field, recording.angular_rate, strict=True):
         watch.update(*row)
@@ -125,10 +119,16 @@ def test_what_the_watch_passes_does_not_depend_on_the_cuts(step: float) -> None:
     """Coarse sensors too, whose samples come near the largest ones again and again."""
     recording = clipped(mg.simulate("wide", 200, seed=4).recording, 0.8)
     rate = recording.angular_rate if not step else np.round(recording.angular_rate / step) * step
-    states = [watched(Samples(recording.time, rate), cut).state() for cut in (1, 7, 400, 2000)]
-    for state in states[1:]:
-        for name, value in states[0].items():
-            np.testing.assert_array_equal(state[name], value, err_msg=name)
+    results = []
+    for cut in (1, 7, 400, 2000):
+        gate, blocks = Gate(CutOff()), np.arange(0, len(rate), cut)
+        passed = [gate.take(Samples(recording.time[i : i + cut], rate[i : i + cut])) for i in blocks]
+        kept = np.concatenate([part.time for part in passed])
+        results.append(
+            (kept.tolist(), gate.dropped, gate.waiting_since, cut_off(gate), gate.detector.spans.tolist())
+        )
+        assert len(kept) == len(rate) if step == 5e-3 else 0 < len(kept) < len(rate)  # so coarse, nothing is seen
+    assert all(result == results[0] for result in results)
 
 
 def test_a_run_resumed_anywhere(tmp_path: Path) -> None:
@@ -158,9 +158,9 @@ def test_turns_that_are_not_cut_off_lose_nothing(motion: str) -> None:
         time, rate = mg.simulate(motion, seed=seed).recording.gyroscope
         for step in (0.0, 3e-4, 1e-3, 3e-3, 0.02):
             watch = watched(Samples(time, np.round(rate / step) * step if step else rate))
-            assert watch.clipped is None, (seed, step)
+            assert cut_off(watch) is None, (seed, step)
             assert watch.dropped == 0
-        assert watched(Samples(time, np.repeat(rate[::3], 3, axis=0)[: len(time)])).clipped is None
+        assert cut_off(watched(Samples(time, np.repeat(rate[::3], 3, axis=0)[: len(time)]))) is None
 
 
 def test_coarse_noisy_sensors_are_not_taken_for_cut_off() -> None:
@@ -176,7 +176,7 @@ def test_a_turn_at_one_rate_without_noise_is_not_cut_off() -> None:
     time = np.arange(0, 300, 0.1)
     even = np.where((time // 50) % 2 == 0, 0.3, 0.0)[:, None] * [0.0, 0.0, 1.0]
     watch = watched(Samples(time, even))
-    assert watch.clipped is None
+    assert cut_off(watch) is None
     assert watch.dropped == 0
 
 
@@ -203,8 +203,8 @@ def test_real_logs(shared_data: Path) -> None:
     for log in sorted(shared_data.glob("*.mcap")):
         watch = watched(mg.read(log).gyroscope)
         if log.stem == "breakout_boards_hand_rotation":
-            assert watch.clipped.axes == "x"
-            assert watch.clipped.count == pytest.approx(22, abs=5)  # the first ones, before it could be known
+            assert cut_off(watch).axes == "x"
+            assert cut_off(watch).count == pytest.approx(22, abs=5)  # the first ones, before it could be known
         else:
-            assert watch.clipped is None, log.name
+            assert cut_off(watch) is None, log.name
             assert watch.dropped == 0

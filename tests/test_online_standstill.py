@@ -11,7 +11,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.online.intake import Intake
-from magyc_gtsam.online.watch import Watch
+from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.simulation import AMPLITUDES
 from magyc_gtsam.study.efficiency import error, nees
 
@@ -38,9 +38,11 @@ def feed(online: mg.OnlineCalibrator, recording: mg.Recording, start: float = 0.
     return online
 
 
-def watched(recording: mg.Recording, field: np.ndarray | None = None, rate: np.ndarray | None = None) -> Watch:
+def watched(
+    recording: mg.Recording, field: np.ndarray | None = None, rate: np.ndarray | None = None
+) -> SensorFaults:
     """A watch that has seen all rows, or those of other values."""
-    watch, intake = Watch(), Intake()
+    watch, intake = SensorFaults(), Intake()
     field = recording.magnetic_field if field is None else field
     rate = recording.angular_rate if rate is None else rate
     for i in range(0, len(recording.time), 16):
@@ -172,7 +174,7 @@ def test_what_may_repeat(motion: str) -> None:
             (np.round(field / 3e-6) * 3e-6, np.round(rate / 15e-3) * 15e-3),
         ):
             watch = watched(recording, f, w)
-            assert watch.stuck(600.0) == ((), ())
+            assert watch.stuck(600.0) == ()
             assert watch.dropped == 0
 
 
@@ -187,7 +189,7 @@ def test_a_vehicle_at_rest_with_coarse_sensors() -> None:
     field, rate = np.round(field / 0.3e-6) * 0.3e-6, np.round(rate / 1e-3) * 1e-3
     assert (np.diff(rate[rest], axis=0) == 0).all(axis=1).mean() > 0.9
     watch = watched(recording, field, rate)
-    assert watch.stuck(600.0) == ((), ())
+    assert watch.stuck(600.0) == ()
     assert watch.dropped == 0
 
 
@@ -195,13 +197,13 @@ def test_a_vehicle_at_rest_with_coarse_sensors() -> None:
 def test_real_logs_have_none(shared_data: Path) -> None:
     for log in sorted(shared_data.glob("*.mcap")):
         recording = mg.read(log)
-        watch, intake = Watch(), Intake()
+        watch, intake = SensorFaults(), Intake()
         (time, field), (when, rate) = recording.magnetometer, recording.gyroscope
         for edge in np.arange(recording.time[0], recording.time[-1] + 5, 5.0):
             rows = slice(*np.searchsorted(time, [edge, edge + 5]))
             watch.take(*intake.take(time[rows], field[rows], None), intake.repeated)
             rows = slice(*np.searchsorted(when, [edge, edge + 5]))
             watch.take(*intake.take(when[rows], None, rate[rows]), intake.repeated)
-        assert watch.stuck(recording.duration) == ((), ()), log.name
+        assert watch.stuck(recording.duration) == (), log.name
         if log.stem != "breakout_boards_hand_rotation":  # turned faster than its gyroscope's full scale
             assert watch.dropped == 0, log.name

@@ -9,9 +9,9 @@ import pytest
 from test_online import feed
 
 from magyc_gtsam import OnlineCalibrator, simulate
-from magyc_gtsam.estimators.chain_search import fit_field_chain
-from magyc_gtsam.factors.field_chain import Noise
-from magyc_gtsam.online.walking import _local_noise
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.online.random_walk import _local_noise
 
 
 def walking(motion, seed, *, hard_iron=0.0, bias=0.0, duration=700.0):
@@ -66,7 +66,7 @@ def test_noise_levels_are_those_of_short_segments():
     fit, _ = fit_field_chain(still, delay=0.0)
     walked, _ = fit_field_chain(recording, start=fit.state.parameters, delay=0.0)
     assert walked.chain.noise.gyroscope > 1.3 * fit.chain.noise.gyroscope
-    noise, colour, freedom = _local_noise(walked.chain.windows, Noise(2e-6, 1e-2), fit.state.parameters)
+    noise, colour, freedom = _local_noise(walked.chain.windows, SensorNoise(2e-6, 1e-2), fit.state.parameters)
     assert noise.magnetometer == pytest.approx(fit.chain.noise.magnetometer, rel=0.1)
     assert noise.gyroscope == pytest.approx(fit.chain.noise.gyroscope, rel=0.25)
     assert colour < 2.0

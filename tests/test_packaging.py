@@ -18,21 +18,43 @@ import magyc_gtsam as mg
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A wheel built from a copy of the sources, as `pip install .` builds it."""
+def _checkout(folder: Path) -> Path:
+    """A copy of the sources without what was built in them."""
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, folder)
+    for name in ("magyc_gtsam", "factors", "datasets"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"), symlinks=True)
+    return folder
+
+
+def _build(source: Path, target: Path) -> Path:
+    """The wheel, as `pip install .` builds it."""
     if int(version("setuptools").split(".")[0]) < 77:
         pytest.skip("setuptools 77 or newer builds the wheel; it comes with pip install '.[test]'")
-    source = tmp_path_factory.mktemp("source")
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source)
-    for name in ("magyc_gtsam", "factors"):
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    target = tmp_path_factory.mktemp("wheel")
     build = f"import setuptools.build_meta as b; b.build_wheel({str(target)!r})"
     result = subprocess.run([sys.executable, "-c", build], cwd=source, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     return next(target.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _checkout(tmp_path_factory.mktemp("source"))
+
+
+@pytest.fixture(scope="module")
+def wheel(checkout: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return _build(checkout, tmp_path_factory.mktemp("wheel"))
+
+
+@pytest.fixture(scope="module")
+def installation(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the wheel as `pip install` lays it out; not editable."""
+    folder = tmp_path_factory.mktemp("installation")
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--target"]
+    result = subprocess.run([*command, str(folder), str(wheel)], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return folder
 
 
 def _where(folder: Path, **environment: str) -> list[str]:
@@ -65,15 +87,24 @@ def _files(folder: str) -> list[Path]:
     return [p for p in (ROOT / folder).rglob("*") if p.is_file() and "__pycache__" not in p.parts]
 
 
-def test_factors_of_the_wheel(wheel: Path, tmp_path: Path) -> None:
-    zipfile.ZipFile(wheel).extractall(tmp_path)
-    found, top_level = _where(tmp_path, PYTHONPATH=str(tmp_path))
-    assert Path(found) == tmp_path / "magyc_gtsam" / "factors" / "__init__.py"
+def test_wheel_where_links_are_not_to_be_had(wheel: Path, tmp_path: Path) -> None:
+    """git writes a link as a file with its target in it there."""
+    (tmp_path / "source").mkdir()
+    source = _checkout(tmp_path / "source")
+    (source / "magyc_gtsam" / "factors").unlink()
+    (source / "magyc_gtsam" / "factors").write_text("../factors")
+    other = _build(source, tmp_path)
+    assert set(zipfile.ZipFile(other).namelist()) == set(zipfile.ZipFile(wheel).namelist())
+
+
+def test_factors_of_an_installation(installation: Path, tmp_path: Path) -> None:
+    found, top_level = _where(tmp_path, PYTHONPATH=str(installation))
+    assert Path(found) == installation / "magyc_gtsam" / "factors" / "__init__.py"
     assert top_level == "None"
 
 
 def test_factors_of_this_installation(tmp_path: Path) -> None:
-    found, top_level = _where(tmp_path)
+    found, top_level = _where(tmp_path, PYTHONPATH="")
     assert Path(found).parent.name == "factors"
     assert top_level == "None"
 
@@ -84,18 +115,31 @@ def test_one_version() -> None:
     assert f"version: {mg.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 
 
-def test_readme_names_the_methods() -> None:
-    section = _readme().split("## Methods")[1].split("\n## ")[0]
+def test_documentation_names_the_methods() -> None:
+    section = (ROOT / "docs" / "reference" / "methods.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `([a-z0-9-]+)` \|", section, re.MULTILINE)) == set(mg.methods())
 
 
-def test_readme_example_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize("where", ["in the checkout", "elsewhere"])
+def test_readme_example_runs(where: str, checkout: Path, installation: Path, tmp_path: Path) -> None:
+    """After `pip install .`: Python started in the checkout imports its folders, elsewhere the installation."""
     example = re.search(r"```python\n(.*?)```", _readme(), re.DOTALL)
     assert example
-    shutil.copytree(ROOT / "datasets", tmp_path / "datasets")
-    result = subprocess.run([sys.executable, "-c", example[1]], cwd=tmp_path, capture_output=True, text=True)
+    folder = checkout
+    if where == "elsewhere":
+        folder = tmp_path
+        shutil.copytree(ROOT / "datasets", tmp_path / "datasets")
+    result = subprocess.run(
+        [sys.executable, "-c", example[1] + "\nprint(mg.__file__)"],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(installation)},
+        capture_output=True,
+        text=True,
+    )
     assert result.returncode == 0, result.stderr
-    assert (tmp_path / "cal.yaml").exists()
+    expected = checkout if where == "in the checkout" else installation
+    assert Path(result.stdout.splitlines()[-1]).resolve() == expected.resolve() / "magyc_gtsam" / "__init__.py"
+    assert (folder / "cal.yaml").exists()
 
 
 def test_readme_marks_the_commands_of_the_integration_run() -> None:

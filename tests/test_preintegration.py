@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam.factors import MagycError, preintegration, rotations
-from magyc_gtsam.factors.preintegration import Preintegration
-from magyc_gtsam.factors.rotations import chain, exponential, increments, matrices, multiply, skew
+from magyc_gtsam.factors import MagycError
+from magyc_gtsam.factors.chain import preintegration, rotations
+from magyc_gtsam.factors.chain.preintegration import Preintegration
+from magyc_gtsam.factors.chain.rotations import chain, exponential, increments, matrices, multiply, skew
 from magyc_gtsam.simulation import simulate
 
 SINGLE = 1e-9  # rad a window may turn: every sample is its own window

@@ -114,10 +114,13 @@ def test_a_factory_calibrated_instrument_needs_little(shared_data):
 
 
 def test_disturbed_stretches_do_not_spoil_a_log(calibrated):
-    """The whole of it, spun beside iron and left beside a magnet: within 3σ of the undisturbed first minute."""
+    """The whole of it, spun beside iron and left beside a magnet: within 3σ of the undisturbed first minute.
+
+    Near iron the field goes with the attitude; what that may have moved is more than the verdict allows.
+    """
     recording, whole = calibrated("xio_hand_motion.csv")
     quiet = calibrate(recording.between(0, 60))
-    assert whole.converged, whole.message
+    assert "what the model does not explain" in whole.message
     assert whole.diagnostics["disturbed"]
     sigma = np.hypot(whole.sigma["hard_iron"], quiet.sigma["hard_iron"])
     assert (np.abs(whole.hard_iron - quiet.hard_iron) < 3 * sigma).all()

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ import pytest
 import magyc_gtsam as mg
 from magyc_gtsam.simulation import simulate
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "ros2_online_node.py"
+PACKAGE = Path(__file__).parents[1] / "ros2" / "magyc_gtsam_ros"
+EXAMPLE = PACKAGE / "magyc_gtsam_ros" / "online_node.py"
 START = 1_620_000_000
 
 
@@ -130,6 +133,7 @@ class Ros:
         self.subscriptions: dict[str, Callable[[Any], None]] = {}
         self.published: dict[str, list[Any]] = {}
         self.timers: list[Callable[[], None]] = []
+        self.services: dict[str, Callable[[Any, Any], Any]] = {}
         self.ended: list[str] = []
 
     def create_node(self, name: str) -> Ros:
@@ -146,6 +150,12 @@ class Ros:
 
     def create_subscription(self, kind: Any, topic: str, callback: Callable[[Any], None], qos: Any) -> None:
         self.subscriptions[topic] = callback
+
+    def create_service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> None:
+        self.services[name] = callback
+
+    def get_clock(self) -> SimpleNamespace:
+        return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: SimpleNamespace(sec=START, nanosec=0)))
 
     def create_timer(self, period: float, callback: Callable[[], None]) -> None:
         self.timers.append(callback)
@@ -168,6 +178,12 @@ class Ros:
         self.ended.append("ros")
 
 
+class Status(SimpleNamespace):
+    """diagnostic_msgs/DiagnosticStatus."""
+
+    OK, WARN = b"\x00", b"\x01"
+
+
 def test_the_topics(
     example: ModuleType, simulation: mg.Simulation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,6 +193,14 @@ def test_the_topics(
         "rclpy.qos": SimpleNamespace(qos_profile_sensor_data=10),
         "sensor_msgs": SimpleNamespace(),
         "sensor_msgs.msg": SimpleNamespace(Imu=object, MagneticField=object),
+        "diagnostic_msgs": SimpleNamespace(),
+        "diagnostic_msgs.msg": SimpleNamespace(
+            DiagnosticArray=lambda status: SimpleNamespace(header=SimpleNamespace(stamp=None), status=status),
+            DiagnosticStatus=Status,
+            KeyValue=SimpleNamespace,
+        ),
+        "std_srvs": SimpleNamespace(),
+        "std_srvs.srv": SimpleNamespace(Trigger=object),
         "std_msgs": SimpleNamespace(),
         "std_msgs.msg": SimpleNamespace(String=SimpleNamespace),
     }.items():
@@ -188,3 +212,38 @@ def test_the_topics(
     assert not statuses[0]["converged"]
     assert len(ros.published["imu/mag_calibrated"]) > 100
     assert mg.Calibration.load(tmp_path / "cal.json").method == "magyc-ifg"
+    levels = [array.status[0].level for array in ros.published["/diagnostics"]]
+    assert levels[0] == Status.WARN
+    assert levels[-1] == Status.OK
+    values = {pair.key: pair.value for pair in ros.published["/diagnostics"][-1].status[0].values}
+    assert values["hard iron"].endswith("µT")
+
+    (tmp_path / "cal.json").unlink()
+    answer = ros.services["~/save"](None, SimpleNamespace())
+    assert answer.success
+    assert (tmp_path / "cal.json").exists()
+    assert ros.services["~/stop"](None, SimpleNamespace()).message.startswith("stopped: ")
+    taken = len(ros.published["imu/mag_calibrated"])
+    ros.subscriptions["imu/mag"](messages(simulation)[0][1])  # calibrated, and not learned from
+    assert len(ros.published["imu/mag_calibrated"]) == taken + 1
+    assert ros.services["~/start"](None, SimpleNamespace()).message == "learning"
+
+
+def test_the_package_is_what_colcon_expects() -> None:
+    """An ament_python package: the names agree, and what setup.py installs is there."""
+    root = ElementTree.parse(PACKAGE / "package.xml").getroot()
+    name = root.findtext("name")
+    assert name == "magyc_gtsam_ros"
+    assert root.findtext("export/build_type") == "ament_python"
+    assert root.findtext("version") == mg.__version__
+    setup = (PACKAGE / "setup.py").read_text(encoding="utf-8")
+    assert f'NAME = "{name}"' in setup
+    assert f'version="{mg.__version__}"' in setup
+    assert (PACKAGE / "resource" / name).exists()
+    depends = {element.text for element in root.iter("exec_depend")}
+    imported = set(re.findall(r"^ +(?:from|import) (\w+)", EXAMPLE.read_text(encoding="utf-8"), re.MULTILINE))
+    assert imported & {"rclpy", "sensor_msgs", "std_msgs", "std_srvs", "diagnostic_msgs"} <= depends
+    launch = (PACKAGE / "launch" / "online.launch.py").read_text(encoding="utf-8")
+    compile(launch, "online.launch.py", "exec")
+    declared = set(re.findall(r'declare_parameter\("(\w+)"', EXAMPLE.read_text(encoding="utf-8")))
+    assert all(f'"{parameter}"' in launch for parameter in declared)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from magyc_gtsam.factors import MagycError, custom_factor
-from magyc_gtsam.factors.guard import vector
+from magyc_gtsam.factors.variables import vector
 from magyc_gtsam.runners import Status, optimize
 
 X, Y = gtsam.symbol("x", 0), gtsam.symbol("y", 0)

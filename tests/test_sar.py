@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.hard_iron import TurningField, turning_field
-from magyc_gtsam.estimators.sar_kf import filter_field
+from magyc_gtsam.estimators.hard_iron.sar_kf import filter_field
+from magyc_gtsam.estimators.hard_iron.turning import TurningField, turning_field
 
 METHODS = ("sar-ls", "sar-kf")
 IDEAL = {"soft_iron": np.eye(3), "gyro_bias": np.zeros(3)}  # what both methods take for granted

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import MagycError, Recording, calibrate
-from magyc_gtsam.estimators.chain_search import fit_field_chain
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.simulation import FIELD, MILLIGAUSS, inject, simulate
 from magyc_gtsam.simulation.effects import EFFECTS, FOREIGN, NAMED, STRENGTHS
 from magyc_gtsam.simulation.environment import CHANNELS

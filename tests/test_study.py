@@ -1,9 +1,12 @@
 """Small versions of the studies that `magyc-gtsam study` runs at full size."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from magyc_gtsam import MagycError, simulate
+from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.study.bound import cramer_rao
 from magyc_gtsam.study.efficiency import BLOCKS, efficiency
 from magyc_gtsam.study.table_one import PUBLISHED, table_one
@@ -11,7 +14,7 @@ from magyc_gtsam.study.table_one import PUBLISHED, table_one
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
 def test_the_smoother_is_at_the_bound_and_honest(motion):
-    result = efficiency(motion, 30)
+    result = efficiency(motion, 30, method=partial(calibrate, misalignment=0))
     for block in BLOCKS:  # 1.10, and two standard deviations of 30 runs of a block of three or more
         assert result.ratio[block] < 1.10 + 2 / np.sqrt(2 * 30 * 3)
     half = 2.6 * np.sqrt(2 * 11 / 30)
@@ -49,3 +52,14 @@ def test_table_one_of_the_paper():
         assert rows["magyc-bfg", motion].spread[1] - 0.5 < spread < rows["magyc-bfg", motion].spread[2] + 0.5
     for motion in PUBLISHED["raw"]:
         assert rows["smoother", motion].systematic[2] < 0.3 < rows["magyc-bfg", motion].systematic[2]
+
+
+def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not():
+    from magyc_gtsam.study.known import fact_cells, skew_cells
+
+    cells = skew_cells("wide", 0.7, 3)
+    assert cells["asked"].decided == 1.0
+    assert cells["never"].heading > 4 * cells["asked"].heading
+    assert cells["never"].hard_iron > 2 * cells["asked"].hard_iron
+    facts = fact_cells("level", 300.0, 2)
+    assert facts["+ strength"].stated < 0.5 * facts["+ matrix"].stated < 0.5 * facts["alone"].stated

@@ -142,7 +142,7 @@ def real_scenarios(recordings: Sequence[str], each: int = 2, edition: int = 0) -
 
 def seed_of(name: str, edition: int) -> int:
     """A seed that nobody chose."""
-    return int.from_bytes(hashlib.sha256(f"{edition}/{name}".encode()).digest()[:6])
+    return int.from_bytes(hashlib.sha256(f"{edition}/{name}".encode()).digest()[:6], "big")
 
 
 def fingerprint(scenario_list: Sequence[Scenario]) -> str:

@@ -7,7 +7,6 @@ number says nothing.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -18,6 +17,7 @@ import numpy as np
 
 from magyc_gtsam.blindtest.generator import generate, truth_of, write
 from magyc_gtsam.blindtest.scenarios import Scenario, fingerprint
+from magyc_gtsam.checksum import sha256
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
@@ -61,7 +61,7 @@ def seal(
         recording_file, truth_file = folder / RECORDINGS / f"{number}.npz", folder / SEALED / f"{number}.json"
         write(recording_file, hidden.recording)
         truth_file.write_text(json.dumps(truth_of(scenario, hidden)), encoding="utf-8")
-        entries[number] = {"recording": digest(recording_file), "truth": digest(truth_file)}
+        entries[number] = {"recording": sha256(recording_file), "truth": sha256(truth_file)}
         progress((done + 1) / len(order))
     manifest = {"scenarios": print_of, "count": len(entries), "sha256": entries}
     unfinished = target.with_suffix(".part")
@@ -81,13 +81,7 @@ def opened(folder: Path, number: str, manifest: Mapping[str, Any]) -> dict[str, 
         "recording": folder / RECORDINGS / f"{number}.npz",
     }
     for kind, file in files.items():
-        if not file.exists() or digest(file) != manifest["sha256"][number][kind]:
+        if not file.exists() or sha256(file) != manifest["sha256"][number][kind]:
             raise MagycError(f"{file}: is not what was sealed; the test is void, run it again in a new folder")
     truth: dict[str, Any] = json.loads(files["truth"].read_text(encoding="utf-8"))
     return truth
-
-
-def digest(file: Path) -> str:
-    """sha256 of a file."""
-    with open(file, "rb") as opened_file:
-        return hashlib.file_digest(opened_file, "sha256").hexdigest()

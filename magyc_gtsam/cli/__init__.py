@@ -5,6 +5,74 @@ result must not be trusted, 2 wrong input or arguments. Commands import what the
 that `--help` waits for nothing.
 """
 
-from magyc_gtsam.cli.app import main
+from __future__ import annotations
 
-__all__ = ["main"]
+import signal
+import sys
+from collections.abc import Sequence
+from types import FrameType
+
+_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}  # as shells count them
+
+
+class Stopped(KeyboardInterrupt):
+    """The process was asked to end, by Ctrl-C or by another process; what is open is closed and removed as for both."""
+
+    def __init__(self, number: int = signal.SIGINT) -> None:
+        super().__init__()
+        self.code = _CODES[signal.Signals(number)]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: without the program's name; None takes the process's own.
+
+    Returns:
+        The exit code. MAGYC_DEBUG=1 in the environment lets the traceback of a failure through.
+    """
+    before = {number: signal.getsignal(number) for number in _CODES}
+    try:
+        _obey()
+        from magyc_gtsam.cli.app import run  # within reach of the signals: it takes some tenths of a second
+
+        return run(arguments)
+    except KeyboardInterrupt as stopped:
+        return interrupted(stopped)
+    except ImportError as error:
+        if (stop := cause(error)) is None:
+            raise
+        return interrupted(stop)
+    finally:
+        for number, handler in before.items():
+            if getattr(signal.getsignal(number), "__name__", "") == _stop.__name__:
+                signal.signal(number, handler)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    raise Stopped(number)
+
+
+def interrupted(stop: KeyboardInterrupt) -> int:
+    """Say that the command was stopped; returns the exit code."""
+    print("magyc-gtsam: interrupted; no file is left half written", file=sys.stderr)
+    return int(getattr(stop, "code", _CODES[signal.SIGINT]))
+
+
+def cause(error: BaseException | None) -> KeyboardInterrupt | None:
+    """The interruption behind an error, as where it was met while an extension module was being loaded."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
+
+
+def _obey() -> None:
+    """Let a request to end be met as Ctrl-C is; one that this process was started to ignore stays ignored."""
+
+    for number in _CODES:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
+            try:
+                signal.signal(number, _stop)
+            except ValueError:  # not in the main thread: whoever runs us there has handlers of his own
+                return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -12,9 +13,10 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_configuration
 from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.foreign_text import printable
 
 if TYPE_CHECKING:
-    from magyc_gtsam.estimators.accelerometer import AccelerometerCalibration
+    from magyc_gtsam.estimators.autocal.accelerometer import AccelerometerCalibration
     from magyc_gtsam.recording import Recording
 
 
@@ -51,7 +53,7 @@ def calibrate_accelerometer(
         page = stage("drawing the page")
         calibration.save(part / "calibration.yaml")
         write_configuration(part, reading, recording, cast(Any, calibration), options, arguments)
-        write_accelerometer_report(part / "report.html", recording, calibration)
+        write_accelerometer_report(part / "report.html", replace(recording, name=reading.log.name), calibration)
         page(1.0)
     if json:
         _show_json(folder, calibration)
@@ -59,14 +61,14 @@ def calibrate_accelerometer(
         _show(folder, reading.log, recording, calibration)
     if calibration.converged:
         return 0
-    typer.echo(f"magyc-gtsam: the result must not be trusted: {calibration.message}", err=True)
+    typer.echo(f"magyc-gtsam: the result must not be trusted: {printable(calibration.message)}", err=True)
     return 1
 
 
 def _calibrate(
     recording: Recording, options: dict[str, Any], problem: type[Exception]
 ) -> AccelerometerCalibration:
-    from magyc_gtsam.estimators import accelerometer
+    from magyc_gtsam.estimators.autocal import accelerometer
 
     function = accelerometer.calibrate_accelerometer
     unknown = sorted(options.keys() - (function.__kwdefaults__ or {}).keys())

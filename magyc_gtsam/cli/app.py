@@ -13,16 +13,29 @@ from typing import Annotated
 import typer
 
 from magyc_gtsam import __version__
-from magyc_gtsam.cli import apply, calibrate, compare, export, gap, info, online, simulate, study
+from magyc_gtsam.cli import (
+    apply,
+    calibrate,
+    cause,
+    compare,
+    export,
+    gap,
+    history,
+    info,
+    interrupted,
+    online,
+    simulate,
+    study,
+)
 from magyc_gtsam.cli.options import spelled
+from magyc_gtsam.foreign_text import printable
 
-WRONG, INTERRUPTED, UNREAD = 2, 130, 141  # the last two as shells count signals 2 and 13
-_INTERRUPTION = "interrupted; no file is left half written"
+WRONG, UNREAD = 2, 141  # the latter as shells count signal 13
 
 app = typer.Typer(
     name="magyc-gtsam",
     help="Calibrate magnetometers and gyroscopes from the data a vehicle records anyway.",
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
@@ -34,6 +47,7 @@ for name, command in (
     ("info", info),
     ("compare", compare),
     ("gap", gap),
+    ("history", history),
     ("simulate", simulate),
     ("export", export),
     ("study", study),
@@ -56,7 +70,7 @@ def _options(
     """Options before the command."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
@@ -82,15 +96,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except typer.Exit as finished:
         return finished.exit_code
-    except KeyboardInterrupt:
-        return _say(_INTERRUPTION, INTERRUPTED)
+    except KeyboardInterrupt as stop:
+        return interrupted(stop)
     except BrokenPipeError:  # the reader of the output had enough, as `head` has
         with contextlib.suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
     except Exception as error:
-        if isinstance(error.__cause__, KeyboardInterrupt):  # met while an extension module was being loaded
-            return _say(_INTERRUPTION, INTERRUPTED)
+        if (behind := cause(error)) is not None:
+            return interrupted(behind)
         if debug:
             raise
         return _say(_explain(error), WRONG)
@@ -119,5 +133,5 @@ def _explain(error: Exception) -> str:
 
 
 def _say(message: str, code: int) -> int:
-    print("magyc-gtsam:", " ".join(message.split()), file=sys.stderr)
+    print("magyc-gtsam:", printable(" ".join(message.split())), file=sys.stderr)
     return code

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from magyc_gtsam.cli import options as given
-from magyc_gtsam.cli.calibrate import verdict
 from magyc_gtsam.cli.files import replacing
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.reading import Reading, epoch
-from magyc_gtsam.cli.terminal import show, stages
+from magyc_gtsam.cli.terminal import concluded, refused, show, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
@@ -27,22 +26,29 @@ def run(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="OUT.mcap or OUT.csv.", show_default=False)
     ],
+    force: Annotated[
+        bool, typer.Option("--force", help="Apply also a calibration that must not be trusted.")
+    ] = False,
     quiet: given.Quiet = False,
 ) -> int:
     """Apply a calibration to a log.
 
     Time stamps and all other data stay as they are. The gyroscope's bias is subtracted where the method estimated
     one, and what `magyc-gtsam gap` found is taken out: a late field is read later. Read the log as it was read for
-    the calibration (units, axes); an effect of a current or a temperature needs that channel.
+    the calibration (units, axes); an effect of a current or a temperature needs that channel. A calibration that must
+    not be trusted is refused with exit code 1.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.report.verdict import judged
 
     if output.suffix.lower() not in (".mcap", ".csv"):
         raise MagycError(f"--output: {output} is neither .mcap nor .csv")
     if output.exists() and reading.log.exists() and output.samefile(reading.log):
         raise MagycError(f"--output: {output} is the log itself; name another file")
     calibration = Calibration.load(calibration_file)
+    if not calibration.trusted and not force:
+        return refused(calibration)
     with replacing(output) as part, stages(shown=not quiet) as stage:
         recording = reading.recording(stage("reading"))
         rate = recording.angular_rate
@@ -59,7 +65,7 @@ def run(
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field")
-    return verdict(calibration)
+    return concluded(judged(calibration))
 
 
 def _write_csv(path: Path, recording: Recording, origin: int) -> None:

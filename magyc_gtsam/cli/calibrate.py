@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,15 +14,19 @@ from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.accelerometer import calibrate_accelerometer
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.history import Engine, More
+from magyc_gtsam.cli.known import Known
+from magyc_gtsam.cli.many import Task, calibrate_logs, many
 from magyc_gtsam.cli.reading import Reading, parse_pairs
-from magyc_gtsam.cli.results import dated_folder, write_configuration, write_exports, write_page
+from magyc_gtsam.cli.results import dated_folder, remove_exports, write_configuration, write_exports, write_page
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import show, show_calibration, stages
+from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_details, show_page, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.cli.terminal import Progress
     from magyc_gtsam.recording import Recording
+    from magyc_gtsam.report.verdict import Verdict
 
 
 @with_groups
@@ -28,6 +34,7 @@ def run(
     context: typer.Context,
     reading: Reading,
     scale: Scale,
+    known: Known,
     method: Annotated[str, typer.Option(help="One of magyc_gtsam.methods().")] = "smoother",
     sensor: Annotated[
         Literal["magnetometer", "accelerometer"],
@@ -59,48 +66,82 @@ def run(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
     ] = None,
+    more: More = None,
+    engine: Engine = "local",
+    config: given.Config = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf beside the page.")] = False,
+    force: given.Force = False,
+    open_page: given.Open = False,
+    verbose: given.Verbose = False,
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Calibrate the sensors of a log.
+    """Calibrate the sensors of a log, or of many logs, each by itself.
 
     Writes calibration.yaml, configuration.yaml, report.html and the parameters to paste.
-    Exit code 1: done, but the result must not be trusted; the reason is printed.
+    Exit code 1: done, but the result must not be trusted; the reason is printed, and there are no parameters to paste.
     """
-    options = _method_options(scale.tesla(), noise, delay, robust, window, option)
+    options = _method_options(known.options(scale, method), noise, delay, robust, window, option)
     if sensor == "accelerometer":
         return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
+    if many(reading.log, more):
+        from magyc_gtsam.io.many import find_logs
+
+        logs = find_logs([reading.log, *(more or [])])
+        task = Task(reading, method, options, option, Path(), tuple(context.obj), force)
+        return calibrate_logs(task, logs, output, engine, quiet, json)
     folder = output or dated_folder(reading.log)
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
-        recording = reading.recording(stage("reading"))
-        calibration = _calibrate(recording, method, stage("calibrating"), options, option)
-        page = stage("drawing the page")
-        calibration.save(part / "calibration.yaml")
-        write_configuration(part, reading, recording, calibration, options, context.obj)
-        write_exports(part, calibration)
-        write_page(part, recording, calibration)
-        page(1.0)
+        recording, calibration, verdict = calibrate_log(
+            reading, method, options, option, part, context.obj, force, stage
+        )
+    if not verdict.trusted and not force:
+        remove_exports(folder)  # of an earlier run
+    if pdf:
+        calibration.report(folder / "report.pdf", replace(recording, name=reading.log.name))
+    if open_page:
+        show_page(folder / "report.html")
     if json:
-        _show_json(folder, calibration)
+        _show_json(folder, calibration, verdict)
     elif not quiet:
-        show(f"{reading.log.name}: {recording.duration:.1f} s, {calibration.method}", "")
-        show_calibration(calibration)
+        show(verdict.sentence, f"{reading.log.name}: {recording.duration:.1f} s, {calibration.method}", "")
+        if verdict.trusted:
+            show_calibration(calibration)
+        show_details(verdict, verbose)
+        if verbose:
+            show(_own_numbers(calibration))
         show(
             *(f"note: {note}" for note in recording.notes),
             "",
             f"results: {folder}",
             f"page: {folder / 'report.html'}",
         )
-    return verdict(calibration)
+    return concluded(verdict)
 
 
-def verdict(calibration: Calibration) -> int:
-    """The exit code of a calibration; says on standard error why one must not be trusted."""
-    if calibration.trusted:
-        return 0
-    reason = calibration.message or "the method did not converge"
-    typer.echo(f"magyc-gtsam: the result must not be trusted: {reason}", err=True)
-    return 1
+def calibrate_log(
+    reading: Reading,
+    method: str,
+    options: dict[str, Any],
+    pairs: list[str] | None,
+    folder: Path,
+    arguments: Sequence[str],
+    force: bool,
+    stage: Callable[[str], Progress] = lambda _: lambda _: None,
+) -> tuple[Recording, Calibration, Verdict]:
+    """Read a log, calibrate it and write all files into a folder."""
+    from magyc_gtsam.report.verdict import judged
+
+    recording = reading.recording(stage("reading"))
+    calibration = _calibrate(recording, method, stage("calibrating"), options, pairs)
+    page = stage("drawing the page")
+    calibration.save(folder / "calibration.yaml")
+    write_configuration(folder, reading, recording, calibration, options, arguments)
+    verdict = judged(calibration, recording)
+    write_exports(folder, calibration, force)
+    write_page(folder, replace(recording, name=reading.log.name), calibration, verdict)
+    page(1.0)
+    return recording, calibration, verdict
 
 
 def _calibrate(
@@ -118,7 +159,7 @@ def _calibrate(
 
 
 def _method_options(
-    field_strength: float | None,
+    known: dict[str, Any],
     noise: tuple[float, float] | None,
     delay: str | None,
     robust: bool | None,
@@ -128,7 +169,7 @@ def _method_options(
     """Arguments of `magyc_gtsam.calibrate`; what was not asked for is left to the method."""
     from magyc_gtsam.factors.errors import MagycError
 
-    options: dict[str, Any] = {"field_strength": field_strength, "robust": robust, "window": window}
+    options: dict[str, Any] = known | {"robust": robust, "window": window}
     if noise is not None:
         if not min(noise) > 0 or not max(noise) < math.inf:
             raise MagycError(f"--noise: {noise[0]:g} µT and {noise[1]:g} mrad/s, both must be more than 0")
@@ -143,12 +184,19 @@ def _method_options(
     return {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", pairs)
 
 
-def _show_json(folder: Path, calibration: Calibration) -> None:
+def _own_numbers(calibration: Calibration) -> str:
+    from magyc_gtsam.report.words import configuration
+
+    return configuration(calibration)
+
+
+def _show_json(folder: Path, calibration: Calibration, verdict: Verdict) -> None:
     import json
 
     files = {file.name: str(file) for file in sorted(folder.iterdir())}
     result = {
-        "trusted": calibration.trusted,
+        "trusted": verdict.trusted,
+        "verdict": verdict.to_dict(),
         "folder": str(folder),
         "files": files,
         "calibration": calibration.to_dict(),

@@ -6,6 +6,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,7 +19,7 @@ from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.study.comparison import Comparison
@@ -37,6 +38,7 @@ def run(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-compare-<date>-<time>."),
     ] = None,
+    open_page: given.Open = False,
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
@@ -47,7 +49,7 @@ def run(
     result to trust; 130: interrupted.
     """
     from magyc_gtsam.report.compare_page import render_comparison
-    from magyc_gtsam.report.compare_words import csv_text, to_dict
+    from magyc_gtsam.report.compare_words import csv_text, judged_comparison, to_dict
     from magyc_gtsam.study.comparison import checked_methods, judge, run_methods
 
     field_strength = scale.tesla()
@@ -70,10 +72,14 @@ def run(
             (part / "comparison.json").write_text(_json(to_dict(comparison)), encoding="utf-8")
             asked = {"methods": list(names), "field_strength": field_strength}
             write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
-            (part / "report.html").write_text(render_comparison(comparison), encoding="utf-8")
+            named = replace(comparison, recording=replace(recording, name=reading.log.name))
+            (part / "report.html").write_text(render_comparison(named), encoding="utf-8")
         page(1.0)
+    if open_page:
+        show_page(folder / "report.html")
     if json:
-        typer.echo(_json(to_dict(comparison) | {"folder": str(folder)}), nl=False)
+        sentence = judged_comparison(comparison).sentence
+        typer.echo(_json(to_dict(comparison) | {"sentence": sentence, "folder": str(folder)}), nl=False)
     elif not quiet:
         _show(comparison, reading.log.name, folder)
     if comparison.interrupted or held:
@@ -92,16 +98,21 @@ def _one_interrupt_held() -> Iterator[list[int]]:
 
     def note(number: int, frame: object) -> None:
         held.append(number)
-        signal.signal(signal.SIGINT, before)
+        restore()
+
+    def restore() -> None:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
     if threading.current_thread() is not threading.main_thread():  # to which signals go
         yield held
         return
-    before = signal.signal(signal.SIGINT, note)
+    signals = (signal.SIGINT, signal.SIGTERM)
+    before = {one: signal.signal(one, note) for one in signals}
     try:
         yield held
     finally:
-        signal.signal(signal.SIGINT, before)
+        restore()
 
 
 def _json(value: object) -> str:
@@ -114,13 +125,10 @@ def _show(comparison: Comparison, name: str, folder: Path) -> None:
     from magyc_gtsam.report import compare_words as words
 
     recording = comparison.recording
+    show(words.judged_comparison(comparison).sentence)
     show(f"{name}: {recording.duration:.1f} s, {len(comparison.inlier):,} magnetometer samples", "")
-    show_table(words.result_header(comparison), words.result_rows(comparison))
-    show("", *words.footnotes(comparison), "")
-    rows = words.parameter_rows(comparison)
-    if rows:
-        show_table(words.parameter_header(), rows)
-        show("")
+    show_table(words.short_header(comparison), words.short_rows(comparison))
+    show("", *words.footnotes(comparison), "Uncertainties, soft iron and gyroscope bias are on the page.", "")
     show(*(spelled(remark) for remark in words.remarks(comparison)))
     show(
         *(f"note: {note}" for note in recording.notes),

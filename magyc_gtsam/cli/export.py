@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import typer
 
 from magyc_gtsam.cli import options as given
-from magyc_gtsam.cli.calibrate import verdict
 from magyc_gtsam.cli.files import replacing
+from magyc_gtsam.cli.terminal import concluded, refused
 
 
 def run(
@@ -21,15 +21,22 @@ def run(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Default: standard output.")
     ] = None,
+    force: given.Force = False,
 ) -> int:
-    """Write a calibration as parameters to paste."""
+    """Write a calibration as parameters to paste.
+
+    One that must not be trusted is refused with exit code 1 and the reason.
+    """
     from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.report.verdict import judged
 
     calibration = Calibration.load(calibration_file)
-    text = calibration.export(target)
+    if not calibration.trusted and not force:
+        return refused(calibration)
+    text = calibration.export(target, force=force)
     if output is None:
         typer.echo(text, nl=False)
     else:
         with replacing(output) as part:
             part.write_text(text, encoding="utf-8")
-    return verdict(calibration)
+    return concluded(judged(calibration))

@@ -2,13 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import shutil
+import signal
 import tempfile
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
+
+try:
+    import fcntl
+except ImportError:  # Windows: without locks, directories of killed runs stay, and so do those of runs at work
+    fcntl = None  # type: ignore[assignment]
+
+_PREFIX = ".magyc-gtsam-"
+_LOCK = "lock"
+_UNLOCKED = 3600.0  # s after which a directory without a lock is nobody's
 
 
 @contextmanager
@@ -24,13 +37,15 @@ def replacing(path: Path) -> Iterator[Path]:
 def replacing_folder(path: Path) -> Iterator[Path]:
     """Likewise a folder; where `path` exists, the new files take their places in it one by one."""
     _refuse_files((path,))
+    _remove_orphans(path.parent)  # from before the folder was there
     with _temporary(path if path.exists() else path.parent) as directory:
         part = directory / "folder"
         part.mkdir()
         yield part
-        if not path.exists():
-            os.rename(part, path)
-        else:
+        with _one_at_a_time(path.parent):  # two runs into one folder leave the files of the later
+            with contextlib.suppress(OSError):  # it exists, or another run has made it since
+                os.rename(part, path)
+                return
             for file in part.iterdir():
                 os.replace(file, path / file.name)
 
@@ -55,16 +70,68 @@ def _temporary(place: Path) -> Iterator[Path]:
     missing = [p for p in (place, *place.parents) if not p.exists()]
     _refuse_files((place, *place.parents))
     place.mkdir(parents=True, exist_ok=True)
-    directory = Path(tempfile.mkdtemp(prefix=".magyc-gtsam-", dir=place))
+    _remove_orphans(place)
+    directory = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=place))
+    with open(directory / _LOCK, "wb") as lock:
+        _lock(lock)
+        try:
+            yield directory
+        except BaseException:
+            with _unstoppable():
+                shutil.rmtree(directory, ignore_errors=True)
+                for folder in missing:
+                    if folder.exists() and not any(folder.iterdir()):
+                        folder.rmdir()
+            raise
+        with _unstoppable():
+            shutil.rmtree(directory, ignore_errors=True)
+
+
+def _lock(file: IO[bytes]) -> None:
+    if fcntl is not None:
+        fcntl.flock(file, fcntl.LOCK_EX)
+
+
+def _remove_orphans(place: Path) -> None:
+    """Remove what runs left behind that were killed: nobody holds the lock of their directories."""
+    for directory in place.glob(f"{_PREFIX}*") if fcntl is not None else ():
+        with contextlib.suppress(OSError):
+            if not directory.is_dir() or directory.is_symlink():
+                continue
+            if not (directory / _LOCK).exists():
+                if time.time() - directory.stat().st_mtime > _UNLOCKED:
+                    shutil.rmtree(directory, ignore_errors=True)
+                continue
+            with open(directory / _LOCK, "rb") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # BlockingIOError: it is at work
+                shutil.rmtree(directory, ignore_errors=True)
+
+
+@contextmanager
+def _one_at_a_time(place: Path) -> Iterator[None]:
+    """Only one process at a time is in such a block of one place."""
+    if fcntl is None:
+        yield
+        return
+    descriptor = os.open(place, os.O_RDONLY)
     try:
-        yield directory
-    except BaseException:
-        shutil.rmtree(directory, ignore_errors=True)
-        for folder in missing:
-            if not any(folder.iterdir()):
-                folder.rmdir()
-        raise
-    shutil.rmtree(directory, ignore_errors=True)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _unstoppable() -> Iterator[None]:
+    """Requests to end wait until the block is done."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def _refuse_files(folders: Iterable[Path]) -> None:

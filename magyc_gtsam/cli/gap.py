@@ -14,12 +14,14 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
-from magyc_gtsam.cli.terminal import Progress, show, show_table, stages
+from magyc_gtsam.cli.terminal import Progress, show, show_page, show_table, stages
+from magyc_gtsam.foreign_text import printable
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Gap
     from magyc_gtsam.recording import Recording
     from magyc_gtsam.report.gap_words import Validation
+    from magyc_gtsam.report.verdict import Verdict
 
 _SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
 
@@ -75,6 +77,7 @@ def run(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-gap-<date>-<time>."),
     ] = None,
+    open_page: given.Open = False,
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
@@ -93,7 +96,7 @@ def run(
         return _plan(plan, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
     from magyc_gtsam.report.gap_page import render_gap
-    from magyc_gtsam.report.gap_words import closed, contradicted
+    from magyc_gtsam.report.gap_words import closed, contradicted, judged_gap, said
 
     start = None if calibration is None else Calibration.load(calibration)
     names = None if candidates is None else [name.strip() for name in candidates.split(",")]
@@ -112,8 +115,9 @@ def run(
                 validation = _validation(validate, held_out, gap, stage("validating"))
             except MagycError as problem:  # what was found on LOG is kept
                 unjudged = [f"the result could not be judged on {validate.name}: {problem}"]
+        verdict = judged_gap(gap, validation, unjudged)
         page = stage("drawing the page")
-        (part / "gap.json").write_text(_json(_values(gap, validation)), encoding="utf-8")
+        (part / "gap.json").write_text(_json(_values(gap, validation, verdict)), encoding="utf-8")
         gap.calibration.save(part / "calibration.yaml")
         asked = {
             "candidates": names,
@@ -122,12 +126,16 @@ def run(
             "calibration": None if calibration is None else str(calibration),
         }
         write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
-        (part / "report.html").write_text(render_gap(recording, gap, validation), encoding="utf-8")
+        page_text = render_gap(replace(recording, name=reading.log.name), gap, validation, verdict)
+        (part / "report.html").write_text(page_text, encoding="utf-8")
         page(1.0)
+    if open_page:
+        show_page(folder / "report.html")
     if json:
-        typer.echo(_json(_values(gap, validation) | {"folder": str(folder)}), nl=False)
+        typer.echo(_json(_values(gap, validation, verdict) | {"folder": str(folder)}), nl=False)
     elif not quiet:
-        show(f"{reading.log.name}: {recording.duration:.1f} s", "")
+        show(verdict.sentence, f"{reading.log.name}: {recording.duration:.1f} s", "")
+        show(*map(said, verdict.details))
         _show(gap, validation)
         show(
             *(f"left out: {fault}" for fault in gap.diagnostics["left_out"]),
@@ -144,7 +152,7 @@ def run(
     doubts = [*unjudged, *doubts]
     if not doubts:
         return 0
-    typer.echo(f"magyc-gtsam: {'; '.join(doubts)}", err=True)
+    typer.echo(f"magyc-gtsam: {printable('; '.join(doubts))}", err=True)
     return 1
 
 
@@ -211,11 +219,12 @@ def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Val
     return Validation(log.name, swept(recording), before, after, differing)
 
 
-def _values(gap: Gap, validation: Validation | None) -> dict[str, Any]:
+def _values(gap: Gap, validation: Validation | None, judged: Verdict) -> dict[str, Any]:
     from magyc_gtsam.json_types import json_types
 
     values: dict[str, Any] = json_types(gap)
-    return values | {"validation": json_types(validation)}
+    judgement = {"trusted": judged.trusted, "sentence": judged.sentence, "details": list(judged.details)}
+    return values | {"judgement": judgement, "validation": json_types(validation)}
 
 
 def _json(values: dict[str, Any]) -> str:
@@ -227,11 +236,9 @@ def _json(values: dict[str, Any]) -> str:
 def _show(gap: Gap, validation: Validation | None) -> None:
     from magyc_gtsam.report import gap_words as words
 
-    show(f"{words.title(gap)}: {gap.sentence}")
     if gap.verdict == "not enough information":
         return
-    show(*(f"  {e.sentence}" for e in gap.effects if e.sentence not in gap.sentence), "")
-    show("What each would explain by itself, beside the model that the search began with:")
+    show("", "What each would explain by itself, beside the model that the search began with:")
     rows = words.hypothesis_rows(gap.hypotheses)
     show_table(words.HYPOTHESES, rows[:_SHOWN])
     if len(rows) > _SHOWN:

@@ -6,7 +6,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from enum import StrEnum
+from enum import Enum
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Protocol
@@ -24,12 +24,14 @@ if TYPE_CHECKING:
 _WAIT = 0.2  # s for which reading may wait: within it an interrupt is heeded
 
 
-class End(StrEnum):
+class End(str, Enum):
     """Why a run ended."""
 
     COMPLETE = "the input is complete"
     IDLE = "no growth"
     INTERRUPTED = "interrupted"
+
+    __str__ = str.__str__
 
 
 class View(Protocol):

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from magyc_gtsam.cli.calibrate import verdict
 from magyc_gtsam.cli.online_session import End, Session
-from magyc_gtsam.cli.terminal import console, show, show_calibration
+from magyc_gtsam.cli.terminal import concluded, console, show, show_calibration
+from magyc_gtsam.foreign_text import printable
 from magyc_gtsam.report.words import parameter_rows, uncertain
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Quiet:
 
     def complain(self, text: str) -> None:
         """One line on standard error."""
-        typer.echo(f"magyc-gtsam: {text}", err=True)
+        typer.echo(f"magyc-gtsam: {printable(text)}", err=True)
 
     def conclude(self, session: Session) -> int:
         """Say how it ended. The exit code: 0 converged, 1 not, 2 nothing to calibrate, 130 interrupted before."""
@@ -65,10 +65,12 @@ class Quiet:
         if calibration is None:
             return self._without(session)
         self.result(session, calibration)
+        from magyc_gtsam.report.verdict import judged
+
         if calibration.trusted and not self.online.converged:
             self.complain(f"the result must not be trusted: {self.online.progress.sentence}")
             return 1
-        return verdict(calibration)
+        return concluded(judged(calibration))
 
     def _without(self, session: Session) -> int:
         """There is no calibration."""
@@ -132,7 +134,7 @@ class Live(Plain):
 
     def complain(self, text: str) -> None:
         """As `Quiet.complain`, above the view."""
-        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+        self._console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     def stop(self) -> None:
         """Give the terminal back."""

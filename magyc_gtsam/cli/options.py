@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from magyc_gtsam.cli.configuration import from_file
+
 # What `magyc_gtsam.read` calls its arguments; its messages name them.
 _ARGUMENT = re.compile(r"\b(magnetic_field|angular_rate|acceleration|attitude|stamps|start|end)=(?=(\)?))")
 _TABLE_ARGUMENT = re.compile(r"\b(time|time_unit|rate|columns)=")
@@ -71,6 +73,22 @@ Read = Annotated[
     typer.Option(metavar="KEY=VALUE", help="Of text tables: time, time_unit, rate, columns. May be repeated."),
 ]
 
+Force = Annotated[
+    bool,
+    typer.Option("--force", help="Write also what must not be trusted: parameters as comments under DO NOT USE."),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        metavar="FILE",
+        is_eager=True,
+        callback=from_file,
+        help="configuration.yaml of an earlier run, for all options (and the LOG) that are not given.",
+    ),
+]
+Open = Annotated[bool, typer.Option("--open", help="Show the page in the browser.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="All details, and the method's own numbers.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on standard output.")]
 

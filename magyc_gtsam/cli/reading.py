@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _AXIS = re.compile(r"^(?:[xyz]\s*(?:←|<-|=)\s*)?([+−-]?)\s*([xyz])$")
 _EXPONENT = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)[eE][+-]?\d+$")
+# Numbers as YAML 1.2 has them: 1e-9 is one, without a point too.
+_YAML_1_2 = {"tag:yaml.org,2002:float": (_EXPONENT, list("+-.0123456789"))}
 _EPOCH = re.compile(r"time 0 is .*?(\d+)\.(\d{9}) s")
 
 
@@ -94,22 +96,17 @@ def parse_axes(text: str) -> Array:
 
 def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
     """{key: value} of "key=value" texts; values are YAML, so that 3, true and [1, 2] mean what they say."""
-    import yaml
-
     from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.stored import parse_yaml
 
-    class Values(yaml.SafeLoader):
-        """Numbers as YAML 1.2 has them: 1e-9 is one, without a point too."""
-
-    Values.add_implicit_resolver("tag:yaml.org,2002:float", _EXPONENT, list("+-.0123456789"))
     result = {}
     for pair in pairs or ():
         key, equals, value = pair.partition("=")
         if not equals or not key.strip():
             raise MagycError(f"{option}: {pair!r} is not of the form key=value")
         try:
-            result[key.strip().replace("-", "_")] = yaml.load(value, Values)
-        except yaml.YAMLError:
+            result[key.strip().replace("-", "_")] = parse_yaml(value, _YAML_1_2)
+        except MagycError:
             raise MagycError(f"{option}: the value of {pair!r} cannot be read") from None
     return result
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.cli.reading import Reading
     from magyc_gtsam.recording import Recording
+    from magyc_gtsam.report.verdict import Verdict
 
 EXPORTS = {
     "px4": "px4.params",
@@ -35,26 +36,37 @@ def dated_folder(log: Path, what: str = "") -> Path:
     return folder
 
 
-def write_page(folder: Path, recording: Recording, calibration: Calibration) -> None:
+def write_page(folder: Path, recording: Recording, calibration: Calibration, verdict: Verdict) -> None:
     """`report.html`, with the residuals of methods that have them."""
-    from magyc_gtsam.estimators.residuals import window_residuals
+    from magyc_gtsam.estimators.smoother.residuals import window_residuals
     from magyc_gtsam.report import write_report
 
     has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None
     residuals = window_residuals(recording, calibration) if has_residuals else None
-    write_report(folder / "report.html", recording, calibration, residuals)
+    write_report(folder / "report.html", recording, calibration, residuals, verdict)
 
 
-def write_exports(folder: Path, calibration: Calibration) -> None:
-    """Parameters to paste; a target that cannot hold the calibration gets the reason instead."""
+def write_exports(folder: Path, calibration: Calibration, force: bool = False) -> None:
+    """Parameters to paste; a target that cannot hold the calibration gets the reason instead.
+
+    Of a calibration that must not be trusted there are none; with `force` they are comments under DO NOT USE.
+    """
     from magyc_gtsam.factors.errors import MagycError
 
+    if not calibration.trusted and not force:
+        return
     for target, name in EXPORTS.items():
         try:
-            text = calibration.export(target)
+            text = calibration.export(target, force=force)
         except MagycError as error:
             text = f"# {error}\n"
         (folder / name).write_text(text, encoding="utf-8")
+
+
+def remove_exports(folder: Path) -> None:
+    """Parameters of an earlier run are not left beside a calibration that must not be trusted."""
+    for name in EXPORTS.values():
+        (folder / name).unlink(missing_ok=True)
 
 
 def write_configuration(
@@ -74,23 +86,31 @@ def write_configuration(
     write_yaml(folder / "configuration.yaml", run_description(reading, recording, arguments) | chosen)
 
 
+def _versions(*names: str) -> dict[str, str]:
+    """Of the packages that are installed."""
+    found = {}
+    for name in names:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
+
+
 def run_description(reading: Reading, recording: Recording, arguments: Sequence[str]) -> dict[str, Any]:
     """The command, its versions, the log with its checksum and how it was read; JSON types."""
     from magyc_gtsam import __version__
+    from magyc_gtsam.checksum import sha256
 
-    with open(reading.log, "rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {
         "magyc_gtsam": __version__,
         "command": shlex.join(["magyc-gtsam", *arguments]),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "log": {"name": reading.log.name, "sha256": digest, "bytes": reading.log.stat().st_size},
+        "log": {"name": reading.log.name, "sha256": sha256(reading.log), "bytes": reading.log.stat().st_size},
         "interval": [float(recording.time[0]), float(recording.time[-1])],
         "reading": reading.to_dict(),
         "notes": list(recording.notes),
         "versions": {
             "python": platform.python_version(),
-            **{name: version(name) for name in ("gtsam", "numpy", "scipy")},
+            **_versions("gtsam", "numpy", "scipy"),
         },
     }
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from magyc_gtsam.world_field import WorldField
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,22 @@ class Scale:
             )
         if self.date is None:
             raise MagycError("--location: the field changes by the year; give --date YYYY-MM-DD too")
+        return self._world().strength
+
+    def place(self) -> tuple[float, float] | None:
+        """Strength T and dip rad of the field at the place; None where no place was given.
+
+        Raises:
+            MagycError: as `tesla`.
+        """
+        if self.location is None or self.tesla() is None:
+            return None
+        field = self._world()
+        return field.strength, field.inclination
+
+    def _world(self) -> WorldField:
         from magyc_gtsam.world_field import world_magnetic_field
 
-        return world_magnetic_field(*self.location, self.date, self.altitude).strength
+        assert self.location is not None
+        assert self.date is not None
+        return world_magnetic_field(*self.location, self.date, self.altitude)

@@ -111,4 +111,4 @@ def _factor(text: str) -> tuple[str, float]:
     try:
         return name, float(factor) if equals else 1.0
     except ValueError:
-        raise MagycError(f"--effect: {factor!r} of {name!r} is no number") from None
+        raise MagycError(f"--effect: {factor!r} of {name!r} is not a number") from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +11,7 @@ import typer
 from magyc_gtsam.cli.terminal import show, show_table, stages
 
 
-class Study(StrEnum):
+class Study(str, Enum):
     """The studies there are."""
 
     EFFICIENCY = "efficiency"
@@ -21,6 +21,10 @@ class Study(StrEnum):
     REVIEW = "review"
     GAP = "gap"
     GAP_STRENGTHS = "gap-strengths"
+    FAULTS = "faults"
+    KNOWN = "known"
+
+    __str__ = str.__str__
 
 
 def run(
@@ -31,7 +35,9 @@ def run(
             help="efficiency (error over the Cramér–Rao bound, NEES), table-one (Table I of the MAGYC paper), settling "
             "(share of the data after which magyc-ifg stands still) or "
             "review (Table 2 of the review of magnetometer-only methods; it takes 250 runs), gap (blind test of "
-            "the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out) or autocal "
+            "the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out), "
+            "faults (wrong and trusted, right, or refused under faults of sensors, clocks, surroundings and "
+            "motion), known (skews of the chips; an earlier calibration and the field's strength as facts) or autocal "
             "(Fig. 5 and 6 of the Autocal paper, and one-sided data).",
             show_default=False,
         ),
@@ -42,7 +48,10 @@ def run(
     ] = 0.0,
     gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Deviation per sample.")] = 5.0,
     motion: Annotated[
-        list[str] | None, typer.Option(help="gap: may be repeated; default wide, moderate and multi.")
+        list[str] | None,
+        typer.Option(
+            help="gap, faults: may be repeated; default wide, moderate and multi; of faults wide, moderate, low, tiny."
+        ),
     ] = None,
     sets: Annotated[
         list[str] | None,
@@ -56,14 +65,27 @@ def run(
         ),
     ] = None,
     edition: Annotated[int, typer.Option(min=0, help="gap: of the seeds.")] = 1,
+    fault: Annotated[list[str] | None, typer.Option(help="faults: may be repeated; default all.")] = None,
+    by: Annotated[
+        list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="faults: processes.")] = 2,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="gap: an interrupted test goes on there.")
-    ] = Path("results/blindtest"),
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="gap, faults: an interrupted study goes on there; default results/blindtest or results/faults.",
+        ),
+    ] = None,
 ) -> int:
     """Run a study on simulated recordings and print its table."""
     noise = gyroscope_noise * 1e-3
     if study is Study.EFFICIENCY:
         _efficiency(runs, disturbed, noise)
+    elif study is Study.KNOWN:
+        _known(runs)
     elif study is Study.SETTLING:
         _settling(runs, noise)
     elif study is Study.REVIEW:
@@ -71,7 +93,11 @@ def run(
     elif study is Study.GAP:
         from magyc_gtsam.cli.study_gap import blind_test
 
-        return blind_test(output, runs, motion, sets, log or (), edition)
+        return blind_test(output or Path("results/blindtest"), runs, motion, sets, log or (), edition)
+    elif study is Study.FAULTS:
+        from magyc_gtsam.cli.study_faults import faults
+
+        return faults(output or Path("results/faults"), runs, motion, fault or (), by or (), workers)
     elif study is Study.GAP_STRENGTHS:
         from magyc_gtsam.cli.study_gap import strengths
 
@@ -109,6 +135,34 @@ def _efficiency(runs: int, disturbed: float, gyroscope_noise: float) -> None:
                 ]
             )
     show_table(["RMSE / bound", *BLOCKS, "hard iron nT", "NEES", "95 % band", "refused"], rows)
+
+
+def _known(runs: int) -> None:
+    from magyc_gtsam.study.known import LIMITED, MOTIONS, SKEWS, WAYS, band, fact_cells, skew_cells
+
+    rows = []
+    with stages() as stage:
+        for motion in MOTIONS:
+            for skew in SKEWS:
+                cells = skew_cells(motion, skew, runs, stage(f"{motion}, {skew:g}° askew, {runs} runs"))
+                row = [motion, f"{skew:g}"]
+                row += [f"{cells[way].heading:.3f}" for way in WAYS] + [f"{cells[way].nees:.1f}" for way in WAYS]
+                rows.append([*row, f"{cells['asked'].decided:.0%}"])
+    low, high = band(runs)
+    show_table(
+        ["motion", "skew °", *(f"heading °, {way}" for way in WAYS), *(f"NEES, {way}" for way in WAYS), "decided"],
+        rows,
+    )
+    show(f"NEES of 11, 95 % band {low:.1f} to {high:.1f}", "")
+    rows = []
+    with stages() as stage:
+        for motion, duration in LIMITED:
+            for way, cell in fact_cells(motion, duration, runs, stage(f"{motion}, {runs} runs")).items():
+                stated, left = f"{cell.stated * 1e6:.3f}", f"{cell.error * 1e6:.3f}"
+                rows.append(
+                    [f"{motion} {duration:g} s", way, left, stated, f"{cell.ratio:.2f}", f"{cell.refused:.0%}"]
+                )
+    show_table(["motion", "known", "hard iron error µT", "stated µT", "error²/σ²", "refused"], rows)
 
 
 def _table_one(runs: int, gyroscope_noise: float) -> None:

@@ -6,28 +6,35 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from magyc_gtsam.foreign_text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.report.verdict import Verdict
 
 Progress = Callable[[float], None]
 
-_WORST = 3  # weak directions that are shown
+_WORST = 4  # details that are shown
 _WIDE = 200  # columns of a file or pipe, in which nothing is to be cut
 
 
 @contextmanager
 def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
     """A function that opens a named stage and returns its progress callback; one bar per stage."""
+    if not shown or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda name: lambda share: None
+        return
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bars
 
     screen = console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Bars(*columns, console=screen, transient=True, disable=not (shown and screen.is_terminal)) as bars:
+    with Bars(*columns, console=screen, transient=True) as bars:
 
         def stage(name: str) -> Progress:
             for task in bars.tasks:
@@ -39,10 +46,10 @@ def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
 
 
 def show(*sentences: str) -> None:
-    """Sentences on standard output, each on a line of its own and never cut."""
+    """Sentences on standard output: wrapped at words on a terminal, one to a line in a pipe."""
     output = console()
     for sentence in sentences:
-        output.print(sentence, markup=False, highlight=False, soft_wrap=True)
+        output.print(printable(sentence), markup=False, highlight=False, soft_wrap=not output.is_terminal)
 
 
 def show_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -53,30 +60,59 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for index, name in enumerate(header):
         table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(printable, row))
     console().print(table, markup=False, highlight=False)
 
 
+def concluded(verdict: Verdict) -> int:
+    """The exit code of a verdict; says on standard error why a result must not be trusted."""
+    if verdict.trusted:
+        return 0
+    print(f"magyc-gtsam: the result must not be trusted: {printable(verdict.reason)}", file=sys.stderr)
+    return 1
+
+
+def refused(calibration: Calibration) -> int:
+    """Say why a calibration is not written out for use; the exit code."""
+    from magyc_gtsam.report.verdict import judged
+
+    reason = judged(calibration).reason
+    print(
+        f"magyc-gtsam: the result must not be trusted: {printable(reason)}; nothing was written (--force)",
+        file=sys.stderr,
+    )
+    return 1
+
+
 def show_calibration(calibration: Calibration) -> None:
-    """Parameters with their deviations, what the motion left weak, and what was disturbed."""
+    """Parameters with their deviations, and what was disturbed."""
     from magyc_gtsam.report.words import parameter_rows, stretch
 
     rows = parameter_rows(calibration)
     show_table(("", "x", "y", "z"), [[name, *values] for name, values in rows if len(values) == 3])
     show("", *(f"{name}: {values[0]}" for name, values in rows if len(values) == 1))
-    observability = calibration.observability
-    if observability is None:
-        show("observable: this method does not say")
-    else:
-        heading = observability.heading_sigma
-        known = "" if heading is None else f"; heading uncertain by {heading:.2g}° at worst in a level turn"
-        show(f"observable: {'yes' if observability.observable else 'no'}{known}")
-        show_weak([weakness.sentence for weakness in observability.weak])
     disturbed = calibration.diagnostics.get("disturbed") or []
     if disturbed:
         longest = ", ".join(stretch((start, end)) for start, end in disturbed[:5])
         show(f"disturbed, and weighed down: {longest}{' and more' if len(disturbed) > 5 else ''}")
     show(*(f"left out: {where}" for where in calibration.diagnostics.get("left_out", ())))
+
+
+def show_page(page: Path) -> None:
+    """In the user's browser; where there is none the path is on the terminal."""
+    import webbrowser
+
+    webbrowser.open(page.resolve().as_uri())
+
+
+def show_details(verdict: Verdict, every: bool = False) -> None:
+    """What was noticed beside the verdict; the page and the JSON have all of it."""
+    if len(verdict.details) == 1:
+        show(*verdict.details)
+    elif verdict.details:
+        show("details:", *(f"  {sentence}" for sentence in verdict.details[: None if every else _WORST]))
+    if len(verdict.details) > _WORST and not every:
+        show(f"  and {len(verdict.details) - _WORST} more, on the page")
 
 
 def show_weak(sentences: Sequence[str]) -> None:

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.faults import without_faults
 from magyc_gtsam.estimators.gauge import check_field_strength, doubt_strength
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.lazy import requires_gtsam
+from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.sensor_faults.usable import without_faults
 
 
 @dataclass(frozen=True)
@@ -23,12 +25,14 @@ class Method:
         paper: where it was published.
         needs: what the recording must hold beside the magnetic field.
         function: "module:function" that takes (recording, *, progress, **options) and returns a Calibration.
+        options: "module:class" of its options, a dataclass; "" where they are the function's own keywords.
     """
 
     summary: str
     paper: str
     needs: tuple[str, ...]
     function: str
+    options: str = ""
 
 
 _METHODS = {
@@ -36,103 +40,104 @@ _METHODS = {
         "maximum likelihood: field directions chained by the gyroscope and eliminated; robust, with covariance",
         "this project, after MAGYC and Autocal",
         ("angular_rate",),
-        "magyc_gtsam.estimators.smoother:calibrate_smoother",
+        "magyc_gtsam.estimators.smoother.smoother:calibrate_smoother",
+        "magyc_gtsam.estimators.smoother.options:SmootherOptions",
     ),
     "magyc-bfg": Method(
         "batch factor graph on the derivative residual of one-second windows, single state",
         "Rodríguez-Martínez and Troni, MAGYC, section III-C",
         ("angular_rate",),
-        "magyc_gtsam.estimators.magyc_bfg:calibrate_magyc_bfg",
+        "magyc_gtsam.estimators.magyc.magyc_bfg:calibrate_magyc_bfg",
     ),
     "magyc-ifg": Method(
         "incremental factor graph (iSAM2 with Dogleg) on the same residual, one window at a time",
         "Rodríguez-Martínez and Troni, MAGYC, section III-C",
         ("angular_rate",),
-        "magyc_gtsam.estimators.magyc_ifg:calibrate_magyc_ifg",
+        "magyc_gtsam.estimators.magyc.magyc_ifg:calibrate_magyc_ifg",
     ),
     "magfactor3": Method(
         "least squares on GTSAM's MagFactor3: known attitude, unknown hard iron and one scale for all axes",
         "GTSAM, MagFactor3; compared in MAGYC, section IV",
         ("attitude",),
-        "magyc_gtsam.estimators.magfactor3:calibrate_magfactor3",
+        "magyc_gtsam.estimators.hard_iron.magfactor3:calibrate_magfactor3",
     ),
     "sar-ls": Method(
         "least squares on a field that turns with the gyroscope: hard iron only",
         "Troni and Whitcomb 2019, section IV-A",
         ("angular_rate",),
-        "magyc_gtsam.estimators.sar_ls:calibrate_sar_ls",
+        "magyc_gtsam.estimators.hard_iron.sar_ls:calibrate_sar_ls",
     ),
     "sar-kf": Method(
         "Kalman filter on a field that turns with the gyroscope: hard iron only",
         "Troni and Whitcomb 2019, section IV-B",
         ("angular_rate",),
-        "magyc_gtsam.estimators.sar_kf:calibrate_sar_kf",
+        "magyc_gtsam.estimators.hard_iron.sar_kf:calibrate_sar_kf",
     ),
     "ellipsoid": Method(
         "algebraic least-squares ellipsoid fit; one outlier can spoil it",
         "Foster and Elkaim 2008",
         (),
-        "magyc_gtsam.estimators.ellipsoid:calibrate_ellipsoid",
+        "magyc_gtsam.estimators.ellipsoid.ellipsoid:calibrate_ellipsoid",
     ),
     "kok-schon": Method(
         "algebraic least-squares ellipsoid fit as a semidefinite program, so that it is an ellipsoid",
         "Kok and Schön 2016, section V",
         (),
-        "magyc_gtsam.estimators.kok_schon:calibrate_kok_schon",
+        "magyc_gtsam.estimators.ellipsoid.kok_schon:calibrate_kok_schon",
     ),
     "l1-ellipsoid": Method(
         "algebraic L1 ellipsoid fit as a semidefinite program; bears outliers",
         "Calafiore 2002; Autocal, section II-C",
         (),
-        "magyc_gtsam.estimators.l1_ellipsoid:calibrate_l1_ellipsoid",
+        "magyc_gtsam.estimators.ellipsoid.l1_ellipsoid:calibrate_l1_ellipsoid",
     ),
     "autocal": Method(
         "robust geometric ellipsoid fit from an L1 start, with covariance; bears disturbances",
         "Hong, Kang and Kim, Autocal, 2020",
         (),
-        "magyc_gtsam.estimators.autocal:calibrate_autocal",
+        "magyc_gtsam.estimators.autocal.autocal:calibrate_autocal",
     ),
     "twostep": Method(
         "ellipsoid by centred least squares, then Gauss–Newton on the centre's information; with covariance",
         "Alonso and Shuster 2002",
         (),
-        "magyc_gtsam.estimators.twostep:calibrate_twostep",
+        "magyc_gtsam.estimators.ellipsoid.twostep:calibrate_twostep",
     ),
     "crassidis": Method(
         "ellipsoid by an extended Kalman filter, sample by sample; with covariance",
         "Crassidis, Lai and Harman 2005",
         (),
-        "magyc_gtsam.estimators.crassidis:calibrate_crassidis",
+        "magyc_gtsam.estimators.ellipsoid.crassidis:calibrate_crassidis",
     ),
     "dorveaux": Method(
         "ellipsoid moved to the sphere by repeated linear least squares",
         "Dorveaux, Vissière, Martin and Petit 2009",
         (),
-        "magyc_gtsam.estimators.dorveaux:calibrate_dorveaux",
+        "magyc_gtsam.estimators.ellipsoid.dorveaux:calibrate_dorveaux",
     ),
     "vasconcelos": Method(
         "maximum-likelihood ellipsoid by Newton's method, from an algebraic start",
         "Vasconcelos, Elkaim, Silvestre, Oliveira and Cardeira 2011",
         (),
-        "magyc_gtsam.estimators.vasconcelos:calibrate_vasconcelos",
+        "magyc_gtsam.estimators.ellipsoid.vasconcelos:calibrate_vasconcelos",
     ),
     "ali-pso": Method(
         "ellipsoid by particle swarm, seeded",
         "Ali, Siddharth, Syed and El-Sheimy 2012",
         (),
-        "magyc_gtsam.estimators.ali_pso:calibrate_ali_pso",
+        "magyc_gtsam.estimators.ellipsoid.ali_pso:calibrate_ali_pso",
     ),
     "wu-shi": Method(
         "maximum likelihood of ellipsoid and field directions, Newton's method on the Lagrangian",
         "Wu and Shi 2015",
         (),
-        "magyc_gtsam.estimators.wu_shi:calibrate_wu_shi",
+        "magyc_gtsam.estimators.ellipsoid.wu_shi:calibrate_wu_shi",
     ),
     "magical": Method(
         "MAG.I.C.AL: ellipsoid and field directions by alternating least squares",
         "Papafotis and Sotiriadis 2019",
         (),
-        "magyc_gtsam.estimators.magical:calibrate_magical",
+        "magyc_gtsam.estimators.ellipsoid.magical:calibrate_magical",
     ),
 }
 
@@ -168,6 +173,7 @@ def calibrate(
     if method not in _METHODS:
         raise MagycError(f"method: {method!r} is none of {', '.join(_METHODS)}")
     check_field_strength(field_strength)
+    expect_recording("mg.calibrate", recording)
     if (recording.magnetic_field == recording.magnetic_field[0]).all():
         raise MagycError("magnetic_field: all rows are the same; the sensor is stuck, or was not turned")
     counts = recording.magnetic_field_unit == "counts"
@@ -178,10 +184,12 @@ def calibrate(
             "(magnetic_unit=), or take a method that needs the magnetometer alone"
         )
     module, name = _METHODS[method].function.split(":")
-    function = getattr(importlib.import_module(module), name)
+    with requires_gtsam(f"method {method!r}"):
+        function = getattr(importlib.import_module(module), name)
     shared = {"field_strength": field_strength, "noise": noise, "robust": robust}
     given = {k: v for k, v in shared.items() if v is not None} | options
-    allowed = function.__kwdefaults__ or {}
+    its_options = _METHODS[method].options
+    allowed = _imported(its_options).__dataclass_fields__ if its_options else function.__kwdefaults__ or {}
     unknown = sorted(given.keys() - allowed.keys())
     if unknown:
         raise MagycError(
@@ -206,4 +214,10 @@ def calibrate(
         result = replace(result, converged=False, message=f"{usable.clipped.sentence}; {result.message}")
     if counts:
         result = replace(result, configuration={**result.configuration, "magnetic_field_unit": "counts"})
-    return result
+    return result.made_from(recording)
+
+
+def _imported(name: str) -> Any:
+    """What "module:name" names."""
+    module, what = name.split(":")
+    return getattr(importlib.import_module(module), what)

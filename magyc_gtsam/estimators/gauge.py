@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import UPPER
 from magyc_gtsam.recording import Array
 from magyc_gtsam.validation import EARTH_FIELD
 
@@ -42,13 +42,16 @@ def doubt_strength(strength: float) -> str:
     )
 
 
-def fix_scale(scaled: Array, covariance: Array, field_strength: float | None = None) -> tuple[Array, float, Array]:
+def fix_scale(
+    scaled: Array, covariance: Array, field_strength: float | None = None, sigma: float = 0.0
+) -> tuple[Array, float, Array]:
     """Split B = field strength · soft iron.
 
     Args:
         scaled: (3, 3) B in T.
         covariance: (12, 12) of vech(B) T, hard iron T, gyroscope bias rad/s; (9, 9) without the bias.
         field_strength: T; None takes ∛det B, so that the soft iron has determinant 1.
+        sigma: T, standard deviation of `field_strength`.
 
     Returns:
         Soft iron (3, 3), field strength T, and the covariance, of the given size, of vech(soft iron), hard iron
@@ -60,4 +63,8 @@ def fix_scale(scaled: Array, covariance: Array, field_strength: float | None = N
     if field_strength is None:  # the strength moves with B: d∛det B = ∛det B / 3 · tr(B⁻¹ dB)
         slope = strength / 3 * np.linalg.inv(scaled)[UPPER] * np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
         jacobian[:6, :6] -= np.outer(scaled[UPPER], slope) / strength**2
-    return scaled / strength, strength, jacobian @ covariance @ jacobian.T
+    result = jacobian @ covariance @ jacobian.T
+    if sigma:  # A = B/F
+        shape = scaled[UPPER] / strength
+        result[:6, :6] += np.outer(shape, shape) * (sigma / strength) ** 2
+    return scaled / strength, strength, result

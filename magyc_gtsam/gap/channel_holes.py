@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.signals import kinds
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.recording import Recording
 
 _PAUSES = 5.0  # times the spacing of a channel's own values, up to which a pause is none

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.clipped_field import ClippedField
 from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.sensor_faults.full_scale import ClippedField
 
 MOST = 0.25  # share of the samples, beyond which the model of saturation is sigmas off: 2 at 0.4, 4 at 0.6
 

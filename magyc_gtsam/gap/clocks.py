@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from magyc_gtsam.estimators.chain_fit import Fit
-from magyc_gtsam.estimators.clock_drift import speaks
-from magyc_gtsam.factors.field_chain import DELAY
+from magyc_gtsam.estimators.smoother.clock_drift import speaks
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.refit import Refit
 
 CLOCK_DRIFT = "clock-drift"

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.estimators.axes import arrangements, check
-from magyc_gtsam.estimators.chain_search import short_term_noise
+from magyc_gtsam.estimators.smoother.axes import arrangements, check
+from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.held_clock import on_own_clock
 from magyc_gtsam.gap.noise_effects import NoiseScore, quantisation, sample_hold
 from magyc_gtsam.recording import Recording

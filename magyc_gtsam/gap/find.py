@@ -9,10 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.chain_search import fit_field_chain, preintegrate, short_term_noise
-from magyc_gtsam.estimators.faults import without_faults
+from magyc_gtsam.estimators.smoother.search import fit_field_chain, preintegrate, short_term_noise
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SensorNoise
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import DELAY, PARAMETERS, Noise
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.clipped import with_clipped
 from magyc_gtsam.gap.discrete import moving, settled
@@ -27,6 +26,7 @@ from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.sensor_faults.usable import without_faults
 
 _WINDOW = 1.0  # s
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
@@ -163,7 +163,7 @@ def _problem(recording: Recording) -> Problem:
     return Problem.of(recording, preintegrate(recording, _WINDOW))
 
 
-def base_model(recording: Recording, calibration: Calibration | None, short_term: Noise) -> Refit:
+def base_model(recording: Recording, calibration: Calibration | None, short_term: SensorNoise) -> Refit:
     """The twelve parameters at their minimum; with the delay and the terms of a calibration, where one is given."""
     delay = 0.0 if calibration is None else calibration.delay
     still = moving(recording)
@@ -187,10 +187,11 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
     return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
 
 
-def _determined(recording: Recording, base: Refit, short_term: Noise) -> Observability:
+def _determined(recording: Recording, base: Refit, short_term: SensorNoise) -> Observability:
     """What the motion could determine, at the sensors' own noise: a missing effect's misfit is no noise."""
     fitted = as_calibration(base, None)
     assert fitted.covariance is not None
     assert fitted.field_strength is not None
     share = min(1.0, (short_term.magnetometer / base.model.noise.magnetometer) ** 2)
-    return assess(share * fitted.covariance, fitted.soft_iron, fitted.field_strength, recording)
+    covariance = share * fitted.covariance
+    return assess(covariance, fitted.soft_iron, fitted.field_strength, recording, fitted.hard_iron)

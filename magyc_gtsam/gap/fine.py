@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.chain_search import preintegrate
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.estimators.smoother.search import preintegrate
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, tone
 from magyc_gtsam.gap.problem import Model, Problem
 from magyc_gtsam.gap.twin import Twin

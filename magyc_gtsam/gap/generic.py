@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import per_axis
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.signals import STANDARD_GRAVITY, Signals
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import per_axis
+from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.gap.twin import Columns, Twin
 
 _KNOTS = (12, 40)  # of the splines in time

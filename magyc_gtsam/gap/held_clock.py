@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.recording import Recording
 
 _ONE_ROW = 1.2  # rows by which the ages of held samples differ, if they come on a clock

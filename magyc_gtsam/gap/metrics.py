@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from scipy.stats import chi2
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import tone
 from magyc_gtsam.gap.result import GapMap, Line, Metrics, OpenLoop

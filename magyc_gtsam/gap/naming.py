@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import NoiseScore

@@ -14,9 +14,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import FORMS, Setting
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.signals import Signals
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.generic import Family
 from magyc_gtsam.gap.twin import Columns, Twin

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 from scipy.special import gammaincc
 
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.recording import Recording
 
 _MEDIAN = 2.674  # of Gamma(3)

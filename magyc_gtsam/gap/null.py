@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 from scipy.special import gammaincc, gammainccinv, gammaln
 
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 
 Draws = NDArray[np.float32]  # half the memory, and enough for a threshold
 TAIL = 0.9

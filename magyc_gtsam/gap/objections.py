@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, faint, shape_of, weights
 from magyc_gtsam.gap.neighbours import product_of

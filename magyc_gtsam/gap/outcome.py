@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.factors.effects import Term
-from magyc_gtsam.factors.field_chain import Noise
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.field_variation import field_variation
 from magyc_gtsam.gap.fine import Fine, fine_innovations
 from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.moved import against, contradiction, moved
@@ -30,6 +31,7 @@ from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verd
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
 from magyc_gtsam.gap.search import Search
+from magyc_gtsam.gap.worth import pays
 
 
 def nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibration | None, seconds: float) -> Gap:
@@ -58,7 +60,7 @@ def nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibrati
 def gap_of(
     result: Search,
     base: Refit,
-    short_term: Noise,
+    short_term: SensorNoise,
     calibration: Calibration | None,
     names: tuple[str, ...],
     discrete: tuple[NoiseScore, ...],
@@ -86,12 +88,16 @@ def gap_of(
         for place, index in term_places(found, plain.model).items()
         if found[place].unsure or not determined(plain, index)
     }
+    unpaid = _unpaid(
+        result, held, {p: i for p, i in term_places(found, plain.model).items() if p not in open_places}
+    )
+    open_places |= unpaid
     corrected, fine = _corrected(result, last, held, open_places.values(), short_term)
     turned = tuple(term for term in added if term.name == "axis-order")  # in the data that all was fitted to
     started = as_calibration(base, strength, (*known, *turned))
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
     catalogue = "in the catalogue" if names == NAMES else "among the candidates"
-    effects = describe(found, last.refit, open_places)
+    effects = describe(found, last.refit, open_places, unpaid)
     word, sentence = verdict(effects, result.leftover, last, catalogue)
     applied = word in ("closed", "open")
     effects = effects if applied else ()
@@ -131,6 +137,21 @@ def gap_of(
     )
 
 
+def _unpaid(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
+    """Those of the terms found (place: index) whose correction does not pay beside a field that varies."""
+    if not places:
+        return {}
+    variation = field_variation(result.last.refit.twin)
+    if not variation.evident:
+        return {}
+    held, weak = widened(held), {}
+    for place, index in places.items():
+        without = widened(refit(result.problem, without_term(held.model, index), None))
+        if not pays(held, without, index, variation):
+            weak[place] = index
+    return weak
+
+
 def _on_noise(
     calibration: Calibration | None, found: Sequence[Found]
 ) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
@@ -150,7 +171,7 @@ def _on_noise(
 
 
 def _corrected(
-    result: Search, last: Look, held: Refit, open_places: Collection[int], short_term: Noise
+    result: Search, last: Look, held: Refit, open_places: Collection[int], short_term: SensorNoise
 ) -> tuple[Refit, Fine]:
     """The model without the terms that are named, not corrected, and its innovations sample by sample."""
     corrected = last.refit

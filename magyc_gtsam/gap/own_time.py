@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.signals import Signals
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.score import Projector, Score, variant
 from magyc_gtsam.gap.twin import Twin

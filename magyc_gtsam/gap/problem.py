@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.estimators.chain_search import short_term_noise
-from magyc_gtsam.factors.effects import FORMS, Setting
-from magyc_gtsam.factors.field_chain import DELAY, FieldChain, Noise, Reduced, State
-from magyc_gtsam.factors.preintegration import FieldWindows, Preintegration
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.signals import Signals, channels_by_kind
-from magyc_gtsam.factors.soft_iron import unvech
+from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain, Reduced, SensorNoise, State
+from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.recording import Recording
 
 _STILL = 1e-9  # of a channel's largest value: less is rounding
@@ -47,7 +47,7 @@ class Model:
 
     parameters: Array
     free: np.ndarray
-    noise: Noise
+    noise: SensorNoise
     terms: tuple[Active, ...] = ()
 
     @property

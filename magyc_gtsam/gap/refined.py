@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import Look
 from magyc_gtsam.gap.neighbours import neighbours

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.chain_fit import Fit, adapt
 from magyc_gtsam.estimators.gauge import fix_scale
-from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.estimators.smoother.fit import Fit, adapt
+from magyc_gtsam.factors.chain.field_chain import DELAY, SensorNoise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import DELAY, Noise
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.soft_iron import unvech
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.twin import Twin
@@ -96,7 +96,7 @@ def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
     return value * deviations, covariance * np.outer(deviations, deviations)
 
 
-def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
+def refit(problem: Problem, model: Model, short_term: SensorNoise | None) -> Refit:
     """Everything jointly, re-linearised at each step; noise levels in between (None keeps them).
 
     Raises:
@@ -136,7 +136,7 @@ def refit(problem: Problem, model: Model, short_term: Noise | None) -> Refit:
     return Refit(twin, covariance, converged)
 
 
-def tempered(problem: Problem, result: Refit, short_term: Noise) -> Refit:
+def tempered(problem: Problem, result: Refit, short_term: SensorNoise) -> Refit:
     """With every effect of many values held by a deviation of its own values, refitted (empirical Bayes).
 
     A weak effect of many values is mostly noise in those that the motion hardly determines; to apply it would do more

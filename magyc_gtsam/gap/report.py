@@ -6,7 +6,7 @@ from collections.abc import Container, Iterable, Sequence
 
 import numpy as np
 
-from magyc_gtsam.estimators.axes import Arrangement
+from magyc_gtsam.estimators.smoother.axes import Arrangement
 from magyc_gtsam.gap.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.naming import Found, Look, term_places
@@ -22,6 +22,9 @@ _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _OPEN = "named, not corrected: this motion leaves part of it open"
 _UNSURE = "named, not corrected: what nobody recorded may be behind it"
+_UNPAID = (
+    "named, not corrected: beside a field that varies the correction gains nothing on data it was not fitted to"
+)
 _VETOED = (
     "significant, but it predicts nothing on data it was not fitted to",
     "significant, but its channel, shifted in time, would explain as much",
@@ -111,14 +114,22 @@ def _noise_sentence(noise: NoiseScore) -> str:
     return f"the sensors' axes differ: read the gyroscope as {arrangement.axes}"
 
 
-def describe(found: Sequence[Found], refitted: Refit, uncorrected: Container[int]) -> tuple[Effect, ...]:
-    """The effects as values; `uncorrected` are the places of what is named only."""
+def describe(
+    found: Sequence[Found], refitted: Refit, uncorrected: Container[int], unpaid: Container[int] = ()
+) -> tuple[Effect, ...]:
+    """The effects as values; `uncorrected` are the places of what is named only, `unpaid` of what gains nothing."""
     indices = term_places(found, refitted.model)
-    return tuple(_described(f, refitted, indices.get(i), i not in uncorrected) for i, f in enumerate(found))
+
+    def why(place: int, one: Found) -> str:
+        if place not in uncorrected:
+            return ""
+        return _UNPAID if place in unpaid else _UNSURE if one.unsure else _OPEN
+
+    return tuple(_described(f, refitted, indices.get(i), why(i, f)) for i, f in enumerate(found))
 
 
-def _described(found: Found, refitted: Refit, index: int | None, applied: bool) -> Effect:
-    """An effect; `index` is its place among the model's terms, None for what is no term."""
+def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Effect:
+    """An effect; `index` is its place among the model's terms, None for what is no term; `why` it is not corrected."""
     if found.noise is not None:
         sentence = _noise_sentence(found.noise)
         value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting
@@ -143,8 +154,8 @@ def _described(found: Found, refitted: Refit, index: int | None, applied: bool) 
         found.rivals,
         found.statistic,
         found.threshold,
-        applied,
-        sentence if applied else f"{sentence} ({_UNSURE if found.unsure else _OPEN})",
+        not why,
+        f"{sentence} ({why})" if why else sentence,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -237,7 +238,7 @@ class Manoeuvre:
     sentence: str
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Gap:
     """The result of `find_gap`.
 
@@ -283,6 +284,22 @@ class Gap:
     def names(self) -> tuple[str, ...]:
         """Names of the effects found."""
         return tuple(effect.name for effect in self.effects)
+
+    def plot(self) -> Any:
+        """The prediction before and after, and where the gap is, as a matplotlib figure."""
+        return _notebook().plot_gap(self)
+
+    def __repr__(self) -> str:
+        return f"Gap({self.verdict!r}, {list(self.names)})"
+
+    def _repr_html_(self) -> str:
+        text: str = _notebook().html_of(self)
+        return text
+
+
+def _notebook() -> Any:
+    """What draws, which lies above this module and is imported where it is asked for."""
+    return importlib.import_module("magyc_gtsam.report.notebook")
 
 
 @dataclass(frozen=True)

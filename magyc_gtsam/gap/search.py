@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import Noise
-from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange, with_two_causes
 from magyc_gtsam.gap.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.effects import TERMS
@@ -118,7 +118,7 @@ def _confirmation(refitted: Refit, innovation: Array) -> Callable[[Score], float
 def search(
     recording: Recording,
     base: Refit,
-    short_term: Noise,
+    short_term: SensorNoise,
     names: tuple[str, ...],
     prepare: Prepare,
     progress: Callable[[float], None],

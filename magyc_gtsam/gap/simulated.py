@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm
 
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.soft_iron import unvech, vech
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech, vech
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import Look
 from magyc_gtsam.gap.refit import Refit

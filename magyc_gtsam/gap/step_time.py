@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.field_variation import field_variation
 from magyc_gtsam.gap.refit import Refit, without_term
-from magyc_gtsam.gap.score import Projector, variants
+from magyc_gtsam.gap.score import Projector, variant
 
 _REACH = 60.0  # s to both sides
 _FEWEST = 12  # windows to both sides
@@ -18,20 +20,26 @@ def step_time_sigma(refitted: Refit, index: int) -> float:
     twin = refitted.twin
     term = twin.model.terms[index]
     value, _ = refitted.value_of(index)
+    variation = field_variation(twin)
+
+    def whitened(rows: Array) -> Array:
+        """Beside a field that varies what changed at a time is less certain."""
+        return variation.whiten(rows) if variation.evident else rows
+
     own = twin.whiten(twin.columns(term.name, term.setting))
     without = replace(twin, model=without_term(twin.model, index))
-    project = Projector(without.base_columns, without.base_pull)
-    target = project((twin.residual().ravel() - value @ own)[None])[0]  # as if the step were not there
+    project = Projector(whitened(without.base_columns), without.base_pull)
+    target = project(whitened((twin.residual().ravel() - value @ own)[None]))[0]  # as if the step were not there
     edges = 0.5 * (twin.time[1:] + twin.time[:-1])
     at = int(np.argmin(np.abs(edges - term.setting["time"])))
     window = float(np.median(np.diff(twin.time)))
     reach = max(_FEWEST, round(_REACH / window))
     times = edges[max(at - reach, 0) : at + reach + 1]
-    profile = [
-        float(np.vdot(d, d))
-        for v in variants(without, project, term.name, [{**term.setting, "time": float(t)} for t in times])
-        for d in [v.score(target)]
-    ]
+    profile = []
+    for time in times:
+        setting = {**term.setting, "time": float(time)}
+        d = variant(setting, whitened(twin.whiten(twin.columns(term.name, setting))), project).score(target)
+        profile.append(float(np.vdot(d, d)))
     weight = np.exp(0.5 * (np.array(profile) - max(profile)))
     weight /= weight.sum()
     spread = float(weight @ (times - weight @ times) ** 2)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import Setting
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import Noise
-from magyc_gtsam.factors.rotations import Array
 from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine
@@ -52,7 +52,7 @@ class State:
     problem: Problem
     current: Refit
     found: tuple[Found, ...]
-    short_term: Noise
+    short_term: SensorNoise
 
     def refitted(self, model: Model) -> Refit | None:
         """Another model at its minimum; None where the data do not determine its terms beside the rest."""

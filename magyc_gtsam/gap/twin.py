@@ -16,14 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.banded import inverse_blocks
-from magyc_gtsam.factors.effects import FORMS, Setting
-from magyc_gtsam.factors.field_chain import PARAMETERS, FieldChain, Reduced, State
-from magyc_gtsam.factors.rate_columns import attitude, rate_columns, turned_by
-from magyc_gtsam.factors.rotations import Array, cross, skew
-from magyc_gtsam.factors.signals import Signals
-from magyc_gtsam.factors.soft_iron import unvech
-from magyc_gtsam.gap.forward_filter import ForwardFilter
+from magyc_gtsam.factors.chain.banded import inverse_blocks
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain, Reduced, State
+from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
+from magyc_gtsam.factors.chain.rate_columns import attitude, rate_columns, turned_by
+from magyc_gtsam.factors.chain.rotations import Array, cross, skew
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.problem import Active, Model, Problem, build, window_signals
 
 _DIFFERENCE = 1e-3  # rad/s

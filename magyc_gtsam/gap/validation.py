@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.chain_search import preintegrate, short_term_noise
 from magyc_gtsam.estimators.gauge import fix_scale
-from magyc_gtsam.factors.effects import Term
+from magyc_gtsam.estimators.smoother.search import preintegrate, short_term_noise
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SensorNoise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import PARAMETERS, Noise
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.soft_iron import vech
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import TERMS
@@ -144,7 +144,7 @@ def as_model(problem: Problem, calibration: Calibration) -> Model:
             [calibration.delay],
         ]
     )
-    noise = Noise(calibration.noise["magnetic_field"], calibration.noise["angular_rate"])
+    noise = SensorNoise(calibration.noise["magnetic_field"], calibration.noise["angular_rate"])
     return Model(parameters, free, noise, terms)
 
 

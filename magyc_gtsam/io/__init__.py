@@ -1,4 +1,4 @@
-"""Logs in: one `read` for ROS 2 and ROS 1 messages in MCAP, text tables, PX4 and ArduPilot logs."""
+"""Logs in: one `read` for ROS 2 and ROS 1 messages in MCAP and bags, text tables, autopilots' and phones' logs."""
 
 from __future__ import annotations
 
@@ -19,13 +19,26 @@ from magyc_gtsam.recording import Recording
 __all__ = ["LogInfo", "Source", "info", "read", "same_format", "write_mcap"]
 
 # What a file begins with says more than its name; the name decides where the beginning says nothing.
-_MAGIC = {b"\x89MCAP0\r\n": "mcap_log", b"ULog\x01\x12\x35": "ulog", b"\xa3\x95": "ardupilot"}
+_MAGIC = {
+    b"\x89MCAP0\r\n": "mcap_log",
+    b"ULog\x01\x12\x35": "ulog",
+    b"\xa3\x95": "ardupilot",
+    b"#ROSBAG V2.0": "ros_bag",
+    b"SQLite format 3\0": "ros_bag",
+    b"PK\x03\x04": "phone_archive",
+}
 _SUFFIXES = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log"), "csv_log"),
     ".mcap": "mcap_log",
     ".ulg": "ulog",
     ".bin": "ardupilot",
+    ".bag": "ros_bag",
+    ".db3": "ros_bag",
+    ".zip": "phone_archive",
+    ".tlog": "tlog",
 }
+_WITHOUT_MAGIC = ("csv_log", "tlog")
+_KNOWN = "MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag and .db3, MAVLink .tlog, a phone app's .zip"
 
 
 def read(
@@ -48,7 +61,7 @@ def read(
     """A `Recording` from a log. Time 0 is the log's first row; the notes say what had to be done.
 
     Args:
-        path: MCAP, text table, PX4 .ulg or ArduPilot .BIN.
+        path: MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag or .db3, MAVLink .tlog, or the .zip of a phone app.
         magnetic_field, angular_rate, acceleration, attitude: the topic (MCAP), the columns or the beginning
             they share (text), or the message (PX4, ArduPilot) of each sensor; not needed where one only
             could be meant.
@@ -128,7 +141,7 @@ def _reader(path: Path) -> ModuleType:
     by_content = next((name for magic, name in _MAGIC.items() if head.startswith(magic)), None)
     name = by_content or _SUFFIXES.get(path.suffix.lower()) or ("csv_log" if b"\0" not in head else None)
     if name is None or (by_content is None and name == "csv_log" and b"\0" in head):
-        raise MagycError(f"{path}: not a format that can be read (MCAP, text table, PX4 .ulg, ArduPilot .BIN)")
-    if by_content is None and name != "csv_log":
+        raise MagycError(f"{path}: not a format that can be read ({_KNOWN})")
+    if by_content is None and name not in _WITHOUT_MAGIC:
         raise MagycError(f"{path}: is called {path.suffix} but does not begin like one; is the file damaged?")
     return importlib.import_module(f"magyc_gtsam.io.{name}")

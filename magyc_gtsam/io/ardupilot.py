@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io import dataflash
 from magyc_gtsam.io.ardupilot_compass import undo
+from magyc_gtsam.io.dataflash import Dataflash
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
 
 Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 
 _MILLIGAUSS = 1e-7  # T
 _AXES = {
@@ -26,25 +27,34 @@ _AXES = {
     "angular_rate": ("IMU", ("GyrX", "GyrY", "GyrZ")),
     "acceleration": ("IMU", ("AccX", "AccY", "AccZ")),
 }
-_COMPASS_FIELDS = ("OfsX", "OfsY", "OfsZ", "MOX", "MOY", "MOZ")
+_OFFSETS = (("OfsX", "OfsY", "OfsZ"),)
+_MOTORS = (("MOX", "MOY", "MOZ"), ("MOfsX", "MOfsY", "MOfsZ"))  # the latter until 3.6
 _CHANNELS = ("BAT.Curr", "BAT.Volt", "BARO.Temp", "IMU.T", "CTUN.ThO")
-_REPORT_EVERY = 10_000  # messages
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class _Samples:
-    """The messages of one instance, a row each."""
+    """The messages of one instance: their stamps (n,) ns, columns, and the set of parameters in force."""
 
-    time: list[int] = field(default_factory=list)
-    rows: list[tuple[float, ...]] = field(default_factory=list)
-    parameters: list[int] = field(default_factory=list)
+    name: str
+    stamp: Stamps
+    columns: dict[str, Array]
+    parameters: NDArray[np.int64]
 
-    def stream(self, name: str, columns: slice | int) -> Stream:
-        return Stream(
-            name,
-            np.array(self.time, dtype=np.int64) * 1000,
-            np.array(self.rows, dtype=np.float64)[:, columns],
-        )
+    def stream(self, *columns: str) -> Stream:
+        """Of some columns, (n, k).
+
+        Raises:
+            MagycError: the messages have no such column.
+        """
+        if missing := [c for c in columns if c not in self.columns]:
+            raise MagycError(f"{self.name}: has no {', '.join(missing)} in this log")
+        return Stream(self.name, self.stamp, np.column_stack([self.columns[c] for c in columns]))
+
+    def first_of(self, *choices: tuple[str, ...]) -> Array:
+        """(n, 3) of the first choice of columns that the messages have."""
+        found = next((c for c in choices if all(name in self.columns for name in c)), choices[0])
+        return self.stream(*found).value
 
 
 @dataclass
@@ -53,20 +63,20 @@ class _Log:
 
     Args:
         samples: by (message, instance).
-        fields: the fields of the rows, by message.
         parameters: the sets of parameters that were in force, one after the other.
+        notes: what is wrong with the log.
     """
 
     samples: dict[tuple[str, int], _Samples]
-    fields: dict[str, tuple[str, ...]]
     parameters: list[dict[str, float]]
+    notes: tuple[str, ...]
 
 
 def read(path: Path, request: Request) -> Recording:
     """As `magyc_gtsam.io.read`, of an ArduPilot log.
 
     Raises:
-        MagycError: pymavlink is not installed, a message is missing, or what was applied cannot be undone.
+        MagycError: a message is missing, or what was applied cannot be undone.
     """
     request.only("ArduPilot")
     if request.stamps == "log":
@@ -76,7 +86,7 @@ def read(path: Path, request: Request) -> Recording:
         raise MagycError(f"channels: {bad[0]!r}; write them as message.field (BAT.Curr), or message[1].field")
     fields: dict[str, tuple[str, ...]] = {"ATT": ("Roll", "Pitch", "Yaw")}
     for name in ("MAG", "MAG2", "MAG3"):
-        fields[name] = (*_AXES["magnetic_field"][1], *_COMPASS_FIELDS, "Health")
+        fields[name] = (*_AXES["magnetic_field"][1], *sum((*_OFFSETS, *_MOTORS), ()), "Health")
     for name in ("IMU", "IMU2", "IMU3"):
         fields[name] = (*_AXES["angular_rate"][1], *_AXES["acceleration"][1])
     for channel in asked:
@@ -84,17 +94,16 @@ def read(path: Path, request: Request) -> Recording:
         kind = message.split("[")[0]
         fields[kind] = tuple(dict.fromkeys((*fields.get(kind, ()), member)))
     log = _load(path, fields, request)
-    notes: list[str] = []
+    notes = list(log.notes)
     sensors = {"magnetic_field": _magnetometer(log, request, notes)}
     for sensor in ("angular_rate", "acceleration"):
         key = _choose(log, sensor, request, notes if sensor == "angular_rate" else [])
         if key is None:
             notes.append(f"no {sensor}: the log has no IMU messages")
             continue
-        columns = _columns(log, key[0], _AXES[sensor][1])
         scale, said = request.scale(sensor)
         notes.extend(said)
-        stream = log.samples[key].stream(_label(key), columns)
+        stream = log.samples[key].stream(*_AXES[sensor][1])
         sensors[sensor] = Stream(stream.name, stream.stamp, stream.value * scale)
     if "angular_rate" in sensors:
         cutoff = log.parameters[-1].get("INS_GYRO_FILTER")
@@ -108,17 +117,9 @@ def read(path: Path, request: Request) -> Recording:
 
 def info(path: Path) -> LogInfo:
     """As `magyc_gtsam.io.info`, of an ArduPilot log; `problem` is left to the caller."""
-    reader = _open(path)
-    kinds = {
-        name: int(reader.counts[number]) for number, name in reader.id_to_name.items() if reader.counts[number]
-    }
-    timed: dict[str, tuple[str, ...]] = {
-        k: () for k in kinds if "TimeUS" in reader.formats[reader.name_to_id[k]].columns
-    }
-    reader.close()
-    log = _load(path, dict(timed), Request())
+    log = _load(path, None, Request())
     sensors = [s for k, s in log.samples.items() if k[0] in ("MAG", "IMU")]
-    times = [t for s in sensors for t in (s.time[0], s.time[-1])]
+    times = [t for s in sensors for t in (int(s.stamp[0]), int(s.stamp[-1]))]
     first, last = min(times, default=0), max(times, default=0)
     serves: dict[str, tuple[str, ...]] = {"ATT": ("attitude",)}
     for sensor, (kind, _) in _AXES.items():
@@ -131,91 +132,107 @@ def info(path: Path) -> LogInfo:
         Source(
             _label(k),
             k[0],
-            len(s.time),
-            ((s.time[0] - first) / 1e6, (s.time[-1] - first) / 1e6),
+            len(s.stamp),
+            ((int(s.stamp[0]) - first) / 1e9, (int(s.stamp[-1]) - first) / 1e9),
             serves.get(k[0], ()),
         )
         for k, s in log.samples.items()
     )
-    return LogInfo(str(path), "ArduPilot dataflash", (last - first) / 1e6, sources)
+    return LogInfo(str(path), "ArduPilot dataflash", (last - first) / 1e9, sources, log.notes)
 
 
-def _open(path: Path) -> Any:
+def _load(path: Path, fields: dict[str, tuple[str, ...]] | None, request: Request) -> _Log:
+    """The messages named, with these columns; None for all that have a time, without columns."""
+    log = dataflash.load(path)
+    request.report(0.3)
     try:
-        from pymavlink.DFReader import DFReader_binary
-    except ImportError:
-        raise MagycError(
-            f"{path}: ArduPilot logs need pymavlink; install it with: pip install 'magyc-gtsam[ardupilot]'"
-        ) from None
-    # Time as the autopilot counts it: pymavlink's other clocks start at the first GPS fix.
-    return DFReader_binary(str(path), zero_time_base=True)
+        return _loaded(log, fields, request)
+    finally:
+        log.close()
 
 
-def _load(path: Path, fields: dict[str, tuple[str, ...]], request: Request) -> _Log:
-    reader = _open(path)
-    present = {k: v for k, v in fields.items() if k in reader.name_to_id}
-    for kind, members in present.items():
-        known = reader.formats[reader.name_to_id[kind]].columns
-        present[kind] = tuple(m for m in members if m in known)
-    instances: dict[str, str] = {}
-    for kind in present:
-        form = reader.formats[reader.name_to_id[kind]]
+def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: Request) -> _Log:
+    notes = []
+    if log.skipped:
+        notes.append(f"the log is damaged: {log.skipped} bytes are no messages and were left out")
+    if fields is None:
+        fields = dict.fromkeys(log.kinds, ())
+    present = [k for k in fields if k in log.kinds and log.kinds[k].time and log.kinds[k].fields is not None]
+    notes += [
+        f"{kind} left out: its format does not fit the length of its messages"
+        for kind in fields
+        if kind in log.kinds and log.kinds[kind].fields is None
+    ]
+    used = np.sort(np.concatenate([log.places(k) for k in present if k.startswith("MAG")] or [np.empty(0, int)]))
+    parameters, changes = _parameters(log, used)
+    samples: dict[tuple[str, int], _Samples] = {}
+    impossible = 0
+    for done, kind in enumerate(present):
+        known = log.kinds[kind]
         # Logs without units do not mark the field; in other messages than these "I" is an integral.
-        marked = form.instance_field or ("I" if "I" in form.columns and kind in ("MAG", "IMU", "BARO") else None)
-        instances |= {kind: marked} if marked else {}
-    samples: dict[tuple[str, int], _Samples] = defaultdict(_Samples)
-    parameters: list[dict[str, float]] = [{}]
-    in_use = False
-    count = 0
-    while (message := reader.recv_match(type=[*present, "PARM"], strict=True)) is not None:
-        kind = message.get_type()
-        count += 1
-        if count % _REPORT_EVERY == 0:
-            request.report(reader.percent / 100)
-        if kind == "PARM":
-            name, value = message.Name, float(message.Value)
-            if name not in parameters[-1]:
-                # Parameters are written while sensors already are: the first value held from the start.
-                for known_set in parameters:
-                    known_set[name] = value
-            elif parameters[-1][name] != value:
-                if in_use:
-                    parameters.append(dict(parameters[-1]))
-                    in_use = False
-                parameters[-1][name] = value
-        if kind not in present:
-            continue
-        members = present[kind]
-        in_use |= kind.startswith("MAG")
-        instance = int(getattr(message, instances[kind])) if kind in instances else 0
-        if kind[-1:] in ("2", "3") and kind[:-1] in ("MAG", "IMU"):
-            kind, instance = kind[:-1], int(kind[-1]) - 1
-        rows = samples[kind, instance]
-        rows.time.append(int(message.TimeUS))
-        rows.rows.append(tuple(getattr(message, m) for m in members))
-        rows.parameters.append(len(parameters) - 1)
-    reader.close()
-    request.report(1.0)
-    return _Log(dict(samples), present, parameters)
+        marked = known.instance or ("I" if "I" in known.columns and kind in ("MAG", "IMU", "BARO") else None)
+        marked = marked if marked and known.holds(marked, "numbers") else None  # instances by name are no sensors
+        places = log.places(kind)
+        stamp, possible = log.stamps(kind, places)
+        impossible += int((~possible).sum())
+        places, stamp = places[possible], stamp[possible]
+        instances = log.column(kind, marked, places) if marked else np.zeros(len(places), dtype=np.int64)
+        name, shift = (
+            (kind[:-1], int(kind[-1]) - 1) if kind[:-1] in ("MAG", "IMU") and kind[-1] in "23" else (kind, 0)
+        )
+        for instance in np.unique(instances).tolist():
+            if not -1 < instance < 256:
+                continue
+            rows = instances == instance
+            key = (name, int(instance) + shift)
+            at = places[rows]
+            columns = {
+                c: log.column(kind, c, at).astype(np.float64) for c in fields[kind] if known.holds(c, "numbers")
+            }
+            if key not in samples:
+                samples[key] = _Samples(_label(key), stamp[rows], columns, np.searchsorted(changes, at))
+        request.report(0.3 + 0.7 * (done + 1) / len(present))
+    if impossible:
+        notes.append(f"{impossible} messages have impossible times and were left out")
+    return _Log(samples, parameters, tuple(notes))
+
+
+def _parameters(log: Dataflash, used: Stamps) -> tuple[list[dict[str, float]], Stamps]:
+    """The sets of parameters, and where in the file each but the first begins.
+
+    Args:
+        log: its PARM messages.
+        used: places of the messages that parameters matter to; one that changes between two of them begins a new set.
+    """
+    sets: list[dict[str, float]] = [{}]
+    changes: list[int] = []
+    known = log.kinds.get("PARM")
+    if known is None or not (known.holds("Name", "text") and known.holds("Value", "numbers")):
+        return sets, np.empty(0, dtype=np.int64)
+    names, values = dataflash.names(log.column("PARM", "Name").tolist()), log.column("PARM", "Value").tolist()
+    for place, name, value in zip(log.places("PARM").tolist(), names, values, strict=True):
+        value = float(value)
+        if name not in sets[-1]:
+            # Parameters are written while sensors already are: the first value held from the start.
+            for one in sets:
+                one[name] = value
+        elif sets[-1][name] != value:
+            since, until = np.searchsorted(used, [changes[-1] if changes else -1, place])
+            if until > since:
+                sets.append(dict(sets[-1]))
+                changes.append(place)
+            sets[-1][name] = value
+    return sets, np.array(changes, dtype=np.int64)
 
 
 def _label(key: tuple[str, int]) -> str:
     return f"{key[0]}[{key[1]}]"
 
 
-def _columns(log: _Log, kind: str, names: tuple[str, ...]) -> slice:
-    """The place of consecutive fields in the rows of a message."""
-    members = log.fields[kind]
-    if any(n not in members for n in names):
-        raise MagycError(f"{kind}: has no {', '.join(n for n in names if n not in members)} in this log")
-    first = members.index(names[0])
-    return slice(first, first + len(names))
-
-
 def _choose(log: _Log, sensor: str, request: Request, notes: list[str]) -> tuple[str, int] | None:
     kind = _AXES[sensor][0]
     found = sorted(k for k in log.samples if k[0] == kind)
-    listed = ", ".join(f"{_label(k)} ({len(log.samples[k].time)} samples)" for k in found)
+    listed = ", ".join(f"{_label(k)} ({len(log.samples[k].stamp)} samples)" for k in found)
     named = request.named(sensor)
     if named is not None:
         wanted = [k for k in found if named in (_label(k), f"{kind}{k[1] + 1}") or (named == kind and k[1] == 0)]
@@ -236,13 +253,12 @@ def _magnetometer(log: _Log, request: Request, notes: list[str]) -> Stream:
             "the log has no MAG messages; have ArduPilot log the compass (LOG_BITMASK, bit 'Compass')"
         )
     samples = log.samples[key]
-    stream = samples.stream(_label(key), _columns(log, "MAG", _AXES["magnetic_field"][1]))
-    corrections = samples.stream(_label(key), _columns(log, "MAG", _COMPASS_FIELDS)).value
+    stream = samples.stream(*_AXES["magnetic_field"][1])
     raw, said = undo(
         stream.value,
-        corrections[:, :3],
-        corrections[:, 3:],
-        np.array(samples.parameters),
+        samples.first_of(*_OFFSETS),
+        samples.first_of(*_MOTORS),
+        samples.parameters,
         log.parameters,
         key[1],
     )
@@ -250,8 +266,8 @@ def _magnetometer(log: _Log, request: Request, notes: list[str]) -> Stream:
     scale, asked = request.scale("magnetic_field", _MILLIGAUSS)
     notes.extend(asked)
     stream = Stream(stream.name, stream.stamp, raw * scale)
-    if "Health" in log.fields.get("MAG", ()):
-        healthy = samples.stream("", log.fields["MAG"].index("Health")).value != 0
+    if "Health" in samples.columns:
+        healthy = samples.columns["Health"] != 0
         if not healthy.all():
             notes.append(
                 f"{stream.name}: {(~healthy).sum()} of {len(healthy)} samples are unhealthy and were left out"
@@ -268,7 +284,7 @@ def _attitude(log: _Log, request: Request, notes: list[str]) -> Stream | None:
         if named:
             raise MagycError("attitude: the log has no ATT messages")
         return None
-    stream = log.samples["ATT", 0].stream("ATT", slice(0, 3))
+    stream = log.samples["ATT", 0].stream("Roll", "Pitch", "Yaw")
     quaternion = Rotation.from_euler("ZYX", stream.value[:, ::-1], degrees=True).as_quat()
     trim = [log.parameters[-1].get(f"AHRS_TRIM_{axis}", 0.0) for axis in "XY"]
     turned = f", turned by AHRS_TRIM ({', '.join(f'{np.degrees(t):.1f}°' for t in trim)})" if any(trim) else ""
@@ -283,10 +299,10 @@ def _channels(log: _Log, asked: tuple[str, ...], request: Request) -> dict[str, 
     result = {}
     for channel in asked:
         message, member = channel.split(".", 1)
-        kind = message.split("[")[0]
         found = [k for k in sorted(log.samples) if message in (k[0], _label(k))]
-        if found and member in log.fields.get(kind, ()) and len(log.samples[found[0]].time) > 1:
-            result[channel] = log.samples[found[0]].stream(channel, log.fields[kind].index(member))
+        samples = log.samples[found[0]] if found else None
+        if samples is not None and member in samples.columns and len(samples.stamp) > 1:
+            result[channel] = Stream(channel, samples.stamp, samples.columns[member])
         elif request.channels is not None:
             raise MagycError(f"channels: the log has no {channel!r}; write them as message.field")
     return result

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,8 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.csv_columns import Column, Columns, find_sensor, find_time, parse_header
-from magyc_gtsam.io.csv_table import Table, is_number, load
+from magyc_gtsam.io.csv_stamps import StampColumn
+from magyc_gtsam.io.csv_table import Stamps, Table, is_number, load
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
@@ -20,7 +19,6 @@ from magyc_gtsam.recording import Recording
 
 Array = NDArray[np.float64]
 
-_LONGEST_STEP = 2.0  # s; a table of larger steps counts in another unit, unless its header says seconds
 OPTIONS = ("time", "time_unit", "rate", "columns")
 
 
@@ -36,17 +34,23 @@ def read(path: Path, request: Request) -> Recording:
     """
     request.only("text", *OPTIONS)
     table = load(path, request.options.get("columns"))
-    found = {s: find_sensor(table.columns, s, request.sensors.get(s)) for s in (*_TARGETS, "attitude")}
+    notes: list[str] = []
+    found: dict[str, Columns | None] = {}
+    for sensor in (*_TARGETS, "attitude"):
+        try:
+            found[sensor] = find_sensor(table.columns, sensor, request.sensors.get(sensor))
+        except MagycError as error:
+            if sensor in ("magnetic_field", "angular_rate") or request.sensors.get(sensor):
+                raise
+            notes.append(f"{sensor} left out: {error}")  # most methods need none
     time = find_time(table.columns, request.options.get("time"))
     _require(table, found["magnetic_field"], time, request)
-    notes = list(table.notes)
-    stamp = _stamps(table, time, request)
-    request.report(0.3)
     used = {c.index for g in found.values() if g for c in g.columns} | ({time.index} if time else set())
     extra = _channel_columns(table, used, request, notes)
     wanted = sorted({c.index for g in found.values() if g for c in g.columns} | {c.index for c in extra})
-    values = dict(zip(wanted, table.array(wanted).T, strict=True))
-    request.report(0.9)
+    numbers, stamp, said = _read(table, wanted, time, request)
+    values = dict(zip(wanted, numbers.T, strict=True))
+    notes[:0] = said
     sensors = {}
     for sensor, group in found.items():
         if group is None:
@@ -84,29 +88,32 @@ def info(path: Path) -> LogInfo:
         except MagycError:
             continue  # `problem` says it: which columns are meant is for the caller of `read` to say
         serves |= {c.index: sensor for c in group.columns} if group else {}
-    time, span = None, None
+    time, span, stamp = None, None, None
     try:
         time = find_time(table.columns, None)
         if time is not None:
-            stamp = _stamps(table, time, Request())
+            _, stamp, notes = _read(table, [], time, Request())
             span = (0.0, float(stamp[-1] - stamp[0]) / 1e9)
     except MagycError:
         pass  # likewise
-    columns = table.columns or parse_header([f"column {i + 1}" for i in range(len(table.cells(table.lines[0])))])
+    if stamp is None:
+        _, _, count, notes = table.read([], None, None, lambda _: None)
+    else:
+        count = len(stamp)
+    columns = table.columns or parse_header([f"column {i + 1}" for i in range(table.width)])
     sources = tuple(
-        Source(c.written, c.unit or "", len(table.lines), span, (serves.get(c.index, "channel"),))
+        Source(c.written, c.unit or "", count, span, (serves.get(c.index, "channel"),))
         for c in columns
         if time is None or c.index != time.index
     )
-    return LogInfo(str(path), f"CSV ({table.separator_name})", span[1] if span else 0.0, sources, table.notes)
+    return LogInfo(str(path), f"CSV ({table.separator_name})", span[1] if span else 0.0, sources, notes)
 
 
 def _require(table: Table, magnetometer: Columns | None, time: Column | None, request: Request) -> None:
     missing, remedies = [], []
     if not table.columns:
-        width = len(table.cells(table.lines[0]))
         missing.append("a header with column names")
-        remedies.append(f"name its {width} columns (columns='time,mx,my,mz,gx,gy,gz' or alike)")
+        remedies.append(f"name its {table.width} columns (columns='time,mx,my,mz,gx,gy,gz' or alike)")
     elif magnetometer is None:
         missing.append(f"magnetometer columns among {', '.join(c.written for c in table.columns)}")
         remedies.append("name them (magnetic_field='x,y,z')")
@@ -120,52 +127,21 @@ def _require(table: Table, magnetometer: Columns | None, time: Column | None, re
         raise MagycError(f"{table.path}: {' and '.join(missing)} {verb} missing; {', and '.join(remedies)}")
 
 
-def _stamps(table: Table, time: Column | None, request: Request) -> NDArray[np.int64]:
-    """ns of every line, exactly: a float64 of seconds since 1970 is good for 0.2 µs only."""
+def _read(
+    table: Table, wanted: list[int], time: Column | None, request: Request
+) -> tuple[Array, Stamps, tuple[str, ...]]:
+    """The cells of the columns, the stamps of all lines in ns, and notes."""
     if time is None:
         rate = float(request.options["rate"])
         if not 0 < rate < 1e6:
             raise MagycError(f"rate: {rate:g} Hz is not between 0 and 1 MHz")
-        return np.round(np.arange(len(table.lines)) * (1e9 / rate)).astype(np.int64)
+        numbers, _, count, notes = table.read(wanted, None, None, request.report)
+        return numbers, np.round(np.arange(count) * (1e9 / rate)).astype(np.int64), notes
     unit = request.options.get("time_unit") or time.unit or {"timeus": "us", "timems": "ms"}.get(time.name)
-    scale = Decimal(int(factor("time", unit or "s")))
-    stamp = np.empty(len(table.lines), dtype=np.int64)
-    for row, line in enumerate(table.lines):
-        cell = table.cells(line)[time.index].strip()
-        try:
-            stamp[row] = int((Decimal(cell) * scale).to_integral_value())
-        except OverflowError:
-            likely = next((u for u, least in (("ns", 17), ("us", 14)) if Decimal(cell).adjusted() >= least), "ms")
-            raise MagycError(
-                f"{table.path}, line {table.numbers[row]}: time stamp {cell} is beyond any date in {unit or 's'}; "
-                f"likely unit: {likely}; say it (time_unit='{likely}')"
-            ) from None
-        except (InvalidOperation, ValueError):
-            stamp[row] = _calendar(cell, table, row)
-            unit = unit or "ISO 8601"
-    step = float(np.median(np.abs(np.diff(stamp)))) / 1e9 if len(stamp) > 1 else 0.0
-    if unit is None and step > _LONGEST_STEP:
-        likely = next((u for u, s in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if step / s <= _LONGEST_STEP), "ns")
-        raise MagycError(
-            f"{table.path}: column {time.written} names no unit and steps by {step:g}; "
-            f"likely unit: {likely}; say it (time_unit='{likely}')"
-        )
-    return stamp
-
-
-def _calendar(cell: str, table: Table, row: int) -> int:
-    try:
-        moment = np.datetime64(datetime.fromisoformat(cell).replace(tzinfo=None), "s")
-        # datetime reads the calendar and the zone, but no digits below the microsecond.
-        zone = datetime.fromisoformat(cell).utcoffset()
-        digits = cell.split(".")[1] if "." in cell else ""
-        fraction = "".join(c for c in digits.split("+")[0].split("-")[0] if c.isdigit())[:9].ljust(9, "0")
-    except ValueError:
-        raise MagycError(
-            f"{table.path}, line {table.numbers[row]}: {cell!r} is no time stamp; repair or remove the line"
-        ) from None
-    seconds = int(moment.astype(np.int64)) - (int(zone.total_seconds()) if zone else 0)
-    return seconds * 1_000_000_000 + int(fraction)
+    column = StampColumn(table.path, unit)
+    numbers, stamp, _, notes = table.read(wanted, time.index, column, request.report)
+    column.check(stamp, time.written)
+    return numbers, stamp, notes
 
 
 def _channel_columns(table: Table, used: set[int], request: Request, notes: list[str]) -> list[Column]:
@@ -175,7 +151,7 @@ def _channel_columns(table: Table, used: set[int], request: Request, notes: list
         if missing:
             raise MagycError(f"channels: no column {missing[0]!r}; free are {', '.join(c.written for c in free)}")
         return [c for c in free if c.written in request.channels]
-    first = table.cells(table.lines[0])
+    first = table.first
     text = [c for c in free if first[c.index].strip() and not is_number(first[c.index])]
     if text:
         notes.append(f"columns left out, which hold text: {', '.join(c.written for c in text)}")

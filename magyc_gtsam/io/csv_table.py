@@ -1,120 +1,258 @@
-"""The lines and cells of a text table: separators, header, comments, and lines that are cut off."""
+"""The lines and cells of a text table: separators, header, comments, and lines that are cut off.
+
+The file is read in pieces, so that a table of any length takes the memory of the numbers that are kept of it.
+"""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.csv_columns import Column, parse_header
+from magyc_gtsam.io.growing import Growing
 
 Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", None: "blanks"}
+_AT_ONCE = 1 << 22  # bytes
+_LONGEST = 1 << 20  # characters of a line of a table
+_LONGEST_BYTES = 1 << 25  # before it is known to be text
+_SHOWN = 80  # characters of a cell in a message
+
+
+class Lines(NamedTuple):
+    """Lines of data, and the number of each in the file, from 1."""
+
+    numbers: Sequence[int]
+    text: list[str]
+
+
+# What makes stamps (ns) of the cells of the time column and the numbers of their lines.
+ToStamps = Callable[[list[str], Sequence[int]], Stamps]
 
 
 @dataclass(frozen=True)
 class Table:
-    """The lines that hold data, the columns, and what was left out.
+    """A text table: what its lines are.
 
     Args:
-        numbers: line number in the file of each line, from 1.
-        lines: of data.
         separator: None for blanks.
         columns: empty where the file has no header.
+        width: cells a line.
+        first: the cells of the first line of data.
+        header: number of the line that names the columns, 0 where none does.
     """
 
     path: Path
-    numbers: list[int]
-    lines: list[str]
     separator: str | None
     columns: tuple[Column, ...]
-    notes: tuple[str, ...]
+    width: int
+    first: list[str]
+    header: int
 
     @property
     def separator_name(self) -> str:
         """In words."""
         return _SEPARATORS[self.separator]
 
-    def cells(self, line: str) -> list[str]:
-        """The cells of a line."""
-        return _split(line, self.separator)
+    def read(
+        self, wanted: Sequence[int], time: int | None, to_stamps: ToStamps | None, report: Callable[[float], None]
+    ) -> tuple[Array, Stamps, int, tuple[str, ...]]:
+        """Cells of the columns `wanted` (n, k), NaN where empty; stamps; how many lines; and notes.
 
-    def array(self, columns: Sequence[int]) -> Array:
-        """The cells of the columns, (n, len(columns)); empty cells are NaN."""
+        Args:
+            wanted: places of the columns.
+            time: place of the column of stamps, None where there is none.
+            to_stamps: what makes stamps of it.
+            report: called with the fraction done.
+
+        Raises:
+            MagycError: a line has more or fewer cells than the header, or a cell is no number.
+        """
+        numbers, stamps = Growing(len(wanted), np.float64), Growing(None, np.int64)
+        notes: list[str] = []
+        count = 0
+        size = max(self.path.stat().st_size, 1)
+        for lines, last, place in self._data():
+            lines = self._whole(lines, last, count, notes)
+            if not lines.text:
+                continue
+            if self.separator == ";" and any("," in line for line in lines.text):
+                lines = Lines(lines.numbers, [line.replace(",", ".") for line in lines.text])
+                note = "commas in the numbers were read as decimal points"
+                notes += [note] if note not in notes else []
+            numbers.add(self._numbers(lines, wanted))
+            if time is not None and to_stamps is not None:
+                stamps.add(to_stamps(self._column(lines, time), lines.numbers))
+            count += len(lines.text)
+            report(place / size)
+        return numbers.taken, stamps.taken, count, tuple(notes)  # type: ignore[return-value]
+
+    def _data(self) -> Iterator[tuple[Lines, bool, int]]:
+        """Lines of data, whether they are the last, and how many bytes have been read."""
+        pieces = _pieces(self.path)
+        piece = next(pieces, None)
+        while piece is not None:
+            following = next(pieces, None)
+            lines, place = piece
+            if lines.numbers and lines.numbers[0] <= self.header:
+                kept = [k for k, number in enumerate(lines.numbers) if number > self.header]
+                lines = Lines([lines.numbers[k] for k in kept], [lines.text[k] for k in kept])
+            yield lines, following is None, place
+            piece = following
+
+    def _whole(self, lines: Lines, last: bool, before: int, notes: list[str]) -> Lines:
+        """The lines, all of the same number of cells; without the last of the file where it is cut off."""
+        if self.separator is None:
+            counts = [len(line.split()) for line in lines.text]
+        else:
+            counts = [
+                line.count(self.separator) + 1 if '"' not in line else len(_split(line, self.separator))
+                for line in lines.text
+            ]
+        if last and counts and before + len(counts) > 1 and counts[-1] < self.width:
+            notes.append(f"line {lines.numbers[-1]}, the last, is cut off and was left out")
+            counts.pop()
+            lines = Lines(lines.numbers[:-1], lines.text[:-1])
+        if counts.count(self.width) != len(counts):
+            row = next(k for k, n in enumerate(counts) if n != self.width)
+            raise MagycError(
+                f"{self.path}, line {lines.numbers[row]}: {counts[row]} values, expected {self.width}; "
+                "repair or remove the line"
+            )
+        return lines
+
+    def _column(self, lines: Lines, column: int) -> list[str]:
+        """The cells of one column."""
+        if self.separator is None or any('"' in line for line in lines.text):
+            return [_split(line, self.separator)[column] for line in lines.text]
+        return [line.split(self.separator, column + 1)[column] for line in lines.text]
+
+    def _numbers(self, lines: Lines, wanted: Sequence[int]) -> Array:
+        if not wanted:
+            return np.empty((len(lines.text), 0))
         try:
             return np.loadtxt(
-                self.lines, delimiter=self.separator, usecols=columns, comments=None, ndmin=2, quotechar='"'
+                lines.text, delimiter=self.separator, usecols=wanted, comments=None, ndmin=2, quotechar='"'
             )
         except ValueError:
             pass  # an empty cell, or no number: looked at one by one, to say where
-        result = np.empty((len(self.lines), len(columns)))
-        for row, line in enumerate(self.lines):
-            cells = self.cells(line)
-            for k, column in enumerate(columns):
-                cell = cells[column].strip()
+        result = np.empty((len(lines.text), len(wanted)))
+        for k, column in enumerate(wanted):
+            for row, cell in enumerate(self._column(lines, column)):
                 try:
-                    result[row, k] = float(cell) if cell else np.nan
+                    result[row, k] = float(cell) if cell.strip() else np.nan
                 except ValueError:
                     raise MagycError(
-                        f"{self.path}, line {self.numbers[row]}: {cell!r} in column {column + 1} is not a "
-                        "number; repair or remove the line"
+                        f"{self.path}, line {lines.numbers[row]}: {cell.strip()[:_SHOWN]!r} in column {column + 1} "
+                        "is not a number; repair or remove the line"
                     ) from None
         return result
 
 
 def load(path: Path, names: str | Sequence[str] | None) -> Table:
-    """The table in a file.
+    """What the table in a file is like.
 
     Args:
         path: of the file.
         names: of the columns, where the file has no header; None for the header's.
 
     Raises:
-        MagycError: there is no data, or a line has more or fewer cells than the header.
+        MagycError: there is no data.
     """
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    numbers: list[int] = []
-    lines: list[str] = []
+    head: list[tuple[int, str]] = []
     comment = ""
-    for number, line in enumerate(text.splitlines(), 1):
+    lines = 0
+    for number, line in _lines(path):
+        lines = number
         if line.lstrip().startswith("#"):
-            comment = line.lstrip().lstrip("#").strip() if not lines else comment
+            comment = line.lstrip().lstrip("#").strip() if not head else comment
         elif line.strip():
-            numbers.append(number)
-            lines.append(line)
-    if not lines:
-        raise MagycError(f"{path}: holds no data, only {len(text.splitlines())} empty or comment lines")
-    separator = _separator(lines)
-    header = _split(lines[0], separator)
+            head.append((number, line))
+            if len(head) == 2:
+                break
+    if not head:
+        raise MagycError(f"{path}: holds no data, only {lines} empty or comment lines")
+    separator = _separator([line for _, line in head])
+    header = _split(head[0][1], separator)
     columns: tuple[Column, ...] = ()
     if names is not None:
         columns = parse_header(names.replace(",", " ").split() if isinstance(names, str) else names)
+    header_line = 0
     if not _is_row(header):
         columns = columns or parse_header(header)
-        numbers, lines = numbers[1:], lines[1:]
+        header_line = head.pop(0)[0]
     elif not columns and len(_split(comment, separator)) == len(header):
         columns = parse_header(_split(comment, separator))
-    if not lines:
+    if not head:
         raise MagycError(f"{path}: holds a header but no data")
-    notes: tuple[str, ...] = ()
-    width = len(columns) or len(_split(lines[0], separator))
-    if len(lines) > 1 and len(_split(lines[-1], separator)) < width:
-        notes = (f"line {numbers[-1]}, the last, is cut off and was left out",)
-        numbers, lines = numbers[:-1], lines[:-1]
-    if separator == ";" and any("," in line for line in lines):
-        lines = [line.replace(",", ".") for line in lines]
-        notes = (*notes, "commas in the numbers were read as decimal points")
-    for number, line in zip(numbers, lines, strict=True):
-        count = len(_split(line, separator))
-        if count != width:
-            raise MagycError(f"{path}, line {number}: {count} values, expected {width}; repair or remove the line")
-    return Table(path, numbers, lines, separator, columns, notes)
+    first = _split(head[0][1], separator)
+    if columns and len(first) != len(columns):
+        raise MagycError(
+            f"{path}, line {head[0][0]}: {len(first)} values, expected {len(columns)}; repair or remove the line"
+        )
+    return Table(path, separator, columns, len(first), first, header_line)
+
+
+def _text(data: bytes, path: Path, number: int) -> list[str]:
+    lines = data.decode("utf-8", errors="replace").splitlines()
+    if any(len(line) > _LONGEST for line in lines):
+        raise MagycError(
+            f"{path}: a line behind line {number} is longer than {_LONGEST} characters; not a text table"
+        )
+    return lines
+
+
+def _raw(path: Path) -> Iterator[tuple[bytes, int]]:
+    """The file in pieces that end with a line, and how many bytes have been read."""
+    rest = b""
+    place = 0
+    with open(path, "rb") as file:
+        while data := file.read(_AT_ONCE):
+            if place == 0:
+                data = data.removeprefix(b"\xef\xbb\xbf")
+            place = file.tell()
+            end = data.rfind(b"\n") + 1
+            if not end:
+                rest += data
+                if len(rest) > _LONGEST_BYTES:
+                    raise MagycError(f"{path}: a line is longer than {_LONGEST_BYTES} bytes; not a text table")
+                continue
+            yield rest + data[:end], place
+            rest = data[end:]
+    if rest:
+        yield rest, place
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """All lines with their numbers, from 1."""
+    number = 0
+    for data, _ in _raw(path):
+        for line in _text(data, path, number):
+            number += 1
+            yield number, line
+
+
+def _pieces(path: Path) -> Iterator[tuple[Lines, int]]:
+    """The lines that are neither empty nor comments, piece by piece."""
+    number = 0
+    for data, place in _raw(path):
+        text = _text(data, path, number)
+        numbers: Sequence[int] = range(number + 1, number + len(text) + 1)
+        number += len(text)
+        if b"#" in data or not all(map(str.strip, text)):
+            kept = [k for k, line in enumerate(text) if line.strip() and not line.lstrip().startswith("#")]
+            text, numbers = [text[k] for k in kept], [numbers[k] for k in kept]
+        if text:
+            yield Lines(numbers, text), place
 
 
 def _separator(lines: Sequence[str]) -> str | None:

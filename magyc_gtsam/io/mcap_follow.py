@@ -7,28 +7,24 @@ covers writers that come back to a chunk to fill its length in: until then the l
 from __future__ import annotations
 
 import os
-import struct
 import time
 from collections.abc import Iterator
-from io import BytesIO
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
-import numpy as np
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Metadata
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.live import Batch, none
-from magyc_gtsam.io.mcap_topics import DAMAGE, FOUND_BY_TYPE, NO_SCHEMA, Topic, choose, unknown
+from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Damage, Record, block_of, broken_up, parsed, unpacked
+from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE, Source, Topics, choose, needed, unknown
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.io.ros2 import LAYOUTS, decode
+from magyc_gtsam.io.ros_fields import Array, Stamps
 from magyc_gtsam.recording import Samples
 
-_MAGIC = b"\x89MCAP0\r\n"
-_HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _AT_ONCE = 1 << 20  # bytes after which a batch is handed over, so that catching up with a long file can be watched
 _POLL = 0.05  # s between looks at a file that does not grow
 _SENSORS = ("magnetic_field", "angular_rate")
@@ -64,10 +60,9 @@ class McapFollower:
         except OSError as error:
             raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
         self._place = 0  # where complete records end
-        self._channels: dict[int, Channel] = {}
-        self._schemas: dict[int, Schema] = {}
-        self._topics: dict[str, Topic] = {}
-        self._chosen: dict[str, Topic] = {}
+        # No channels: only what the sensors are read from.
+        self._topics = Topics(needed(replace(request, channels=()), _SENSORS), request, self.notes, announced=True)
+        self._chosen: dict[str, Source] = {}
 
     def close(self) -> None:
         """Let go of the file."""
@@ -90,37 +85,38 @@ class McapFollower:
         until = time.monotonic() + wait
         while True:
             for record in self._records():
-                self._keep(record)
+                if not isinstance(record, Metadata):
+                    self._topics.keep(record)
             batch = self._batch()
             rest = until - time.monotonic()
             if batch or self.ended or rest <= 0:
                 return batch
             time.sleep(min(_POLL, rest))
 
-    def _records(self) -> Iterator[McapRecord]:
+    def _records(self) -> Iterator[Record]:
         """The records that are complete and not read yet, up to some megabytes of them."""
         self.received = size = os.fstat(self._file.fileno()).st_size
         if size < self._place:
             raise MagycError(
                 f"{self._path}: shrank from {self._place} to {size} bytes; was it replaced? begin anew with it"
             )
-        if self._place == 0 and size >= len(_MAGIC):
-            if self._file.read(len(_MAGIC)) != _MAGIC:
+        if self._place == 0 and size >= len(MAGIC):
+            if self._file.read(len(MAGIC)) != MAGIC:
                 raise MagycError(f"{self._path}: not an MCAP file")
-            self._place = len(_MAGIC)
+            self._place = len(MAGIC)
         enough = self._place + _AT_ONCE
         while 0 < self._place < enough and not self.ended:
             self._file.seek(self._place)
-            head = self._read(_HEAD.size)
-            if len(head) < _HEAD.size:
+            head = self._read(HEAD.size)
+            if len(head) < HEAD.size:
                 return
-            opcode, length = _HEAD.unpack(head)
-            if opcode == 0 or self._place + _HEAD.size + length > size:
+            opcode, length = HEAD.unpack(head)
+            if opcode == 0 or self._place + HEAD.size + length > size:
                 return  # space that was set aside, or a record that is still being written
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
                 yield from self._parsed(opcode, self._read(length))
             self.ended = opcode in (Opcode.DATA_END, Opcode.FOOTER)
-            self._place += _HEAD.size + length
+            self._place += HEAD.size + length
 
     def _read(self, count: int) -> bytes:
         parts = []
@@ -129,63 +125,42 @@ class McapFollower:
             count -= len(part)
         return b"".join(parts)
 
-    def _parsed(self, opcode: int, content: bytes) -> Iterator[McapRecord]:
-        stream = ReadDataStream(BytesIO(content))
-        if opcode == Opcode.MESSAGE:
-            yield Message.read(stream, len(content))
-        elif opcode == Opcode.SCHEMA:
-            yield Schema.read(stream)
-        elif opcode == Opcode.CHANNEL:
-            yield Channel.read(stream)
-        else:
-            try:
-                yield from breakup_chunk(Chunk.read(stream), validate_crc=True)
-            except DAMAGE as error:
-                self.notes.append(
-                    f"a chunk at byte {self._place} is damaged and was left out ({error or type(error).__name__})"
-                )
-
-    def _keep(self, record: McapRecord) -> None:
-        if isinstance(record, Schema):
-            self._schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self._channels[record.id] = record
-            schema = self._schemas.get(record.schema_id, NO_SCHEMA)
-            self._topics.setdefault(record.topic, Topic(record.topic, record.message_encoding, schema))
-        elif isinstance(record, Message) and record.channel_id in self._channels:
-            channel = self._channels[record.channel_id]
-            topic = self._topics[channel.topic]
-            if topic.type in LAYOUTS and self._schemas.get(channel.schema_id, NO_SCHEMA).name == topic.schema.name:
-                topic.log_time.append(record.log_time)
-                topic.data.append(record.data)
+    def _parsed(self, opcode: int, content: bytes) -> Iterator[Record]:
+        try:
+            if opcode == Opcode.MESSAGE:
+                yield from block_of(content, [(0, len(content))])
+            elif opcode == Opcode.CHUNK:
+                yield from broken_up(unpacked(content))
+            else:
+                yield parsed(opcode, content)
+        except Damage as error:
+            what = "chunk" if opcode == Opcode.CHUNK else "record"
+            self.notes.append(f"a {what} at byte {self._place} is damaged and was left out ({shortened(error)})")
 
     def _batch(self) -> Batch:
         for sensor in _SENSORS:
             if sensor not in self._chosen and self._present(sensor):
-                topic = choose(self._topics, sensor, self._request, self.notes)
-                assert topic is not None
-                self._chosen[sensor] = topic
-        samples = {sensor: self._samples(sensor, topic) for sensor, topic in self._chosen.items()}
-        for topic in self._topics.values():
-            topic.log_time, topic.data = [], []
+                source = choose(self._topics, sensor, self._request, self.notes)
+                assert source is not None
+                self._chosen[sensor] = source
+        # One topic may hold both sensors, and what it has is taken out once.
+        taken = {source.name: source.topic.drain() for source in self._chosen.values()}
+        samples = {sensor: self._samples(sensor, s, *taken[s.name]) for sensor, s in self._chosen.items()}
         return Batch(*(samples.get(sensor, none()) for sensor in _SENSORS))
 
     def _present(self, sensor: str) -> bool:
         """Whether a topic that could be the sensor's has been seen."""
         name = self._request.named(sensor)
         if name is not None:
-            return name in self._topics or f"/{name}" in self._topics
+            own = {name.lstrip("/"), name.lstrip("/").partition(".")[0]}
+            return any(topic.lstrip("/") in own for topic in self._topics)
         return any(topic.type == FOUND_BY_TYPE[sensor] for topic in self._topics.values())
 
-    def _samples(self, sensor: str, topic: Topic) -> Samples:
-        if not topic.data:
+    def _samples(self, sensor: str, source: Source, stamp: Stamps, numbers: Array) -> Samples:
+        if not len(stamp):
             return none()
-        layout = LAYOUTS[topic.type]
-        stamp, numbers = decode(topic.name, topic.data, layout, topic.encoding)
-        if unknown(layout, sensor, numbers):
+        if unknown(source, numbers):
             raise MagycError(
-                f"{topic.name}: says that it has no {sensor} (covariance[0] is -1); name another topic"
+                f"{source.name}: says that it has no {sensor} (covariance[0] is -1); name another topic"
             )
-        if self._request.stamps == "log":
-            stamp = np.array(topic.log_time, dtype=np.int64)
-        return Samples(stamp / 1e9, numbers[:, layout.parts[sensor]] * self._scale[sensor])
+        return Samples(stamp / 1e9, numbers[:, source.columns] * self._scale[sensor])

@@ -13,7 +13,8 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.ros2 import LAYOUTS, NANOSECONDS, definition, encode, encode_numbers
+from magyc_gtsam.io.ros2 import SENSOR_FIELDS, UNKNOWN, definition, encode, encode_numbers, numbers_of
+from magyc_gtsam.io.ros_fields import NANOSECONDS
 from magyc_gtsam.recording import Recording
 
 METADATA = "magyc-gtsam"  # holds what ROS messages have no field for
@@ -106,12 +107,13 @@ def _topics(recording: Recording, stamp: NDArray[np.int64]) -> Iterator[_Topic]:
 
 
 def _topic(name: str, schema: str, stamp: NDArray[np.int64], **parts: NDArray[np.float64]) -> _Topic:
-    layout = LAYOUTS[schema]
-    value = np.zeros((len(stamp), layout.width))
-    for index in (layout.unknown or {}).values():
-        value[:, index] = -1.0
+    places = {path: column for column, path in enumerate(numbers_of(schema))}
+    unknown = UNKNOWN.get(schema, {})
+    value = np.zeros((len(stamp), len(places)))
+    for path in unknown.values():
+        value[:, places[path]] = -1.0
     for part, columns in parts.items():
-        value[:, layout.parts[part]] = columns
-        if layout.unknown:
-            value[:, layout.unknown[part]] = 0.0
+        value[:, [places[path] for path in SENSOR_FIELDS[schema][part]]] = columns
+        if part in unknown:
+            value[:, places[unknown[part]]] = 0.0
     return _Topic(name, schema, stamp, encode(stamp, value))

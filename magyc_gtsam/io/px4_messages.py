@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.px4_calibration import Parameters
 
 Array = NDArray[np.float64]
@@ -64,18 +68,28 @@ def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters
             f"{path}: PX4 logs need pyulog; install it with: pip install 'magyc-gtsam[px4]'"
         ) from None
     try:
-        log = ULog(str(path), names)
-    except ULogException as error:
-        raise MagycError(f"{path}: not a PX4 log that can be read ({error})") from None
-    messages = [Message(d.name, int(d.multi_id), d.data) for d in log.data_list]
-    changes = tuple((int(when), name, float(value)) for when, name, value in log.changed_parameters)
+        with redirect_stdout(StringIO()):  # the library prints what it finds wrong
+            log = ULog(str(path), names)
+    except MemoryError:
+        raise
+    except Exception as error:  # what the library raises at damaged bytes depends on the bytes
+        reason = shortened(error) if isinstance(error, ULogException) else f"damaged: {shortened(repr(error))}"
+        raise MagycError(f"{path}: not a PX4 log that can be read ({reason})") from error
+    messages = [Message(d.name, int(d.multi_id), d.data) for d in log.data_list if "timestamp" in d.data]
+    parameters = _finite_numbers(log.initial_parameters)
+    changes = tuple((int(at), n, float(v)) for at, n, v in log.changed_parameters if n in _finite_numbers({n: v}))
     notes = []
     if log.file_corruption:
         notes.append("the log is damaged or cut off; what could be read of it was")
     if log.dropouts:
         lost = sum(d.duration for d in log.dropouts) / 1e3
         notes.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in all")
-    return messages, Parameters(dict(log.initial_parameters), changes), tuple(notes)
+    return messages, Parameters(parameters, changes), tuple(notes)
+
+
+def _finite_numbers(parameters: Mapping[str, Any]) -> dict[str, float]:
+    """Without what damage made of a parameter: text, or no number."""
+    return {k: v for k, v in parameters.items() if isinstance(v, int | float) and math.isfinite(v)}
 
 
 def device_of(message: Message, messages: list[Message], kind: str) -> int | None:

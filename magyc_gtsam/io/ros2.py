@@ -1,130 +1,82 @@
-"""The ROS messages that carry what is read here: their layout, their definitions, and their bytes in bulk.
-
-These messages are a header, at most one more string, and float64s, so all messages of a topic are read as
-one array. Every other message is left to `mcap_ros2`.
-"""
+"""The ROS messages that carry what is read here: what stands where, their definitions, and how to write them."""
 
 from __future__ import annotations
-
-import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.ros_fields import NANOSECONDS, Array, Stamps, Types, parse_types
 
-Array = NDArray[np.float64]
-Stamps = NDArray[np.int64]
-
-NANOSECONDS = 1_000_000_000
 _FRAME = b"imu\0"
 
 
-@dataclass(frozen=True)
-class Layout:
-    """float64s behind the header of a message, and which of them are what.
-
-    Args:
-        width: how many float64s there are.
-        parts: {"magnetic_field" | "angular_rate" | "acceleration" | "attitude": their slice}.
-        strings: further strings between header and numbers.
-        unknown: {part: index of the float64 that is -1 where the part has no estimate}.
-    """
-
-    width: int
-    parts: dict[str, slice]
-    strings: int = 0
-    unknown: dict[str, int] | None = None
+def axes(path: str, names: str = "xyz") -> tuple[str, ...]:
+    """The paths of the components of a vector or quaternion."""
+    return tuple(f"{path}.{name}" for name in names)
 
 
-_VECTOR = slice(0, 3)
-LAYOUTS = {
-    "sensor_msgs/Imu": Layout(
-        37,
-        {"attitude": slice(0, 4), "angular_rate": slice(13, 16), "acceleration": slice(25, 28)},
-        unknown={"attitude": 4, "angular_rate": 16, "acceleration": 28},
+# {type: {sensor: the fields that are its components}}
+SENSOR_FIELDS: dict[str, dict[str, tuple[str, ...]]] = {
+    "sensor_msgs/Imu": {
+        "attitude": axes("orientation", "xyzw"),
+        "angular_rate": axes("angular_velocity"),
+        "acceleration": axes("linear_acceleration"),
+    },
+    "sensor_msgs/MagneticField": {"magnetic_field": axes("magnetic_field")},
+    "geometry_msgs/Vector3Stamped": dict.fromkeys(
+        ("magnetic_field", "angular_rate", "acceleration"), axes("vector")
     ),
-    "sensor_msgs/MagneticField": Layout(12, {"magnetic_field": _VECTOR}),
-    "geometry_msgs/Vector3Stamped": Layout(
-        3, dict.fromkeys(("magnetic_field", "angular_rate", "acceleration"), _VECTOR)
-    ),
-    "geometry_msgs/QuaternionStamped": Layout(4, {"attitude": slice(0, 4)}),
-    "geometry_msgs/PoseStamped": Layout(7, {"attitude": slice(3, 7)}),
-    "geometry_msgs/PoseWithCovarianceStamped": Layout(43, {"attitude": slice(3, 7)}),
-    "nav_msgs/Odometry": Layout(85, {"attitude": slice(3, 7)}, strings=1),
+    "geometry_msgs/QuaternionStamped": {"attitude": axes("quaternion", "xyzw")},
+    "geometry_msgs/PoseStamped": {"attitude": axes("pose.orientation", "xyzw")},
+    "geometry_msgs/PoseWithCovarianceStamped": {"attitude": axes("pose.pose.orientation", "xyzw")},
+    "nav_msgs/Odometry": {"attitude": axes("pose.pose.orientation", "xyzw")},
+}
+# The number that is -1 where a message has no estimate of the sensor.
+UNKNOWN = {
+    "sensor_msgs/Imu": {
+        "attitude": "orientation_covariance[0]",
+        "angular_rate": "angular_velocity_covariance[0]",
+        "acceleration": "linear_acceleration_covariance[0]",
+    }
 }
 
 
-def short_type(schema_name: str) -> str:
-    """'sensor_msgs/Imu' for both 'sensor_msgs/msg/Imu' (ROS 2) and 'sensor_msgs/Imu' (ROS 1)."""
-    return schema_name.replace("/msg/", "/")
+def fields_of(kind: str, attitude: bool = True) -> tuple[str, ...]:
+    """All that is read of a type that is known; without an attitude that stands beside other sensors, if so asked."""
+    sensors = {k: v for k, v in SENSOR_FIELDS[kind].items() if attitude or k != "attitude"} or SENSOR_FIELDS[kind]
+    paths = [path for components in sensors.values() for path in components]
+    return tuple(dict.fromkeys([*paths, *(p for k, p in UNKNOWN.get(kind, {}).items() if k in sensors)]))
 
 
-def decode(topic: str, messages: Sequence[bytes], layout: Layout, encoding: str) -> tuple[Stamps, Array]:
-    """Header stamps (n,) ns and numbers (n, width) of all messages of a topic.
-
-    Args:
-        topic: for error messages.
-        messages: the serialized messages.
-        layout: of their type.
-        encoding: "cdr" (ROS 2) or "ros1".
-
-    Raises:
-        MagycError: a message is shorter than its type, or serialized in a way that is not known.
-    """
-    stamp = np.empty(len(messages), dtype=np.int64)
-    value = np.empty((len(messages), layout.width))
-    # All messages with the numbers at the same place are read at once; as a rule that is all of them.
-    alike: dict[tuple[str, int, int], list[int]] = {}
-    for i, data in enumerate(messages):
-        try:
-            order, place = _place(data, layout, encoding)
-        except (struct.error, IndexError):
-            raise _broken(topic, i, len(data)) from None
-        if place + 8 * layout.width > len(data):
-            raise _broken(topic, i, len(data))
-        alike.setdefault((order, place, len(data)), []).append(i)
-    for (order, place, length), rows in alike.items():
-        table = np.frombuffer(b"".join([messages[i] for i in rows]), dtype=np.uint8).reshape(len(rows), length)
-        seconds, nanoseconds = (
-            table[:, 4:8].copy().view(f"{order}i4"),
-            table[:, 8:12].copy().view(f"{order}u4"),
-        )
-        stamp[rows] = seconds[:, 0].astype(np.int64) * NANOSECONDS + nanoseconds[:, 0]
-        value[rows] = table[:, place : place + 8 * layout.width].copy().view(f"{order}f8")
-    return stamp, value
+def known_types(kind: str, ros1: bool) -> Types:
+    """The definition of a type that is known, whatever the file says of it."""
+    types = dict(parse_types(kind, definition(kind)))
+    if ros1:
+        types["std_msgs/Header"] = parse_types("std_msgs/Header", "uint32 seq\ntime stamp\nstring frame_id")[
+            "std_msgs/Header"
+        ]
+    return types
 
 
-def _place(data: bytes, layout: Layout, encoding: str) -> tuple[str, int]:
-    """Byte order, and where the numbers start. Bytes 4 to 16 are sec, nanosec and the frame's length."""
-    if encoding == "ros1":
-        order, align = "<", 1
-    elif data[0] == 0 and data[1] in (0, 1):
-        order, align = "><"[data[1]], 4
-    else:
-        raise MagycError(
-            f"encapsulation 0x{data[:2].hex()} of CDR is not supported, only plain CDR (0x0000, 0x0001)"
-        )
-    place = 12
-    for _ in range(1 + layout.strings):
-        place += -place % align
-        place += 4 + int(struct.unpack_from(f"{order}I", data, place)[0])
-    if encoding == "cdr":
-        place += -(place - 4) % 8  # CDR aligns by the distance from the end of the encapsulation
-    return order, place
+def numbers_of(kind: str) -> list[str]:
+    """Paths of the float64s behind the header of a type that is written, in their order."""
+    types = known_types(kind, ros1=False)
 
+    def below(name: str, prefix: str) -> list[str]:
+        found: list[str] = []
+        for one in types[name]:
+            path = f"{prefix}{one.name}"
+            if one.type == "float64":
+                found += [f"{path}[{k}]" for k in range(one.size or 0)] if one.array else [path]
+            elif one.name != "header":
+                found += below(one.type, f"{path}.")
+        return found
 
-def _broken(topic: str, index: int, length: int) -> MagycError:
-    return MagycError(
-        f"{topic}: message {index + 1} of {length} bytes is too short for its type; "
-        "the log is damaged there, or its schema names the wrong type"
-    )
+    return below(kind, "")
 
 
 def encode(stamp: Stamps, value: Array) -> list[bytes]:
-    """CDR messages of header stamps (n,) ns and numbers (n, width), the reverse of `decode`."""
+    """CDR messages of header stamps (n,) ns and numbers (n, width), as `numbers_of` orders them."""
     fields = [("encapsulation", "V4"), ("sec", "<i4"), ("nanosec", "<u4"), ("length", "<u4"), ("frame", "S4")]
     table = np.zeros(len(stamp), dtype=[*fields, ("value", "<f8", value.shape[1])])
     table["encapsulation"] = np.void(b"\0\1\0\0")
@@ -163,6 +115,18 @@ _DEFINITIONS = {
     "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
     "geometry_msgs/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n",
     "geometry_msgs/QuaternionStamped": "std_msgs/Header header\nQuaternion quaternion\n",
+    "geometry_msgs/Vector3Stamped": "std_msgs/Header header\nVector3 vector\n",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Pose": "Point position\nQuaternion orientation\n",
+    "geometry_msgs/PoseStamped": "std_msgs/Header header\nPose pose\n",
+    "geometry_msgs/PoseWithCovariance": "Pose pose\nfloat64[36] covariance\n",
+    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\nPoseWithCovariance pose\n",
+    "geometry_msgs/Twist": "Vector3 linear\nVector3 angular\n",
+    "geometry_msgs/TwistWithCovariance": "Twist twist\nfloat64[36] covariance\n",
+    "nav_msgs/Odometry": (
+        "std_msgs/Header header\nstring child_frame_id\n"
+        "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist\n"
+    ),
     "sensor_msgs/Imu": (
         "std_msgs/Header header\n"
         "geometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from typing import Literal
 
 import numpy as np
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SECOND = 1_000_000_000  # ns
+_ABSENT = 0.05  # share of numbers below which an axis counts as absent; two sensors in turn leave half
 _MOST_WRONG = 0.5  # share of samples that can be left out as no field
 _YEAR_2000 = 946_684_800 * _SECOND  # stamps before it count from a boot, not from 1970
 
@@ -64,6 +65,7 @@ def assemble(
             recording (see `Recording`).
     """
     said = list(notes)
+    sensors = {k: _without_spikes(s, said) for k, s in sensors.items()}
     main = [
         sensors[k].stamp[0] for k in ("magnetic_field", "angular_rate") if k in sensors and len(sensors[k].stamp)
     ]
@@ -77,8 +79,15 @@ def assemble(
     few = [k for k, s in sensors.items() if k in ("acceleration", "attitude") and len(s.stamp) < 2]
     said.extend(f"{k} left out: {sensors[k].name} has {len(sensors[k].stamp)} samples" for k in few)
     counts = is_counts("magnetic_field", request.units.get("magnetic_field"))
-    clean = {k: _clean(s, k, said, in_tesla=not counts) for k, s in sensors.items() if k not in few}
-    usable = {}
+    clean, usable = {}, {}
+    for sensor, stream in sensors.items():
+        try:
+            if sensor not in few:
+                clean[sensor] = _clean(stream, sensor, said, in_tesla=not counts)
+        except MagycError as error:
+            if sensor in ("magnetic_field", "angular_rate") or request.sensors.get(sensor):
+                raise
+            said.append(f"{sensor} left out: {error}")
     for channel, stream in channels.items():
         try:
             usable[channel] = _clean(stream, channel, said)
@@ -139,7 +148,7 @@ def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
         return stream
     if role in SENSORS:
         for axis, share in zip("xyz", finite.mean(axis=0), strict=True):
-            if share < 0.5:
+            if share < _ABSENT:
                 raise MagycError(
                     f"{stream.name}: axis {axis} is absent (not a number in {1 - share:.0%} of {len(finite)} "
                     "samples); three axes are needed: name another source, or have the driver publish it"
@@ -185,6 +194,19 @@ def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
     return stream.rows(keep)
 
 
+def _without_spikes(stream: Stream, notes: list[str]) -> Stream:
+    """Without single stamps far from both their neighbours, which go on as if they were not there: flipped bits."""
+    if len(stream.stamp) < 3:
+        return stream
+    step = np.diff(stream.stamp)
+    across = step[1:] + step[:-1]
+    lone = (np.abs(step[:-1]) > _SECOND) & (np.abs(step[1:]) > _SECOND) & (across >= 0) & (across < _SECOND)
+    if not lone.any():
+        return stream
+    notes.append(f"{stream.name}: {lone.sum()} samples with a stamp far from those around them were left out")
+    return stream.rows(np.concatenate([[True], ~lone, [True]]))
+
+
 def _restarts(stamp: Stamps) -> NDArray[np.intp]:
     """Rows after which the clock goes back by more than a second; less is messages overtaking each other."""
     return np.flatnonzero(np.diff(stamp) < -_SECOND)
@@ -213,5 +235,5 @@ def _epoch_note(zero: int) -> str:
     seconds = f"{zero // _SECOND}.{zero % _SECOND:09d} s"
     if zero < _YEAR_2000:
         return f"time 0 is {seconds} on the log's own clock"
-    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=zero // _SECOND)
+    moment = datetime(1970, 1, 1, tzinfo=timezone.utc) + timedelta(seconds=zero // _SECOND)
     return f"time 0 is {moment:%Y-%m-%dT%H:%M:%S}.{zero % _SECOND:09d}Z ({seconds})"

@@ -133,7 +133,7 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
         )
     message, logged = found
     stamp = message.stamp
-    if message.name == "sensor_combined":
+    if message.name == "sensor_combined" and "magnetometer_timestamp_relative" in message.data:
         relative = np.asarray(message.data["magnetometer_timestamp_relative"]).astype(np.int64)
         stamp = np.asarray(message.data["timestamp"]).astype(np.int64) + relative
         new = relative != _NO_SAMPLE

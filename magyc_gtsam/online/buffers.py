@@ -3,55 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.preintegration import Preintegration
+from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration
+from magyc_gtsam.growing_rows import GrowingRows
 from magyc_gtsam.recording import Array, Samples
 
 _MARGIN = 4  # gyroscope samples beyond a window's own that its integration looks at
 _LATENESS = 0.1  # s by which a magnetometer may lag, beyond the estimate
 _STEPS = 32  # gyroscope steps after which their median is taken to be known
 _WAITING = 60.0  # s, samples of one sensor kept while the other is silent
-
-
-class Rows:
-    """A growing array (n, width): appended at the end, cut at the front, both at amortised constant cost."""
-
-    def __init__(self, width: int) -> None:
-        self._data = np.empty((256, width))
-        self._first = self._stop = 0
-
-    def __len__(self) -> int:
-        return self._stop - self._first
-
-    @property
-    def rows(self) -> Array:
-        """(n, width), a view that is good until the next change."""
-        return self._data[self._first : self._stop]
-
-    def append(self, rows: Array) -> None:
-        """Add rows at the end."""
-        stop = self._stop + len(rows)
-        if stop > len(self._data):
-            kept = self.rows
-            size = max(len(self._data), 2 * (len(kept) + len(rows)))
-            data = np.empty((size, self._data.shape[1])) if size > len(self._data) else self._data
-            data[: len(kept)] = kept.copy() if data is self._data else kept
-            self._data, self._first, self._stop = data, 0, len(kept)
-            stop = self._stop + len(rows)
-        self._data[self._stop : stop] = rows
-        self._stop = stop
-
-    def cut(self, count: int) -> None:
-        """Drop rows at the front."""
-        self._first += count
-
-    def keep(self, first: int, wanted: np.ndarray) -> None:
-        """Drop those of the rows from `first` on that are not `wanted`."""
-        kept = self.rows[first:][wanted]
-        self._stop = self._first + first + len(kept)
-        self.rows[first:] = kept
+_BLOCK = 64  # windows
+_POINT = 1e-3  # rad/s and s to which the point of integration is rounded
 
 
 class SampleBuffer:
@@ -64,9 +29,9 @@ class SampleBuffer:
 
     def __init__(self, length: float, turn: float, interval_mean: bool) -> None:
         self.length, self.turn, self.interval_mean = length, turn, interval_mean
-        self._magnetometer = Rows(4)  # time, field
-        self._gyroscope = Rows(5)  # time, rate, distance (in windows, holes counted) up to this sample
-        self._numbers = Rows(1)  # window of each magnetometer sample, as far as the gyroscope reaches
+        self._magnetometer = GrowingRows(4)  # time, field
+        self._gyroscope = GrowingRows(5)  # time, rate, distance (in windows, holes counted) up to this sample
+        self._numbers = GrowingRows(1)  # window of each magnetometer sample, as far as the gyroscope reaches
         self._measured = 0  # gyroscope samples whose distance is known
         self._hole = np.nan  # s, a longer gyroscope step parts the chain
         self._overlap = False  # both sensors have begun
@@ -254,3 +219,71 @@ class SampleBuffer:
         first = int(np.searchsorted(gyro, min(time[rows.start] - late, time[rows.start]))) - _MARGIN
         stop = int(np.searchsorted(gyro, time[rows.stop - 1] + early, side="right")) + _MARGIN
         return slice(max(first, 0), min(stop, len(gyro)))
+
+
+class IntegratedWindows:
+    """The windows of all samples kept, integrated block by block, each block once.
+
+    Reading a calibration needs the windows, not the samples. They are integrated where the last refit integrated them,
+    rounded, so that this seldom changes; the chain corrects for what is left. Everything here follows from samples and
+    state alone: it is no part of the state file, and when it was computed makes no difference.
+    """
+
+    def __init__(self) -> None:
+        self._key: tuple[float, ...] = ()
+        self._blocks: list[FieldWindows] = []
+
+    def of(self, buffer: SampleBuffer, origin: Array) -> FieldWindows:
+        """All windows of a buffer, the open one with them, in one world frame, integrated about `origin` (4,) bias and
+        delay."""
+        origin = _POINT * np.round(origin / _POINT)
+        bias, delay = origin[:3], float(origin[3])
+        key = (*bias, delay, buffer.length, buffer.turn, float(buffer.magnetometer.time[0]))
+        if key != self._key:
+            self._key, self._blocks = key, []
+        numbers, closed = np.unique(buffer.numbers), buffer.closed(delay)
+        parts = self._blocks[: len(numbers) // _BLOCK]
+        for first in range(_BLOCK * len(parts), len(numbers), _BLOCK):
+            last = min(first + _BLOCK, len(numbers))
+            begin = int(numbers[max(first - 1, 0)])  # the block before ends with this window
+            part = buffer.windows(begin, int(numbers[last - 1]) + 1, delay).integrate(bias, delay)
+            if parts:
+                part = in_frame_of(parts[-1], part)
+            parts.append(part)
+            if last == first + _BLOCK and numbers[last - 1] < closed:
+                self._blocks.append(part)
+        return joined(parts)
+
+
+def in_frame_of(before: FieldWindows, after: FieldWindows) -> FieldWindows:
+    """`after`, whose first window is the last one of `before`, in the world frame of `before`."""
+    # R' = Qᵀ R for all samples, so that the windows' means M = mean Rᵀ read M' = M Q.
+    left, _, right = np.linalg.svd(np.linalg.solve(before.rotation[:, :, -1], after.rotation[:, :, 0]))
+    turn = left @ right
+    return replace(
+        after,
+        rotation=np.einsum("ijn,kj->ikn", after.rotation, turn),
+        rotation_bias=np.einsum("ijbn,kj->ikbn", after.rotation_bias, turn),
+        rotation_rate=np.einsum("ijn,kj->ikn", after.rotation_rate, turn),
+        lever=np.einsum("ij,jkn->ikn", turn, after.lever),
+    )
+
+
+def joined(parts: list[FieldWindows]) -> FieldWindows:
+    """One chain of parts in one frame, each but the first beginning with the last window of the one before."""
+
+    def windows(name: str) -> Array:
+        return np.concatenate([getattr(part, name)[..., min(i, 1) :] for i, part in enumerate(parts)], axis=-1)
+
+    def links(name: str) -> Array:
+        return np.concatenate([getattr(part, name) for part in parts], axis=-1)
+
+    return FieldWindows(
+        **{
+            name: windows(name)
+            for name in ("time", "count", "field", "rotation", "rotation_bias", "rotation_rate")
+        },
+        **{name: links(name) for name in ("lever", "link_time", "linked")},
+        bias=parts[0].bias,
+        delay=parts[0].delay,
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,14 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import check_field_strength
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.lazy import requires_gtsam
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.online import state_file
-from magyc_gtsam.online.engine import Engine
+from magyc_gtsam.online.engine import Change, Engine, Progress
+from magyc_gtsam.online.faults import refusal, with_faults, with_left_out
 from magyc_gtsam.online.intake import Intake, vector
-from magyc_gtsam.online.values import Change, Progress
-from magyc_gtsam.online.watch import Watch
 from magyc_gtsam.recording import Array
+from magyc_gtsam.sensor_faults.faults import SensorFaults
 
 _ENGINES = {  # method → "module:class"; the class takes the method's options as keywords
     "smoother": "magyc_gtsam.online.smoother:OnlineSmoother",
@@ -37,7 +40,7 @@ class OnlineCalibrator:
 
     Args:
         method: "smoother" (maximum likelihood) or "magyc-ifg" (the MAGYC paper's incremental factor graph).
-        options: the method's own, kept in the saved state.
+        options: the method's own, online in the saved state.
 
     Raises:
         MagycError: unknown method or option.
@@ -47,7 +50,8 @@ class OnlineCalibrator:
         if method not in _ENGINES:
             raise MagycError(f"method: {method!r} is none of {', '.join(_ENGINES)}")
         module, name = _ENGINES[method].split(":")
-        engine = getattr(importlib.import_module(module), name)
+        with requires_gtsam(f"method {method!r}"):
+            engine = getattr(importlib.import_module(module), name)
         allowed = engine.__init__.__kwdefaults__ or {}
         unknown = sorted(options.keys() - allowed.keys())
         if unknown:
@@ -56,10 +60,11 @@ class OnlineCalibrator:
             )
         check_field_strength(options.get("field_strength"))
         self.method = method
-        self.options = dict(options)
+        # An earlier calibration is kept as its JSON types, for the state file.
+        self.options = {k: v.to_dict() if isinstance(v, Calibration) else v for k, v in options.items()}
         self._engine: Engine = engine(**options)
         self._intake = Intake()
-        self._watch = Watch()
+        self._faults = SensorFaults()
         self._waiting: list[tuple[float, Array, Array]] = []  # single samples, taken together
 
     def update(
@@ -101,25 +106,25 @@ class OnlineCalibrator:
 
     def _take(self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None) -> None:
         magnetometer, gyroscope = self._intake.take(time, magnetic_field, angular_rate)
-        self._engine.update(*self._watch.take(magnetometer, gyroscope, self._intake.repeated))
+        self._engine.update(*self._faults.take(magnetometer, gyroscope, self._intake.repeated))
 
     @property
     def calibration(self) -> Calibration | None:
         """The current estimate with its covariance, `converged` and `message`; None before there is one."""
         self._catch_up()
-        return self._watch.marked(self._engine.calibration(), self._intake.duration)
+        return with_left_out(self._engine.calibration(), self._faults, self._intake.duration)
 
     @property
     def converged(self) -> bool:
         """Whether the estimate may be used: its covariance is within limits and it has stood still."""
         self._catch_up()
-        return self._engine.converged() and not self._watch.refused
+        return self._engine.converged() and not refusal(self._faults)
 
     @property
     def progress(self) -> Progress:
         """How far it is, what is weak, and the motion that helps."""
         self._catch_up()
-        return self._watch.noted(self._intake.counted(self._engine.progress()))
+        return with_faults(self._intake.counted(self._engine.progress()), self._faults)
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -139,10 +144,15 @@ class OnlineCalibrator:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the whole state to one file, replacing it in one step: a kill at any moment loses nothing saved."""
         self._catch_up()
-        engine = {f"engine/{name}": value for name, value in self._engine.state().items()}
-        intake = {f"intake/{name}": value for name, value in self._intake.state().items()}
-        watch = {f"watch/{name}": value for name, value in self._watch.state().items()}
-        state_file.write(path, self.method, self.options, engine | intake | watch)
+        state_file.write(path, self.method, self.options, self._state())
+
+    def _state(self) -> dict[str, Array]:
+        parts = {
+            "engine": self._engine.state(),
+            "intake": self._intake.state(),
+            "faults": self._faults.state(),
+        }
+        return {f"{part}/{name}": value for part, state in parts.items() for name, value in state.items()}
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> OnlineCalibrator:
@@ -153,13 +163,22 @@ class OnlineCalibrator:
         """
         method, options, state = state_file.read(path)
         try:
-            result = cls(method, **options)
-            parts = (("engine/", result._engine), ("intake/", result._intake), ("watch/", result._watch))
-            for part, owner in parts:
-                owner.restore({k.removeprefix(part): v for k, v in state.items() if k.startswith(part)})
-        except (LookupError, TypeError, ValueError) as error:
+            # What fits together only in its shapes shows when it is asked; on another one, since asking may fit.
+            cls._restored(method, options, state).progress  # noqa: B018
+            result = cls._restored(method, options, state)
+        except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
             raise MagycError(
-                f"{path}: the state of method {method!r} in it is incomplete or damaged ({error}); remove it and "
-                "begin a new one"
+                f"{path}: the state of method {method!r} in it is incomplete or damaged ({shortened(error)}); "
+                "remove it and begin a new one"
             ) from None
+        return result
+
+    @classmethod
+    def _restored(cls, method: str, options: Mapping[str, Any], state: Mapping[str, Any]) -> OnlineCalibrator:
+        result = cls(method, **options)
+        state_file.compare(result._state(), state)
+        parts = (("engine/", result._engine), ("intake/", result._intake), ("faults/", result._faults))
+        for part, owner in parts:
+            owner.restore({k.removeprefix(part): v for k, v in state.items() if k.startswith(part)})
+        state_file.compare(state, result._state())
         return result

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.values import Progress
+from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 
 _LATE = 1.0  # s by which a stamp may lie before the last one and be left out; more is a clock set back
+_LEAP = 3.0  # times the step before, and at least `_LATE`, by which a stamp may be ahead without being confirmed
+_CONFIRMED_BY = 5  # later stamps that confirm one which leaps ahead
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
 _NAMES = ("magnetic_field", "angular_rate")
@@ -29,6 +31,8 @@ class Intake:
     def __init__(self) -> None:
         self.repeated = np.empty(0)
         self._last = {name: (-np.inf, np.full(3, np.nan)) for name in _NAMES}
+        self._quarantine = {name: np.empty((0, 4)) for name in _NAMES}  # time and value, until they are confirmed
+        self._step = dict.fromkeys(_NAMES, 0.0)  # s between the last two samples
         self._left_out = 0
         self._first = np.nan
 
@@ -47,6 +51,7 @@ class Intake:
             if value is not None
         }
         taken, last, left_out = {}, dict(self._last), self._left_out
+        quarantine, steps = dict(self._quarantine), dict(self._step)
         repeated = np.empty(0)
         for name, limit in zip(_NAMES, _WIDTH, strict=True):
             if name not in rows:
@@ -69,6 +74,10 @@ class Intake:
                 )
             left_out += int(beyond.sum())
             when, value = when[~beyond], value[~beyond]
+            incoming = np.vstack([quarantine[name], np.column_stack([when, value])])
+            admitted, quarantine[name] = _confirmed(incoming, last[name][0], steps[name])
+            left_out += len(incoming) - len(admitted) - len(quarantine[name])
+            when, value = admitted[:, 0], admitted[:, 1:]
             before = np.maximum.accumulate(np.concatenate([[last[name][0]], when]))[:-1]
             if len(when) and (before - when).max() > _LATE:
                 row = int((before - when).argmax())
@@ -80,6 +89,8 @@ class Intake:
             left_out += int(late.sum())
             when, value = when[~late], value[~late]
             if len(when):
+                if len(when) > 1 or np.isfinite(last[name][0]):
+                    steps[name] = float(when[-1] - (when[-2] if len(when) > 1 else last[name][0]))
                 if name == "magnetic_field":
                     fresh = (np.diff(np.vstack([last[name][1], value]), axis=0) != 0).any(axis=1)
                 else:
@@ -89,6 +100,7 @@ class Intake:
                 when, value = when[fresh], value[fresh]
             taken[name] = Samples(when, value)
         self._last, self._left_out, self.repeated = last, left_out, repeated
+        self._quarantine, self._step = quarantine, steps
         if np.isnan(self._first):
             firsts = [s.time[0] for s in taken.values() if len(s.time)]
             self._first = float(min(firsts)) if firsts else np.nan
@@ -117,6 +129,8 @@ class Intake:
         return {
             "last": np.array([[time, *value] for time, value in self._last.values()]),
             "count": np.array([self._first, self._left_out]),
+            "step": np.array([self._step[name] for name in _NAMES]),
+            **{f"quarantine/{name}": rows for name, rows in self._quarantine.items()},
         }
 
     def restore(self, state: Mapping[str, Array]) -> None:
@@ -125,6 +139,37 @@ class Intake:
             name: (float(row[0]), row[1:].copy()) for name, row in zip(_NAMES, state["last"], strict=True)
         }
         self._first, self._left_out = float(state["count"][0]), int(state["count"][1])
+        self._step = dict(zip(_NAMES, state["step"].tolist(), strict=True))
+        self._quarantine = {name: state[f"quarantine/{name}"] for name in _NAMES}
+
+
+def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
+    """The rows (n, 4) of time and value that are admitted, and those still in quarantine.
+
+    A stamp far ahead of the last one is a pause, or wrong. After a pause the following stamps are later still; after a
+    wrong one they fall back behind it, and it is dropped.
+    """
+    time = rows[:, 0]
+    before = np.maximum.accumulate(np.concatenate([[last], time]))
+    steps = np.concatenate([[step], np.diff(before)])[:-1] if np.isfinite(last) else np.zeros(len(time))
+    known = np.isfinite(before[:-1])
+    if not (time[known] - before[:-1][known] > np.maximum(_LATE, _LEAP * np.nan_to_num(steps[known]))).any():
+        return rows, rows[:0]
+    admitted: list[int] = []
+    waiting: list[int] = []
+    for i, stamp in enumerate(time):  # only where a stamp leaps ahead
+        while waiting and time[waiting[-1]] >= stamp:
+            waiting.pop()
+        waiting.append(i)
+        while waiting:
+            leap = time[waiting[0]] - last
+            if np.isfinite(last) and leap > max(_LATE, _LEAP * step) and len(waiting) <= _CONFIRMED_BY:
+                break
+            first = waiting.pop(0)
+            admitted.append(first)
+            if time[first] > last:
+                last, step = float(time[first]), float(leap) if np.isfinite(leap) else 0.0
+    return rows[admitted], rows[waiting]
 
 
 def vector(name: str, value: ArrayLike | None) -> Array:

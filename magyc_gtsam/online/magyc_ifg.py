@@ -8,19 +8,19 @@ from typing import Literal
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.derivative_windows import (
+from magyc_gtsam.estimators.magyc.derivative_windows import (
     LEAST_WINDOWS,
     check_length,
     form_windows,
     window_index,
 )
-from magyc_gtsam.estimators.magyc_graph import MagycGraph
-from magyc_gtsam.estimators.magyc_ifg import check_estimate
-from magyc_gtsam.estimators.magyc_state import Prior, calibration_of
+from magyc_gtsam.estimators.magyc.graph import MagycGraph
+from magyc_gtsam.estimators.magyc.magyc_ifg import check_estimate
+from magyc_gtsam.estimators.magyc.state import Prior, calibration_of
+from magyc_gtsam.growing_rows import GrowingRows
 from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
-from magyc_gtsam.online.buffers import Rows
 from magyc_gtsam.online.coverage import coverage
-from magyc_gtsam.online.values import Change, Progress
+from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.runners.incremental import Method
 
@@ -64,7 +64,7 @@ class IncrementalMagyc:
             robust=robust,
         )
         self._window, self._estimate, self._field_strength = window, estimate, field_strength
-        self._waiting = (Rows(4), Rows(4))  # samples of windows still open: time, value
+        self._waiting = (GrowingRows(4), GrowingRows(4))  # samples of windows still open: time, value
         self._begun, self._last = np.full(2, np.nan), np.full(2, -np.inf)  # first and last stamp of either sensor
         self._closed = -np.inf  # number of the first window still open
         self._visited = np.empty((0, 4))  # magnetometer samples from all over the mission: time, field

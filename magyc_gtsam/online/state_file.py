@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+import struct
 import zipfile
+import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -13,9 +15,10 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array
 
-_FORMAT = "magyc-gtsam online state 6"
+_FORMAT = "magyc-gtsam online state 7"
 
 
 def write(
@@ -50,8 +53,11 @@ def read(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any], dict[str, A
     """
     path = Path(path)
     try:
+        _within_limits(path)
         with np.load(path, allow_pickle=False) as file:
             state = {name: file[name] for name in file.files}
+        if odd := [name for name, array in state.items() if array.dtype.kind not in "biufU"]:
+            raise ValueError(f"its array {odd[0]!r} is of {state[odd[0]].dtype}")
         header = json.loads(str(state.pop("header")))
         version = header["format"]
         if version != _FORMAT:
@@ -61,5 +67,51 @@ def read(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any], dict[str, A
         raise MagycError(f"{path}: no such file") from None
     except OSError as error:
         raise MagycError(f"{path}: cannot be read ({error})") from None
-    except (ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
-        raise MagycError(f"{path}: not the state of an online calibration ({error})") from None
+    except (
+        ArithmeticError,
+        AttributeError,
+        EOFError,
+        LookupError,
+        MemoryError,
+        NotImplementedError,
+        RecursionError,
+        RuntimeError,
+        SyntaxError,
+        TypeError,
+        ValueError,
+        struct.error,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        reason = shortened(error) or type(error).__name__
+        raise MagycError(f"{path}: not the state of an online calibration ({reason})") from None
+
+
+def _within_limits(path: Path) -> None:
+    """Refuse arrays that are packed: what is written here is not, and what is small on disk is small in memory."""
+    with zipfile.ZipFile(path) as file:
+        packed = [member.filename for member in file.infolist() if member.compress_type != zipfile.ZIP_STORED]
+    if packed:
+        raise ValueError(f"its array {packed[0]!r} is packed, which a saved state's are not")
+
+
+def compare(expected: Mapping[str, Array], found: Mapping[str, Array]) -> None:
+    """Refuse a state whose arrays are not of the kind and shape of those of a new one.
+
+    Args:
+        expected: of a calibrator that has seen nothing.
+        found: as read; lengths may differ where things are collected, along the first axis.
+
+    Raises:
+        ValueError: a name is missing or not known, or an array has another type or shape.
+    """
+    if missing := sorted(expected.keys() - found.keys()):
+        raise ValueError(f"arrays are missing: {', '.join(missing[:5])}")
+    for name, array in expected.items():
+        want, got = np.asarray(array), np.asarray(found[name])
+        if (
+            want.dtype.kind != got.dtype.kind
+            or want.ndim != got.ndim
+            or (want.ndim > 1 and want.shape[1:] != got.shape[1:])
+        ):
+            raise ValueError(f"{name}: {got.dtype} {got.shape}, expected {want.dtype} {want.shape}")

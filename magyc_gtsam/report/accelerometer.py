@@ -5,20 +5,14 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from markupsafe import Markup
-from matplotlib import figure as drawing
 
-from magyc_gtsam.estimators.accelerometer import AccelerometerCalibration, accelerometer_samples
+from magyc_gtsam.estimators.autocal.accelerometer import AccelerometerCalibration, accelerometer_samples
 from magyc_gtsam.recording import Array, Mask, Recording
-from magyc_gtsam.report.analysis import spread, summary
-from magyc_gtsam.report.html import Figure, rendered, write_page
-from magyc_gtsam.report.plots import CALIBRATED, DISTURBED, INK, RAW, drawn, outlines
+from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
+from magyc_gtsam.report.html import rendered, write_page
 from magyc_gtsam.report.words import Number, uncertain
-
-_DRAWN: dict[str, Any] = {"markersize": 2.5, "alpha": 0.5, "rasterized": True, "markeredgewidth": 0}
 
 
 def write_accelerometer_report(
@@ -35,15 +29,8 @@ def write_accelerometer_report(
         good=calibration.converged,
         calibration=calibration,
         numbers=_numbers(calibration, raw, within),
-        views=[
-            Figure(Markup(_projection(raw, within, calibration, plane)), f"Seen along {gone}")
-            for plane, gone in (((0, 1), "z"), ((0, 2), "y"), ((1, 2), "x"))
-        ],
-        strength=Figure(
-            Markup(_strength(time - recording.time[0], raw, calibration)),
-            "",
-            "Lines: means; bands: range of the samples; dashed: gravity. At rest the calibrated line lies on it.",
-        ),
+        cloud=_cloud(raw, within, calibration),
+        strength=_strength(recording, time, raw, calibration),
         parameters=parameter_rows(calibration),
         configuration=json.dumps(
             {"configuration": dict(calibration.configuration), "diagnostics": dict(calibration.diagnostics)},
@@ -93,33 +80,41 @@ def _numbers(calibration: AccelerometerCalibration, raw: Array, within: Mask) ->
     ]
 
 
-@drawn(3.6, 3.7)
-def _projection(
-    figure: drawing.Figure, raw: Array, within: Mask, calibration: AccelerometerCalibration, plane: tuple[int, int]
-) -> None:
+def _cloud(raw: Array, within: Mask, calibration: AccelerometerCalibration) -> Figure:
     """Raw samples with the fitted ellipsoid, those that are motion in another colour, and gravity's sphere."""
-    axes = figure.add_subplot()
-    gravity, columns = calibration.gravity, list(plane)
-    for rows, colour in ((within, RAW), (~within, DISTURBED)):
-        if rows.any():
-            shown = raw[rows][spread(raw[rows], gravity / 40)]
-            axes.plot(*np.clip(shown[:, columns].T, -3 * gravity, 3 * gravity), ".", color=colour, **_DRAWN)
-    outlines(axes, calibration.scale, calibration.bias, gravity, "m/s²", plane)
+    gravity = calibration.gravity
+    clouds = [("at rest", "raw", raw[within])]
+    if not within.all():
+        clouds.append(("motion, weighed down", "disturbed", np.clip(raw[~within], -3 * gravity, 3 * gravity)))
+    return sphere(
+        "Raw samples, the ellipsoid fitted to them, and gravity (m/s²)",
+        "Drag to turn. At rest samples lie on the ellipsoid. Where it is bare, no attitude was seen and its shape is a "
+        "guess.",
+        clouds,
+        gravity,
+        outlines=[
+            (calibration.scale * gravity, calibration.bias, "raw"),
+            (np.eye(3) * gravity, np.zeros(3), "calibrated"),
+        ],
+    )
 
 
-@drawn(4.7, 3.1)
-def _strength(figure: drawing.Figure, time: Array, raw: Array, calibration: AccelerometerCalibration) -> None:
+def _strength(recording: Recording, time: Array, raw: Array, calibration: AccelerometerCalibration) -> Figure:
     """Length of the acceleration over time, raw and calibrated."""
-    axes = figure.add_subplot()
-    for value, colour in ((raw, RAW), (calibration.apply(raw), CALIBRATED)):
-        middle, mean, lowest, highest = summary(time, np.linalg.norm(value, axis=1))
-        axes.fill_between(middle, lowest, highest, color=colour, alpha=0.25, linewidth=0)
-        axes.plot(middle, mean, color=colour)
-    axes.axhline(calibration.gravity, color=INK, linewidth=1, linestyle="--")
-    reach = 4 * float(np.median(np.abs(np.linalg.norm(raw, axis=1) - calibration.gravity))) + 0.5
-    axes.set(
-        xlabel="Time (s)",
-        ylabel="Length (m/s²)",
-        xlim=(time[0], time[-1]),
-        ylim=(calibration.gravity - reach, calibration.gravity + reach),
+    lengths = [np.linalg.norm(value, axis=1) for value in (raw, calibration.apply(raw))]
+    reach = 4 * float(np.median(np.abs(lengths[0] - calibration.gravity))) + 0.5
+    limits = calibration.gravity - reach, calibration.gravity + reach
+    return over_time(
+        "Length over time",
+        "Lines: means; bands: range of the samples; dashed: gravity. At rest the calibrated line lies on it.",
+        recording,
+        time - origin(recording),
+        [
+            (label, label, np.clip(value, *limits))
+            for label, value in zip(("raw", "calibrated"), lengths, strict=True)
+        ],
+        "Length (m/s²)",
+        strip=True,
+        levels=[calibration.gravity],
+        wide=True,
     )

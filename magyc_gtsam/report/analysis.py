@@ -7,9 +7,9 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.level_turn import vertical
 from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
 
@@ -40,25 +40,6 @@ class FieldHistory:
     up: Array | None
     up_from: str
     heading_error: Array | None
-
-
-@dataclass(frozen=True, eq=False)
-class LevelTurn:
-    """What the calibration does to heading while the vehicle turns level.
-
-    Attributes:
-        heading: (n,) deg, 0 to 360.
-        error: (n,) deg, of the heading from the raw field.
-        sigma: (n,) deg, of the heading from the calibrated field, by the covariance; None without one.
-        inclination: deg, angle of the field below the horizontal.
-        about: what the vehicle turns about.
-    """
-
-    heading: Array
-    error: Array
-    sigma: Array | None
-    inclination: float
-    about: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +83,7 @@ def field_history(recording: Recording, calibration: Calibration) -> FieldHistor
     acceleration = None if recording.acceleration is None else recording.acceleration[fresh]
     if attitude is not None and not np.isfinite(attitude).any():
         attitude = None
-    up, up_from = _up(attitude, acceleration)
+    up, up_from = vertical(attitude, acceleration), _up_from(attitude, acceleration)
     error = None
     if attitude is not None:
         error = np.degrees(np.column_stack([heading_error(field, attitude) for field in (raw, aligned)]))
@@ -110,68 +91,10 @@ def field_history(recording: Recording, calibration: Calibration) -> FieldHistor
     return FieldHistory(since, raw, calibrated, aligned, strength, up, up_from, error)
 
 
-def _up(attitude: Array | None, acceleration: Array | None) -> tuple[Array | None, str]:
+def _up_from(attitude: Array | None, acceleration: Array | None) -> str:
     if attitude is not None:
-        up = np.full((len(attitude), 3), np.nan)
-        known = np.isfinite(attitude).all(axis=1)
-        up[known] = Rotation.from_quat(attitude[known]).inv().apply([0.0, 0.0, 1.0])
-        if acceleration is None:
-            return up, "attitude, whose z axis is taken as up"
-        downwards = np.nanmedian((up * acceleration).sum(axis=1)) < 0
-        return (-up if downwards else up), "attitude"
-    if acceleration is not None:
-        norm = np.linalg.norm(acceleration, axis=1, keepdims=True)
-        return acceleration / np.where(norm > 0, norm, np.nan), "accelerometer"
-    return None, ""
-
-
-def inclination(field: Array, up: Array) -> Array:
-    """Angle of `field` below the horizontal, deg."""
-    sine = -(field * up).sum(axis=1) / np.linalg.norm(field, axis=1)
-    return cast(Array, np.degrees(np.arcsin(np.clip(sine, -1, 1))))
-
-
-def level_turn(calibration: Calibration, history: FieldHistory) -> LevelTurn:
-    """Heading error over a level turn: of the raw field, and what the covariance leaves."""
-    axis, about = np.array([0.0, 0.0, 1.0]), "the sensor's z axis"
-    if history.up is None:
-        if np.median(history.calibrated[:, 2]) > 0:  # the northern half of the Earth
-            axis = -axis
-        up = np.broadcast_to(axis, history.raw.shape)
-    else:
-        up = history.up
-        mean = np.nanmean(up, axis=0)
-        if np.linalg.norm(mean) > 0.5:  # else the instrument was tumbled, and no axis was the vertical
-            axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
-    dip = np.radians(np.nanmedian(inclination(history.aligned, up)))
-    forward = np.eye(3)[np.abs(axis).argmin()] if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
-    forward = forward - axis * (axis @ forward)
-    forward /= np.linalg.norm(forward)
-    left = np.cross(axis, forward)
-
-    heading = np.radians(np.arange(0.0, 361.0, 3.0))
-    horizontal = np.cos(heading)[:, None] * forward + np.sin(heading)[:, None] * left
-    field = history.strength * (np.cos(dip) * horizontal - np.sin(dip) * axis)
-    raw = field @ calibration.soft_iron.T + calibration.hard_iron
-    error = np.angle(np.exp(1j * (np.arctan2(raw @ left, raw @ forward) - heading)))
-    sigma = None
-    if calibration.covariance is not None:
-        sideways = -np.sin(heading)[:, None] * forward + np.cos(heading)[:, None] * left
-        # A calibration error (dA, dh) leaves −A⁻¹ (dA u + dh) in the field u.
-        through = -sideways @ np.linalg.inv(calibration.soft_iron) / (history.strength * np.cos(dip))
-        symmetric = _symmetric_units()
-        jacobian = np.hstack([np.einsum("ni,jik,nk->nj", through, symmetric, field), through])
-        variance = np.einsum("ni,ij,nj->n", jacobian, calibration.covariance[:9, :9], jacobian)
-        sigma = np.degrees(np.sqrt(np.clip(variance, 0, None)))
-    return LevelTurn(np.degrees(heading), np.degrees(error), sigma, float(np.degrees(dip)), about)
-
-
-def _symmetric_units() -> Array:
-    """(6, 3, 3): the derivative of a symmetric matrix by its upper triangle, row by row."""
-    units = np.zeros((6, 3, 3))
-    for unit, i, j in zip(units, *np.triu_indices(3), strict=True):
-        unit[i, j] = unit[j, i] = 1.0
-    return units
+        return "attitude" if acceleration is not None else "attitude, whose z axis is taken as up"
+    return "" if acceleration is None else "accelerometer"
 
 
 def coverage(time: Array, field: Array) -> Coverage:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from markupsafe import Markup
-
-from magyc_gtsam.report import compare_plots, compare_words
-from magyc_gtsam.report.html import Figure, rendered
+from magyc_gtsam.report import compare_charts, compare_words
+from magyc_gtsam.report.charts import Figure
+from magyc_gtsam.report.html import rendered
 from magyc_gtsam.study.comparison import Comparison, Outcome, Status
 
 
@@ -19,72 +18,47 @@ class Card:
     outcome: Outcome
     summary: str
     caution: str
-    ellipsoids: tuple[Figure, ...]
     figures: tuple[Figure, ...]
 
 
 def render_comparison(comparison: Comparison) -> str:
     """The page as HTML text, self-contained."""
-    cloud = compare_plots.cloud(comparison)
     without = [o for o in comparison.outcomes if o.calibration is None]
+    verdict = compare_words.judged_comparison(comparison)
     return rendered(
         "compare_template.html",
         comparison.recording,
         samples=len(comparison.inlier),
-        headline=_headline(comparison),
-        good=bool(comparison.trusted),
+        headline=verdict.title,
+        good=verdict.trusted,
+        verdict=verdict,
         result_header=compare_words.result_header(comparison),
         result_rows=compare_words.result_rows(comparison),
         parameter_header=compare_words.parameter_header(),
         parameter_rows=compare_words.parameter_rows(comparison),
         footnotes=compare_words.footnotes(comparison),
-        heading=comparison.raw.heading is not None,
-        outliers=not comparison.inlier.all(),
         overview=_overview(comparison),
         linked=[outcome.method for outcome in comparison.calibrated],
-        cards=[_card(comparison, outcome, cloud) for outcome in comparison.calibrated],
+        cards=[_card(comparison, o) for o in comparison.by_trust if o.calibration is not None],
         failed=[o for o in without if o.status is Status.FAILED],
         not_run=comparison.not_run,
         impossible=[o for o in without if o.status is Status.IMPOSSIBLE],
     )
 
 
-def _headline(comparison: Comparison) -> str:
-    ran = sum(o.status is not Status.IMPOSSIBLE for o in comparison.outcomes)
-    good = len(comparison.trusted)
-    if ran == 0:
-        return "This log allows none of the methods"
-    if good == 0:
-        return f"None of {ran} methods gave a result to trust"
-    return f"{good} of {ran} methods gave a result to trust"
-
-
-def _overview(comparison: Comparison) -> list[Figure]:
+def _overview(comparison: Comparison) -> list[tuple[str, list[compare_charts.Dot]]]:
     if not comparison.calibrated:
         return []
-    return [
-        Figure(Markup(compare_plots.hard_irons(comparison, axis)), f"Hard iron along {name}")
-        for axis, name in enumerate("xyz")
-    ]
+    return [(name, compare_charts.hard_irons(comparison, axis)) for axis, name in enumerate("xyz")]
 
 
-def _card(comparison: Comparison, outcome: Outcome, samples: compare_plots.Cloud) -> Card:
-    calibration, strength = outcome.calibration, outcome.strength
-    assert calibration is not None
-    assert strength is not None
-    scale, unit = comparison.recording.field_shown
-    matrix, centre = calibration.soft_iron * strength * scale, calibration.hard_iron * scale
-    ellipsoids = [
-        Figure(Markup(compare_plots.ellipsoid(samples, matrix, centre, plane)), f"Ellipsoid seen along {gone}")
-        for plane, gone in (((0, 1), "z"), ((0, 2), "y"), ((1, 2), "x"))
-    ]
-    figures = [Figure(Markup(compare_plots.strength(comparison, outcome)), "Strength before and after")]
+def _card(comparison: Comparison, outcome: Outcome) -> Card:
+    figures = [compare_charts.ellipsoid(comparison, outcome), compare_charts.strength(comparison, outcome)]
     if outcome.heading is not None and comparison.raw.heading is not None:
-        svg = compare_plots.heading(comparison.raw.heading, outcome.heading)
-        figures.append(Figure(Markup(svg), "Heading error before and after"))
-    summary = _changes(comparison.raw, outcome, scale, unit)
+        figures.append(compare_charts.heading(comparison, outcome))
+    summary = _changes(comparison.raw, outcome, *comparison.recording.field_shown)
     caution = "" if outcome.status is Status.TRUSTED else outcome.reason
-    return Card(outcome, ", ".join(summary), caution, tuple(ellipsoids), tuple(figures))
+    return Card(outcome, ", ".join(summary), caution, tuple(figures))
 
 
 def _changes(raw: Outcome, outcome: Outcome, scale: float, unit: str) -> Iterable[str]:

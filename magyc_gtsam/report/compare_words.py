@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.recording import Array
+from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import uncertain
 from magyc_gtsam.study.comparison import Comparison, Outcome, Status
 
@@ -94,6 +95,51 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
     }
 
 
+def judged_comparison(comparison: Comparison) -> Verdict:
+    """Which method to use, and how many gave a result to trust."""
+    ran = sum(o.status is not Status.IMPOSSIBLE for o in comparison.outcomes)
+    best, good = comparison.recommended, len(comparison.trusted)
+    if ran == 0:
+        return Verdict(
+            False, "none of the methods has what it needs", called="This log allows none of the methods"
+        )
+    counted = f"{good} of {ran} methods gave a result to trust"
+    if best is None:
+        return Verdict(False, f"none of {ran} methods gave a result to trust", called="Use none of these")
+    why = "the most accurate of them" if best is comparison.reference else "its calibrated field varies least"
+    return Verdict(True, worth=f"{counted}, and it is {why}" if good > 1 else counted, called=f"Use {best.method}")
+
+
+def short_header(comparison: Comparison) -> list[str]:
+    """Names of the columns of `short_rows`."""
+    _, unit = comparison.recording.field_shown
+    header = ["method", "status", f"hard iron ({unit})", f"spread ({unit})"]
+    return [*header, *(["heading (°)"] if comparison.raw.heading is not None else []), "time"]
+
+
+def short_rows(comparison: Comparison) -> list[list[str]]:
+    """What fits a terminal of 80 columns; methods that gave nothing are left to `remarks`."""
+    scale, _ = comparison.recording.field_shown
+    rows = []
+    for outcome in (comparison.raw, *comparison.by_trust):
+        if outcome.calibration is None:
+            continue
+        raw = outcome is comparison.raw
+        iron = "" if raw else ", ".join(_brief(value * scale) for value in outcome.calibration.hard_iron)
+        row = [outcome.method, "" if raw else str(outcome.status), iron]
+        row.append("" if outcome.inlier_spread is None else _brief(outcome.inlier_spread * scale))
+        if comparison.raw.heading is not None:
+            row.append("" if outcome.heading is None else f"{outcome.heading.deviation:.2f}")
+        rows.append([*row, duration(outcome.seconds)])
+    return rows
+
+
+def _brief(value: float) -> str:
+    """Six characters or so."""
+    size = abs(value)
+    return f"{value:.2f}" if size < 100 else f"{value:.0f}" if size < _HUGE else f"{value:.0e}"
+
+
 def result_header(comparison: Comparison) -> list[str]:
     """Names of the columns of `result_rows`."""
     _, unit = comparison.recording.field_shown
@@ -109,7 +155,7 @@ def result_rows(comparison: Comparison) -> list[list[str]]:
     """Per row: method, status, hard iron ± σ, spread of the field, of the heading, run time; "raw" first."""
     scale, _ = comparison.recording.field_shown
     rows = []
-    for outcome in (comparison.raw, *comparison.outcomes):
+    for outcome in (comparison.raw, *comparison.by_trust):
         raw = outcome is comparison.raw
         row = [outcome.method, "" if raw else str(outcome.status)]
         row += [""] * 3 if raw else _triple(outcome, "hard_iron", scale)
@@ -132,7 +178,7 @@ def parameter_rows(comparison: Comparison) -> list[list[str]]:
     """Soft iron, gyroscope bias and delay, each ± σ, of the methods that gave parameters."""
     rows = []
     upper = np.triu_indices(3)
-    for outcome in comparison.calibrated:
+    for outcome in comparison.by_trust:
         calibration = outcome.calibration
         if calibration is None:
             continue
@@ -150,7 +196,7 @@ def parameter_rows(comparison: Comparison) -> list[list[str]]:
 def remarks(comparison: Comparison) -> list[str]:
     """A sentence for each method that is to be doubted or gave nothing, and for what only some got to see."""
     sentences = [
-        f"{o.method} {o.status}: {o.reason}" for o in comparison.outcomes if o.status is not Status.TRUSTED
+        f"{o.method} {o.status}: {o.reason}" for o in comparison.by_trust if o.status is not Status.TRUSTED
     ]
     if comparison.not_run:
         sentences.append(f"interrupted before {', '.join(comparison.not_run)}")

@@ -4,43 +4,48 @@ from __future__ import annotations
 
 import json
 
-from markupsafe import Markup
-
-from magyc_gtsam.gap.result import Gap, Metrics
+from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.json_types import json_types
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.report import gap_plots, gap_words, words
-from magyc_gtsam.report.html import Figure, rendered
+from magyc_gtsam.report import gap_charts, gap_words, words
+from magyc_gtsam.report.html import rendered
+from magyc_gtsam.report.verdict import Verdict
 
 
-def render_gap(recording: Recording, gap: Gap, validation: gap_words.Validation | None = None) -> str:
+def render_gap(
+    recording: Recording,
+    gap: Gap,
+    validation: gap_words.Validation | None = None,
+    verdict: Verdict | None = None,
+) -> str:
     """The page as HTML text, self-contained.
 
     Args:
         recording: what was searched.
         gap: the result.
         validation: both models on another recording.
+        verdict: on the gap, where it is known already.
     """
+    verdict = verdict or gap_words.judged_gap(gap, validation)
     return rendered(
         "gap_template.html",
         recording,
         gap=gap,
         changed=gap.after is not gap.before,
-        headline=gap_words.title(gap),
-        good=gap_words.closed(gap),
+        headline=verdict.title,
+        good=verdict.trusted,
+        verdict=verdict,
         said=gap_words.said,
         numbers=gap_words.key_numbers(gap),
-        maps=_maps(gap.before, gap.after),
+        story=[*gap_charts.shrinking(recording, gap), *gap_charts.heading_shrinking(recording, gap)],
+        maps=gap_charts.maps(recording, gap.before, gap.after),
         lines=gap_words.line_sentences(gap.before),
         effects=[(effect, gap_words.effect_value(effect)) for effect in gap.effects],
-        evidence=Figure(
-            Markup(gap_plots.evidence(gap.hypotheses)),
-            "Evidence",
-            "Over its threshold, which the upright marks show; orange: significant.",
-        ),
+        evidence=gap_words.evidence_rows(gap.hypotheses),
         hypothesis_header=(*gap_words.HYPOTHESES, "in words"),
         significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant], explained=True),
         other_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if not h.significant], explained=True),
+        effect_sentences=[effect.sentence for effect in gap.effects],
         confusions=gap_words.confusion_sentences(gap),
         metric_header=gap_words.METRICS,
         metric_rows=gap_words.metric_rows(gap.before, gap.after),
@@ -48,44 +53,22 @@ def render_gap(recording: Recording, gap: Gap, validation: gap_words.Validation 
         validation_rows=[] if validation is None else gap_words.metric_rows(validation.before, validation.after),
         differs_header=gap_words.DIFFERS,
         differs_rows=[] if validation is None else gap_words.moved_rows(validation.differences),
-        loops=_loops(gap, recording.name, validation),
         moved_header=gap_words.MOVED,
         moved_rows=gap_words.moved_rows(gap.moved),
         assumption_header=gap_words.ASSUMPTIONS,
         assumption_rows=gap_words.assumption_rows(gap),
         parameter_rows=words.parameter_rows(gap.calibration),
-        advice=_advice(gap),
+        advice=_advice(gap, verdict),
         configuration=json.dumps(json_types(gap.diagnostics), indent=2, ensure_ascii=False),
     )
 
 
-def _maps(before: Metrics, after: Metrics) -> list[Figure]:
-    later = {gap.over: gap for gap in after.maps}
-    figures = []
-    for gap in before.maps:
-        then = gap if after is before else later.get(gap.over, gap)
-        worst = "Inside the band" if gap.worst <= 1 else f"Up to {gap.worst:.2f} times the band"
-        closing = "" if then is gap else f", then {'inside it' if then.worst <= 1 else f'{then.worst:.2f} times'}"
-        figures.append(Figure(Markup(gap_plots.gap_map(gap, then)), f"Over {gap.over}", f"{worst}{closing}."))
-    return figures
-
-
-def _loops(gap: Gap, name: str, validation: gap_words.Validation | None) -> list[Figure]:
-    pairs = [(name or "this recording", gap.before, gap.after)]
-    if validation is not None:
-        pairs.append((validation.name, validation.before, validation.after))
-    return [
-        Figure(
-            Markup(gap_plots.open_loop(before.open_loop, after.open_loop)),
-            f"Prediction over {before.open_loop.horizon:.0f} s: {where}",
-            f"Measured less predicted. Band: 99 % of what the {'new ' if after is not before else ''}model expects.",
-        )
-        for where, before, after in pairs
-        if len(before.open_loop.time)  # none in a recording shorter than the horizon
-    ]
-
-
-def _advice(gap: Gap) -> list[str]:
+def _advice(gap: Gap, verdict: Verdict) -> list[str]:
+    if gap.verdict in ("none", "closed") and not verdict.trusted:  # by another recording
+        return [
+            "Do not use the correction elsewhere before it holds on another log of the same instrument and mounting.",
+            "Give a log in which nothing was moved or mounted anew, or calibrate the other log by itself.",
+        ]
     lines = {
         "none": ["Use the calibration as it is: in all that this motion shows, the data agree with it."],
         "closed": [

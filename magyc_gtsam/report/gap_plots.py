@@ -1,4 +1,4 @@
-"""Figures of the gap page: where the gap is, the evidence, and prediction before and after."""
+"""Figures of a gap by matplotlib: where it is, and prediction before and after."""
 
 from __future__ import annotations
 
@@ -6,20 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 
-from magyc_gtsam.gap.result import GapMap, Hypothesis, OpenLoop
+from magyc_gtsam.gap.result import GapMap, OpenLoop
 from magyc_gtsam.recording import Array
-from magyc_gtsam.report.gap_words import hypothesis_label
-from magyc_gtsam.report.plots import CALIBRATED, INK, RAW, clock, drawn
+from magyc_gtsam.report.plots import CALIBRATED, INK, RAW, clock
 
 _MICRO = 1e6
 _TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000)
-_SHOWN = 14  # hypotheses in the figure; the table has all
 
 
-@drawn(4.3, 2.9)
-def gap_map(figure: Figure, before: GapMap, after: GapMap) -> None:
+def gap_map(figure: FigureBase, before: GapMap, after: GapMap) -> None:
     """Misfit over one variable, before and after, with the band in which the right model would stay."""
     axes = figure.add_subplot()
     unit, label = _axis(before)
@@ -38,30 +35,7 @@ def gap_map(figure: Figure, before: GapMap, after: GapMap) -> None:
         _plain_ticks(axes, centre)
 
 
-@drawn(4.7, 5.4)
-def evidence(figure: Figure, hypotheses: Sequence[Hypothesis]) -> None:
-    """Evidence over its threshold, strongest first; generic families, which only say where, hollow."""
-    shown = sorted(hypotheses, key=lambda h: -h.statistic / h.threshold)[:_SHOWN][::-1]
-    axes = figure.add_subplot()
-    ratio = [max(h.statistic / h.threshold, 1e-2) for h in shown]
-    colours = [RAW if h.significant else CALIBRATED for h in shown]
-    bars = axes.barh(range(len(shown)), ratio, color=colours, height=0.4)
-    for bar, hypothesis in zip(bars, shown, strict=True):
-        if hypothesis.generic:
-            bar.set(fill=False, edgecolor=bar.get_facecolor(), linewidth=1.2)
-    rows = np.arange(len(shown))
-    axes.vlines(np.ones(len(shown)), rows - 0.24, rows + 0.2, color=INK, linewidth=1.5)
-    axes.set(xscale="log", xlabel="Evidence / its 1 % threshold")
-    _plain_ticks(axes, [*ratio, 1.0])
-    for row, hypothesis in enumerate(shown):  # above its bar, which leaves the width of a phone to both
-        axes.annotate(
-            hypothesis_label(hypothesis), (0, row + 0.33), (2, 0), ("axes fraction", "data"), "offset points"
-        )
-    axes.set(yticks=[], ylim=(-0.5, len(shown) - 0.1))
-
-
-@drawn(4.7, 3.4)
-def open_loop(figure: Figure, before: OpenLoop, after: OpenLoop) -> None:
+def open_loop(figure: FigureBase, before: OpenLoop, after: OpenLoop) -> None:
     """Error of a prediction by the gyroscope alone, over time, with the band that the model expects."""
     unit, label = clock(before.time)
     panels = figure.subplots(3, 1, sharex=True)
@@ -76,7 +50,6 @@ def open_loop(figure: Figure, before: OpenLoop, after: OpenLoop) -> None:
         both = np.abs(np.concatenate([before.error[:, axis], after.error[:, axis]])) * _MICRO
         limit = 1.1 * float(np.quantile(both, 0.999))
         axes.set(ylabel=f"{'xyz'[axis]} (µT)", ylim=(-limit, limit))
-    figure.align_ylabels()
     panels[-1].set_xlabel(label)
 
 

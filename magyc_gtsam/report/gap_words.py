@@ -9,10 +9,13 @@ import numpy as np
 
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolability, Metrics, Moved
+from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
 _WORSE = 0.005  # nats per window, by which what was found may make another recording worse
+_BETTER = 0.98  # prediction with the correction over that without, below which the correction helps there
+_NOISIER = 1.25  # times the noise of the log, from which another log's differs
 _FOREIGN = 0.1  # of the field; a prediction beyond it is no matter of effects that were not found
 _SWEPT = 0.5  # of the field, by which another recording must turn it to be one to judge by
 _TITLES = {
@@ -83,12 +86,55 @@ def contradicted(gap: Gap, validation: Validation) -> list[str]:
             "another mounting or another delay; give a log of the same, or calibrate again"
         ]
     before, after = validation.before.held_out, validation.after.held_out
-    if after > before - _WORSE:
+    # A likelihood falls where the noise is another, too: the prediction says whether the correction helps.
+    if after > before - _WORSE or loop.rms < _BETTER * validation.before.open_loop.rms:
         return []
     return [
         f"{fails}: with it the log-likelihood per window falls from {before:.3f} to {after:.3f}: what was found is "
         "not there, or is no property of the instrument"
     ]
+
+
+def noise_there(validation: Validation) -> str:
+    """Where the noise of the other recording is another: how much; else ""."""
+    over_time = next((m for m in validation.after.maps if m.over == "time"), None)
+    if over_time is None or not over_time.share.sum() > 0:
+        return ""
+    ratio = float(np.sqrt(over_time.share @ over_time.level**2 / over_time.share.sum()))
+    if 1 / _NOISIER < ratio < _NOISIER:
+        return ""
+    return f"The noise level differs on {validation.name}: {ratio:.1f} times that of this log."
+
+
+def judged_gap(gap: Gap, validation: Validation | None = None, unjudged: Sequence[str] = ()) -> Verdict:
+    """The verdict on a gap, which terminal, page and exit code share.
+
+    Args:
+        gap: the result.
+        validation: of it on another recording.
+        unjudged: why it could not be judged there.
+    """
+    doubts = [*unjudged, *(contradicted(gap, validation) if validation is not None else [])]
+    details = [effect.sentence for effect in gap.effects if effect.sentence not in gap.sentence]
+    noise = "" if validation is None else noise_there(validation)
+    if doubts:
+        holds = any("does not hold" in doubt for doubt in doubts)
+        cause, _, action = doubts[0].partition(": ")
+        return Verdict(
+            False,
+            action,
+            details=(
+                said(f"{title(gap)}: {gap.sentence}"),
+                *map(said, doubts),
+                *details,
+                *([noise] if noise else []),
+            ),
+            called=said(cause).removesuffix(".") if holds else "The result could not be judged on the other log",
+        )
+    if validation is not None and gap.effects:
+        details.append(f"the correction holds on {validation.name}")
+    details += [noise] if noise else []
+    return Verdict(closed(gap), gap.sentence, worth=gap.sentence, details=tuple(details), called=title(gap))
 
 
 def title(gap: Gap) -> str:
@@ -123,13 +169,7 @@ def key_numbers(gap: Gap) -> list[Number]:
             )
         )
     numbers += [
-        Number(
-            "Unseen data explained better by",
-            f"{after.held_out - before.held_out:+.3f}",
-            "log-likelihood per window",
-        ),
         Number("Effects added", f"{sum(e.applied for e in gap.effects)}", f"of {len(gap.effects)} named"),
-        Number("Hypotheses tested", f"{len(gap.hypotheses)}", f"{len(gap.untested)} could not be tested"),
     ]
     return numbers
 
@@ -168,6 +208,17 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
             *([h.sentence] if explained else []),
         ]
         for h in ordered
+    ]
+
+
+def evidence_rows(hypotheses: Sequence[Hypothesis], most: int = 14) -> list[tuple[str, float, str, bool]]:
+    """(label, width of its bar in %, evidence over threshold in words, whether significant), strongest first."""
+    shown = sorted(hypotheses, key=lambda h: -h.statistic / h.threshold)[:most]
+    ratio = [max(h.statistic / h.threshold, 1e-2) for h in shown]
+    top = np.log(100 * max([1.0, *ratio]))
+    return [
+        (hypothesis_label(h), float(100 * np.log(100 * r) / top), f"{r:.2g} ×", h.significant)
+        for h, r in zip(shown, ratio, strict=True)
     ]
 
 
@@ -253,7 +304,7 @@ def confusion_sentences(gap: Gap) -> list[str]:
             sentences.append(f"{effect.label}: it may be {unseen} as well, whose channel is not in the recording.")
         if not effect.ambiguous_with and effect.name in TERMS:
             sentences.append(f"{effect.label}: no other candidate explains these data as well.")
-    return sentences
+    return list(dict.fromkeys(sentences))
 
 
 def plan_rows(table: Sequence[Isolability]) -> list[list[str]]:

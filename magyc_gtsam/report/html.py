@@ -1,9 +1,9 @@
-"""What all pages have in common: the skeleton that their templates extend, figures, and writing them."""
+"""What all pages have in common: the skeleton that their templates extend, and writing them."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,18 +12,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.report import plots
 
 _PACKAGE = "magyc_gtsam.report"
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure with its title and caption."""
-
-    svg: Markup
-    title: str
-    caption: str = ""
+_SCRIPTS = ("uplot/uPlot.iife.min.js", "charts.js", "sphere.js", "page.js")
+_STYLES = ("uplot/uPlot.min.css", "style.css")
+_HYPHEN = re.compile(r"(?<![\w.)\]-])-(?=\.?\d)")
 
 
 def rendered(template: str, recording: Recording, **values: Any) -> str:
@@ -32,6 +25,7 @@ def rendered(template: str, recording: Recording, **values: Any) -> str:
     Args:
         template: file name; extends base.html, which says what it needs of `values`.
         recording: what the page is about.
+        values: for the template.
     """
     environment = Environment(
         loader=PackageLoader(_PACKAGE, "."),
@@ -40,11 +34,14 @@ def rendered(template: str, recording: Recording, **values: Any) -> str:
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    style = (resources.files(_PACKAGE) / "style.css").read_text(encoding="utf-8")
-    colours = {"raw": plots.RAW, "calibrated": plots.CALIBRATED, "disturbed": plots.DISTURBED}
-    return environment.get_template(template).render(
-        recording=recording, style=Markup(style), colours=colours, **values
-    )
+    environment.filters["minus"] = with_minus
+    style, script = (Markup("\n".join(map(_text, names))) for names in (_STYLES, _SCRIPTS))
+    return environment.get_template(template).render(recording=recording, style=style, script=script, **values)
+
+
+def with_minus(text: str) -> str:
+    """With a minus sign where a hyphen stands before a number."""
+    return _HYPHEN.sub("−", text)
 
 
 def write_page(path: Path, text: str) -> None:
@@ -52,3 +49,7 @@ def write_page(path: Path, text: str) -> None:
     part = path.with_name(path.name + ".part")
     part.write_text(text, encoding="utf-8")
     os.replace(part, path)
+
+
+def _text(name: str) -> str:
+    return (resources.files(_PACKAGE) / name).read_text(encoding="utf-8")

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from markupsafe import Markup
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.report import plots, words
+from magyc_gtsam.level_turn import LevelTurn, inclination, turn_of
+from magyc_gtsam.recording import Array, Mask, Recording
+from magyc_gtsam.report import words
 from magyc_gtsam.report.analysis import (
     DISTURBED_WEIGHT,
     Coverage,
     FieldHistory,
-    LevelTurn,
     coverage,
     disturbed_stretches,
     field_history,
-    level_turn,
 )
-from magyc_gtsam.report.html import Figure, rendered, write_page
+from magyc_gtsam.report.charts import Figure, Frame, Series, chart, clock, origin, over_time, sphere
+from magyc_gtsam.report.html import rendered, write_page
+from magyc_gtsam.report.verdict import Verdict, degrees, judged
+
+_MICRO = 1e6
+_MOST_RESIDUALS = 1500  # windows drawn
 
 
 class Residuals(Protocol):
@@ -68,6 +70,7 @@ def write_report(
     recording: Recording,
     calibration: Calibration,
     residuals: Residuals | None = None,
+    verdict: Verdict | None = None,
 ) -> Path:
     """Write the report of one calibration as one self-contained HTML file.
 
@@ -76,6 +79,7 @@ def write_report(
         recording: what was calibrated from.
         calibration: the result.
         residuals: of the method's windows; None for methods without any.
+        verdict: on the calibration, where it is known already.
 
     Returns:
         The file written, in one step.
@@ -84,99 +88,145 @@ def write_report(
     if path.suffix != ".html":
         path = path / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_page(path, render(recording, calibration, residuals))
+    write_page(path, render(recording, calibration, residuals, verdict))
     return path
 
 
-def render(recording: Recording, calibration: Calibration, residuals: Residuals | None = None) -> str:
+def render(
+    recording: Recording,
+    calibration: Calibration,
+    residuals: Residuals | None = None,
+    verdict: Verdict | None = None,
+) -> str:
     """The report as HTML text."""
+    verdict = verdict or judged(calibration, recording)
     history = field_history(recording, calibration)
     visited = coverage(history.time, history.calibrated)
-    turn = level_turn(calibration, history)
-    fit = None if residuals is None else _residual_section(residuals, float(recording.time[0]))
-    script = (resources.files("magyc_gtsam.report") / "copy.js").read_text(encoding="utf-8")
+    turn = turn_of(recording, calibration)
+    fit = None if residuals is None else _residual_section(recording, residuals)
+    time = history.time + float(recording.time[0]) - origin(recording)
+    stretches = () if fit is None else fit.stretches
     return rendered(
         "template.html",
         recording,
-        headline="Calibrated" if calibration.trusted else "Do not use this calibration",
-        good=calibration.trusted,
-        script=Markup(script),
+        headline=verdict.title,
+        good=verdict.trusted,
+        verdict=verdict,
         samples=len(history.time),
         calibration=calibration,
-        reasons=words.reasons(calibration),
-        cautions=words.cautions(calibration, history),
-        numbers=words.key_numbers(calibration, history, turn, visited),
-        field_figures=_field_figures(calibration, history, visited),
-        time_figures=[*_time_figures(history), _turn_figure(turn)],
+        cautions=words.cautions(history),
+        numbers=words.key_numbers(calibration, verdict, history, turn, visited),
+        field=_sphere_figure(calibration, history, visited),
+        strength=_strength_figure(recording, history, time, stretches),
+        time_figures=[*_time_figures(recording, history, time), *_turn_figures(calibration, verdict, turn)],
         has_reference=history.up is not None,
         residuals=fit,
         stretch=words.stretch,
         parameters=words.parameter_rows(calibration),
-        advice=words.advice(recording, calibration, () if fit is None else fit.stretches),
+        advice=words.advice(recording, calibration, stretches),
         exports=words.exports(calibration),
         configuration=words.configuration(calibration),
     )
 
 
-def _field_figures(calibration: Calibration, history: FieldHistory, visited: Coverage) -> list[Figure]:
-    figures = []
-    for plane, gone in (((0, 1), "z"), ((0, 2), "y"), ((1, 2), "x")):
-        svg = plots.field_projection(history, calibration.soft_iron, calibration.hard_iron, plane)
-        figures.append(Figure(Markup(svg), f"Seen along {gone}", ""))
-    middle, rim = ("+z", "−z") if visited.middle > 0 else ("−z", "+z")
-    directions = Figure(
-        Markup(plots.coverage_map(visited)),
-        f"Directions of the field: {visited.share:.0%}",
-        f"The whole sphere around the sensor: {middle} in the middle, {rim} at the rim; blank: never.",
+def _sphere_figure(calibration: Calibration, history: FieldHistory, visited: Coverage) -> Figure:
+    raw, calibrated = history.raw * _MICRO, history.calibrated * _MICRO
+    radius = history.strength * _MICRO
+    fitted = (calibration.soft_iron * radius, calibration.hard_iron * _MICRO, "raw")
+    return sphere(
+        f"The field in sensor axes, and the {visited.share:.0%} of its directions that were visited",
+        "Drag to turn. Raw points belong on the ellipsoid fitted to them, calibrated points on the sphere about "
+        "zero. Where the sphere is bare, the motion said nothing.",
+        [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
+        radius,
+        outlines=[fitted, (np.eye(3) * radius, np.zeros(3), "calibrated")],
+        coverage=visited,
     )
-    return [*figures, directions]
 
 
-def _time_figures(history: FieldHistory) -> list[Figure]:
-    figures = [
-        Figure(
-            Markup(plots.field_strength(history)),
-            "Field strength",
-            "Lines: means; bands: range of the samples; dashed: strength of the calibrated field. "
-            "A step or a bump that is left after calibration is a disturbance.",
-        )
-    ]
+def _strength_figure(
+    recording: Recording, history: FieldHistory, time: Array, stretches: Sequence[tuple[float, float]]
+) -> Figure:
+    raw, calibrated = (np.linalg.norm(field, axis=1) * _MICRO for field in (history.raw, history.calibrated))
+    return over_time(
+        "Strength of the field",
+        "Drag over an interval to copy it for the command line and to see it in the charts below. Lines: means; bands: "
+        "range of the samples; dashed: strength of the calibrated field; shaded: disturbed.",
+        recording,
+        time,
+        [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
+        "Strength (µT)",
+        strip=True,
+        levels=[history.strength * _MICRO],
+        spans=stretches,
+        wide=True,
+    )
+
+
+def _time_figures(recording: Recording, history: FieldHistory, time: Array) -> list[Figure]:
+    figures = []
     if history.up is not None:
+        raw, calibrated = inclination(history.raw, history.up), inclination(history.aligned, history.up)
         figures.append(
-            Figure(
-                Markup(plots.field_inclination(history, history.up)),
+            over_time(
                 "Dip",
-                f"Angle of the field below the horizontal, by the {history.up_from}. "
-                "It should be constant after calibration.",
+                f"Angle of the field below the horizontal, by the {history.up_from}. It should be constant after "
+                "calibration.",
+                recording,
+                time,
+                [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
+                "Dip (°)",
+                levels=[float(np.nanmedian(calibrated))],
             )
         )
     if history.heading_error is not None:
-        raw, calibrated = np.nanstd(history.heading_error, axis=0)
+        raw, calibrated = history.heading_error.T
         figures.append(
-            Figure(
-                Markup(plots.heading_error(history.time, history.heading_error)),
+            over_time(
                 "Heading error against the reference",
-                f"Standard deviation {raw:.2f}° raw, {calibrated:.2f}° calibrated, with the noise of each "
-                "sample but without the mean.",
+                f"Standard deviation {np.nanstd(raw):.2f}° raw, {np.nanstd(calibrated):.2f}° calibrated, with the "
+                "noise of each sample but without the mean.",
+                recording,
+                time,
+                [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
+                "Error (°)",
+                levels=[0.0],
             )
         )
     return figures
 
 
-def _turn_figure(turn: LevelTurn) -> Figure:
-    caption = (
-        f"A turn about {turn.about}, at the recording's dip of {turn.inclination:.0f}°. "
-        f"Raw: off by up to {np.abs(turn.error).max():.1f}°. "
+def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -> list[Figure]:
+    error = turn.raw_error(calibration.soft_iron, calibration.hard_iron)
+    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # from −180° to 180°, not to be joined
+    about = f"A turn about {turn.about}, at a dip of {turn.dip:.0f}°."
+    frame = Frame("Heading (°)", "Error (°)", levels=[0.0], xlim=(0, 360))
+    figures = [
+        chart(
+            "Level turn: error of the raw compass",
+            f"{about} Off by up to {np.abs(error).max():.1f}°.",
+            turn.heading,
+            [Series("raw", "raw", np.where(jumps, np.nan, error))],
+            frame,
+        )
+    ]
+    if calibration.covariance is None:
+        return figures
+    sigma = np.minimum(turn.systematic(calibration.covariance, calibration.soft_iron), 180.0)
+    figures.append(
+        chart(
+            "Level turn: what the calibration leaves",
+            f"±1σ of the systematic error, at worst {degrees(verdict.heading.systematic)}, by the covariance.",
+            turn.heading,
+            [Series("calibrated ±1σ", "calibrated", low=-sigma, high=sigma)],
+            frame,
+        )
     )
-    if turn.sigma is None:
-        caption += "This method states no uncertainty, so none is drawn for the calibrated heading."
-    else:
-        caption += f"Calibrated: uncertain by {words.worst_heading(turn)} at worst (1σ), by the covariance."
-    return Figure(Markup(plots.level_turn_error(turn)), "Heading error over a level turn", caption)
+    return figures
 
 
-def _residual_section(residuals: Residuals, start: float) -> ResidualSection:
-    time = residuals.time - start
+def _residual_section(recording: Recording, residuals: Residuals) -> ResidualSection:
+    time = residuals.time - origin(recording)
     middle = (time[1:] + time[:-1]) / 2
     joined = np.isfinite(residuals.link_sigma)  # not across a hole of the data
     fits = [
@@ -196,22 +246,49 @@ def _residual_section(residuals: Residuals, start: float) -> ResidualSection:
         kept = weight >= DISTURBED_WEIGHT
         disturbed = disturbed_stretches(at, weight)
         stretches += disturbed
-        noise = whitened[kept] if kept.any() else whitened
         figures += [
-            Figure(
-                Markup(plots.residuals(at, whitened, kept, disturbed)),
-                f"{name}: residual over time",
-                "In units of its own σ, drawn up to ±10; dotted: ±3. Purple: below half the weight, "
-                f"{(~kept).sum()} of {len(at)} windows. Mean weight {weight.mean():.2f}.",
-            ),
-            Figure(
-                Markup(plots.residual_histogram(noise)),
-                f"{name}: residual against noise",
-                "Line: what the stated noise alone would give. "
-                f"Standard deviation {noise.std():.2f}: up to about 1 is noise, more is not.",
-            ),
+            _residuals_over_time(recording, name, at, whitened, kept, weight),
+            _histogram(name, whitened, kept),
         ]
     return ResidualSection(tuple(figures), tuple(_merged(stretches)))
+
+
+def _residuals_over_time(
+    recording: Recording, name: str, time: Array, whitened: Array, kept: Mask, weight: Array
+) -> Figure:
+    every = -(-len(time) // _MOST_RESIDUALS)
+    time, shown, fits = time[::every], np.clip(whitened[::every], -10, 10), kept[::every]
+    series = [
+        Series(axis, colour, np.where(fits, column, np.nan), style="dots")
+        for axis, colour, column in zip("xyz", ("calibrated", "second", "third"), shown.T, strict=True)
+    ]
+    worst = np.take_along_axis(shown, np.abs(shown).argmax(axis=1)[:, None], axis=1)[:, 0]
+    series.append(Series("disturbed", "disturbed", np.where(fits, np.nan, worst), style="dots"))
+    return chart(
+        f"{name}: residual over time",
+        f"In units of its own σ, drawn up to ±10; dashed: ±3. Below half the weight: {(~kept).sum()} of {len(kept)} "
+        f"windows. Mean weight {weight.mean():.2f}.",
+        time,
+        series,
+        clock(recording, time, "Residual (σ)", levels=(-3.0, 3.0)),
+    )
+
+
+def _histogram(name: str, whitened: Array, kept: Mask) -> Figure:
+    noise = whitened[kept] if kept.any() else whitened
+    share, edges = np.histogram(np.clip(noise.ravel(), -5, 5), bins=np.linspace(-5, 5, 51), density=True)
+    x = (edges[1:] + edges[:-1]) / 2
+    return chart(
+        f"{name}: residual against noise",
+        f"Line: what the stated noise alone would give. Standard deviation {noise.std():.2f}: up to about 1 is noise, "
+        "more is not.",
+        x,
+        [
+            Series("found", "calibrated", share, style="bars"),
+            Series("noise", "ink", np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi)),
+        ],
+        Frame("Residual (σ)", "Share per σ"),
+    )
 
 
 def _merged(stretches: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:

@@ -12,8 +12,10 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.export import TARGETS
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.level_turn import LevelTurn
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.report.analysis import Coverage, FieldHistory, LevelTurn
+from magyc_gtsam.report.analysis import Coverage, FieldHistory
+from magyc_gtsam.report.verdict import Verdict, degrees
 
 _MICRO = 1e6
 _TARGET_NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "vectornav": "VectorNav", "ros": "ROS 2"}
@@ -29,24 +31,9 @@ class Number:
     meaning: str
 
 
-def reasons(calibration: Calibration) -> list[str]:
-    """Why to trust the result or not, one short sentence each."""
-    message = calibration.message or ("converged" if calibration.converged else "not converged")
-    sentences = [message[0].upper() + message[1:].removesuffix(".") + "."]
-    observability = calibration.observability
-    if observability is not None and observability.observable:
-        sentences.append("The motion was sufficient.")
-    elif observability is not None:
-        worst = observability.weak[:1]
-        sentences += [weakness.sentence for weakness in worst if weakness.what not in message]
-    return sentences
-
-
-def cautions(calibration: Calibration, history: FieldHistory) -> list[str]:
+def cautions(history: FieldHistory) -> list[str]:
     """What to look at closely although the verdict may be good."""
     sentences = []
-    if calibration.observability is None:
-        sentences.append("This method does not say whether the motion was sufficient: judge by the figures.")
     if _spread(history.calibrated) > _spread(history.raw):
         sentences.append("The strength of the calibrated field varies more than that of the raw field.")
     if history.heading_error is not None:
@@ -61,7 +48,7 @@ def _spread(field: Array) -> float:
 
 
 def key_numbers(
-    calibration: Calibration, history: FieldHistory, turn: LevelTurn, visited: Coverage
+    calibration: Calibration, verdict: Verdict, history: FieldHistory, turn: LevelTurn, visited: Coverage
 ) -> list[Number]:
     """The numbers to see first."""
     before, after = (_three_digits(_spread(field) * _MICRO) for field in (history.raw, history.calibrated))
@@ -76,10 +63,16 @@ def key_numbers(
             )
         )
     else:
-        largest = float(np.abs(turn.error).max())
+        largest = float(np.abs(turn.raw_error(calibration.soft_iron, calibration.hard_iron)).max())
         numbers.append(Number("Heading corrected by up to", f"{largest:.1f}°", "in a level turn"))
-    if turn.sigma is not None:
-        numbers.append(Number("Heading uncertain by", worst_heading(turn), "1σ at worst in a level turn"))
+    heading = verdict.heading
+    numbers.append(
+        Number(
+            "Systematic heading error",
+            degrees(heading.systematic),
+            f"1σ at worst in a level turn; a single sample {degrees(heading.per_sample)}",
+        )
+    )
     numbers += [
         Number("Field strength", f"{history.strength * _MICRO:.2f} µT", "of the calibrated field"),
         Number(
@@ -94,12 +87,6 @@ def key_numbers(
     return numbers
 
 
-def worst_heading(turn: LevelTurn) -> str:
-    """Largest standard deviation of the heading over a level turn, where the calibration states one."""
-    worst = float(np.max(turn.sigma)) if turn.sigma is not None else np.inf
-    return f"{worst:.2g}°" if worst < 90 else "all of it"
-
-
 def _three_digits(value: float) -> str:
     """With three digits, as many of them decimals as a value of some units needs."""
     return f"{value:.{int(np.clip(2 - np.floor(np.log10(max(value, 1e-9))), 0, 2))}f}"
@@ -110,7 +97,7 @@ def uncertain(value: float, sigma: float) -> str:
     if not sigma > 0:
         return f"{value:.4f}"
     decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 7))
-    return f"{value:.{decimals}f} ±\N{NO-BREAK SPACE}{sigma:.{decimals}f}"
+    return f"{value:.{decimals}f} ±\N{NO-BREAK SPACE}{sigma:.{decimals}f}".replace("-", "−")
 
 
 def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
@@ -152,8 +139,6 @@ def stretch(seconds: tuple[float, float]) -> str:
 def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[tuple[float, float]]) -> list[str]:
     """What to do next, most urgent first."""
     lines = []
-    if not calibration.trusted:
-        lines.append("Do not paste the parameters below into the vehicle yet.")
     if calibration.observability is not None:
         remedies: dict[str, list[str]] = {}
         for weakness in calibration.observability.weak:
@@ -179,7 +164,9 @@ def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[t
 
 
 def exports(calibration: Calibration) -> list[tuple[str, str, bool]]:
-    """(target, text to paste or why there is none, whether it can be pasted)."""
+    """(target, text to paste or why there is none, whether it can be pasted); none of what must not be trusted."""
+    if not calibration.trusted:
+        return []
     result = []
     for target in TARGETS:
         try:

@@ -1,6 +1,26 @@
-"""Runners: optimise any graph, all at once or as it grows."""
+"""Runners: optimise any graph, all at once or as it grows. Names are imported at first use; all but `Status` need
+GTSAM."""
 
-from magyc_gtsam.runners.batch import BatchResult, Status, optimize
-from magyc_gtsam.runners.incremental import Incremental, IncrementalResult
+from __future__ import annotations
 
-__all__ = ["BatchResult", "Incremental", "IncrementalResult", "Status", "optimize"]
+from typing import Any
+
+from magyc_gtsam.factors.lazy import attribute
+from magyc_gtsam.runners.status import Status
+
+_PUBLIC = {
+    "BatchResult": "batch",
+    "Incremental": "incremental",
+    "IncrementalResult": "incremental",
+    "optimize": "batch",
+}
+
+__all__ = ["Status", *_PUBLIC]
+
+
+def __getattr__(name: str) -> Any:
+    return attribute(__name__, _PUBLIC, name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

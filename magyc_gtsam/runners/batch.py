@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Any, Literal
 
 import gtsam
@@ -19,6 +18,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import NonFiniteError
+from magyc_gtsam.runners.status import Status
 
 Method = Literal["lm", "dogleg", "gauss-newton"]
 Progress = Callable[[int, float], None]
@@ -28,17 +28,6 @@ _OPTIMIZERS = {
     "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
     "gauss-newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
 }
-
-
-class Status(StrEnum):
-    """Why an optimisation ended."""
-
-    CONVERGED = "converged"
-    MAX_ITERATIONS = "max-iterations"
-    STALLED = "stalled"  # no step lowers the error, yet it is no minimum
-    INDETERMINATE = "indeterminate"  # a variable is not determined by the data
-    FAILED = "failed"  # error, residual or Jacobian not finite
-    INTERRUPTED = "interrupted"
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,8 @@ the result says why. Factors keep the handle under which they were added, whatev
 
 from __future__ import annotations
 
+import itertools
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -15,13 +17,19 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import NonFiniteError
-from magyc_gtsam.runners.batch import Status, called, predicted_decrease, undetermined
+from magyc_gtsam.factors.guard import NonFiniteError, factor_details
+from magyc_gtsam.factors.kernels import narrowed
+from magyc_gtsam.runners.batch import called, predicted_decrease, undetermined
+from magyc_gtsam.runners.status import Status
 
 Method = Literal["dogleg", "gauss-newton"]
 
 _OPTIMIZERS = {"dogleg": gtsam.ISAM2DoglegParams, "gauss-newton": gtsam.ISAM2GaussNewtonParams}
 _FACTORIZATIONS = {"cholesky": "CHOLESKY", "qr": "QR"}
+_REFRESH = 10  # variables per update between two looks at the whole graph
+_GROWING = 4  # steps in a row, each larger than the one before
+_RECENT = 40  # blocks by whose misfit a kernel's width is set
+_SHARE = 0.01  # of the error that a step may still promise where what moves little is not linearised again
 _WORTHLESS = 1e-6  # decrease of the error, which counts half squared sigmas, that is not worth a step
 
 
@@ -30,12 +38,14 @@ class IncrementalResult:
     """What one `Incremental.update` did.
 
     Attributes:
-        status: CONVERGED where the last step moved no variable by more than the tolerance, MAX_ITERATIONS
-            where one still moves (the next update goes on), STALLED where no step lowers the error though
-            it is no minimum; else the update did not take place.
+        status: CONVERGED where the last step moved no variable that existed before by more than the tolerance, or
+            than what is linearised again; MAX_ITERATIONS where one still moves (the next update goes on),
+            DIVERGED where steps grow, STALLED where no step lowers the error though it is no minimum; else the
+            update did not take place.
         message: the same in words, with the numbers behind it and a remedy.
         factors: handles of the factors added, in their order.
-        step: largest change of a variable in the last step, in its own units; NaN without a step.
+        step: largest change of a variable in the last step, in its own units, of those that the update touched and
+            that existed before; NaN without a step.
     """
 
     status: Status
@@ -46,11 +56,16 @@ class IncrementalResult:
     @property
     def updated(self) -> bool:
         """Whether the update took place."""
-        return self.status in (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED)
+        return self.status in (Status.CONVERGED, Status.MAX_ITERATIONS, Status.DIVERGED, Status.STALLED)
 
 
 class Incremental:
     """A graph that grows, and its estimate after every update.
+
+    An update costs what iSAM2 itself needs for the variables that it touches: the estimate of the others is brought up
+    to date, and the graph looked at as a whole, only each time that the number of updates since has reached a
+    tenth of the number of variables, or when `values` is read. A kernel inside a block of samples starts wide and
+    narrows by itself (`kernels.narrowed`).
 
     Args:
         method: "dogleg" (RISE: a trust region keeps poor early data from throwing the estimate away) or
@@ -84,10 +99,12 @@ class Incremental:
             if given not in known:
                 raise MagycError(f"{what} {given!r} unknown; there are {', '.join(known)}")
         if not (np.isfinite(relinearize_threshold) and relinearize_threshold >= 0):
-            raise MagycError(f"relinearize_threshold {relinearize_threshold}; it must be finite and not negative")
+            raise MagycError(
+                f"relinearize_threshold: must be finite and not negative, got {relinearize_threshold}"
+            )
         for what, value in (("radius", radius), ("tolerance", tolerance)):
             if not (np.isfinite(value) and value > 0):
-                raise MagycError(f"{what} {value}; it must be finite and above 0")
+                raise MagycError(f"{what}: must be finite and above 0, got {value}")
         optimizer = _OPTIMIZERS[method]()
         if method == "dogleg":
             optimizer.setInitialDelta(radius)
@@ -104,10 +121,17 @@ class Incremental:
         self._factors: dict[int, Any] = {}
         self._slots: dict[int, int] = {}
         self._next_handle = 0
+        self._limit = max(tolerance, relinearize_threshold)
+        self._trusts = method == "dogleg" or relinearize_threshold <= tolerance  # a region that may have shrunk
+        self._since = 0  # updates since the whole estimate was read
+        self._current = True
+        self._steps: deque[float] = deque(maxlen=_GROWING + 1)
+        self._robust: list[Any] = []
 
     @property
     def values(self) -> gtsam.Values:
         """The estimate after the last update that took place; a copy."""
+        self._read_all()
         return gtsam.Values(self._values)
 
     @property
@@ -117,6 +141,7 @@ class Incremental:
 
     def error(self) -> float:
         """GTSAM's error at the estimate: half the sum of squared whitened residuals, or of their kernels."""
+        self._read_all()
         return float(self._graph().error(self._values))
 
     def covariance(self, key: int) -> np.ndarray:
@@ -152,34 +177,34 @@ class Incremental:
                 error function has a wrong shape. Numerical trouble is no exception but a status.
         """
         if steps < 1:
-            raise MagycError(f"steps {steps}; at least 1 is needed")
+            raise MagycError(f"steps: must be at least 1, got {steps}")
         added = _as_graph(factors)
         removed = list(dict.fromkeys(remove))
         unknown = [handle for handle in removed if handle not in self._factors]
         if unknown:
             raise MagycError(f"no factor {unknown[0]} in the graph; handles are what `update` returned")
         new = self._new_variables(added, initial)
-
-        estimate = self.values
-        estimate.insert(new)
-        whole = False
+        whole, moved = False, 0.0
+        touched = gtsam.Values()
         try:
+            self._warm_up(added, new)
             slots = [self._slots[handle] for handle in removed]
-            found = self._isam.update(added, new, slots).getNewFactorsIndices()
-            step = self._step(estimate)
+            result = self._isam.update(added, new, slots)
+            found = result.getNewFactorsIndices()
+            touched.insert(new)
+            moved = self._step(result, touched, new)
             for _ in range(steps - 1):
-                if not step > self._tolerance:  # nor goes on from NaN
+                if not moved > self._tolerance:  # nor goes on from NaN
                     break
-                self._isam.update()
-                step = self._step(estimate)
-            whole = bool(np.isfinite(step))
+                moved = self._step(self._isam.update(), touched, gtsam.Values())
+            whole = bool(np.isfinite(moved))
         except (KeyboardInterrupt, NonFiniteError, RuntimeError) as problem:
             return self._not_updated(problem)
         finally:
             if not whole:
                 self._rebuild()
         if not whole:
-            return IncrementalResult(Status.FAILED, f"the step became {step}; nothing was updated")
+            return IncrementalResult(Status.FAILED, f"the step became {moved}; nothing was updated")
 
         for handle in removed:
             del self._factors[handle], self._slots[handle]
@@ -187,8 +212,34 @@ class Incremental:
         self._next_handle += len(handles)
         self._factors.update({handle: added.at(i) for i, handle in enumerate(handles)})
         self._slots.update(zip(handles, found, strict=True))
-        self._values = estimate
-        return self._verdict(handles, step)
+        self._values.insert_or_assign(touched)
+        self._current = False
+        self._since += 1
+        if removed:
+            for key in result.getUnusedKeys():  # variables that lost their last factor
+                if self._values.exists(key):
+                    self._values.erase(key)
+        if _REFRESH * self._since >= self._values.size():
+            self._read_all()
+        return self._verdict(handles, moved, steps)
+
+    def _warm_up(self, added: gtsam.NonlinearFactorGraph, new: gtsam.Values) -> None:
+        """Set the widths of the kernels in blocks by how the last ones fitted."""
+        for i in range(added.size()):
+            factor = added.at(i)
+            details = factor_details(factor)
+            if getattr(details, "robust", None) is None:
+                continue
+            keys = list(factor.keys())
+            fresh = [key for key in keys if new.exists(key)]
+            point = self._values.extract([key for key in keys if not new.exists(key)])
+            point.insert(new.extract(fresh))
+            factor.error(point)  # sets the block's misfit
+            self._robust.append(details)
+        if self._robust:
+            width = narrowed([details.misfit for details in self._robust[-_RECENT:]])
+            for details in self._robust[-_RECENT:]:
+                details.width = width
 
     def _new_variables(self, factors: gtsam.NonlinearFactorGraph, initial: gtsam.Values | None) -> gtsam.Values:
         new = gtsam.Values()
@@ -202,23 +253,37 @@ class Incremental:
                 new.erase(key)
         return new
 
-    def _step(self, estimate: gtsam.Values) -> float:
-        """Make a step; `estimate` is brought up to it. By how much it moved a variable at most."""
-        after = self._isam.calculateEstimate()
-        for key in set(estimate.keys()) - set(after.keys()):  # variables that lost their last factor
-            estimate.erase(key)
-        change = estimate.localCoordinates(after).vector()
-        estimate.update(after)
-        return float(np.abs(change).max(initial=0.0))
+    def _step(self, result: gtsam.ISAM2Result, touched: gtsam.Values, new: gtsam.Values) -> float:
+        """Read what a step touched into `touched`; by how much it moved a variable that existed before at most."""
+        keys = [key for key in result.getMarkedKeys() if self._isam.valueExists(key)]
+        after = self._isam.calculateEstimate(keys)
+        compared = [key for key in keys if not new.exists(key)] or keys
+        before = touched.extract([key for key in compared if touched.exists(key)])
+        before.insert(self._values.extract([key for key in compared if not touched.exists(key)]))
+        change = before.localCoordinates(after.extract(compared)).vector()
+        touched.insert_or_assign(after)
+        self._steps.append(float(np.abs(change).max(initial=0.0)))
+        return self._steps[-1]
 
-    def _verdict(self, handles: tuple[int, ...], step: float) -> IncrementalResult:
-        if step > self._tolerance:
+    def _read_all(self) -> None:
+        """Bring the whole estimate up to date."""
+        if not self._current:
+            self._values, self._current, self._since = self._isam.calculateEstimate(), True, 0
+
+    def _verdict(self, handles: tuple[int, ...], step: float, steps: int) -> IncrementalResult:
+        rising = len(self._steps) > _GROWING and all(a < b for a, b in itertools.pairwise(self._steps))
+        if rising and step > max(10 * self._steps[0], self._limit):
+            message = f"steps grow, from {self._steps[0]:.1g} to {step:.1g}; start nearer, or use 'dogleg'"
+            return IncrementalResult(Status.DIVERGED, message, handles, step)
+        if step > self._limit:
             return IncrementalResult(Status.MAX_ITERATIONS, f"still moving, by {step:.1g}", handles, step)
-        # A minimum, or a trust region that shrank to nothing?
-        promised = predicted_decrease(self._graph(), self._values)
-        if promised > _WORTHLESS:
-            message = f"no step lowers the error, though {promised:.2g} of {self.error():.3g} are to be won"
-            return IncrementalResult(Status.STALLED, message, handles, step)
+        if self._trusts and (self._current or steps > 1):
+            # A minimum, or a trust region that shrank to nothing?
+            self._read_all()
+            promised = predicted_decrease(self._graph(), self._values)
+            if promised > max(_WORTHLESS, _SHARE * self.error() * bool(self._limit > self._tolerance)):
+                message = f"no step lowers the error, though {promised:.2g} of {self.error():.3g} are to be won"
+                return IncrementalResult(Status.STALLED, message, handles, step)
         message = f"converged: the last step moved nothing by more than {step:.1g}"
         return IncrementalResult(Status.CONVERGED, message, handles, step)
 
@@ -242,6 +307,7 @@ class Incremental:
         self._isam = gtsam.ISAM2(self._parameters)
         if self._factors:
             slots = self._isam.update(self._graph(), self._values).getNewFactorsIndices()
+            self._current = True
             self._slots = dict(zip(self._factors, slots, strict=True))
 
 

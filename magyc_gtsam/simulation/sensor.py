@@ -64,7 +64,8 @@ def simulate(
 
     Args:
         motion: "wide", "moderate", "low", "tiny" (sinusoids of the paper with random rates and
-            phases), "multi" (several frequencies on every angle), "dive" (a calibration dive: turns at
+            phases), "level" and "ship" (a vehicle that cannot tilt, turning at 0.2 to 0.4 or at 0.03 rad/s),
+            "multi" (several frequencies on every angle), "dive" (a calibration dive: turns at
             several roll and pitch attitudes) or "survey" (lawn-mower legs, nearly level).
         duration, rate: s and Hz; duration·rate samples.
         seed: of motion, noise, surroundings and effects.

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.estimators.gauge import fix_scale
-from magyc_gtsam.estimators.starts import parameters
+from magyc_gtsam.estimators.smoother.starts import parameters
+from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain, SensorNoise, State
+from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.field_chain import DELAY, FieldChain, Noise, State
-from magyc_gtsam.factors.preintegration import Preintegration
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import Simulation
 
@@ -29,7 +29,7 @@ def cramer_rao(simulation: Simulation) -> Array:
         raise MagycError("the bound needs a simulated recording with attitude and without delay")
     samples = Preintegration(*recording.magnetometer, *recording.gyroscope, turn=_EVERY_SAMPLE)
     windows = samples.integrate(truth.gyro_bias)
-    chain = FieldChain(windows, Noise(truth.noise["magnetic_field"], truth.noise["angular_rate"]))
+    chain = FieldChain(windows, SensorNoise(truth.noise["magnetic_field"], truth.noise["angular_rate"]))
     scaled = truth.soft_iron * truth.field_strength
     body = Rotation.from_quat(recording.attitude).inv().apply(simulation.field / np.linalg.norm(simulation.field))
     state = State(

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import importlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
+from enum import Enum
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import Method, calibrate, methods
-from magyc_gtsam.estimators.autocal import inliers
+from magyc_gtsam.estimators.autocal.autocal import inliers
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Mask, Recording
-from magyc_gtsam.runners.batch import Status as Ended
+from magyc_gtsam.runners.status import Status as Ended
 from magyc_gtsam.study.heading import HeadingError, heading_error
 
 Progress = Callable[[str, float], None]
@@ -23,6 +24,8 @@ Progress = Callable[[str, float], None]
 MOST_SAMPLES = 50_000  # of the methods that take samples in any order; more cost time and win next to nothing
 ROBUST = ("autocal", "smoother")  # which tell disturbed samples from others
 REFERENCES = ("smoother", "autocal")  # the most accurate with and without a gyroscope
+_MANY = 6.0  # sigmas of both together, from which two methods contradict each other
+_MATTERS = {"hard_iron": 0.01, "gyro_bias": 1e-3}  # of the field, and rad/s: below, a contradiction does no harm
 _WORSE = 1.05  # spread after over spread before, from which a calibration made it worse
 UNCALIBRATED = Calibration(np.eye(3), np.zeros(3), method="raw")
 _NEEDS = {  # what a method may need, whether a recording has it, and how to say that it has not
@@ -32,7 +35,7 @@ _NEEDS = {  # what a method may need, whether a recording has it, and how to say
 }
 
 
-class Status(StrEnum):
+class Status(str, Enum):
     """What became of a method."""
 
     TRUSTED = "trusted"
@@ -40,6 +43,8 @@ class Status(StrEnum):
     UNTRUSTED = "not trusted"
     FAILED = "failed"
     IMPOSSIBLE = "not possible"
+
+    __str__ = str.__str__
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +76,7 @@ class Outcome:
     heading: HeadingError | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """What `compare` returns.
 
@@ -111,6 +116,34 @@ class Comparison:
         """The result to hold the others against: the first of REFERENCES that can be trusted."""
         by_name = {o.method: o for o in self.trusted}
         return next((by_name[name] for name in REFERENCES if name in by_name), None)
+
+    @property
+    def recommended(self) -> Outcome | None:
+        """The result to use: `reference`, else the trusted one whose calibrated field varies least."""
+        if self.reference is not None:
+            return self.reference
+        return min(self.trusted, key=lambda o: o.inlier_spread or 0.0, default=None)
+
+    def __repr__(self) -> str:
+        use = None if self.recommended is None else self.recommended.method
+        return f"Comparison(use={use!r}, {len(self.trusted)} of {len(self.outcomes)} methods trusted)"
+
+    def _repr_html_(self) -> str:
+        text: str = importlib.import_module("magyc_gtsam.report.notebook").html_of(
+            self
+        )  # it lies above this module
+        return text
+
+    @property
+    def by_trust(self) -> tuple[Outcome, ...]:
+        """All outcomes, the one to use first, then by status and by how much the calibrated field varies."""
+        order = list(Status)
+        return tuple(
+            sorted(
+                self.outcomes,
+                key=lambda o: (o is not self.recommended, order.index(o.status), o.inlier_spread or 0.0),
+            )
+        )
 
     @property
     def trusted(self) -> tuple[Outcome, ...]:
@@ -298,6 +331,26 @@ def _doubted(comparison: Comparison, outcome: Outcome) -> Outcome:
     return replace(outcome, status=status, reason="; ".join(doubts))
 
 
+def _contradictions(reference: Outcome, calibration: Calibration) -> list[str]:
+    """Hard iron and gyroscope bias that are off those of the reference by many sigmas of both, and matter."""
+    assert reference.calibration is not None
+    assert reference.strength is not None
+    doubts = []
+    for name, words in (("hard_iron", "hard iron"), ("gyro_bias", "gyroscope bias")):
+        here, there = getattr(calibration, name), getattr(reference.calibration, name)
+        if calibration is reference.calibration or here is None or there is None:
+            continue
+        known = (
+            np.full(3, np.inf) if name not in reference.calibration.sigma else reference.calibration.sigma[name]
+        )
+        sigma = np.hypot(known, calibration.sigma.get(name, np.zeros(3)))
+        off = float(np.abs((here - there) / sigma).max())
+        least = _MATTERS[name] * (reference.strength if name == "hard_iron" else 1.0)
+        if off > _MANY and float(np.linalg.norm(here - there)) > least:
+            doubts.append(f"its {words} contradicts that of {reference.method} by {off:.0f} sigmas")
+    return doubts
+
+
 def _apart(comparison: Comparison, outcome: Outcome) -> list[str]:
     """Whether its hard iron is far from that of the most accurate method."""
     reference = comparison.reference
@@ -308,7 +361,7 @@ def _apart(comparison: Comparison, outcome: Outcome) -> list[str]:
     apart = float(np.linalg.norm(outcome.calibration.hard_iron - reference.calibration.hard_iron))
     limit = HARD_IRON_LIMIT * reference.strength
     if apart <= limit:
-        return []
+        return _contradictions(reference, outcome.calibration)
     return [
         f"its hard iron is {apart * scale:.1f} {unit} from that of {reference.method} (more than the "
         f"{limit * scale:.1f} that make three degrees of heading)"

@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
-from magyc_gtsam.factors.field_chain import UPPER
+from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import disturb, simulate
 from magyc_gtsam.study.bound import cramer_rao

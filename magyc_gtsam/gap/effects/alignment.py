@@ -1,14 +1,15 @@
-"""How the two sensors stand to each other: in angle, in time, and through eddy currents in the hull."""
+"""How the two sensors stand to each other: in angle, in time, and through eddy currents in metal near by."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import Setting
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.twin import Twin
 
+_UNLIKE = 0.7  # times a delay, by which plates differ from it: one plate by 2.4, one plate on each axis by 0
 _LOOSE = 0.03  # of delays and plates: how far the next order, which grows with the speed of turn, may be ahead
 
 
@@ -41,6 +42,20 @@ def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     return directions_nearby(setting) if "x" in setting else []
 
 
+def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
+    """Whether it is plates that E stands for: they hold the field back, and not by the same time on every axis.
+
+    A lead is no plate, and neither is what is of one size on the diagonal: that is a delay.
+    """
+    if "x" in setting:
+        return float(np.array([setting[a] for a in AXES]) @ value) > 0
+    if not setting.get("full"):
+        return True
+    matrix = value.reshape(3, 3)
+    delay = float(np.trace(matrix)) / 3
+    return delay > 0 and float(np.linalg.norm(matrix - delay * np.eye(3))) > _UNLIKE * delay
+
+
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
     angle = np.rad2deg(np.linalg.norm(value) * 1e-3)
     return f"the magnetometer is mounted {angle:.2f}° askew of the gyroscope, about {vector(value, sigma)} mrad"
@@ -53,7 +68,8 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
     if "x" not in setting:
-        return f"eddy currents in the hull hold the field back, by up to {np.abs(value).max():.2g} ms"
+        most = float(np.abs(value).max())
+        return f"eddy currents in metal near the magnetometer hold the field back, by up to {most:.2g} ms"
     normal = [setting[a] for a in AXES]
     size = float(np.linalg.norm(value))
     return (
@@ -105,6 +121,7 @@ EDDY_PLANE = EffectTerm(
     say=_say_eddy,
     motion="turn fast about all three axes, not about the vertical only",
     settings=_plates,
+    possible=_holds_back,
     refined=_plates_nearby,
     products=("speed", "speed²"),
     loose=_LOOSE,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import RATE_MATRIX, Setting
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import RATE_MATRIX, Setting
 from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.twin import Twin

@@ -6,8 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import Setting
-from magyc_gtsam.factors.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.twin import Twin
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magyc_gtsam.factors.effects import FORMS, Form, Setting, referenced
-from magyc_gtsam.factors.rotations import Array
-from magyc_gtsam.factors.signals import CHANNELS, Signals, rows_by_kind
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import FORMS, Form, Setting, referenced
+from magyc_gtsam.factors.effects.signals import CHANNELS, Signals, rows_by_kind
 from magyc_gtsam.gap.twin import Columns, Twin
 
 Settings = Callable[[Twin], list[dict[str, float]]]

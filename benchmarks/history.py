@@ -1,0 +1,72 @@
+"""What a history says of simulated seasons, and what one more log costs. `python benchmarks/history.py [SEASONS]`."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+import magyc_gtsam as mg
+from magyc_gtsam.history import History
+from magyc_gtsam.history.coordinates import shape_of
+from magyc_gtsam.history.log_factor import compress
+from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
+
+
+def seasons(count: int) -> None:
+    """Sixty dives, two jumps of 4 µT, a walk of 0.3 µT per √day, one dive beside a wreck, one in a wrong unit."""
+    dives = dive_factors(("wide", "moderate", "low", "tiny"))
+    named = false = spoilt = jumps = 0
+    shape, hard_iron, ahead, covered = [], [], [], []
+    for seed in range(count):
+        season = draw_season(seed, dives)
+        history = History(season.factors)
+        found = {index for index, _, _ in history.jumps}
+        contradicting = {each.index for each in history.contradictions}
+        jumps += len(season.jumps)
+        named += len(found & set(season.jumps))
+        false += len(found - set(season.jumps)) + len(contradicting - {*season.wrecks, *season.wrong_units})
+        spoilt += contradicting >= {*season.wrecks, *season.wrong_units}
+        own = compress(history.calibrations[history.groups[0][0]], "", None)
+        assert own.covariance is not None
+        off = shape_of(history.calibrations[history.groups[0][0]].soft_iron)[0] - season.shape
+        shape.append(off @ np.linalg.solve(own.covariance[:5, :5], off))
+        for k in set(history.groups[0]) - contradicting:
+            off = history.hard_iron[k] - season.hard_iron[k]
+            hard_iron.append(off @ np.linalg.solve(history.hard_iron_covariance[k], off))
+        off = history.next.hard_iron - season.next_hard_iron
+        spread = np.asarray(history.next.covariance)[6:9, 6:9]
+        ahead.append(off @ np.linalg.solve(spread, off))
+        covered += list(np.abs(off) < 1.96 * np.sqrt(np.diag(spread)))
+    band = 1.96 * np.sqrt(2 / count)
+    print(f"{count} seasons")
+    print(f"jumps named and dated {named}/{jumps}; false jumps and contradictions {false} in {60 * count} dives")
+    print(f"seasons whose wreck and wrong unit are both named {spoilt}/{count}")
+    print(f"NEES of the soft iron {np.mean(shape):.2f} of 5 ± {band * np.sqrt(5):.2f}")
+    print(f"NEES of the hard iron {np.mean(hard_iron):.2f} of 3")
+    print(f"NEES of the next dive's hard iron {np.mean(ahead):.2f} of 3 ± {band * np.sqrt(3):.2f}")
+    print(f"its 95 % interval holds {np.mean(covered):.1%}")
+
+
+def one_more(logs: int) -> None:
+    """Processor time of adding a log and reading its result, in units of one calibration."""
+    plan = SeasonPlan(dives=logs)
+    history = History(draw_season(0, dive_factors(("wide", "low")), plan).factors)
+    recording = mg.simulate("wide", 600, 10, seed=1).recording
+    start = time.process_time()
+    mg.calibrate(recording)
+    alone = time.process_time() - start
+    start = time.process_time()
+    history.add(recording, time=1.7e9 + 86400.0 * 3 * logs)
+    added = time.process_time() - start
+    start = time.process_time()
+    history.next  # noqa: B018
+    solved = time.process_time() - start
+    print(f"{logs} logs: add {added / alone:.1f}, then solve {solved / alone:.1f} times one calibration")
+
+
+if __name__ == "__main__":
+    seasons(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
+    one_more(60)
+    one_more(1000)

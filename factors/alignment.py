@@ -1,0 +1,195 @@
+"""Coarse alignment: blocks wait until the graph's heading, and what they say of it, agree.
+
+A quadratic made at a heading that is far off holds the graph there. So before any block enters, the profile over
+the heading (`chain/heading_profile.py`) says how far the graph is off. Blocks enter where it says "near", or where it
+cannot say yet and the graph itself is sure of its heading; until then they wait. Where it says "far", for some blocks
+on end, blocks that entered are taken out again and a native prior on the rotation turns the graph, which GTSAM
+linearises by itself; it goes when the graph has followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.factors.chain.heading_profile import HeadingProfile, block_rows, heading_profile, in_world
+from magyc_gtsam.factors.keyframe_factor import BlockDetails
+from magyc_gtsam.factors.variables import Array, attitude, choose
+
+
+@dataclass(frozen=True)
+class AlignmentLimits:
+    """When the heading counts as settled; each as measured on the vehicles of `benchmarks/slam.py starts`.
+
+    Attributes:
+        near: rad, a heading error from which quadratics that are renewed converge.
+        sure: probability of "near".
+        far: probability of a heading within `peak` of the best one, when that one is not near.
+        peak: rad.
+        persistence: blocks in a row that say "far".
+        confident: rad, standard deviation of the graph's own heading below which blocks enter while the profile
+            cannot say yet.
+        pull: rad, standard deviation of the prior that turns the graph about the vertical; about the others it is
+            1 rad.
+        blocks: number of blocks that are kept for the profile.
+    """
+
+    near: float = np.radians(25.0)
+    sure: float = 0.95
+    far: float = 0.99
+    peak: float = np.radians(20.0)
+    persistence: int = 3
+    confident: float = np.radians(15.0)
+    pull: float = np.radians(2.0)
+    blocks: int = 200
+
+
+class Verdict(str, Enum):
+    """What a profile says of the graph's heading."""
+
+    UNDECIDED = "undecided"
+    NEAR = "near"
+    FAR = "far"
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """What the profile needs of a block."""
+
+    details: BlockDetails
+    rows: Array
+
+
+class CoarseAlignment:
+    """The profile over the heading from all blocks so far, at the graph's present attitudes."""
+
+    def __init__(self, limits: AlignmentLimits) -> None:
+        self.limits = limits
+        self.profile: HeadingProfile | None = None
+        self._blocks: list[_Kept] = []
+        self._far = 0
+
+    def __len__(self) -> int:
+        return len(self._blocks)
+
+    def add(self, details: BlockDetails) -> None:
+        """One more block."""
+        block, unit = details.block, details.field_unit
+        if len(self._blocks) < self.limits.blocks:
+            self._blocks.append(
+                _Kept(details, block_rows(block.design[:, :, :3], block.share, block.field / unit))
+            )
+
+    @property
+    def last(self) -> BlockDetails:
+        """The newest block."""
+        return self._blocks[-1].details
+
+    @property
+    def full(self) -> bool:
+        """Whether no more blocks are kept."""
+        return len(self._blocks) >= self.limits.blocks
+
+    @property
+    def due(self) -> bool:
+        """Whether to judge now: at every block early on, later each time that their number has grown by a tenth."""
+        n = len(self._blocks)
+        return n <= 20 or n % (n // 10) == 0
+
+    @property
+    def attitudes(self) -> list[int]:
+        """The attitudes' keys, oldest first."""
+        return [kept.details.attitude_key for kept in self._blocks]
+
+    @property
+    def needed(self) -> list[int]:
+        """The attitudes' keys, and those of the field where it is a variable."""
+        found = self.attitudes
+        return list(
+            dict.fromkeys(found + [d.details.field_key for d in self._blocks if d.details.field_key is not None])
+        )
+
+    def drop(self, gone: Sequence[int]) -> None:
+        """Forget the blocks on keys that the solver no longer holds."""
+        lost = set(gone)
+        self._blocks = [kept for kept in self._blocks if kept.details.attitude_key not in lost]
+
+    def judge(self, point: gtsam.Values, mean: Array, information: Array) -> Verdict:
+        """What the blocks say at these attitudes; (9,) and (9, 9) of the calibration's prior."""
+        rotations = [rotation_of(point, kept.details.attitude_key) for kept in self._blocks]
+        last = self._blocks[-1].details
+        if last.field_key is not None:
+            field = point.atPoint3(last.field_key)
+        else:
+            assert last.field is not None
+            field = last.field / last.field_unit
+        self.profile = heading_profile(
+            np.vstack(
+                [in_world(kept.rows, rotation) for kept, rotation in zip(self._blocks, rotations, strict=True)]
+            ),
+            field,
+            last.sigma / last.field_unit,
+            sum(kept.details.block.samples for kept in self._blocks),
+            len(self._blocks),
+            mean,
+            information,
+        )
+        limits, best = self.limits, self.profile.best
+        if self.profile.within(limits.near) >= limits.sure:
+            self._far = 0
+            return Verdict.NEAR
+        if abs(best) > limits.near and self.profile.within(limits.peak, best) >= limits.far:
+            self._far += 1
+            return Verdict.FAR if self._far >= limits.persistence else Verdict.UNDECIDED
+        self._far = 0
+        return Verdict.UNDECIDED
+
+    def pull(self, point: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
+        """A native prior that turns the graph at one attitude to where the profile has its maximum."""
+        assert self.profile is not None
+        turned = gtsam.Rot3.Rz(self.profile.best) * gtsam.Rot3(rotation_of(point, key))
+        axis = turned.matrix()[2]  # the world's vertical in the body frame
+        tight, loose = 1 / self.limits.pull**2, 1.0
+        noise = gtsam.noiseModel.Gaussian.Information(loose * np.eye(3) + (tight - loose) * np.outer(axis, axis))
+        kind = _kind(point, key)
+        if kind == "Pose3":
+            return gtsam.PoseRotationPrior3D(key, turned, noise)
+        if kind == "Rot3":
+            return gtsam.PriorFactorRot3(key, turned, noise)
+        flat = gtsam.noiseModel.Isotropic.Sigma(1, self.limits.pull)
+        if kind == "Pose2":
+            return gtsam.PoseRotationPrior2D(key, gtsam.Rot2(turned.yaw()), flat)
+        if kind == "Rot2":
+            return gtsam.PriorFactorRot2(key, gtsam.Rot2(turned.yaw()), flat)
+        state = point.atNavState(key)
+        loose_rest = np.zeros((9, 9))
+        loose_rest[:3, :3] = noise.information()
+        loose_rest[3:, 3:] = 1e-12 * np.eye(6)
+        return gtsam.PriorFactorNavState(
+            key,
+            gtsam.NavState(turned, state.position(), state.velocity()),
+            gtsam.noiseModel.Gaussian.Information(loose_rest),
+        )
+
+
+def rotation_of(point: gtsam.Values, key: int) -> Array:
+    """(3, 3) of the attitude that a key holds."""
+    return choose("coarse alignment", attitude, point, key)(point, key)[0].reshape(3, 3)
+
+
+def heading_sigma(point: gtsam.Values, key: int, covariance: Array) -> float:
+    """rad, standard deviation about the vertical of an attitude whose covariance is given."""
+    rotation, tangent = choose("coarse alignment", attitude, point, key)(point, key)
+    axis = rotation.reshape(3, 3)[2]
+    if tangent is not None and tangent.shape[1] in (1, 3) and _kind(point, key) in ("Rot2", "Pose2"):
+        return float(np.sqrt(covariance[-1, -1]))
+    return float(np.sqrt(axis @ covariance[:3, :3] @ axis))
+
+
+def _kind(point: gtsam.Values, key: int) -> str:
+    reader = choose("coarse alignment", attitude, point, key)
+    return next(name for name, each in attitude.items() if each is reader)

@@ -1,0 +1,343 @@
+"""The field chain: every window's field direction eliminated, leaving a cost on (S, h, b, τ, ε) alone.
+
+See docs/field_chain.md; in the integrated world frame of `preintegration`. Parameters θ (13 or 16):
+
+    vech(S) 6 T (soft iron times field strength), h 3 T, b 3 rad/s, τ 1 s (delay), ε 3 rad (skew, where it is carried),
+
+states g_n ∈ S² (the field direction of window n), residuals
+
+    r_n = B M_n(τ) g_n + h − mean(m)_n,  B = S Exp(ε),      covariance σ_m²/W_n I,
+    e_n = g_{n+1} − Exp(−ΔK_n (b − b₀)) g_n  (chordal),     variance σ_g² Σdt² in the tangent plane,
+
+and what is known of θ beforehand (`facts`). ε turns the gyroscope's axes into the magnetometer's: with twelve
+parameters and a delay θ has 13 entries and costs nothing for a skew that is held at 0.
+
+One Gauss–Newton step eliminates the directions by a banded Cholesky factorisation (2×2 blocks, three
+sub-diagonals) and is linear in the number of windows. All arrays keep the windows along their last,
+contiguous axis. `scipy.linalg.lapack` does the elimination: a
+numpy-only cyclic reduction was several times slower.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
+
+from magyc_gtsam.factors.chain.banded import inverse_blocks
+from magyc_gtsam.factors.chain.directions import Known, Sight, stepped
+from magyc_gtsam.factors.chain.facts import Fact, quadratic
+from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.factors.chain.rotations import (
+    Array,
+    cross,
+    exponential_matrices,
+    right_jacobian,
+    skew,
+)
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.errors import MagycError
+
+PARAMETERS = 13  # vech(B) 6, h 3, b 3, τ 1
+UPPER = np.triu_indices(3)
+DELAY = 12
+SKEW = slice(13, 16)  # ε, in a θ of `WITH_SKEW` entries
+WITH_SKEW = 16
+_SETTLING = 20  # Gauss–Newton steps of the directions alone, at most
+_SETTLED = 1e-18  # squared step of a direction, rad²
+
+
+class SensorNoise(NamedTuple):
+    """Standard deviations per sample and axis: magnetometer T, gyroscope rad/s."""
+
+    magnetometer: float
+    gyroscope: float
+
+
+class State(NamedTuple):
+    """θ (p,), p = 13 or 16, and the directions g (3, n)."""
+
+    parameters: Array
+    direction: Array
+
+
+class Weights(NamedTuple):
+    """Robust weights in [0, 1] of the windows (n,) and of the links (n − 1,)."""
+
+    window: Array
+    link: Array
+
+
+class Residuals(NamedTuple):
+    """Unwhitened residuals: windows (3, n) T, links (3, n − 1) chordal."""
+
+    window: Array
+    link: Array
+
+
+class Reduced(NamedTuple):
+    """The normal equations after elimination, and what a step and the diagnostics need.
+
+    cost: half the weighted sum of squares at the state; information (p, p): Schur complement on θ;
+    gradient (p,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
+    on_parameters (p, 3, n): whitened window Jacobians; band and factor (4, 2n): the directions' matrix and
+    its Cholesky factor L; right (p + 1, 2n): its border with θ, and the directions' gradient; half (2n, p + 1):
+    L⁻¹ of it.
+    """
+
+    cost: float
+    information: Array
+    gradient: Array
+    basis: Array
+    on_direction: Array
+    on_parameters: Array
+    band: Array
+    factor: Array
+    right: Array
+    half: Array
+
+
+@dataclass(frozen=True, eq=False)
+class FieldChain:
+    """Cost, elimination and diagnostics of one chain of windows.
+
+    Args:
+        windows: integrated windows; `windows.bias` and `.delay` are the points of linearisation.
+        noise: standard deviations per sample.
+        answer: (3, n) by how much of the field's change the reading changes, where the sensor clips or bends.
+        facts: what is known of θ beforehand.
+
+    Attributes:
+        window_scale: (n,) 1/T, one over the standard deviation of a window's mean.
+        link_scale: (n − 1,) 1/rad, one over that of a link; 0 across a hole.
+
+    Raises:
+        MagycError: fewer than 3 windows.
+    """
+
+    windows: FieldWindows
+    noise: SensorNoise
+    answer: Array | None = field(default=None, kw_only=True)
+    facts: tuple[Fact, ...] = field(default=(), kw_only=True)
+    window_scale: Array = field(init=False)
+    link_scale: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        if len(self.windows) < 3:
+            raise MagycError(
+                f"{len(self.windows)} windows, at least 3 are needed: the recording is too short or hardly moves"
+            )
+        w = self.windows
+        object.__setattr__(self, "window_scale", np.sqrt(w.count) / self.noise.magnetometer)
+        # A floor of a thousandth of the magnetometer's own angle keeps a perfect gyroscope solvable.
+        spread = float(np.linalg.norm(w.field - w.field.mean(axis=1)[:, None], axis=0).mean()) + 1e-9
+        floor = (0.001 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
+        variance = self.noise.gyroscope**2 * w.link_time + floor
+        object.__setattr__(self, "link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
+
+    @property
+    def window_sigma(self) -> Array:
+        """(n,) T, standard deviation of a window's mean."""
+        return 1 / self.window_scale
+
+    @property
+    def link_sigma(self) -> Array:
+        """(n − 1,) rad, standard deviation of a link; infinite across a hole."""
+        with np.errstate(divide="ignore"):
+            return 1 / self.link_scale
+
+    def unweighted(self) -> Weights:
+        """All weights one."""
+        return Weights(np.ones(len(self.windows)), np.ones(len(self.windows) - 1))
+
+    def start(self, parameters: Array) -> State:
+        """A state at θ: each direction read off its own window's field."""
+        body = np.linalg.solve(iron_matrix(parameters), self.windows.field - parameters[6:9, None])
+        g = np.einsum("ijn,in->jn", self._rotation(parameters), body)
+        return State(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
+
+    def residuals(self, state: State) -> Residuals:
+        """Unwhitened residuals of both groups."""
+        parameters, g = state
+        body = np.einsum("ijn,jn->in", self._rotation(parameters), g)
+        window = iron_matrix(parameters) @ body + parameters[6:9, None] - self.windows.field
+        turn = self.turn(parameters)
+        return Residuals(window, g[:, 1:] - np.einsum("ijn,jn->in", turn, g[:, :-1]))
+
+    def squares(self, residuals: Residuals) -> tuple[Array, Array]:
+        """Squared whitened residuals of windows (n,) and links (n − 1,)."""
+        return (
+            np.einsum("in,in->n", residuals.window, residuals.window) * self.window_scale**2,
+            np.einsum("in,in->n", residuals.link, residuals.link) * self.link_scale**2,
+        )
+
+    def eliminate(self, state: State, weights: Weights) -> Reduced:
+        """Linearise at `state` and eliminate the directions.
+
+        Raises:
+            MagycError: a window's direction has no finite curvature.
+        """
+        parameters, g = state
+        size, n = len(parameters), g.shape[1]
+        scale = self.window_scale * np.sqrt(weights.window)
+        rotation = self._rotation(parameters)
+        sight = self._sight(state, weights, rotation)
+        linear = sight.at(g)
+        on_direction, residual, link = linear.on_direction, linear.window, linear.link
+        on_parameters = self._on_parameters(parameters, g, rotation, scale)
+
+        # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
+        on_bias = -cross(linear.ahead[:, None] * sight.link_scale, self.windows.lever)
+
+        # The directions' matrix H in 2×2 blocks, and its border [C, gradient].
+        right = np.empty((size + 1, n, 2))
+        band, right[size] = linear.normal_equations()
+        for a in (0, 1):
+            np.einsum("in,pin->pn", on_direction[:, a], on_parameters, out=right[:size, :, a])
+            right[9:12, 1:, a] += np.einsum("in,ikn->kn", linear.after[:, a], on_bias)
+            right[9:12, :-1, a] += np.einsum("in,ikn->kn", linear.before[:, a], on_bias)
+        flat = on_parameters.reshape(size, -1)
+        information, gradient = flat @ flat.T, flat @ residual.ravel()
+        information[9:12, 9:12] += np.einsum("ikn,iln->kl", on_bias, on_bias)
+        gradient[9:12] += np.einsum("ikn,in->k", on_bias, link)
+        cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
+
+        known = self._known(state, linear.basis)
+        if known is not None:
+            known.onto_first(band, right[size])
+            right[:size, 0] += known.information[:size, size:]
+            information += known.information[:size, :size]
+            gradient += known.gradient[:size]
+            cost += known.cost
+        if self.facts:
+            believed = quadratic(self.facts, parameters)
+            cost, gradient, information = cost + believed[0], gradient + believed[1], information + believed[2]
+
+        border = right.reshape(size + 1, 2 * n)
+        factor = self._factor(band)
+        half, _ = dtbtrs(factor, border.T, uplo="L")  # L⁻¹ [C, gradient]
+        reduction = half.T @ half
+        information -= reduction[:size, :size]
+        gradient -= reduction[:size, size]
+        return Reduced(
+            cost, information, gradient, linear.basis, on_direction, on_parameters, band.T, factor, border, half
+        )
+
+    def _on_parameters(self, parameters: Array, g: Array, rotation: Array, scale: Array) -> Array:
+        """The windows' Jacobian on θ (p, 3, n), r = S Exp(ε) M g + h − m, whitened."""
+        size, n = len(parameters), g.shape[1]
+        matrix = iron_matrix(parameters)
+        body = np.einsum("ijn,jn->in", rotation, g) * scale
+        x, y, z = body if size == PARAMETERS else _turn_of(parameters) @ body
+        result = np.zeros((size, 3, n))
+        result[0, 0] = result[1, 1] = result[2, 2] = x
+        result[1, 0] = result[3, 1] = result[4, 2] = y
+        result[2, 0] = result[4, 1] = result[5, 2] = z
+        result[6, 0] = result[7, 1] = result[8, 2] = scale
+        swung = np.einsum("ijkn,jn->ikn", self.windows.rotation_bias, g * scale)
+        result[9:12] = (matrix @ swung.reshape(3, -1)).reshape(3, 3, n).swapaxes(0, 1)
+        result[DELAY] = matrix @ np.einsum("ijn,jn->in", self.windows.rotation_rate, g * scale)
+        if size == WITH_SKEW:
+            # Exp(ε + δ) v = Exp(ε) (v + J δ × v), J the right Jacobian.
+            axes = skew(right_jacobian(parameters[SKEW]).T)
+            result[SKEW] = ((matrix @ axes).reshape(9, 3) @ body).reshape(3, 3, n)
+        if self.answer is not None:
+            result *= self.answer
+        return result
+
+    def move(self, state: State, reduced: Reduced, step: Array) -> State:
+        """The state after a step on θ; the directions follow by back-substitution."""
+        pull = reduced.right[-1] + step @ reduced.right[:-1]
+        tangent, _ = dpbtrs(reduced.factor, pull, lower=1)
+        return State(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
+
+    def settle(self, state: State, weights: Weights) -> tuple[State, Reduced]:
+        """The directions at their best for the state's θ, and the linearisation there."""
+        sight = self._sight(state, weights, self._rotation(state.parameters))
+        for _ in range(_SETTLING):
+            linear = sight.at(state.direction)
+            band, pull = linear.normal_equations()
+            known = self._known(state, linear.basis)
+            if known is not None:
+                known.onto_first(band, pull)
+            tangent, _ = dpbtrs(self._factor(band), pull.ravel(), lower=1)
+            ahead = stepped(state.direction, linear.basis, tangent)
+            moved = float(np.square(ahead - state.direction).max())
+            state = State(state.parameters, ahead)
+            if moved < _SETTLED:
+                break
+        return state, self.eliminate(state, weights)
+
+    def leverage(self, reduced: Reduced, covariance: Array) -> Array:
+        """(n,) how much of each window's 3 squared residuals the fit absorbs, in expectation.
+
+        The trace of the window's block of the hat matrix; `covariance` (p, p) is the inverse of the
+        information (zeros for fixed parameters).
+        """
+        solve = _solve(reduced)
+        s00, s01, s11 = inverse_blocks(reduced.band, reduced.factor)
+        j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
+        inner = (
+            np.einsum("in,in->n", j0, j0) * s00
+            + 2 * np.einsum("in,in->n", j0, j1) * s01
+            + np.einsum("in,in->n", j1, j1) * s11
+        )
+        across = reduced.on_parameters - np.einsum("ian,pan->pin", reduced.on_direction, solve)
+        spread = (covariance @ across.reshape(len(covariance), -1)).reshape(across.shape)
+        return inner + np.einsum("pin,pin->n", across, spread)
+
+    def _known(self, state: State, basis: Array) -> Known | None:
+        """What is known of θ and the first direction besides the windows; here nothing."""
+        return None
+
+    def _sight(self, state: State, weights: Weights, rotation: Array) -> Sight:
+        parameters = state.parameters
+        scale = self.window_scale * np.sqrt(weights.window)
+        seen = (iron_matrix(parameters) @ rotation.reshape(3, -1)).reshape(rotation.shape) * scale
+        field = (self.windows.field - parameters[6:9, None]) * scale
+        return Sight(seen, field, self.turn(parameters), self.link_scale * np.sqrt(weights.link), self.answer)
+
+    def _factor(self, band: Array) -> Array:
+        """The Cholesky factor (4, 2n) of a band (2n, 4)."""
+        factor, failed = dpbtrf(band.T, lower=1)
+        if failed:
+            window = (failed - 1) // 2
+            raise MagycError(
+                f"window {window} at {self.windows.time[window]:.1f} s has no finite direction: "
+                "its weight or its noise is out of range"
+            )
+        result: Array = factor
+        return result
+
+    def _rotation(self, parameters: Array) -> Array:
+        late = parameters[DELAY] - self.windows.delay
+        moved = parameters[9:12] - self.windows.bias
+        return (
+            self.windows.rotation
+            + late * self.windows.rotation_rate
+            + np.einsum("ijkn,k->ijn", self.windows.rotation_bias, moved)
+        )
+
+    def turn(self, parameters: Array) -> Array:
+        """E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
+        moved = self.windows.bias - parameters[9:12]
+        return exponential_matrices(np.einsum("ijn,j->in", self.windows.lever, moved))
+
+
+def iron_matrix(parameters: Array) -> Array:
+    """B (3, 3) T of θ: the reading is B u + h for the field's direction u in the gyroscope's axes."""
+    soft_iron = unvech(parameters[:6])
+    return soft_iron if len(parameters) == PARAMETERS else soft_iron @ _turn_of(parameters)
+
+
+def _turn_of(parameters: Array) -> Array:
+    """Exp(ε), from the gyroscope's axes to the magnetometer's."""
+    return exponential_matrices(parameters[SKEW, None])[:, :, 0]
+
+
+def _solve(reduced: Reduced) -> Array:
+    """H⁻¹ C: (p, 2, n)."""
+    solved, _ = dtbtrs(reduced.factor, reduced.half[:, :-1], uplo="L", trans="T")
+    return np.ascontiguousarray(solved.T.reshape(solved.shape[1], -1, 2).swapaxes(1, 2))

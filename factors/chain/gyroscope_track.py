@@ -1,0 +1,142 @@
+"""The gyroscope integrated over a log: what every other file here needs of it, computed in one place.
+
+    R_{k+1} = R_k Exp(φ_k),    K_k = −∫ R dt,    Σ dt²
+
+R_k turns the sensor's axes at stamp k into those at the first stamp; a bias moved by δ turns it into
+Exp(K_k δ) R_k to first order (as GTSAM preintegrates), and σ_g² Σ dt² is the variance of its angle per axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import (
+    Array,
+    Spinor,
+    chain,
+    exponential,
+    increments,
+    matrices,
+    multiply,
+)
+
+_CHUNK = 32768  # stamps whose matrices are held at a time
+
+
+@dataclass(frozen=True, eq=False)
+class GyroscopeTrack:
+    """The gyroscope integrated from its first stamp on.
+
+    Attributes:
+        time: (G,) s, ascending.
+        angular_rate: (G, 3) rad/s, bias included.
+        bias: (3,) rad/s, taken out before the integration.
+        interval_mean: the rates are means since the previous stamp, not values at the stamps.
+        increment: (G − 1, 3) rad, rotation vectors from stamp to stamp.
+        rotation: R at the stamps, as spinors (G,).
+    """
+
+    time: Array
+    angular_rate: Array
+    bias: Array
+    interval_mean: bool
+    increment: Array
+    rotation: Spinor
+
+    @classmethod
+    def integrate(
+        cls,
+        time: Array,
+        angular_rate: Array,
+        bias: Array | None = None,
+        *,
+        interval_mean: bool = False,
+        stamps: Array | None = None,
+    ) -> GyroscopeTrack:
+        """Integrate the rates (`rotations.increments`).
+
+        Args:
+            time: (G,) s, ascending.
+            angular_rate: (G, 3) rad/s.
+            bias: (3,) rad/s; None is none.
+            interval_mean: the rates are means since the previous stamp.
+            stamps: (n,) s inside `time`, where to integrate instead of at `time`; rates AT their stamps are
+                interpolated linearly.
+        """
+        b = np.zeros(3) if bias is None else bias
+        if stamps is not None:
+            if interval_mean:  # the rate of a stamp is that of the interval in which it lies
+                angular_rate = angular_rate[np.searchsorted(time, stamps)]
+            elif len(stamps) != len(time) or not np.array_equal(stamps, time):
+                angular_rate = np.stack([np.interp(stamps, time, axis) for axis in angular_rate.T], axis=1)
+            time = stamps
+        if interval_mean:
+            increment = (angular_rate[1:] - b) * np.diff(time)[:, None]
+        else:
+            increment = increments(time, angular_rate, None if bias is None else b)
+        return cls(time, angular_rate, b, interval_mean, increment, chain(exponential(increment)))
+
+    @cached_property
+    def step(self) -> Array:
+        """(G − 1,) s between stamps."""
+        return np.diff(self.time)
+
+    @cached_property
+    def matrices(self) -> Array:
+        """(9, G) rotation matrices at the stamps, row by row along the first axis."""
+        return matrices(self.rotation)
+
+    @cached_property
+    def lever(self) -> Array:
+        """(9, G) s, K = −∫ R dt by the trapezoid rule (relative error φ²/12 of a step), rows as `matrices`."""
+        p, q = self.rotation
+        n, step = len(self.time), self.step
+        lever = np.zeros((9, n))
+        for first in range(0, n - 1, _CHUNK):
+            stop = min(first + _CHUNK, n - 1)
+            r = matrices((p[first : stop + 1], q[first : stop + 1]))
+            lever[:, first + 1 : stop + 1] = (r[:, 1:] + r[:, :-1]) * (-0.5 * step[first:stop])
+        np.cumsum(lever, axis=1, out=lever)
+        return lever
+
+    @cached_property
+    def squared_time(self) -> Array:
+        """(G,) s², Σ dt² up to each stamp."""
+        result = np.zeros(len(self.time))
+        np.cumsum(self.step**2, out=result[1:])
+        return result
+
+    def rotation_at(self, when: Array) -> tuple[Spinor, Array]:
+        """R as spinors (n,), and the rate (n, 3) rad/s less the bias, at times inside the track.
+
+        Between stamps the rate is linear, and what makes the whole step differ from its integral acts evenly.
+        """
+        left, since, share = self._place(when)
+        share = share[:, None]
+        rate, after = self.angular_rate[left], self.angular_rate[left + 1]
+        if self.interval_mean:
+            rate, turned = after, self.increment[left] * share
+        else:
+            linear = 0.5 * (rate + after) - self.bias
+            rest = self.increment[left] - linear * self.step[left, None]
+            rate = rate + (after - rate) * share
+            turned = (0.5 * (self.angular_rate[left] + rate) - self.bias) * since[:, None] + rest * share
+            rate = rate + rest / self.step[left, None]
+        p, q = self.rotation
+        return multiply((p[left], q[left]), exponential(turned)), rate - self.bias
+
+    def lever_at(self, when: Array) -> Array:
+        """(9, n) s, K at times inside the track, linear between stamps."""
+        left, _, share = self._place(when)
+        before = self.lever[:, left]
+        result: Array = before + (self.lever[:, left + 1] - before) * share
+        return result
+
+    def _place(self, when: Array) -> tuple[np.ndarray, Array, Array]:
+        """The step in which each time lies: its number, s since its begin, and that as a share of it."""
+        left = np.clip(np.searchsorted(self.time, when, side="right") - 1, 0, len(self.time) - 2)
+        since = when - self.time[left]
+        return left, since, since / self.step[left]

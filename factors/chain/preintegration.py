@@ -1,0 +1,250 @@
+"""Gyroscope and magnetometer samples, brought together in windows: the data behind every field chain.
+
+The gyroscope is integrated once over the whole log into an attitude R_k against an arbitrary world
+frame ("integrated world"); in that frame the field direction g stands still but for the gyroscope's
+noise and bias error. A window of W magnetometer samples then reads, with B = F·A,
+
+    mean(m_j) = B M g + h + ε/√W,    M = mean_j R_jᵀ,
+
+which holds however far the vehicle turns inside the window (averaging m alone would set M = R_cᵀ).
+A bias error δ turns R_k into Exp(K_k δ) R_k, K_k = −∫ R dt, so that two windows are linked by
+
+    g' = Exp(−(K̄' − K̄) δ) g,    tangent noise σ_g √(Σ dt²),
+
+K̄ being the mean over the window, and inside it M g gains mean_j R_jᵀ [g]× (K_j − K̄) δ. Both are first
+order in δ: when the bias has moved far, integrate again. A delay τ of the magnetometer reads R at t − τ.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
+from magyc_gtsam.factors.chain.rotations import Array, matrices
+from magyc_gtsam.factors.errors import MagycError
+
+_ROWS = 54  # per sample: Rᵀ 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
+_CHUNK = 32768  # samples whose matrices are held at a time
+
+
+@dataclass(frozen=True, eq=False)
+class FieldWindows:
+    """n windows integrated at one bias and delay; the windows run along the last axis, contiguous.
+
+    Attributes:
+        time: (n,) s, mean stamp.
+        count: (n,) magnetometer samples.
+        field: (3, n) T, mean measured field.
+        rotation: (3, 3, n) mean of R_jᵀ, integrated world→sensor.
+        rotation_bias: (3, 3, 3, n) its derivative with respect to the bias (third axis), s.
+        rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s.
+        lever: (3, 3, n − 1) s, K̄' − K̄ between neighbours.
+        link_time: (n − 1,) s², Σ dt² between neighbours; the link's variance is σ_g² times it.
+        linked: (n − 1,) False where a hole in the gyroscope parts two windows.
+        bias: (3,) rad/s and delay: s, where the gyroscope was integrated.
+    """
+
+    time: Array
+    count: Array
+    field: Array
+    rotation: Array
+    rotation_bias: Array
+    rotation_rate: Array
+    lever: Array
+    link_time: Array
+    linked: np.ndarray
+    bias: Array
+    delay: float
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def part(self, first: int, stop: int) -> FieldWindows:
+        """The windows from `first` up to `stop`, in the same world frame."""
+        rows, links = slice(first, stop), slice(first, stop - 1)
+        return replace(
+            self,
+            time=self.time[rows],
+            count=self.count[rows],
+            field=self.field[:, rows],
+            rotation=self.rotation[:, :, rows],
+            rotation_bias=self.rotation_bias[:, :, :, rows],
+            rotation_rate=self.rotation_rate[:, :, rows],
+            lever=self.lever[:, :, links],
+            link_time=self.link_time[links],
+            linked=self.linked[links],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Preintegration:
+    """The samples of both sensors and the windows they fall into.
+
+    Args:
+        magnetometer_time, magnetic_field: (M,) s, (M, 3) T.
+        gyroscope_time, angular_rate: (G,) s, (G, 3) rad/s, may differ in rate and clock from the former.
+        interval_mean: the rate is the mean since the previous sample, not the value at the stamp.
+        length: s, longest window.
+        turn: rad, largest rotation inside a window; infinitely small gives one window per sample.
+        hole: s, a gyroscope step longer than this parts the chain.
+        begun: windows, and the share of the one at hand, that lie before the first gyroscope sample; for
+            the continuation of a longer log.
+
+    Attributes:
+        starts: (n,) index of each window's first magnetometer sample.
+        linked: (n − 1,) False where a hole parts two windows.
+        step: (G − 1,) s between gyroscope samples.
+
+    Raises:
+        MagycError: no magnetometer sample lies inside the gyroscope's time span.
+    """
+
+    magnetometer_time: Array
+    magnetic_field: Array
+    gyroscope_time: Array
+    angular_rate: Array
+    interval_mean: bool = False
+    length: float = 1.0
+    turn: float = 0.2
+    hole: float = 0.5
+    begun: float = 0.0
+    starts: np.ndarray = field(init=False)
+    linked: np.ndarray = field(init=False)
+    step: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        if len(self.gyroscope_time) < 3:
+            raise MagycError(f"{len(self.gyroscope_time)} gyroscope samples, at least 3 are needed")
+        step = np.diff(self.gyroscope_time)
+        holes = np.flatnonzero(step > max(10 * float(np.median(step)), self.hole))
+        before, after = self.gyroscope_time[holes], self.gyroscope_time[holes + 1]
+        # Outside the gyroscope's span and inside its holes the attitude is unknown.
+        segment = np.searchsorted(after, self.magnetometer_time, side="right")
+        known = segment == np.searchsorted(before, self.magnetometer_time, side="left")
+        known &= self.magnetometer_time >= self.gyroscope_time[0]
+        known &= self.magnetometer_time <= self.gyroscope_time[-1]
+        if known.sum() < 3:
+            raise MagycError(
+                f"{known.sum()} magnetometer samples inside the gyroscope's time span "
+                f"({self.gyroscope_time[0]:.3f} to {self.gyroscope_time[-1]:.3f} s), at least 3 are needed"
+            )
+        if not known.all():
+            object.__setattr__(self, "magnetometer_time", self.magnetometer_time[known])
+            object.__setattr__(self, "magnetic_field", self.magnetic_field[known])
+            segment = segment[known]
+        x, y, z = self.angular_rate.T
+        speed = np.sqrt(x * x + y * y + z * z)
+        progress = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length) * step
+        progress[holes] = 1.0
+        distance = np.interp(
+            self.magnetometer_time, self.gyroscope_time, np.cumsum(np.concatenate([[self.begun], progress]))
+        )
+        window = np.floor(distance).astype(np.int64) + segment
+        starts = np.concatenate([[0], np.flatnonzero(np.diff(window)) + 1])
+        object.__setattr__(self, "starts", starts)
+        object.__setattr__(self, "linked", np.diff(segment[starts]) == 0)
+        object.__setattr__(self, "step", step)
+
+    def integrate(self, bias: Array | None = None, delay: float = 0.0) -> FieldWindows:
+        """Integrate the gyroscope at `bias` (3,) rad/s, the magnetometer taken `delay` s earlier."""
+        bias = np.zeros(3) if bias is None else np.asarray(bias, dtype=float)
+        track = GyroscopeTrack.integrate(
+            self.gyroscope_time, self.angular_rate, bias, interval_mean=self.interval_mean
+        )
+        starts, total = self.starts, len(self.magnetometer_time)
+        count = np.diff(np.append(starts, total)).astype(float)
+        means = np.empty((_ROWS, len(starts)))
+        first = 0
+        while first < len(starts):  # chunks of whole windows, so that memory stays flat
+            last = max(int(np.searchsorted(starts, starts[first] + _CHUNK)), first + 1)
+            stop = int(starts[last]) if last < len(starts) else total
+            rows = self._at(track, slice(int(starts[first]), stop), delay)
+            np.add.reduceat(rows, starts[first:last] - starts[first], axis=1, out=means[:, first:last])
+            first = last
+        means /= count
+        time = np.add.reduceat(self.magnetometer_time, starts) / count
+        return FieldWindows(
+            time=time,
+            count=count,
+            field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
+            rotation=means[:9].reshape(3, 3, -1),
+            rotation_bias=means[27:].reshape(3, 3, 3, -1) - turned_lever(means[:9], means[9:18]),
+            rotation_rate=means[18:27].reshape(3, 3, -1),
+            lever=np.diff(means[9:18]).reshape(3, 3, -1),
+            link_time=np.diff(np.interp(time - delay, self.gyroscope_time, track.squared_time)),
+            linked=self.linked,
+            bias=bias,
+            delay=delay,
+        )
+
+    def with_rate(self, angular_rate: Array) -> Preintegration:
+        """The same samples and windows with another angular rate (G, 3) rad/s."""
+        return self._with(angular_rate=np.ascontiguousarray(angular_rate))
+
+    def stretch(self, first: int, last: int, beyond: float) -> tuple[Preintegration, slice]:
+        """The samples of the windows from `first` up to `last`, and which of the gyroscope's samples these are.
+
+        Args:
+            first, last: 0 ≤ first < last ≤ number of windows.
+            beyond: s of the gyroscope kept before the first and after the last magnetometer sample.
+        """
+        edges = np.append(self.starts, len(self.magnetometer_time))
+        rows = slice(edges[first], edges[last])
+        time = self.magnetometer_time[rows]
+        begin = int(np.searchsorted(self.gyroscope_time, time[0] - beyond, side="right")) - 1
+        rates = slice(max(begin, 0), int(np.searchsorted(self.gyroscope_time, time[-1] + beyond)) + 1)
+        result = self._with(
+            magnetometer_time=time,
+            magnetic_field=self.magnetic_field[rows],
+            gyroscope_time=self.gyroscope_time[rates],
+            angular_rate=self.angular_rate[rates],
+            step=np.diff(self.gyroscope_time[rates]),
+            starts=self.starts[first:last] - self.starts[first],
+            linked=self.linked[first : last - 1],
+        )
+        return result, rates
+
+    def _with(self, **changes: Array) -> Preintegration:
+        """With other fields, and the windows as they are: they are not cut anew."""
+        result = copy.copy(self)
+        for name, value in changes.items():
+            object.__setattr__(result, name, value)
+        return result
+
+    def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> Array:
+        """Rᵀ, K, dRᵀ/dτ and Rᵀ [·]× K at samples' stamps less the delay: (54, len(rows))."""
+        when = self.magnetometer_time[rows] - delay
+        result = np.empty((_ROWS, len(when)))
+        if len(track.time) == len(self.magnetometer_time) and np.array_equal(when, track.time[rows]):
+            p, q = track.rotation
+            r = matrices((p[rows], q[rows]))
+            result[9:18] = track.lever[:, rows]
+            rate = self.angular_rate[rows] - track.bias
+        else:
+            rotation, rate = track.rotation_at(when)
+            r = matrices(rotation)
+            result[9:18] = track.lever_at(when)
+        r0, r1, r2 = result[:9].reshape(3, 3, -1)
+        r0[:], r1[:], r2[:] = r[0::3], r[1::3], r[2::3]  # transposed
+        x, y, z = rate.T
+        # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
+        result[18:21] = y * r2 - z * r1
+        result[21:24] = z * r0 - x * r2
+        result[24:27] = x * r1 - y * r0
+        turned_lever(result[:9], result[9:18], out=result[27:])
+        return result
+
+
+def turned_lever(transposed: Array, lever: Array, out: Array | None = None) -> Array:
+    """Rᵀ [e_k]× K column by column, from the rows of Rᵀ and K (9, n) each: (3, 3, 3, n), rows of Rᵀ first."""
+    r = transposed.reshape(3, 3, -1)
+    x, y, z = lever.reshape(3, 3, -1)  # rows of K
+    result = (np.empty((27, r.shape[2])) if out is None else out).reshape(3, 3, 3, -1)
+    for a in range(3):
+        result[a, 0] = r[a, 2] * y - r[a, 1] * z
+        result[a, 1] = r[a, 0] * z - r[a, 2] * x
+        result[a, 2] = r[a, 1] * x - r[a, 0] * y
+    return result

@@ -1,0 +1,190 @@
+"""Chains of rotations without a Python loop over samples: unit quaternions as pairs of complex numbers.
+
+A rotation is the SU(2) element (p, q) = (w + i x, y + i z); then the product is
+(p₁p₂ − q₁ q̄₂, p₁q₂ + q₁ p̄₂), eight numpy calls for any number of rotations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Spinor = tuple[Complex, Complex]
+
+_BLOCK = 16  # rotations chained one after the other before the blocks themselves are chained
+_SHORT = 512  # rotations below which doubling is faster than blocks
+_HOLE = 10  # times the shorter one of two neighbouring steps, from which the longer one is a hole
+
+
+def exponential(rotation_vector: Array) -> Spinor:
+    """Exp of rotation vectors (n, 3) rad."""
+    x, y, z = rotation_vector.T
+    angle = np.sqrt(x * x + y * y + z * z)
+    half = np.sin(0.5 * angle) / np.where(angle > 0, angle, 1.0)
+    half[angle == 0] = 0.5
+    p = np.empty(len(angle), complex)
+    q = np.empty(len(angle), complex)
+    p.real = np.cos(0.5 * angle)
+    p.imag = x * half
+    q.real = y * half
+    q.imag = z * half
+    return p, q
+
+
+def increments(time: Array, rate: Array, bias: Array | None = None) -> Array:
+    """Rotation vectors (n − 1, 3) rad from each sample to the next, of rates (n, 3) rad/s AT their stamps.
+
+    The trapezoid rule with its end correction, h/2 (ω₀ + ω₁) − h²/12 (ω̇₁ − ω̇₀), and the first term of the
+    Magnus series, h²/12 ω₀ × ω₁ (coning): fourth order where plain trapezoids lose (ωh)²/12 of every
+    oscillation, 1 % of a 0.5 Hz swell at 10 Hz. Derivatives are those of the parabola through three samples,
+    however uneven their steps (samples get lost), but none across a hole.
+    """
+    step = np.diff(time)
+    rate = np.array(rate.T, order="C")  # an axis a row
+    if bias is not None:
+        rate -= bias[:, None]
+    result = (0.5 * step) * (rate[:, 1:] + rate[:, :-1])
+    square = step * step / 12
+    if len(time) > 3:
+        before, after = step[:-1], step[1:]
+        near = np.maximum(before, after) < _HOLE * np.minimum(before, after)
+        change = (rate[:, 1:] - rate[:, :-1]) / step
+        slope = change[:, :-1] + (before / (before + after)) * (change[:, 1:] - change[:, :-1])
+        result[:, 1:-1] -= (square[1:-1] * (near[1:] & near[:-1])) * (slope[:, 1:] - slope[:, :-1])
+    (x0, y0, z0), (x1, y1, z1) = rate[:, :-1], rate[:, 1:]
+    result[0] += square * (y0 * z1 - z0 * y1)
+    result[1] += square * (z0 * x1 - x0 * z1)
+    result[2] += square * (x0 * y1 - y0 * x1)
+    return result.T
+
+
+def multiply(first: Spinor, second: Spinor) -> Spinor:
+    """R₁ R₂, elementwise."""
+    p1, q1 = first
+    p2, q2 = second
+    return p1 * p2 - q1 * q2.conj(), p1 * q2 + q1 * p2.conj()
+
+
+def chain(steps: Spinor) -> Spinor:
+    """All products R_k = R_{k−1} S_{k−1} from R_0 = I: n steps in, n + 1 rotations out."""
+    p, q = steps
+    n = len(p)
+    if n == 0:
+        return np.ones(1, complex), np.zeros(1, complex)
+    if n < _SHORT:
+        p, q = np.insert(p, 0, 1.0), np.insert(q, 0, 0.0)
+        reach = 1
+        while reach <= n:  # by doubling: fewer calls
+            p[reach:], q[reach:] = multiply((p[:-reach], q[:-reach]), (p[reach:], q[reach:]))
+            reach *= 2
+        return _normalised(p, q)
+    blocks = -(-n // _BLOCK)
+    inside_p = np.ones((_BLOCK + 1, blocks), complex)
+    inside_q = np.zeros((_BLOCK + 1, blocks), complex)
+    padded_p = np.concatenate([p, np.ones(blocks * _BLOCK - n)]).reshape(blocks, _BLOCK).T
+    padded_q = np.concatenate([q, np.zeros(blocks * _BLOCK - n)]).reshape(blocks, _BLOCK).T
+    for k in range(_BLOCK):
+        inside_p[k + 1], inside_q[k + 1] = multiply(
+            (inside_p[k], inside_q[k]), (np.ascontiguousarray(padded_p[k]), np.ascontiguousarray(padded_q[k]))
+        )
+    if blocks > 1:
+        start = chain((inside_p[-1, :-1], inside_q[-1, :-1]))
+        inside_p, inside_q = multiply(start, (inside_p, inside_q))
+    p = np.append(inside_p[:-1].T.ravel()[:n], inside_p[-1, -1] if n == blocks * _BLOCK else 0)
+    q = np.append(inside_q[:-1].T.ravel()[:n], inside_q[-1, -1] if n == blocks * _BLOCK else 0)
+    if n < blocks * _BLOCK:
+        row = n - (blocks - 1) * _BLOCK
+        p[n], q[n] = inside_p[row, -1], inside_q[row, -1]
+    return _normalised(p, q)
+
+
+def _normalised(p: Complex, q: Complex) -> Spinor:
+    norm = np.sqrt(p.real**2 + p.imag**2 + q.real**2 + q.imag**2)
+    return p / norm, q / norm
+
+
+def matrices(rotation: Spinor) -> Array:
+    """Rotation matrices, row by row along the first axis: (9, n), so that every entry is contiguous."""
+    p, q = rotation
+    w, x, y, z = p.real, p.imag, q.real, q.imag
+    x2, y2, z2 = x + x, y + y, z + z
+    xx, yy, zz = x * x2, y * y2, z * z2
+    xy, xz, yz = x * y2, x * z2, y * z2
+    wx, wy, wz = w * x2, w * y2, w * z2
+    result = np.empty((9, len(w)))
+    result[0] = 1 - yy - zz
+    result[1] = xy - wz
+    result[2] = xz + wy
+    result[3] = xy + wz
+    result[4] = 1 - xx - zz
+    result[5] = yz - wx
+    result[6] = xz - wy
+    result[7] = yz + wx
+    result[8] = 1 - xx - yy
+    return result
+
+
+def skew(vector: Array) -> Array:
+    """[v]× for vectors (..., 3): matrices (..., 3, 3)."""
+    result = np.zeros((*vector.shape, 3))
+    result[..., 0, 1] = -vector[..., 2]
+    result[..., 0, 2] = vector[..., 1]
+    result[..., 1, 0] = vector[..., 2]
+    result[..., 1, 2] = -vector[..., 0]
+    result[..., 2, 0] = -vector[..., 1]
+    result[..., 2, 1] = vector[..., 0]
+    return result
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Cross product along the first axis."""
+    result = np.empty(np.broadcast_shapes(first.shape, second.shape))
+    result[0] = first[1] * second[2] - first[2] * second[1]
+    result[1] = first[2] * second[0] - first[0] * second[2]
+    result[2] = first[0] * second[1] - first[1] * second[0]
+    return result
+
+
+def exponential_matrices(rotation_vector: Array) -> Array:
+    """Rotation matrices (3, 3, n) of rotation vectors (3, n)."""
+    x, y, z = rotation_vector
+    xx, yy, zz = x * x, y * y, z * z
+    square = xx + yy + zz
+    if square.max(initial=0.0) < 1e-3:  # series, to rounding
+        a = 1 - square * (1 / 6 - square * (1 / 120 - square / 5040))
+        b = 0.5 - square * (1 / 24 - square * (1 / 720 - square / 40320))
+    else:
+        angle = np.maximum(np.sqrt(square), 1e-8)
+        a, b = np.sin(angle) / angle, 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2
+    bxy, bxz, byz = b * x * y, b * x * z, b * y * z
+    ax, ay, az = a * x, a * y, a * z
+    result = np.empty((3, 3, len(x)))
+    result[0, 0], result[0, 1], result[0, 2] = 1 - b * (yy + zz), bxy - az, bxz + ay
+    result[1, 0], result[1, 1], result[1, 2] = bxy + az, 1 - b * (xx + zz), byz - ax
+    result[2, 0], result[2, 1], result[2, 2] = bxz - ay, byz + ax, 1 - b * (xx + yy)
+    return result
+
+
+def right_jacobian(rotation_vector: Array) -> Array:
+    """J (3, 3) of Exp(v + δ) = Exp(v) Exp(J δ) to first order in δ, for v (3,)."""
+    angle = float(np.linalg.norm(rotation_vector))
+    across = skew(rotation_vector)
+    if angle < 1e-3:
+        first, second = 0.5 - angle**2 / 24, 1 / 6 - angle**2 / 120
+    else:
+        first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.eye(3) - first * across + second * across @ across
+
+
+def tangent_basis(direction: Array) -> Array:
+    """Orthonormal tangent bases (3, 2, n) of unit vectors (3, n) (Duff et al. 2017, without branches)."""
+    x, y, z = direction
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1 / (sign + z)
+    b = x * y * a
+    basis = np.empty((3, 2, len(x)))
+    basis[0, 0], basis[1, 0], basis[2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
+    basis[0, 1], basis[1, 1], basis[2, 1] = b, sign + y * y * a, -y
+    return basis

@@ -1,0 +1,36 @@
+"""Symmetric matrices as vectors: l = vech(C), the upper triangle row by row."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import MagycError
+
+_UPPER = np.triu_indices(3)
+
+SYMMETRIC_UNITS = np.zeros((6, 3, 3))
+"""The six symmetric unit matrices E_j: unvech(l) = Σ l_j E_j."""
+SYMMETRIC_UNITS[np.arange(6), _UPPER[0], _UPPER[1]] = 1.0
+SYMMETRIC_UNITS[np.arange(6), _UPPER[1], _UPPER[0]] = 1.0
+SYMMETRIC_UNITS.flags.writeable = False
+
+
+def vech(matrix: ArrayLike) -> Array:
+    """Upper triangle of symmetric matrices (..., 3, 3), row by row: (..., 6)."""
+    array = np.asarray(matrix, dtype=np.float64)
+    if array.shape[-2:] != (3, 3):
+        raise MagycError(f"vech: shape {array.shape}, expected (..., 3, 3)")
+    return array[..., _UPPER[0], _UPPER[1]]
+
+
+def unvech(vector6: ArrayLike) -> Array:
+    """Symmetric matrices (..., 3, 3) from their upper triangles (..., 6); the inverse of `vech`."""
+    array = np.asarray(vector6, dtype=np.float64)
+    if array.shape[-1:] != (6,):
+        raise MagycError(f"unvech: shape {array.shape}, expected (..., 6)")
+    result = np.empty((*array.shape[:-1], 3, 3))
+    result[..., _UPPER[0], _UPPER[1]] = array
+    result[..., _UPPER[1], _UPPER[0]] = array
+    return result

@@ -1,0 +1,270 @@
+"""Extra effects as variables of a graph, beside soft iron, hard iron and gyroscope bias.
+
+`effect_chain_factor` is a field chain (a whole log, or any stretch of it) with effects on either sensor, for batch
+and incremental graphs; `effect_magnetometer_factor` one reading on an attitude of the graph, for pose graphs. The
+effect adds Σ value_k · column_k to a reading, the columns (`effects.Form.columns`) being known: a current, a
+temperature, a step; of an effect that reads a signal of its own sensor (a scale of the gyroscope), the columns at
+the present estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dtbtrs
+
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain, Reduced, SensorNoise, State
+from magyc_gtsam.factors.chain.preintegration import Preintegration
+from magyc_gtsam.factors.chain.rate_columns import attitude as attitudes
+from magyc_gtsam.factors.chain.rate_columns import rate_columns
+from magyc_gtsam.factors.chain.rotations import cross
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import Residual, custom_factor, measured
+from magyc_gtsam.factors.pose import MICROTESLA, body_field, check_unit, in_unit, sensor_rotation
+from magyc_gtsam.factors.units import check_field
+from magyc_gtsam.factors.variables import Array, attitude, gyro_bias, scalar, vector
+
+Side = Literal["magnetometer", "gyroscope"]
+
+_LEAST = 3  # windows of a chain
+_BEYOND = 1.0  # s of the gyroscope kept at either end of a stretch, for a delay that moves
+_ROUNDING = 1e-12  # of what a parameter's information was before elimination; less is none
+
+
+def effect_chain_factor(
+    soft_iron_key: int,
+    hard_iron_key: int,
+    gyro_bias_key: int,
+    value_key: int | Sequence[int],
+    samples: Preintegration,
+    columns: Array | Sequence[Array],
+    noise: SensorNoise,
+    *,
+    side: Side | Sequence[Side] = "magnetometer",
+    delay_key: int | None = None,
+    delay: float = 0.0,
+    part: tuple[int, int] | None = None,
+    soft_iron_unit: float = 1e-6,
+    field_unit: float = 1e-6,
+) -> gtsam.CustomFactor:
+    """A factor over all windows of `samples`, the directions eliminated inside as in `field_chain_factor`.
+
+    It holds the whole sum of squares of its windows: effects of the same data go into one factor, each with its own
+    key, not into factors beside each other. Stretches of a log share keys; what one of them does not determine (a step
+    outside it) has rows of zeros in its Jacobian.
+
+    Args:
+        soft_iron_key, hard_iron_key, gyro_bias_key: as in `field_chain_factor`, in its units.
+        value_key: k-vector, the effect's value; or a sequence of keys, one per effect.
+        samples: both sensors' samples in windows.
+        columns: per unit of the value; of the magnetometer (k, 3, n) T, means over the windows; of the gyroscope
+            (k, 3, G) rad/s, at its samples. With a sequence of keys, as many arrays.
+        noise: standard deviations per sample.
+        side: the sensor that the effect adds to; of all, or one per effect.
+        delay_key: 1-vector, s; None fixes the delay at `delay`. The factor's keys are soft iron, hard iron, gyroscope
+            bias, delay if any, values.
+        delay: s, fixed.
+        part: (first, last) windows that the factor is of, the last excluded; None is all. `columns` are still of all
+            samples, so that an effect that remembers is the same in every stretch.
+        soft_iron_unit, field_unit: T per unit of the keys.
+
+    Raises:
+        MagycError: columns that do not fit the windows, or the gyroscope's samples; not as many columns or sides as
+            keys; a part of fewer than 3 windows.
+    """
+    if isinstance(value_key, Sequence):
+        value_keys, effects = list(value_key), list(columns)
+    else:
+        value_keys, effects = [value_key], [np.asarray(columns)]
+    sides = [side] * len(value_keys) if isinstance(side, str) else list(side)
+    if not 0 < len(value_keys) == len(effects) == len(sides):
+        raise MagycError(
+            f"{len(value_keys)} value keys, {len(effects)} columns and {len(sides)} sides; each effect has one of each"
+        )
+    effects = [_fitting(samples, each, its_side) for each, its_side in zip(effects, sides, strict=True)]
+    counts = [len(each) for each in effects]
+    rated = np.repeat([each == "gyroscope" for each in sides], counts)
+    samples, windows_of, rates_of = _stretch(samples, part, delay)
+
+    def of(its_side: Side, rows: slice) -> list[Array]:
+        return [each[:, :, rows] for each, side_ in zip(effects, sides, strict=True) if side_ == its_side]
+
+    on_field = np.concatenate([np.empty((0, 3, len(samples.starts))), *of("magnetometer", windows_of)])
+    on_rate = np.concatenate([np.empty((0, 3, len(samples.gyroscope_time))), *of("gyroscope", rates_of)])
+    unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(4 + sum(counts))])
+    kept = np.ones(len(unit), dtype=bool)
+    kept[DELAY] = delay_key is not None
+    keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *([] if delay_key is None else [delay_key]), *value_keys]
+    sizes = [6, 3, 3, *([] if delay_key is None else [1]), *counts]
+
+    def error(*arguments: Array | bool) -> tuple[Array, Sequence[Array]]:
+        full = np.full(len(unit), delay)
+        full[kept] = np.concatenate(arguments[:-1])
+        full *= unit
+        parameters, value = full[:PARAMETERS], full[PARAMETERS:]
+        turning = np.tensordot(value[rated], on_rate, axes=1)
+        corrected = samples.with_rate(samples.angular_rate - turning.T) if rated.any() else samples
+        windows = corrected.integrate(parameters[9:12], parameters[DELAY])
+        added = np.tensordot(value[~rated], on_field, axes=1)
+        chain = FieldChain(replace(windows, field=windows.field - added), noise)
+        state, reduced = chain.settle(chain.start(parameters), chain.unweighted())
+        window = np.empty((len(value), 3, len(windows)))
+        link = np.zeros((len(value), 3, len(windows) - 1))
+        window[~rated] = on_field
+        if rated.any():
+            turn = attitudes(corrected, corrected.angular_rate.T - parameters[9:12, None])
+            soft = unvech(parameters[:6])
+            window[rated], link[rated] = rate_columns(corrected, windows, soft, state.direction, turn, on_rate)
+        information, gradient, alone = bordered(chain, state, reduced, window, link)
+        root, pull = semidefinite_root(
+            (information * unit * unit[:, None])[np.ix_(kept, kept)], (gradient * unit)[kept], (alone * unit)[kept]
+        )
+        rest = np.sqrt(max(2 * reduced.cost - float(pull @ pull), 0.0))
+        jacobian = np.vstack([root, np.zeros((1, len(root)))])
+        return np.append(pull, rest), np.split(jacobian, np.cumsum(sizes)[:-1], axis=1)
+
+    late = [] if delay_key is None else [scalar]
+    variables = [vector(6), vector(3), gyro_bias, *late, *map(vector, counts)]
+    return custom_factor("effect chain", 1.0, keys, variables, sum(sizes) + 1, error)
+
+
+def _fitting(samples: Preintegration, columns: ArrayLike, side: str) -> Array:
+    """The columns of one effect, checked against what they are of."""
+    if side not in ("magnetometer", "gyroscope"):
+        raise MagycError(f"side {side!r} is neither 'magnetometer' nor 'gyroscope'")
+    on_rate = side == "gyroscope"
+    rows = len(samples.gyroscope_time) if on_rate else len(samples.starts)
+    result = np.asarray(columns, dtype=float)
+    if result.ndim != 3 or result.shape[1:] != (3, rows):
+        raise MagycError(
+            f"columns: shape {result.shape}, expected (k, 3, {rows}), one per "
+            f"{'gyroscope sample' if on_rate else 'window'}"
+        )
+    return result
+
+
+def _stretch(
+    samples: Preintegration, part: tuple[int, int] | None, delay: float
+) -> tuple[Preintegration, slice, slice]:
+    """The samples of some of their windows, which windows these are, and which of the gyroscope's samples."""
+    count = len(samples.starts)
+    first, last = (0, count) if part is None else part
+    if not 0 <= first <= last - _LEAST <= count - _LEAST:
+        raise MagycError(
+            f"windows {first} to {last} of {count}: at least {_LEAST} that exist are needed; take a longer stretch"
+        )
+    if last - first == count:
+        return samples, slice(None), slice(None)
+    result, rates = samples.stretch(first, last, _BEYOND + abs(delay))
+    return result, slice(first, last), rates
+
+
+def semidefinite_root(information: Array, gradient: Array, alone: Array) -> tuple[Array, Array]:
+    """R (p, p) and r (p,) with RᵀR = information and Rᵀr = gradient, also where directions are not determined.
+
+    Args:
+        information: (p, p), positive semidefinite but for rounding.
+        gradient: (p,) in its range.
+        alone: (p,) roots of what its diagonal was before anything was eliminated, which is what rounding is relative
+            to; 0 for a parameter that nothing here depends on.
+    """
+    scale = np.where(alone > 0, alone, 1.0)
+    weight, direction = np.linalg.eigh(information / scale / scale[:, None])
+    length = np.sqrt(np.where(weight > _ROUNDING, weight, 0.0))
+    pull = np.divide(direction.T @ (gradient / scale), length, out=np.zeros_like(length), where=length > 0)
+    return length[:, None] * direction.T * scale, pull
+
+
+def bordered(
+    chain: FieldChain, state: State, reduced: Reduced, window: Array, link: Array
+) -> tuple[Array, Array, Array]:
+    """Information (13 + k, 13 + k) and gradient on θ and k more parameters, the directions eliminated.
+
+    The third are roots (13 + k,) of the information's diagonal with the directions held.
+
+    Args:
+        chain, state, reduced: the chain at its best directions.
+        window: (k, 3, n) T per unit, derivatives of the windows' predictions.
+        link: (k, 3, n − 1) rad per unit, of the links' residuals.
+    """
+    window, link = window * chain.window_scale, link * chain.link_scale
+    count, _, n = window.shape
+    border = np.einsum("ian,pin->pna", reduced.on_direction, window)
+    border[:, 1:] += np.einsum("ian,pin->pna", reduced.basis[:, :, 1:] * chain.link_scale, link)
+    border[:, :-1] -= np.einsum("ian,pin->pna", reduced.basis[:, :, :-1] * chain.link_scale, link)
+    half, _ = dtbtrs(reduced.factor, border.reshape(count, 2 * n).T, uplo="L")
+    on_bias = np.zeros((PARAMETERS, 3, n - 1))
+    on_bias[9:12] = -cross(state.direction[:, None, :-1], chain.windows.lever).swapaxes(0, 1)
+    residuals = chain.residuals(state)
+
+    def stacked(windows: Array, links: Array) -> Array:
+        return np.concatenate([windows.reshape(len(windows), -1), links.reshape(len(links), -1)], axis=1)
+
+    own = stacked(window, link)
+    theta = stacked(reduced.on_parameters, on_bias * chain.link_scale)
+    left = stacked(residuals.window[None] * chain.window_scale, residuals.link[None] * chain.link_scale)[0]
+    inside = reduced.half[:, :PARAMETERS]
+    size = PARAMETERS + count
+    information = np.empty((size, size))
+    information[:PARAMETERS, :PARAMETERS] = reduced.information
+    information[PARAMETERS:, PARAMETERS:] = own @ own.T - half.T @ half
+    information[:PARAMETERS, PARAMETERS:] = theta @ own.T - inside.T @ half
+    information[PARAMETERS:, :PARAMETERS] = information[:PARAMETERS, PARAMETERS:].T
+    gradient = np.append(reduced.gradient, own @ left - half.T @ reduced.half[:, PARAMETERS])
+    alone = np.append(np.linalg.norm(theta, axis=1), np.linalg.norm(own, axis=1))
+    return information, gradient, alone
+
+
+def effect_magnetometer_factor(
+    attitude_key: int,
+    soft_iron_key: int,
+    hard_iron_key: int,
+    value_key: int,
+    measurement: ArrayLike,
+    columns: ArrayLike,
+    noise: float | gtsam.noiseModel.Base,
+    *,
+    field: ArrayLike,
+    body_R_sensor: gtsam.Rot3 | None = None,
+    field_unit: float = MICROTESLA,
+) -> gtsam.CustomFactor:
+    """`magnetometer_factor` in a known field, with an effect: m = A (ᵇRₛᵀ Rᵀ f) + h + Σ value_k · column_k.
+
+    Args:
+        attitude_key, soft_iron_key, hard_iron_key: as in `magnetometer_factor`.
+        value_key: k-vector, the effect's value.
+        measurement: (3,) T, sensor frame.
+        columns: (k, 3) T per unit of the value, at the time of the measurement.
+        noise: standard deviation per axis in T, or a noise model of the 3 rows in `field_unit`.
+        field: (3,) T, world frame.
+        body_R_sensor: sensor→body.
+        field_unit: T per unit of the key h.
+
+    Raises:
+        MagycError: numbers that are not finite, or of a wrong shape.
+    """
+    name = "magnetometer with an effect"
+    check_unit(field_unit)
+    f = measured("field", field, (3,)) / field_unit
+    check_field(name, float(np.linalg.norm(f)) * field_unit)
+    m = measured("measurement", measurement, (3,)) / field_unit
+    on_value = measured("columns", columns, (None, 3)).T / field_unit
+    mounting = sensor_rotation(body_R_sensor)
+
+    def error(rotation: Array, a: Array, h: Array, value: Array, want_jacobians: bool) -> Residual:
+        seen, on_rotation, _ = body_field(mounting, rotation, f)
+        soft_iron = unvech(a)
+        residual = soft_iron @ seen + h + on_value @ value - m
+        if not want_jacobians:
+            return residual, []
+        return residual, [soft_iron @ on_rotation, (SYMMETRIC_UNITS @ seen).T, np.eye(3), on_value]
+
+    variables = [attitude, vector(6), vector(3), vector(on_value.shape[1])]
+    keys = [attitude_key, soft_iron_key, hard_iron_key, value_key]
+    return custom_factor(name, in_unit(name, noise, field_unit), keys, variables, 3, error)

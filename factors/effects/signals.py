@@ -1,0 +1,106 @@
+"""What the formulas of extra effects read: fields, rates and other channels, sample by sample."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import MagycError
+
+STANDARD_GRAVITY = 9.80665  # m/s² in a g
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What the forms read, sample by sample along the last axis; what is unknown is None.
+
+    Attributes:
+        time: (n,) s, as in the recording.
+        field: (3, n) T, soft iron times the true field: the reading less hard iron and noise.
+        field_rate: (3, n) T/s, its time derivative.
+        hard_iron: (3,) T.
+        rate: (3, n) rad/s, true angular rate.
+        to_sensor: (3, 3, n) rotation of a world frame into the sensor's.
+        acceleration: (3, n) m/s².
+        channels: {"current" | "temperature" | "position": (k, n)}.
+    """
+
+    time: Array
+    field: Array | None = None
+    field_rate: Array | None = None
+    hard_iron: Array | None = None
+    rate: Array | None = None
+    to_sensor: Array | None = None
+    acceleration: Array | None = None
+    channels: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+
+    def need(self, name: str) -> Array:
+        """A signal, or the channel of that name.
+
+        Raises:
+            MagycError: it is not there.
+        """
+        value = getattr(self, name, None) if name not in CHANNELS else self.channels.get(name)
+        if value is None or (name == "time" and np.isnan(value).any()):
+            raise MagycError(
+                f"{name}: a term of the calibration reads it, and the data do not hold it: "
+                "give the recording of a log that does, or take the term out of the calibration"
+            )
+        array: Array = value
+        return array
+
+
+CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "current": ("current", "curr", "amp", "amps", "motor", "throttle"),
+        "temperature": ("temperature", "temp"),
+        "position": ("position", "depth", "altitude", "height"),
+    }
+)
+"""What a channel must be called to count as one of a kind: long words may be a part of a word, short ones may not."""
+_LONG = 5  # letters
+_WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+
+
+def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
+    """{kind: (k, n)} from {name: (n,) or (n, k)}, the names in alphabetical order."""
+    result = {}
+    for kind in CHANNELS:
+        found = [channels[name] for name in sorted(channels) if kind in kinds(name)]
+        if found:
+            result[kind] = np.concatenate(
+                [np.asarray(value, dtype=float).reshape(len(value), -1).T for value in found]
+            )
+    return result
+
+
+def rows_by_kind(channels: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
+    """{kind: (k,)} what the rows of `channels_by_kind` are called."""
+    result = {}
+    for kind in CHANNELS:
+        found = [name for name in sorted(channels) if kind in kinds(name)]
+        if found:
+            columns = [np.asarray(channels[name]).reshape(len(channels[name]), -1).shape[1] for name in found]
+            result[kind] = tuple(
+                name if count == 1 else f"{name} {column + 1}"
+                for name, count in zip(found, columns, strict=True)
+                for column in range(count)
+            )
+    return result
+
+
+def kinds(name: str) -> tuple[str, ...]:
+    """The kinds that a channel of this name counts as."""
+    return tuple(kind for kind, words in CHANNELS.items() if _is_called(name, words))
+
+
+def _is_called(name: str, words: Sequence[str]) -> bool:
+    """Whether a channel's name holds one of the words; "timestamp" holds no "amp"."""
+    parts = [part.lower() for part in _WORDS.findall(name)]
+    return any(word in part if len(word) >= _LONG else word == part for word in words for part in parts)

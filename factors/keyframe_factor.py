@@ -1,0 +1,174 @@
+"""A block of magnetometer samples as one factor on (R, A, h[, b][, f][, ᵇRₛ][, τ])."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.guard import Residual, custom_factor, standard_deviation
+from magyc_gtsam.factors.kernels import robustify, tuning_constant
+from magyc_gtsam.factors.keyframe_field import KeyframeField
+from magyc_gtsam.factors.pose import MICROTESLA, given_keys, known_field
+from magyc_gtsam.factors.units import check_noise, check_rate_noise
+from magyc_gtsam.factors.variables import Array, attitude, direction, gyro_bias, mounting, scalar, vector
+
+_EARTH_FIELD = 50e-6  # T, only to widen a block's sigma where the field is a variable
+_MEDIAN = 1.5382  # of the norm of three independent standard normal numbers
+
+
+@dataclass(eq=False)
+class BlockDetails:
+    """What a `keyframe_field_factor` is made of, for those who manage it in a graph.
+
+    Attributes:
+        attitude_key, soft_iron_key, hard_iron_key, field_key: as given.
+        block: the samples, not compressed.
+        sigma: T, of a sample, widened by the gyroscope.
+        field: (3,) T, or a strength; None where it is a variable.
+        field_unit: T per unit of the keys.
+        robust: the kernel's name.
+        width: factor of the kernel's tuning constant, at least 1: a kernel starts wide and narrows as the graph
+            settles (`NativeFactors`, `runners.Incremental`).
+        misfit: median whitened norm of the samples at the last evaluation, 1 where the model fits; NaN before, and
+            where there is no kernel.
+    """
+
+    attitude_key: int
+    soft_iron_key: int
+    hard_iron_key: int
+    field_key: int | None
+    block: KeyframeField
+    sigma: float
+    field: Array | None
+    field_unit: float
+    robust: str | None
+    width: float = 1.0
+    misfit: float = float("nan")
+
+    @property
+    def on_direction(self) -> bool:
+        """Whether the attitude key holds the field's direction in the body frame instead."""
+        return self.field is not None and self.field.ndim == 0
+
+
+def keyframe_field_factor(
+    attitude_key: int,
+    soft_iron_key: int,
+    hard_iron_key: int,
+    block: KeyframeField,
+    noise: float,
+    *,
+    gyro_bias_key: int | None = None,
+    field: ArrayLike | None = None,
+    field_key: int | None = None,
+    mounting_key: int | None = None,
+    delay_key: int | None = None,
+    gyroscope_noise: float = 0.0,
+    robust: str | None = None,
+    tuning: float | None = None,
+    field_unit: float = MICROTESLA,
+) -> gtsam.CustomFactor:
+    """All samples of a block as one factor.
+
+    Args:
+        attitude_key: R, body→world at the keyframe: `Pose3`, `Rot3`, `NavState`, `Pose2`, `Rot2`; or, where `field`
+            is a strength, the field's direction in the body frame (`Unit3`).
+        soft_iron_key: A, 6-vector, vech of the soft iron.
+        hard_iron_key: h, 3-vector or `Point3`, `field_unit`.
+        block: of `KeyframeField.from_samples` or `KeyframeBuffer.close`.
+        noise: T per sample and axis.
+        gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`; without it the block stays integrated at its own bias.
+        field: (3,) T, the world's field, or its strength, a number.
+        field_key: f as a variable, 3-vector or `Point3`, `field_unit`.
+        mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`); without it the block's own is held.
+        delay_key: τ as a variable, s, double or 1-vector (`delay_prior`); without it the block's own is held.
+        gyroscope_noise: rad/s per sample and axis, which widens `noise` by what it adds inside the block.
+        robust: name of a kernel that weighs every sample by itself; the samples are then not compressed.
+        tuning: of the kernel; default 95 % efficiency.
+        field_unit: T per unit of the keys h and f.
+
+    Raises:
+        MagycError: neither or both of `field` and `field_key`, units that cannot be, or numbers that are not finite.
+    """
+    name = "keyframe field"
+    if isinstance(noise, gtsam.noiseModel.Base):
+        raise MagycError(
+            f"{name}: `noise` is a noise model; give the standard deviation of a sample in T, a number, which the "
+            "block whitens by itself (for outliers `robust`)"
+        )
+    check_noise(name, standard_deviation(noise))
+    check_rate_noise(name, gyroscope_noise)
+    known = known_field(name, field, field_key, field_unit, strength=True)
+    strength = _EARTH_FIELD if known is None else float(np.linalg.norm(known)) * field_unit
+    added = gyroscope_noise * strength * np.sqrt(block.samples * block.spread)
+    whole_sigma = float(np.hypot(noise, added))
+    sigma = whole_sigma / field_unit
+    constant = None if robust is None else tuning_constant(robust, 3, tuning)
+    details = BlockDetails(
+        attitude_key, soft_iron_key, hard_iron_key, field_key, block, whole_sigma,
+        None if known is None else known * field_unit, field_unit, robust,
+    )  # fmt: skip
+    late = delay_key is not None
+    whole = block if late else block.without_delay()
+    rows = whole if robust is not None else block.compressed(delay=late)
+    mounted = rows.body_R_sensor
+    extra = given_keys(
+        (gyro_bias_key, gyro_bias), (field_key, vector(3)), (mounting_key, mounting), (delay_key, scalar)
+    )
+    optional = [key for key, _ in extra]
+
+    def error(first: Array, a: Array, h: Array, *rest: Array) -> Residual:
+        *more, want = rest
+        found: dict[int | None, Array] = dict(zip(optional, more, strict=True))
+        b = block.bias if gyro_bias_key is None else found[gyro_bias_key]
+        tau = float(found[delay_key][0]) if late else None
+        f = found[field_key] if known is None else known
+        rotation = None
+        if details.on_direction:
+            v = first * f
+        else:
+            rotation = first.reshape(3, 3)
+            v = rotation.T @ f
+        soft_iron = unvech(a)
+        turned = None if mounting_key is None else found[mounting_key].reshape(3, 3).T @ mounted
+        iron = soft_iron if turned is None else soft_iron @ turned
+        residual, parts = rows.error(field_unit, v, iron, h, b, tau, bool(want))
+        residual = residual / sigma
+        jacobians: Sequence[Array] = []
+        if want:
+            on_v, on_iron, on_h, on_b, *on_tau = parts
+            on_first = on_v * f if rotation is None else on_v[:, :, None] * f[:, None]
+            jacobians = [
+                on_first.reshape(len(residual), 3, -1),
+                np.einsum(
+                    "kie,ae->kia",
+                    on_iron,
+                    (SYMMETRIC_UNITS if turned is None else SYMMETRIC_UNITS @ turned).reshape(6, 9),
+                ),
+                on_h,
+            ]
+            if gyro_bias_key is not None:
+                jacobians.append(on_b)
+            if field_key is not None and rotation is not None:
+                jacobians.append(on_v @ rotation.T)
+            if mounting_key is not None:
+                # B = A Sᵀ S₀: ∂B_ij/∂S_kl = A_il (S₀)_kj
+                on_mounting = np.einsum("il,kj->ijkl", soft_iron, mounted).reshape(9, 9)
+                jacobians.append(on_iron @ on_mounting)
+            jacobians += on_tau
+            jacobians = [jacobian / sigma for jacobian in jacobians]
+        if robust is not None and constant is not None:
+            norms = np.sqrt(np.einsum("ki,ki->k", residual, residual))
+            details.misfit = float(np.median(norms)) / _MEDIAN
+            residual, jacobians = robustify(robust, residual, jacobians, constant * details.width)
+        return residual.ravel(), [jacobian.reshape(residual.size, -1) for jacobian in jacobians]
+
+    keys = [attitude_key, soft_iron_key, hard_iron_key, *optional]
+    read = [direction if details.on_direction else attitude, vector(6), vector(3), *(how for _, how in extra)]
+    return custom_factor(name, 1.0, keys, read, 3 * len(rows.share), error, details=details)

@@ -1,0 +1,93 @@
+"""One way to read and update iSAM2 and both fixed-lag smoothers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.variables import Array
+
+Solver = gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother | gtsam.BatchFixedLagSmoother
+
+
+class View:
+    """A solver's estimate, with the values of the coming update on top.
+
+    Args:
+        solver: `ISAM2`, a fixed-lag smoother, or the `Values` of a batch.
+        new: values that the solver does not hold yet.
+    """
+
+    def __init__(self, solver: Solver | gtsam.Values, new: gtsam.Values | None = None) -> None:
+        if not isinstance(solver, gtsam.Values | gtsam.ISAM2 | gtsam.FixedLagSmoother):
+            raise MagycError(
+                f"solver is a {type(solver).__name__}; accepted: ISAM2, IncrementalFixedLagSmoother, "
+                "BatchFixedLagSmoother, and Values for a batch"
+            )
+        self.solver, self.new = solver, gtsam.Values() if new is None else new
+        self._held: gtsam.Values | None = None
+
+    def exists(self, key: int) -> bool:
+        """Whether the key has a value."""
+        if self.new.exists(key):
+            return True
+        if isinstance(self.solver, gtsam.Values):
+            return bool(self.solver.exists(key))
+        if isinstance(self.solver, gtsam.ISAM2):
+            return bool(self.solver.valueExists(key))
+        if self._held is None:
+            self._held = self.solver.getLinearizationPoint()
+        return bool(self._held.exists(key))
+
+    def values(self, keys: Sequence[int]) -> gtsam.Values:
+        """The values of these keys, all of which exist; of a batch, of all keys."""
+        if isinstance(self.solver, gtsam.Values):
+            return self.solver
+        old = [key for key in keys if not self.new.exists(key)]
+        point = self.solver.calculateEstimate(old) if old else gtsam.Values()
+        if len(old) < len(keys):
+            point.insert(self.new)
+        return point
+
+    def covariance(self, keys: Sequence[int]) -> Array | None:
+        """Joint covariance of keys that the solver holds, in their order; None where it cannot be had."""
+        if isinstance(self.solver, gtsam.Values):
+            return None
+        try:
+            if isinstance(self.solver, gtsam.BatchFixedLagSmoother):
+                marginals = gtsam.Marginals(self.solver.getFactors(), self.solver.calculateEstimate())
+                joint = marginals.jointMarginalCovariance(list(keys))
+            else:
+                isam = self.solver if isinstance(self.solver, gtsam.ISAM2) else self.solver.getISAM2()
+                joint = isam.jointMarginalCovariance(list(keys))
+        except RuntimeError:  # not determined
+            return None
+        return np.block([[joint.at(i, j) for j in keys] for i in keys])
+
+
+def update_solver(
+    solver: Solver,
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    timestamps: Mapping[int, float] | None,
+    remove: Sequence[int],
+) -> tuple[Any, list[int] | None]:
+    """Update; its result, and the slots of the new factors, None where the solver does not tell them."""
+    if isinstance(solver, gtsam.ISAM2):
+        done = solver.update(graph, values, list(remove))
+        return done, list(done.getNewFactorsIndices())
+    stamps: Any = dict(timestamps or {})
+    if missing := [key for key in list(values.keys()) if key not in stamps]:
+        raise MagycError(
+            f"native factors: {len(missing)} new keys without a time stamp, {gtsam.DefaultKeyFormatter(missing[0])} "
+            "first; a fixed-lag smoother needs `timestamps`, {key: s}, of every new key, and at each update of those "
+            "that must stay"
+        )
+    result = solver.update(graph, values, stamps, list(remove))
+    if isinstance(solver, gtsam.IncrementalFixedLagSmoother):
+        return result, list(solver.getISAM2Result().getNewFactorsIndices())
+    return result, None

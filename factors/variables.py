@@ -1,0 +1,128 @@
+"""How a factor reads its keys: the types that a key may hold, each as a vector and the tangent space behind it.
+
+Every reader turns a value into a plain vector and, where the key's own tangent space is another, the derivative
+(len(value), dimension) of the vector on it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.chain.rotations import skew
+from magyc_gtsam.factors.errors import MagycError
+
+Array = NDArray[np.float64]
+Reader = Callable[[gtsam.Values, int], tuple[Array, Array | None]]
+Variable = Mapping[str, Reader]
+"""The types that a key may hold, {name: reader}."""
+
+_GYROSCOPE_PART = np.hstack([np.zeros((3, 3)), np.eye(3)])  # of a ConstantBias: accelerometer, gyroscope
+_GYROSCOPE_PART.flags.writeable = False
+_TURNS = skew(np.eye(3))
+_STORED = re.compile(r"GenericValue<(.*)> but requested")
+
+
+def vector(size: int) -> Variable:
+    """A vector of `size` numbers; where `size` is 3 it may also be a `Point3`."""
+
+    def read(values: gtsam.Values, key: int) -> tuple[Array, None]:
+        value = values.atPoint3(key) if size == 3 else values.atVector(key)
+        if value.shape != (size,):
+            raise MagycError(f"{key_name(key)} holds {value.size} numbers, {size} are expected")
+        return value, None
+
+    return MappingProxyType({"Point3 or 3-vector" if size == 3 else f"{size}-vector": read})
+
+
+def _at_unit(values: gtsam.Values, key: int) -> tuple[Array, Array]:
+    unit = values.atUnit3(key)
+    return unit.point3(), unit.basis()
+
+
+def _at_rotation(rotation: Array, first: int, columns: int) -> tuple[Array, Array]:
+    """R row by row (9,), and its derivative where the rotation is the tangent space's columns `first` to + 3."""
+    tangent = np.zeros((9, columns))  # R Exp(φ) = R + R [φ]×, in the body frame as GTSAM has it
+    tangent[:, first : first + 3] = (rotation @ _TURNS).reshape(3, 9).T
+    return rotation.ravel(), tangent
+
+
+def _at_heading(angle: float, column: int, columns: int) -> tuple[Array, Array]:
+    rotation = gtsam.Rot3.Yaw(angle).matrix()
+    tangent = np.zeros((9, columns))
+    tangent[:, column] = (rotation @ _TURNS[2]).ravel()
+    return rotation.ravel(), tangent
+
+
+direction: Variable = MappingProxyType({"Unit3": _at_unit})
+"""A direction, read as a unit vector (3,)."""
+
+gyro_bias: Variable = MappingProxyType(
+    {
+        "Point3 or 3-vector": lambda values, key: (values.atPoint3(key), None),
+        "ConstantBias": lambda values, key: (values.atConstantBias(key).gyroscope(), _GYROSCOPE_PART),
+    }
+)
+"""The gyroscope bias (3,) rad/s."""
+
+attitude: Variable = MappingProxyType(
+    {
+        "Pose3": lambda values, key: _at_rotation(values.atPose3(key).rotation().matrix(), 0, 6),
+        "Rot3": lambda values, key: _at_rotation(values.atRot3(key).matrix(), 0, 3),
+        "NavState": lambda values, key: _at_rotation(values.atNavState(key).attitude().matrix(), 0, 9),
+        "Pose2": lambda values, key: _at_heading(values.atPose2(key).theta(), 2, 3),
+        "Rot2": lambda values, key: _at_heading(values.atRot2(key).theta(), 0, 1),
+    }
+)
+"""The attitude body→world, read as the rotation matrix row by row (9,)."""
+
+mounting: Variable = MappingProxyType({"Rot3": attitude["Rot3"]})
+"""The rotation sensor→body, read as the matrix row by row (9,)."""
+
+scalar: Variable = MappingProxyType(
+    {
+        "double": lambda values, key: (np.array([values.atDouble(key)]), None),
+        "1-vector": vector(1)["1-vector"],
+    }
+)
+"""A number, read as (1,)."""
+
+
+def choose(name: str, variable: Variable, values: gtsam.Values, key: int) -> Reader:
+    """The reader of what the key holds.
+
+    Raises:
+        MagycError: the key has no value, or one of a type that is not among the variable's.
+    """
+    if not values.exists(key):
+        raise MagycError(f"{name}: {key_name(key)} has no value; insert one before the factor is evaluated")
+    problem = ""
+    for read in variable.values():
+        try:
+            read(values, key)
+        except RuntimeError as refused:
+            problem = str(refused)
+        else:
+            return read
+    raise MagycError(f"{name}: {key_name(key)} holds a {_stored(problem)}; accepted: {', '.join(variable)}")
+
+
+def key_name(key: int) -> str:
+    """A key as GTSAM prints it."""
+    return str(gtsam.DefaultKeyFormatter(key))
+
+
+def _stored(problem: str) -> str:
+    """The type that GTSAM's message says is stored."""
+    found = _STORED.search(problem)
+    if found is None:
+        return "value of another type"
+    text = found[1].replace("gtsam::", "")
+    if text.startswith("Eigen::Matrix"):
+        return "Point3" if "double, 3, 1" in text else "vector" if "-1, 1" in text else "matrix"
+    return text

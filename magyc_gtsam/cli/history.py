@@ -1,0 +1,167 @@
+"""`magyc-gtsam history`: one instrument over many logs; what stays, what moved, and when."""
+
+from __future__ import annotations
+
+import json as json_text
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.many import unique_names
+from magyc_gtsam.cli.reading import Reading
+from magyc_gtsam.cli.results import dated_folder, write_exports
+from magyc_gtsam.cli.scale import Scale
+from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.engine import Row
+    from magyc_gtsam.history import History
+
+Engine = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS", help="'local' processes, or the address of a Dask scheduler (tcp://host:8786)."
+    ),
+]
+More = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="[LOG|FOLDER]...", help="More logs, folders or patterns.", show_default=False),
+]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """One log to compress: a unit of work."""
+
+    reading: Reading
+    options: dict[str, Any]
+
+
+@with_groups
+def run(
+    reading: Reading,
+    scale: Scale,
+    more: More = None,
+    add: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="HISTORY", help="Add the logs to this history.yaml; its own logs are not read again."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="DIR", help="Default: results/history-<date>-<time>."),
+    ] = None,
+    engine: Engine = "local",
+    quiet: given.Quiet = False,
+    json: given.Json = False,
+) -> int:
+    """One instrument over many logs: shared soft iron, a hard iron that walks and jumps.
+
+    Writes history.yaml (each log compressed, for --add), next.yaml and the parameters to paste for the next log, and
+    report.html. Exit code 1: done, but the logs are of several instruments, or none could be calibrated but one.
+    """
+    from magyc_gtsam.engine import run_many
+    from magyc_gtsam.history import History, LogFactor
+    from magyc_gtsam.io.many import find_logs
+    from magyc_gtsam.report.summary_page import history_page
+
+    logs = find_logs([reading.log, *(more or [])])
+    before = None if add is None else History.load(add)
+    _refuse_twice(logs, before)
+    strength = scale.tesla()
+    options = {} if strength is None else {"field_strength": strength}
+    tasks = {
+        name: _Task(replace(reading, log=log), options) for name, log in zip(unique_names(logs), logs, strict=True)
+    }
+    folder = output or dated_folder(Path("history"))
+    with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
+        rows = run_many(_compress_one, tasks, engine=engine, progress=stage(f"calibrating {len(logs)} logs"))
+        found = [
+            LogFactor(name, None, None, None, problem=row["error"]) if "error" in row else LogFactor.from_dict(row)
+            for name, row in rows.items()
+        ]
+        if before is None:
+            history = History(found, options=options)
+        else:
+            history = History([*before.factors, *found], model=before.model, options=before.options)
+        history.save(part / "history.yaml")
+        history.next.save(part / "next.yaml")
+        write_exports(part, history.next)
+        (part / "report.html").write_text(history_page(history), encoding="utf-8")
+    several = sum(len(group) > 1 for group in history.groups) > 1
+    if json:
+        typer.echo(json_text.dumps(_as_dict(history, folder), indent=2))
+    elif not quiet:
+        _show(history, folder)
+    if several:
+        typer.echo(
+            "magyc-gtsam: the logs are of several instruments (groups above); give those of one alone", err=True
+        )
+    return 1 if several else 0
+
+
+def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
+    """A log that is in the history already would count twice."""
+    from magyc_gtsam.factors.errors import MagycError
+
+    known = set() if before is None else set(before.names)
+    for log in logs:
+        if log.name in known:
+            raise MagycError(
+                f"{log.name}: is in the history already; leave it out, or rename it if it is another log"
+            )
+
+
+def _compress_one(task: _Task) -> Row:
+    """A unit of work: one log as its factor."""
+    from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.history.history import factor_of
+    from magyc_gtsam.history.log_factor import LogFactor
+
+    name = task.reading.log.name
+    try:
+        recording = task.reading.recording()
+    except MagycError as error:
+        return LogFactor(
+            name, None, None, None, problem=str(error).removeprefix(f"{task.reading.log}: ")
+        ).to_dict()
+    return replace(factor_of(recording, None, task.options), name=name).to_dict()
+
+
+def _show(history: History, folder: Path) -> None:
+    from magyc_gtsam.report.summary_page import history_rows
+
+    header = ["log", "hard iron x, y, z (µT)", "±"]
+    rows = []
+    for name, iron, calibration in zip(history.names, history.hard_iron, history.calibrations, strict=True):
+        sigma = calibration.sigma["hard_iron"].max() * 1e6
+        rows.append([name, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}"])
+    show_table(header, rows)
+    show("")
+    show(*(f"jump before {' '.join(map(str, row))}" for row in history_rows(history)))
+    show(*(f"contradicts: {each.name}: {each.sentence}" for each in history.contradictions))
+    if len(history.groups) > 1:
+        show(*(f"group: {', '.join(history.names[i] for i in group)}" for group in history.groups))
+    iron, sigma = history.next.hard_iron * 1e6, history.next.sigma["hard_iron"] * 1e6
+    listed = ", ".join(f"{value:.2f} ± {deviation:.2f}" for value, deviation in zip(iron, sigma, strict=True))
+    show(f"next log: hard iron {listed} µT; {history.next.message}", "", f"results: {folder}")
+
+
+def _as_dict(history: History, folder: Path) -> dict[str, Any]:
+    return {
+        "folder": str(folder),
+        "names": list(history.names),
+        "hard_iron": history.hard_iron.tolist(),
+        "hard_iron_covariance": history.hard_iron_covariance.tolist(),
+        "jumps": [[index, size.tolist(), sigma.tolist()] for index, size, sigma in history.jumps],
+        "groups": [list(group) for group in history.groups],
+        "contradictions": [[each.index, each.name, each.sentence] for each in history.contradictions],
+        "next": history.next.to_dict(),
+    }

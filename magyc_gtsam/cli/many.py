@@ -1,0 +1,224 @@
+"""`magyc-gtsam calibrate FOLDER|LOGS…`: each log by itself, one row each, one page over all."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from magyc_gtsam import __version__
+from magyc_gtsam.cli.files import replacing, replacing_folder
+from magyc_gtsam.cli.reading import Reading
+from magyc_gtsam.cli.results import dated_folder
+from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.engine import Row
+
+_PATTERN = re.compile(r"[*?\[]")
+_AXES = ("x", "y", "z")
+_PARTS = ".parts"
+
+
+@dataclass(frozen=True)
+class Task:
+    """One log to calibrate: a unit of work.
+
+    Attributes:
+        reading: how to read it.
+        method, options, pairs: as `calibrate` has them.
+        folder: for its results.
+        arguments: the command line.
+        force: write parameters to paste of a result that must not be trusted as well.
+    """
+
+    reading: Reading
+    method: str
+    options: dict[str, Any]
+    pairs: list[str] | None
+    folder: Path
+    arguments: tuple[str, ...]
+    force: bool
+
+
+def many(log: Path, more: Sequence[Path] | None) -> bool:
+    """Whether these are many logs: several, a folder or a pattern."""
+    return bool(more) or log.is_dir() or (not log.exists() and _PATTERN.search(str(log)) is not None)
+
+
+def unique_names(logs: Sequence[Path]) -> list[str]:
+    """A name for each log's folder: its stem, with its parents' where that is not enough."""
+    depth = 1
+    while True:
+        names = ["-".join([*log.parts[-depth:-1], log.stem]).strip("/") for log in logs]
+        if len(set(names)) == len(names) or depth > max(len(log.parts) for log in logs):
+            break
+        depth += 1
+    seen: dict[str, int] = {}
+    for i, name in enumerate(names):
+        seen[name] = seen.get(name, 0) + 1
+        names[i] = name if seen[name] == 1 else f"{name}-{seen[name]}"  # dive.mcap beside dive.csv
+    return names
+
+
+def calibrate_logs(
+    task: Task, logs: Sequence[Path], output: Path | None, engine: str, quiet: bool, as_json: bool
+) -> int:
+    """Calibrate all logs.
+
+    Args:
+        task: what is the same for all; its `reading.log` and `folder` are replaced.
+        logs: the files.
+        output: folder for all results; None makes one in results/.
+        engine: see `magyc_gtsam.engine`.
+
+    Returns:
+        The worst of the logs' exit codes.
+    """
+    from magyc_gtsam.engine import run_many
+
+    folder = output or dated_folder(Path("logs"))
+    names = unique_names(logs)
+    each = [
+        replace(task, reading=replace(task.reading, log=log), folder=folder / name)
+        for name, log in zip(names, logs, strict=True)
+    ]
+    tasks = {_fingerprint(one): one for one in each}
+    folder.mkdir(parents=True, exist_ok=True)
+    # A run into a folder of the user's own goes on where it was stopped; a new folder has nothing to go on from.
+    parts = folder / _PARTS if output is not None and find_spec("pyarrow") else None
+    for key, one in tasks.items() if parts is not None else ():
+        if not (one.folder / "report.html").exists():  # refused, or removed since
+            (folder / _PARTS / f"{key}.parquet").unlink(missing_ok=True)
+    with stages(shown=not (quiet or as_json)) as stage:
+        progress = stage(f"calibrating {len(logs)} logs")
+        rows = run_many(calibrate_one, tasks, engine=engine, parts=parts, progress=progress)
+    table = [_as_row(tasks[key], row) for key, row in rows.items()]
+    _write(folder, table)
+    if as_json:
+        typer.echo(json.dumps({"folder": str(folder), "logs": table}, indent=2))
+    elif not quiet:
+        show_table(*_shown(table))
+        show("", f"results: {folder}", f"page: {folder / 'index.html'}")
+    code = max(row["exit_code"] for row in table)
+    if code:
+        bad = [row for row in table if row["exit_code"]]
+        typer.echo(f"magyc-gtsam: {len(bad)} of {len(table)} logs have no calibration to be trusted", err=True)
+        for row in bad:
+            typer.echo(f"magyc-gtsam: {row['log']}: {row['sentence']}", err=True)
+    return int(code)
+
+
+def _fingerprint(task: Task) -> str:
+    """Of a log and all that decides its result: the same where a run is repeated on an unchanged file."""
+    state = task.reading.log.stat()
+    decisive = (task.reading.to_dict(), task.method, task.options, task.pairs, str(task.folder), task.force)
+    said = repr((decisive, state.st_size, state.st_mtime_ns, __version__))
+    return f"{task.folder.name}-{hashlib.sha256(said.encode()).hexdigest()[:16]}"
+
+
+def calibrate_one(task: Task) -> Row:
+    """A unit of work: one log calibrated, its files written; what is wrong with it is in the row."""
+    from magyc_gtsam.cli.calibrate import calibrate_log
+    from magyc_gtsam.factors.errors import MagycError
+
+    try:
+        with replacing_folder(task.folder) as part:
+            recording, calibration, verdict = calibrate_log(
+                task.reading, task.method, task.options, task.pairs, part, task.arguments, task.force
+            )
+    except MagycError as error:
+        return {"exit_code": 2, "sentence": str(error).removeprefix(f"{task.reading.log}: ")}
+    except OSError as error:
+        return {"exit_code": 2, "sentence": f"{error.filename}: {error.strerror}"}
+    row: Row = {
+        "exit_code": 0 if verdict.trusted else 1,
+        "sentence": verdict.reason,
+        "seconds": recording.duration,
+        "method": calibration.method,
+        "field_strength_uT": None if calibration.field_strength is None else calibration.field_strength * 1e6,
+        "delay_ms": calibration.delay * 1e3,
+        "heading_deg": verdict.heading.systematic,
+    }
+    sigma = calibration.sigma.get("hard_iron")
+    for k, axis in enumerate(_AXES):
+        row[f"hard_iron_{axis}_uT"] = float(calibration.hard_iron[k] * 1e6)
+        row[f"hard_iron_{axis}_sigma_uT"] = None if sigma is None else float(sigma[k] * 1e6)
+        bias = calibration.gyro_bias
+        row[f"gyro_bias_{axis}_mrad_s"] = None if bias is None else float(bias[k] * 1e3)
+    return row
+
+
+_COLUMNS = (
+    ("log", "exit_code", "sentence", "page", "seconds", "method", "field_strength_uT", "delay_ms", "heading_deg")
+    + tuple(f"hard_iron_{axis}_{what}" for axis in _AXES for what in ("uT", "sigma_uT"))
+    + tuple(f"gyro_bias_{axis}_mrad_s" for axis in _AXES)
+)
+
+
+def _as_row(task: Task, row: Row) -> Row:
+    """All columns in their order, with where the page is."""
+    if "error" in row:
+        row = {"exit_code": 2, "sentence": row["error"]}
+    page = None if row["exit_code"] == 2 else f"{task.folder.name}/report.html"
+    whole = {"log": str(task.reading.log), "page": page} | row
+    return {column: whole.get(column) for column in _COLUMNS}
+
+
+def _shown(table: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
+    """Header and rows for the terminal and the page."""
+    header = ["log", "s", "hard iron x, y, z (µT)", "±", "heading (°)", "verdict"]
+    rows = []
+    for row in table:
+        iron = [row[f"hard_iron_{axis}_uT"] for axis in _AXES]
+        sigma = [row[f"hard_iron_{axis}_sigma_uT"] for axis in _AXES]
+        verdict = {0: "✔", 1: f"✘ {row['sentence']}", 2: f"refused: {row['sentence']}"}[row["exit_code"]]
+        rows.append(
+            [
+                row["log"],
+                "" if row["seconds"] is None else f"{row['seconds']:.0f}",
+                "" if None in iron else ", ".join(f"{value:.2f}" for value in iron),
+                "" if None in sigma else f"{max(sigma):.2f}",
+                "" if row["heading_deg"] is None else f"{row['heading_deg']:.2f}",
+                verdict,
+            ]
+        )
+    return header, rows
+
+
+def _write(folder: Path, table: Sequence[Row]) -> None:
+    """calibrations.csv, calibrations.parquet where pyarrow is installed, and index.html."""
+    from magyc_gtsam.engine import write_rows
+    from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.report.summary_page import Link, Section, summary_page
+
+    text = io.StringIO()
+    writer = csv.DictWriter(text, _COLUMNS)
+    writer.writeheader()
+    writer.writerows(table)
+    with replacing(folder / "calibrations.csv") as part:
+        part.write_text(text.getvalue(), encoding="utf-8", newline="")
+    try:
+        write_rows(folder / "calibrations.parquet", table)
+    except MagycError:  # the extra `parquet` is not installed; the same rows are in the CSV
+        (folder / "calibrations.parquet").unlink(missing_ok=True)
+    header, shown = _shown(table)
+    linked = [
+        [Link(row[0], each["page"]) if each["page"] else row[0], *row[1:]]
+        for row, each in zip(shown, table, strict=True)
+    ]
+    good = sum(row["exit_code"] == 0 for row in table)
+    headline = f"{good} of {len(table)} logs calibrated"
+    sections = [Section("Logs", header, linked)]
+    page = summary_page("Calibrations of many logs", headline, good == len(table), [], sections)
+    with replacing(folder / "index.html") as part:
+        part.write_text(page, encoding="utf-8")

@@ -1,0 +1,105 @@
+"""`magyc-gtsam study faults`: wrong and trusted, right and trusted, or refused, under faults at known strength."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.calibration import Calibration
+    from magyc_gtsam.recording import Recording
+
+_BLOCK = 5.0  # s of samples that online takes at a time
+_SHOWN = 40  # cells
+
+
+def batch(recording: Recording) -> Calibration | None:
+    """By the batch method."""
+    from magyc_gtsam.estimators import calibrate
+
+    return calibrate(recording)
+
+
+def online(recording: Recording) -> Calibration | None:
+    """By the online method, at the end of the log; trusted only where it has converged."""
+    from dataclasses import replace
+
+    from magyc_gtsam.online import OnlineCalibrator
+
+    calibrator = OnlineCalibrator()
+    (when, field), (turned, rate) = recording.magnetometer, recording.gyroscope
+    edges = np.arange(recording.time[0], recording.time[-1] + _BLOCK, _BLOCK)
+    for start in edges:
+        rows = slice(*np.searchsorted(when, [start, start + _BLOCK]))
+        calibrator.update(when[rows], field[rows])
+        rows = slice(*np.searchsorted(turned, [start, start + _BLOCK]))
+        calibrator.update(turned[rows], angular_rate=rate[rows])
+    result = calibrator.calibration
+    if result is None or calibrator.converged:
+        return result
+    return replace(result, converged=False, message=calibrator.progress.sentence)
+
+
+def gap(recording: Recording) -> Calibration | None:
+    """By the gap workflow."""
+    from magyc_gtsam.gap import find_gap
+
+    return find_gap(recording).calibration
+
+
+METHODS = {"batch": batch, "online": online, "gap": gap}
+
+
+def faults(
+    folder: Path,
+    seeds: int,
+    motions: Sequence[str] | None,
+    names: Sequence[str],
+    methods: Sequence[str],
+    workers: int,
+) -> int:
+    """Run what is not done yet, print the worst cells and write all rows.
+
+    Returns:
+        0 where nothing crashed and no cell that data can show has more than one of thirty wrong and trusted, else 1.
+    """
+    from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.motion import AMPLITUDES
+    from magyc_gtsam.study.faults.catalogue import FAULTS
+    from magyc_gtsam.study.faults.running import cases, cells, run, write
+    from magyc_gtsam.study.faults.scoring import OUTCOMES
+
+    unknown = sorted(set(methods) - set(METHODS))
+    if unknown:
+        raise MagycError(f"--by: {unknown[0]!r} is none of {', '.join(METHODS)}")
+    every = cases(names or list(FAULTS), motions or list(AMPLITUDES), seeds)
+    with stages() as stage:
+        chosen = {name: METHODS[name] for name in methods or METHODS}
+        rows = run(folder, every, chosen, workers, stage(f"{len(every)} recordings by {', '.join(chosen)}"))
+    table = cells(rows)
+    show_table(
+        ["fault", "strength", "motion", "by", *OUTCOMES, "hard iron µT", "heading °"],
+        [
+            [
+                cell.fault + ("" if FAULTS[cell.fault].shows else " (no data show it)"),
+                f"{getattr(FAULTS[cell.fault], cell.strength):g} {FAULTS[cell.fault].unit}",
+                cell.motion,
+                cell.method,
+                *(f"{count}" for count in cell.counts.values()),
+                f"{1e6 * cell.hard_iron:.1f}",
+                f"{cell.heading:.1f}",
+            ]
+            for cell in table[:_SHOWN]
+            if cell.counts[OUTCOMES[0]] or cell.counts["crashed"]
+        ],
+    )
+    total = {outcome: sum(cell.counts[outcome] for cell in table) for outcome in OUTCOMES}
+    show("", f"{len(rows)} results: " + ", ".join(f"{count} {outcome}" for outcome, count in total.items()))
+    show(f"{write(folder, rows)}")
+    bad = [c for c in table if FAULTS[c.fault].shows and 30 * c.counts[OUTCOMES[0]] > sum(c.counts.values())]
+    return int(bool(bad) or total["crashed"] > 0)

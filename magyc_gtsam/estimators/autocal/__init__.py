@@ -1,0 +1,1 @@
+"""The method of the Autocal paper, for magnetometers and accelerometers."""

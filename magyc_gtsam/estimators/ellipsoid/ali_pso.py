@@ -1,0 +1,148 @@
+"""`ali-pso`: Ali, Siddharth, Syed and El-Sheimy, "Swarm optimization-based magnetometer calibration for personal
+handheld devices", 2012.
+
+Equation numbers are those of section 7 of the review (Papafotis, Nikitas, Sotiriadis, Sensors 2021, 21, 5288).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
+    Ellipsoid,
+    check_positive,
+    fitting,
+    normalised_field,
+    to_calibration,
+)
+from magyc_gtsam.recording import Array, Recording
+
+_WIDTH = (0.3, 0.15)  # deviations of the first swarm about h = 0 and T = I
+_BOUND = 5.0  # of an element: an infinite ellipsoid, seen as a plane, makes (45) zero
+_REPORTS = 50  # calls of progress
+_UPPER = np.triu_indices(3)
+
+
+def calibrate_ali_pso(
+    recording: Recording,
+    *,
+    field_strength: float | None = None,
+    seed: int = 0,
+    particles: int = 40,
+    inertia: float = 0.7298,
+    acceleration: tuple[float, float] = (1.496, 1.496),
+    tolerance: float = 1e-8,
+    max_iterations: int = 2000,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Calibrate by particle swarm.
+
+    Args:
+        recording: with magnetometer.
+        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
+        seed, particles, inertia, acceleration, tolerance, max_iterations: as `ali_pso`.
+        progress: called with the share done, 0 to 1.
+
+    Raises:
+        MagycError: samples that no ellipsoid explains.
+    """
+    samples = normalised_field(recording)
+    options: dict[str, Any] = {
+        "seed": seed,
+        "particles": particles,
+        "inertia": inertia,
+        "acceleration": acceleration,
+        "tolerance": tolerance,
+        "max_iterations": max_iterations,
+    }
+    with fitting("ali-pso"):
+        ellipsoid = ali_pso(samples.value, progress=progress, **options)
+    if progress:
+        progress(1.0)
+    configuration = {k: list(v) if isinstance(v, tuple) else v for k, v in options.items()}
+    return to_calibration(
+        recording, samples, ellipsoid, method="ali-pso", field_strength=field_strength, configuration=configuration
+    )
+
+
+def ali_pso(
+    y: Array,
+    *,
+    seed: int = 0,
+    particles: int = 40,
+    inertia: float = 0.7298,
+    acceleration: tuple[float, float] = (1.496, 1.496),
+    tolerance: float = 1e-8,
+    max_iterations: int = 2000,
+    progress: Callable[[float], None] | None = None,
+) -> Ellipsoid:
+    """The ellipsoid through samples (n, 3) without units; all particles move at once.
+
+    Args:
+        y: samples (n, 3).
+        seed: of the random numbers; the same seed gives the same result.
+        particles: S of (47), 20 to 65 in the paper.
+        inertia: w of (47), of Clerc and Kennedy (2002). With the review's w = 1, c1 = c2 = 2 the swarm's extent
+            grows without limit (measured: 1e82 after 2000 iterations).
+        acceleration: c1, c2 of (47), of Clerc and Kennedy too.
+        tolerance: of the swarm's extent, below which it has gathered.
+        max_iterations: at most so many.
+        progress: called with the share done.
+    """
+    check_positive(particles=particles, tolerance=tolerance, max_iterations=max_iterations)
+    random = np.random.default_rng(seed)
+    root = _moments(y)
+    spread = np.repeat(_WIDTH, [3, 9])
+    x = np.concatenate([np.zeros(3), np.eye(3).ravel()]) + spread * random.standard_normal((particles, 12))
+    v = np.zeros_like(x)
+    fitness = _fitness(x, root)
+    p, p_fitness = x.copy(), fitness.copy()
+    extent, iterations = np.inf, 0
+    while extent > tolerance and iterations < max_iterations:
+        p_g = p[np.argmin(p_fitness)]
+        r1, r2 = random.random((2, *x.shape))
+        v = inertia * v + acceleration[0] * r1 * (p - x) + acceleration[1] * r2 * (p_g - x)  # (47a)
+        x = x + v  # (47b)
+        fitness = _fitness(x, root)
+        better = (fitness < p_fitness) & (np.abs(x) < _BOUND).all(axis=1)
+        p[better], p_fitness[better] = x[better], fitness[better]
+        extent = float(np.abs(x - p_g).max())
+        iterations += 1
+        if progress and iterations % (max_iterations // _REPORTS + 1) == 0:
+            progress(iterations / max_iterations)
+    best = p[np.argmin(p_fitness)]
+    converged = extent <= tolerance
+    return Ellipsoid(
+        best[3:].reshape(3, 3),  # (48); the transpose of (46) makes it row by row
+        best[:3],
+        converged,
+        f"gathered in {iterations} iterations"
+        if converged
+        else f"the swarm is still {extent:.2g} wide after {iterations} iterations",
+        diagnostics={"iterations": iterations, "fitness": float(p_fitness.min())},
+    )
+
+
+def _moments(y: Array) -> Array:
+    """Triangular root (10, 10) of the samples' fourth moments: all that (45) needs of them.
+
+    ‖T⁻¹(y − h)‖² − 1 is linear in the elements of y yᵀ, y and 1.
+    """
+    monomials = np.hstack([y[:, _UPPER[0]] * y[:, _UPPER[1]], y, np.ones((len(y), 1))])
+    return np.asarray(np.linalg.qr(monomials, mode="r"))
+
+
+def _fitness(x: Array, root: Array) -> Array:
+    """(45) of particles x (S, 12), with the field ‖T⁻¹(y − h)‖ for ‖y‖, which the review leaves out: (S,)."""
+    h, T = x[:, :3], x[:, 3:].reshape(-1, 3, 3)
+    inverse = np.linalg.inv(T)
+    Q = np.swapaxes(inverse, 1, 2) @ inverse
+    Qh = np.einsum("sij,sj->si", Q, h)
+    twice = np.where(_UPPER[0] == _UPPER[1], 1.0, 2.0)
+    quadric = np.hstack([Q[:, _UPPER[0], _UPPER[1]] * twice, -2 * Qh, (np.einsum("si,si->s", h, Qh) - 1)[:, None]])
+    fitness: Array = np.linalg.norm(quadric @ root.T, axis=1)
+    return fitness

@@ -1,0 +1,154 @@
+"""`crassidis`: Crassidis, Lai and Harman, "Real-time attitude-independent three-axis magnetometer calibration", 2005.
+
+An extended Kalman filter on TWOSTEP's model, one sample at a time: `CrassidisFilter` for use on board, and a
+pass over a whole recording. Equation numbers are those of section 4 of the review (Papafotis, Nikitas,
+Sotiriadis, Sensors 2021, 21, 5288).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
+    Ellipsoid,
+    check_positive,
+    fitting,
+    normalised_field,
+    to_calibration,
+)
+from magyc_gtsam.estimators.ellipsoid.twostep import ORDER, UNITS
+from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.recording import Array, Recording
+
+# Of the field strength: four times the review's nominal (80). A filter that is too sure at its start does not come
+# back; one that is not sure enough loses little.
+NOISE = 0.02
+OFFSET_SIGMA, SHAPE_SIGMA = 0.1, 0.15  # of the start h = 0, D = 0, in field strengths and relative
+_REPORTS = 50  # calls of progress over a recording
+
+
+class CrassidisFilter:
+    """The filter itself: y = T m + h, ‖m‖ = 1, learnt from one sample after the other.
+
+    >>> filter = CrassidisFilter()
+    >>> for sample in ((1.1, 0.0, 0.1), (0.1, 0.9, 0.0), (0.0, 0.1, 1.0)):
+    ...     filter.update(sample)
+    >>> filter.matrix.shape, filter.offset.shape
+    ((3, 3), (3,))
+
+    Attributes:
+        theta: (9,) b and D11, D22, D33, D12, D13, D23 (16); b is the bias before the soft iron, y = T (m + b).
+        covariance: (9, 9) of theta.
+    """
+
+    def __init__(
+        self,
+        noise: float = NOISE,
+        *,
+        offset_sigma: float = OFFSET_SIGMA,
+        shape_sigma: float = SHAPE_SIGMA,
+    ) -> None:
+        """Start at no distortion.
+
+        Args:
+            noise: σ of a sample, in field strengths, as the samples themselves.
+            offset_sigma, shape_sigma: standard deviations of b and D at the start.
+        """
+        check_positive(noise=noise, offset_sigma=offset_sigma, shape_sigma=shape_sigma)
+        self.theta = np.zeros(9)
+        self.covariance = np.diag(np.repeat([offset_sigma**2, shape_sigma**2], [3, 6]))
+        self._mean = -3 * noise**2  # (5a)
+        # (5b): (I + D) y − b is the field, of length 1, but for the noise
+        self._variance = 4 * noise**2 + 6 * noise**4
+
+    def update(self, sample: ArrayLike) -> None:
+        """Take one sample y (3,), in field strengths."""
+        y = np.asarray(sample, dtype=np.float64)
+        b, D = self.theta[:3], self.theta[3:][ORDER]
+        m = y + D @ y - b
+        slope = np.hstack([-np.eye(3), (UNITS @ y).T])  # ∂m/∂θ; m is linear in θ
+        H = -2 * m @ slope  # (19); −S F + 2 J of (20), (21) is this, written out
+        # z − φ(θ) of (4) and (17) is ‖m‖² − 1.
+        innovation = m @ m - 1 - self._mean
+        PH = self.covariance @ H
+        gain = PH / (H @ PH + self._variance)  # (18c)
+        self.theta = self.theta + gain * innovation  # (18a)
+        self.covariance = self.covariance - np.outer(gain, PH)  # (18b)
+
+    @property
+    def matrix(self) -> Array:
+        """(3, 3) T = (I + D)⁻¹, (22)."""
+        return np.linalg.inv(np.eye(3) + self.theta[3:][ORDER])
+
+    @property
+    def offset(self) -> Array:
+        """(3,) h of y = T m + h. Not (22), which gives b: the filter's model is y = T (m + b)."""
+        return self.matrix @ self.theta[:3]
+
+    @property
+    def calibration_covariance(self) -> Array:
+        """(9, 9) of vech(T) and h."""
+        T, b = self.matrix, self.theta[:3]
+        dT = -T @ UNITS @ T
+        jacobian = np.zeros((9, 9))
+        jacobian[:6, 3:] = vech(dT).T
+        jacobian[6:, :3] = T
+        jacobian[6:, 3:] = (dT @ b).T
+        covariance: Array = jacobian @ self.covariance @ jacobian.T
+        return covariance
+
+
+def calibrate_crassidis(
+    recording: Recording,
+    *,
+    field_strength: float | None = None,
+    noise: tuple[float, float] | None = None,
+    offset_sigma: float = OFFSET_SIGMA,
+    shape_sigma: float = SHAPE_SIGMA,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Calibrate by one pass of the filter over the recording, in its order.
+
+    Args:
+        recording: with magnetometer.
+        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
+        noise: (magnetometer T, not used) per sample; None takes NOISE, and scales the covariance to the residuals.
+        offset_sigma, shape_sigma: deviations of the start, relative to the field.
+        progress: called with the share done, 0 to 1.
+
+    Raises:
+        MagycError: samples that no ellipsoid explains.
+    """
+    samples = normalised_field(recording)
+    relative = NOISE if noise is None else noise[0] / samples.unit
+    filter_ = CrassidisFilter(relative, offset_sigma=offset_sigma, shape_sigma=shape_sigma)
+    every = -(-len(samples.value) // _REPORTS)
+    with fitting("crassidis"):
+        for index, y in enumerate(samples.value):
+            filter_.update(y)
+            if progress and index % every == 0:
+                progress(index / len(samples.value))
+        T, h = filter_.matrix, filter_.offset
+        residual = np.linalg.norm(np.linalg.solve(T, (samples.value - h).T), axis=0) - 1
+    covariance = filter_.calibration_covariance
+    if noise is None:
+        covariance *= float(np.mean(residual**2)) / NOISE**2
+    ellipsoid = Ellipsoid(T, h, message=f"filtered {len(samples.value)} samples", covariance=covariance)
+    if progress:
+        progress(1.0)
+    configuration: dict[str, Any] = {"offset_sigma": offset_sigma, "shape_sigma": shape_sigma}
+    if noise is not None:
+        configuration["noise"] = list(noise)
+    return to_calibration(
+        recording,
+        samples,
+        ellipsoid,
+        method="crassidis",
+        field_strength=field_strength,
+        configuration=configuration,
+    )

@@ -1,0 +1,78 @@
+"""`dorveaux`: Dorveaux, Vissière, Martin and Petit, "Iterative calibration method for inertial and magnetic
+sensors", 2009.
+
+Equation numbers are those of section 5 of the review (Papafotis, Nikitas, Sotiriadis, Sensors 2021, 21, 5288).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
+    Ellipsoid,
+    calibrate_by,
+    check_positive,
+)
+from magyc_gtsam.recording import Array, Recording
+
+
+def calibrate_dorveaux(
+    recording: Recording,
+    *,
+    field_strength: float | None = None,
+    tolerance: float = 1e-9,
+    max_iterations: int = 2000,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Calibrate by iterated linear least squares onto the sphere.
+
+    Args:
+        recording: with magnetometer.
+        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
+        tolerance: of J_stop (29), the size of the last step.
+        max_iterations: at most so many steps.
+        progress: called with the share done, 0 to 1.
+
+    Raises:
+        MagycError: samples that no ellipsoid explains.
+    """
+    return calibrate_by(
+        dorveaux,
+        recording,
+        "dorveaux",
+        field_strength,
+        progress,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+    )
+
+
+def dorveaux(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 2000) -> Ellipsoid:
+    """The ellipsoid through samples (n, 3) without units."""
+    check_positive(tolerance=tolerance, max_iterations=max_iterations)
+    m = y  # (24)
+    A_total, B_total = np.eye(3), np.zeros(3)
+    j_stop, iterations = np.inf, 0
+    while j_stop > tolerance and iterations < max_iterations:
+        design = np.hstack([m, np.ones((len(m), 1))])
+        sphere = m / np.linalg.norm(m, axis=1, keepdims=True)
+        # (25), least squares, for the step away from the identity, which keeps its digits as it shrinks
+        step = np.linalg.solve(design.T @ design, design.T @ (sphere - m)).T
+        A, B = np.eye(3) + step[:, :3], step[:, 3]
+        m = m + design @ step.T  # (26)
+        A_total, B_total = A @ A_total, A @ B_total + B  # (28)
+        j_stop = float(np.linalg.norm(B) + np.linalg.norm(step[:, :3]))  # (29)
+        iterations += 1
+    converged = j_stop <= tolerance
+    T = cast(Array, np.linalg.inv(A_total))  # (31)
+    return Ellipsoid(
+        T,
+        -T @ B_total,
+        converged,
+        f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
+        diagnostics={"iterations": iterations, "last_step": j_stop},
+    )

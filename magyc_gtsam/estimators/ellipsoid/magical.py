@@ -1,0 +1,83 @@
+"""`magical`: Papafotis and Sotiriadis, "MAG.I.C.AL. – a unified methodology for magnetic and inertial sensors
+calibration and alignment", 2019.
+
+Equation numbers are those of section 9 of the review (Papafotis, Nikitas, Sotiriadis, Sensors 2021, 21, 5288).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
+    Ellipsoid,
+    calibrate_by,
+    check_positive,
+)
+from magyc_gtsam.recording import Array, Recording
+
+
+def calibrate_magical(
+    recording: Recording,
+    *,
+    field_strength: float | None = None,
+    tolerance: float = 1e-9,
+    max_iterations: int = 5000,
+    progress: Callable[[float], None] | None = None,
+) -> Calibration:
+    """Calibrate by MAG.I.C.AL.
+
+    Args:
+        recording: with magnetometer.
+        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
+        tolerance: of the change of T and h from one iteration to the next. The paper stops at a small cost (65),
+            which noise keeps above any threshold that would mean convergence.
+        max_iterations: at most so many iterations.
+        progress: called with the share done, 0 to 1.
+
+    Raises:
+        MagycError: samples that no ellipsoid explains.
+    """
+    return calibrate_by(
+        magical,
+        recording,
+        "magical",
+        field_strength,
+        progress,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+    )
+
+
+def magical(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 5000) -> Ellipsoid:
+    """The ellipsoid through samples (n, 3) without units."""
+    check_positive(tolerance=tolerance, max_iterations=max_iterations)
+    Y = y.T
+    m = _unit(Y)  # (59)
+    L = np.eye(3, 4)
+    change, iterations = np.inf, 0
+    while change > tolerance and iterations < max_iterations:
+        G = np.vstack([m, np.ones(m.shape[1])])  # (61c)
+        previous, L = L, np.linalg.solve(G @ G.T, G @ Y.T).T  # (62)
+        T, h = L[:, :3], L[:, 3]  # (61b)
+        field = cast(Array, np.linalg.solve(T, Y - h[:, None]))  # (64)
+        m = _unit(field)  # (63)
+        change = float(np.linalg.norm(L - previous))
+        iterations += 1
+    cost = float(np.sum((np.sum(field**2, axis=0) - 1) ** 2))  # (65)
+    converged = change <= tolerance
+    return Ellipsoid(
+        T,
+        h,
+        converged,
+        f"converged in {iterations} iterations" if converged else f"no convergence in {iterations} iterations",
+        diagnostics={"iterations": iterations, "cost": cost},
+    )
+
+
+def _unit(columns: Array) -> Array:
+    unit: Array = columns / np.linalg.norm(columns, axis=0)
+    return unit

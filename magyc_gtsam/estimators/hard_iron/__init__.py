@@ -1,0 +1,1 @@
+"""Methods that estimate the hard iron alone, from the turning of the sensor."""

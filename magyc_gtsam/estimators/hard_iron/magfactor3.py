@@ -1,0 +1,117 @@
+"""`magfactor3`: GTSAM's MagFactor3, m = s · bRw · f + h with known attitude; scale and hard iron unknown.
+
+One factor per sample in GTSAM (here `factors.scaled_magnetometer_factor`); but the model is linear in what is
+unknown, so the minimum of the whole graph is written down here. With u_k = R_kᵀ f, R_k the attitude
+(sensor→world), and means over the samples:
+
+    s = Σ (u − ū)·(m − m̄) / Σ ‖u − ū‖²,   h = m̄ − s ū                              where f is known,
+    g = (I − MᵀM)⁻¹ (mean(R m) − Mᵀ m̄),   h = m̄ − M g,   M = mean(Rᵀ),   g = s f    where it is not.
+
+The second is this project's: attitudes from cameras or gyrocompasses have horizontal axes of their own, in which
+nobody knows the field; its three components are then estimated along, and only the scale needs its strength.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.hard_iron.turning import clustered_covariance, to_calibration
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Array, Recording
+
+_LEAST = 6  # samples with an attitude
+_STILL = 1e-9  # share of the full spread of directions below which nothing turned
+
+
+def calibrate_magfactor3(
+    recording: Recording,
+    *,
+    progress: Callable[[float], None] | None = None,
+    field_strength: float | None = None,
+    field: Sequence[float] | None = None,
+    delay: float = 0.0,
+) -> Calibration:
+    """Calibrate by MagFactor3's model: hard iron and one scale for all axes.
+
+    Args:
+        recording: with attitude.
+        progress: called with the share done.
+        field_strength: T; sets the scale in place of the length of `field`. None without `field`: det 1.
+        field: (3,) T, the field in the attitude's world axes; None estimates its direction along.
+        delay: s by which the magnetometer lags the attitude.
+
+    Raises:
+        MagycError: no attitude, a field that is none, or a sensor that did not turn.
+    """
+    known = None if field is None else np.asarray(field, dtype=np.float64)
+    if known is not None and (known.shape != (3,) or not 1e-6 < np.linalg.norm(known) < 1e-3):
+        raise MagycError(f"field: {field!r} is no (3,) field in tesla, of 1e-6 to 1e-3 T")
+    measured, attitude = _with_attitude(recording, delay)
+    mean = measured.mean(axis=0)
+    if known is None:
+        world = attitude.apply(measured).mean(axis=0)
+        turn = attitude.inv().as_matrix().mean(axis=0)  # M
+        spread = np.eye(3) - turn.T @ turn
+        if not np.linalg.eigvalsh(spread)[0] > _STILL:
+            raise MagycError(
+                "magfactor3: the sensor turned about one axis at most; turn it about two, or give `field`"
+            )
+        scaled = np.linalg.solve(spread, world - turn.T @ mean)  # g = s f
+        hard_iron = mean - turn @ scaled
+        strength = float(np.linalg.norm(scaled))
+        left = measured - attitude.inv().apply(scaled) - hard_iron
+        normal = len(measured) * np.block([[np.eye(3), turn.T], [turn, np.eye(3)]])
+        scores = np.hstack([attitude.apply(left), left])
+    else:
+        body = attitude.inv().apply(known)
+        direction = body.mean(axis=0)
+        variance = float(np.mean(np.sum((body - direction) ** 2, axis=1)))
+        if not variance > _STILL * float(known @ known):
+            raise MagycError("magfactor3: the sensor did not turn against the field; turn it")
+        scale = float(np.mean(np.sum((body - direction) * (measured - mean), axis=1))) / variance
+        hard_iron = mean - scale * direction
+        strength = scale * float(np.linalg.norm(known))
+        left = measured - scale * body - hard_iron
+        normal = len(measured) * np.block(
+            [[np.mean(np.sum(body**2, axis=1)), direction], [direction[:, None], np.eye(3)]]
+        )
+        scores = np.hstack([np.sum(body * left, axis=1, keepdims=True), left])
+        if strength <= 0:
+            raise MagycError(
+                "magfactor3: the scale came out negative; `field` is not in the attitude's world axes"
+            )
+        field_strength = float(np.linalg.norm(known)) if field_strength is None else field_strength
+    if progress:
+        progress(1.0)
+    return to_calibration(
+        recording,
+        hard_iron,
+        strength,
+        clustered_covariance(normal, scores)[-3:, -3:],
+        method="magfactor3",
+        field_strength=field_strength,
+        diagnostics={"samples": len(measured), "residual": float(np.sqrt(np.mean(left**2)))},
+        configuration={"field": None if known is None else known.tolist(), "delay": delay},
+    )
+
+
+def _with_attitude(recording: Recording, delay: float) -> tuple[Array, Rotation]:
+    """The field (n, 3) T at the instants whose attitude is known, and that attitude."""
+    if recording.attitude is None:
+        raise MagycError(
+            f"recording {recording.name!r} has no attitude, which magfactor3 needs; name its topic or columns "
+            "(--attitude), or choose another method"
+        )
+    known = recording.magnetic_field_fresh & np.isfinite(recording.attitude).all(axis=1)
+    if known.sum() < _LEAST:
+        raise MagycError(f"{known.sum()} samples of the field have an attitude, at least {_LEAST} are needed")
+    field, attitude = recording.magnetic_field[known], Rotation.from_quat(recording.attitude[known])
+    if delay:
+        time, own = recording.magnetometer
+        late = recording.time[known] + delay
+        field = np.stack([np.interp(late, time, axis) for axis in own.T], axis=1)
+    return field, attitude

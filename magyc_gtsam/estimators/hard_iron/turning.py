@@ -1,0 +1,169 @@
+"""What the methods without a soft iron share: the turning of the sensor, and the verdict on m = s u + h."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
+from magyc_gtsam.factors.chain.rotations import matrices
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.observability import HARD_IRON_LIMIT, assess
+from magyc_gtsam.recording import Array, Recording
+
+_STRETCHES = 30  # of a recording, over which residuals are summed
+_LEAST_WINDOWS = 8
+_STILL = 1e-12  # mean square of the turns in a window about their smallest axis, rad²
+
+
+class TurningField(NamedTuple):
+    """Magnetometer samples and how the sensor had turned: time (n,) s, field (n, 3) T, rotation (n, 3, 3).
+
+    `rotation` turns the sensor's axes at a sample into those at the first gyroscope sample.
+    """
+
+    time: Array
+    field: Array
+    rotation: Array
+
+
+def turning_field(recording: Recording) -> TurningField:
+    """The magnetometer's own samples with the gyroscope, taken as free of bias, integrated up to each.
+
+    Raises:
+        MagycError: no gyroscope, or fewer than 4 magnetometer samples while it ran.
+    """
+    time, field = recording.magnetometer
+    gyro_time, rate = recording.gyroscope
+    inside = (time >= gyro_time[0]) & (time <= gyro_time[-1])
+    if inside.sum() < 4:
+        raise MagycError(
+            f"{inside.sum()} magnetometer samples while the gyroscope ran, at least 4 are needed; record longer"
+        )
+    time, field = time[inside], field[inside]
+    track = GyroscopeTrack.integrate(gyro_time, rate, interval_mean=recording.angular_rate_is == "interval-mean")
+    rotation = matrices(track.rotation_at(time)[0])
+    return TurningField(time, field, np.ascontiguousarray(rotation.T).reshape(-1, 3, 3))
+
+
+class Windows(NamedTuple):
+    """(ΔR − I) h = ΔR m' − m over short windows: design (n, 3, 3) and change (n, 3) T of the hard iron h."""
+
+    design: Array
+    change: Array
+
+    @property
+    def normal(self) -> Array:
+        """(3, 3) of the least-squares problem."""
+        normal: Array = np.einsum("nij,nik->jk", self.design, self.design)
+        return normal
+
+    def left(self, hard_iron: Array) -> Array:
+        """(n, 3) T that a hard iron leaves unexplained."""
+        return self.change - self.design @ hard_iron
+
+    def covariance(self, hard_iron: Array) -> Array:
+        """(3, 3) T² of a hard iron, by what it leaves unexplained; see `clustered_covariance`."""
+        return clustered_covariance(self.normal, np.einsum("nij,ni->nj", self.design, self.left(hard_iron)))
+
+
+def windows(turning: TurningField, length: float = 1.0) -> Windows:
+    """Windows of `length` seconds, one from every sample on; ΔR turns the axes at their end to those at their start.
+
+    Raises:
+        MagycError: a length that is no positive number, too few windows, or a sensor that hardly turned.
+    """
+    if not (np.isfinite(length) and length > 0):
+        raise MagycError(f"window: must be finite and above 0 s, got {length}")
+    time, field, rotation = turning
+    last = np.searchsorted(time, time + length * (1 - 1e-6))
+    first = np.flatnonzero(last < len(time))
+    last = last[first]
+    whole = time[last] - time[first] < 1.5 * length + np.median(np.diff(time))  # no hole of the data inside
+    first, last = first[whole], last[whole]
+    if len(first) < _LEAST_WINDOWS:
+        raise MagycError(
+            f"{len(first)} windows of {length:g} s, at least {_LEAST_WINDOWS} are needed; record longer, or choose "
+            "a shorter window"
+        )
+    turn = np.einsum("nji,njk->nik", rotation[first], rotation[last])
+    system = Windows(turn - np.eye(3), np.einsum("nij,nj->ni", turn, field[last]) - field[first])
+    if not np.linalg.eigvalsh(system.normal)[0] > _STILL * len(first):
+        raise MagycError(
+            "the sensor did not turn about two axes, by its gyroscope; turn it, or choose another method"
+        )
+    return system
+
+
+def clustered_covariance(normal: Array, scores: Array) -> Array:
+    """(p, p) covariance of a least-squares estimate whose residuals hang together for a while.
+
+    N⁻¹ (Σ_b s_b s_bᵀ) N⁻¹ with the scores Jᵀr summed over stretches b of the recording (Liang and Zeger 1986):
+    what the model leaves out, soft iron or a bias of the gyroscope, does not average out like noise.
+
+    Args:
+        normal: (p, p) JᵀJ.
+        scores: (n, p) Jᵀr of every sample, in order of time.
+    """
+    first = np.linspace(0, len(scores), _STRETCHES, endpoint=False).astype(int)
+    sums = np.add.reduceat(scores, np.unique(first), axis=0)
+    inverse = np.linalg.inv(normal)
+    covariance: Array = inverse @ (sums.T @ sums) @ inverse * len(sums) / max(len(sums) - 1, 1)
+    return covariance
+
+
+def to_calibration(
+    recording: Recording,
+    hard_iron: Array,
+    strength: float,
+    covariance: Array,
+    *,
+    method: str,
+    field_strength: float | None,
+    diagnostics: Mapping[str, Any],
+    configuration: Mapping[str, Any],
+) -> Calibration:
+    """The calibration m = s u + h, its scale fixed and its fit judged.
+
+    No covariance is reported: that of the method takes the soft iron to be a multiple of the identity and the
+    gyroscope or the attitude to be without error, and is not the estimate's spread where they are not. It only
+    serves to say what the motion left undetermined.
+
+    Args:
+        recording: the data.
+        hard_iron: (3,) T.
+        strength: T, of the field as the instrument sees it.
+        covariance: (3, 3) T², of the hard iron as if the model were true.
+        method: its name in `methods()`.
+        field_strength: T, scales the soft iron; None: det 1.
+        diagnostics, configuration: the method's own.
+    """
+    shown, unit = recording.field_shown
+    whole = np.zeros((9, 9))
+    whole[6:, 6:] = covariance
+    observability = assess(whole, np.eye(3), strength, recording, hard_iron)
+    reasons = []
+    if not observability.observable:
+        reasons.append(f"not observable: {observability.weak[0].sentence}")
+    left = float(np.linalg.norm(recording.magnetometer.value - hard_iron, axis=1).std())
+    if left > HARD_IRON_LIMIT * strength:
+        reasons.append(
+            f"without its hard iron the field still varies by {left * shown:.1f} {unit} (at most "
+            f"{HARD_IRON_LIMIT:.0%} of it is tolerated): there is soft iron, or the field or the instrument changed "
+            "during the recording; choose a method with soft iron, or an interval (--start, --end)"
+        )
+    scale = 1.0 if field_strength is None else strength / field_strength
+    return Calibration(
+        scale * np.eye(3),
+        hard_iron,
+        converged=not reasons,
+        message="; ".join(reasons) or "solved",
+        method=method,
+        field_strength=strength if field_strength is None else field_strength,
+        observability=observability,
+        diagnostics=diagnostics,
+        configuration=dict(configuration) | ({} if field_strength is None else {"field_strength": field_strength}),
+    )

@@ -1,0 +1,5 @@
+"""By how much what the model lacks may have moved a calibration: variance components at the minimum of a fit."""
+
+from magyc_gtsam.estimators.model_error.model_error import ModelError, model_error
+
+__all__ = ["ModelError", "model_error"]

@@ -1,0 +1,109 @@
+"""Amplitudes of groups of columns by restricted maximum likelihood (Patterson and Thompson 1971).
+
+Each group f has coefficients β_f ~ N(0, φ v_f I) beside white innovations of variance φ. With W and y of `innovations`,
+G = W Wᵀ, s = W y, ν degrees of freedom and φ profiled, twice the log-likelihood is, V = diag(v),
+
+    −ν ln(yᵀy − sᵀ (G + V⁻¹)⁻¹ s) − ln det(I + V G).
+
+One group at a time with the others held, it is a function of one variance and the group's own eigenvalues.
+A direction of a group that the model has already leaves nothing to learn from (its eigenvalue is zero) and keeps the
+variance that the others showed: what has the iron's own shape on this motion widens it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from magyc_gtsam.factors.chain.rotations import Array
+
+_GRID = 48  # amplitudes tried, evenly in their logarithm
+_SPAN = 1e-4  # the smallest tried, of the largest
+_SWEEPS = 3  # of the groups, until their amplitudes stand still
+_STILL = 0.1  # relative change of a variance
+_ASKED = 3.0  # gain in log-likelihood that a group must bring beside the others
+
+
+class Likeliest(NamedTuple):
+    """A variance v, and its gain in log-likelihood over none."""
+
+    variance: float
+    gain: float
+
+
+def likeliest(normal: Array, score: Array, square: float, freedom: float, most: float) -> Likeliest:
+    """Of one group with G (k, k) and s (k,), the likeliest variance up to `most`; `square` is yᵀy."""
+    value, vector = np.linalg.eigh(normal)
+    value, pull = np.maximum(value, 0.0), vector.T @ score
+    variance = most * np.square(_SPAN ** np.linspace(1, 0, _GRID))[:, None]
+    spread = 1 + variance * value
+    left = np.maximum(square - (pull**2 * variance / spread).sum(axis=1), 1e-9 * square)
+    gain = -0.5 * (np.log(spread).sum(axis=1) + freedom * np.log(left / square))
+    best = int(np.argmax(gain))
+    return Likeliest(float(variance[best, 0]), float(gain[best])) if gain[best] > 0 else Likeliest(0.0, 0.0)
+
+
+class Components(NamedTuple):
+    """Amplitudes (f,) in the columns' units, φ, and of all columns E[β βᵀ] (K, K) and E[β] (K,)."""
+
+    amplitude: Array
+    level: float
+    second: Array
+    mean: Array
+
+
+def fit_components(
+    rows: Array, residual: Array, groups: Sequence[slice], most: Sequence[float], freedom: float
+) -> Components:
+    """All groups' amplitudes by coordinate ascent, in the order given, and what is then known of β.
+
+    Args:
+        rows, residual: W (K, m) and y (m,).
+        groups: each group's columns; most: its largest amplitude, in its columns' unit.
+        freedom: ν.
+    """
+    normal, score, square = rows @ rows.T, rows @ residual, float(residual @ residual)
+    variance, prior, level = np.zeros(len(groups)), np.zeros(len(score)), square / freedom
+    for _ in range(_SWEEPS):
+        before = variance.copy()
+        for i, own in enumerate(groups):
+            prior[own] = 0.0
+            explained, left = _by_others(normal, score, prior, own, square)
+            beside = normal[own, own] - explained[:, :-1], score[own] - explained[:, -1]
+            found = likeliest(*beside, left, freedom, most[i] ** 2 / level)
+            variance[i] = found.variance if found.gain > _ASKED else 0.0
+            prior[own] = variance[i]
+        second, level, mean = _posterior(normal, score, prior, square, freedom)
+        if np.allclose(before, variance, rtol=_STILL, atol=0.0):
+            break
+    return Components(np.sqrt(variance * level), level, second, mean)
+
+
+def _by_others(normal: Array, score: Array, prior: Array, own: slice, square: float) -> tuple[Array, float]:
+    """What the columns with a variance explain of a group's G and s (k, k + 1), and the square they leave."""
+    active = prior > 0
+    if not active.any():
+        return np.zeros((own.stop - own.start, own.stop - own.start + 1)), square
+    factor = cho_factor(normal[np.ix_(active, active)] + np.diag(1 / prior[active]))
+    across = np.column_stack([normal[active, own], score[active]])
+    solved = cho_solve(factor, across)
+    return across[:, :-1].T @ solved, square - float(score[active] @ solved[:, -1])
+
+
+def _posterior(
+    normal: Array, score: Array, prior: Array, square: float, freedom: float
+) -> tuple[Array, float, Array]:
+    """E[β βᵀ] (K, K), φ, and E[β] (K,); zero for columns without a variance."""
+    active = prior > 0
+    second, mean = np.zeros((len(prior), len(prior))), np.zeros(len(prior))
+    if not active.any():
+        return second, square / freedom, mean
+    kept = np.ix_(active, active)
+    covariance = np.linalg.inv(normal[kept] + np.diag(1 / prior[active]))
+    mean[active] = covariance @ score[active]
+    level = max(square - float(score[active] @ mean[active]), 1e-9 * square) / freedom
+    second[kept] = level * covariance + np.outer(mean[active], mean[active])
+    return second, level, mean

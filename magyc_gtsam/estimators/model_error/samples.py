@@ -1,0 +1,82 @@
+"""What is wrong within windows, where their means do not show it: one-sided outliers, and sampling too slow.
+
+Both are seen in what neighbouring samples do, which motion hardly enters where it is sampled fast enough.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.search import Streams
+from magyc_gtsam.factors.chain.rotations import Array
+
+_MOST = 20000  # samples looked at: a stretch of them in the middle of longer logs
+_LEAST = 200
+_CERTAIN = 6.0  # standard deviations of its chance from which a lean to one side counts; real logs reach 1.7
+_SEGMENT = 256  # samples of a spectrum
+_EDGE = 0.35  # of the sampling rate, from which on motion is nearly lost between samples
+_FLOOR = 4.0  # times the median of the spectrum, below which it is noise
+_TOO_SLOW = 0.1  # share of the motion's power beyond the edge
+_ROUGH = 0.5  # mean square of second differences, of the variance, below which so much cannot lie beyond the edge
+
+
+class Outliers(NamedTuple):
+    """Samples that stand off to one side: the shift (3,) T that they give the mean, and its standard deviation."""
+
+    shift: Array
+    sigma: Array
+
+    @property
+    def sentence(self) -> str:
+        """What they do."""
+        size = float(np.linalg.norm(self.shift)) * 1e6
+        return f"the magnetometer's outliers lie to one side and shift its mean by {size:.2g} µT"
+
+
+def one_sided(recording: Streams) -> Outliers | None:
+    """How far the magnetometer's minority pulls the mean from the majority; None where it does not.
+
+    Each sample less the median of the five about it: zero where the field goes one way, symmetric where noise is.
+    """
+    time, field = _stretch(*recording.magnetometer)
+    if len(time) < _LEAST:
+        return None
+    about = np.stack([field[k : len(field) - 4 + k] for k in range(5)])
+    standing = field[2:-2] - np.partition(about, 2, axis=0)[2]
+    shift = standing.mean(axis=0)
+    sigma = np.maximum(standing.std(axis=0), 1e-12) / np.sqrt(len(standing))
+    return Outliers(shift, sigma) if np.abs(shift / sigma).max() > _CERTAIN else None
+
+
+def too_slow(recording: Streams) -> str:
+    """Why the gyroscope's samples are too few for the motion; "" where they are not.
+
+    Motion loses its power towards half the sampling rate; where a tenth of it lies beyond 0.7 of that, as much is
+    beyond it altogether and folded back. What stands out of the noise is counted, not the noise.
+    """
+    time, rate = _stretch(*recording.gyroscope)
+    if len(time) < _LEAST:
+        return ""
+    rough = float(np.square(np.diff(rate, 2, axis=0)).mean(axis=0).sum())
+    if rough < _ROUGH * float(rate.var(axis=0).sum()):
+        return ""
+    step = float(np.median(np.diff(time)))
+    from scipy.signal import welch  # which takes longer to import than a calibration
+
+    frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(time) // 4), axis=0)
+    power = spectrum.sum(axis=1)[1:]
+    above = np.maximum(power - _FLOOR * np.median(power), 0.0)
+    beyond = float(above[frequency[1:] * step > _EDGE].sum() / max(above.sum(), 1e-300))
+    if beyond < _TOO_SLOW:
+        return ""
+    return (
+        f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({beyond:.0%} of its turn rate "
+        f"lies beyond {_EDGE / step:.2g} Hz): record faster"
+    )
+
+
+def _stretch(time: Array, value: Array) -> tuple[Array, Array]:
+    first = max((len(time) - _MOST) // 2, 0)
+    return time[first : first + _MOST], value[first : first + _MOST]

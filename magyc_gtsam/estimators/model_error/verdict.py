@@ -1,0 +1,86 @@
+"""Model error in words: what it may have moved, by how much, and where it lives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.estimators.model_error.model_error import Component, ModelError
+from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.observability import Observability
+
+_MOST = 2.0  # limits of observability that noise and model error may reach together
+_WORTH_WORDS = 0.5  # share of the sensors' own sigma from which model error is spoken of
+_NAMED = 2  # components in a sentence
+_ROWS = {"hard": slice(6, 9), "soft": slice(0, 6), "gyroscope": slice(9, 12)}
+
+
+def reason(error: ModelError, whole: Observability, noise: Observability) -> str:
+    """Why model error forbids to trust a result; "" where it does not.
+
+    Args:
+        error: of the fit.
+        whole: judged with all of the error; noise: with the sensors' part alone.
+    """
+    if not error.components or not whole.weak or not noise.observable:
+        return ""
+    worst = whole.weak[0]
+    if worst.sigma <= _MOST * worst.limit:
+        return ""
+    rows = _ROWS[worst.what.split()[0]]
+    places = "; ".join(c.sentence for c in error.worst(rows)[:_NAMED])
+    moved = f"by ±{worst.sigma:.2g}" if worst.sigma < 100 * worst.limit else "without bounds, in"
+    return (
+        f"what the model does not explain may move the {worst.what} {moved} {worst.unit} (limit "
+        f"{_MOST * worst.limit:.2g}): {places}"
+    )
+
+
+def remark(error: ModelError, noise: Array, whole: Array) -> str:
+    """What of the hard iron's sigma is noise and what model error, and how the field varies; "" where neither counts.
+
+    Args:
+        error: of the fit.
+        noise, whole: (12, 12) covariances of the calibration.
+    """
+    if not error.components:
+        return ""
+    own, total = (float(np.linalg.eigvalsh(matrix[6:9, 6:9])[-1]) for matrix in (noise, whole))
+    rest = np.sqrt(max(total - own, 0.0))
+    parts = []
+    if rest > _WORTH_WORDS * np.sqrt(own):
+        place = error.worst(_ROWS["hard"])[0].sentence
+        parts.append(
+            f"hard iron ±{1e6 * np.sqrt(total):.2g} µT: sensor noise {1e6 * np.sqrt(own):.2g} µT, what the model does "
+            f"not explain {1e6 * rest:.2g} µT ({place})"
+        )
+    if error.field_variation is not None:
+        size, period = error.field_variation
+        within = "" if period is None else f" within some {0.5 * period:.2g} s"
+        parts.append(f"the field of the place varies by {1e6 * size:.2g} µT an axis{within}")
+    return "; ".join(parts)
+
+
+def diagnostics(error: ModelError) -> dict[str, Any]:
+    """JSON types: the components with what each may have moved, in T, rad/s and s, and the place's variation."""
+    found = error.field_variation
+    return {
+        "components": [_entry(component) for component in error.components],
+        "field_variation": None if found is None else {"size": found[0], "period": found[1]},
+    }
+
+
+def _entry(component: Component) -> dict[str, Any]:
+    deviation = np.sqrt(np.maximum(np.diag(component.covariance), 0.0))
+    return {
+        "name": component.name,
+        "sentence": component.sentence,
+        "size": component.size,
+        "period": component.period,
+        "gain": component.gain,
+        "hard_iron": deviation[6:9].tolist(),
+        "gyro_bias": deviation[9:12].tolist(),
+        "delay": float(deviation[DELAY]),
+    }

@@ -1,0 +1,156 @@
+"""Whether the two sensors' axes, signs and units agree: checked before a misfit is called noise.
+
+Field fixed in the world ⇒ ṁ = −(G ω) × (m − h) with G = I where magnetometer and gyroscope agree. Breakout
+boards and drivers deliver signed permutations of each other's axes (48 of them, 24 of which change the
+handedness), or degrees for radians.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Array, Recording
+
+_LEAST_SAMPLES = 60  # of the magnetometer: three numbers each, against nine unknowns and 144 arrangements
+_PAIRS = 3000  # pairs of means that are compared
+_TURN = 0.3  # rad of rotation between the means of a pair: above their noise, yet small
+_LAGS = (0.1, 2.0)  # s between them
+_CLEARLY = 0.5  # share of the squared misfit below which another arrangement is clearly better
+_ALONE = 0.85  # share of what the next best leaves, from which the best is but one of several
+_POOR = 0.2  # share left unexplained from which the given arrangement is in doubt at all
+_EXPLAINS = 0.25  # share of the field's variation that an arrangement must leave unexplained at most
+
+_MATRICES = [
+    np.eye(3)[list(order)] * np.array(signs)[:, None]
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+]
+_SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s": 180 / np.pi}
+
+
+class Arrangement(NamedTuple):
+    """ω = matrix · (angular_rate of the log), and the share of the field's variation it leaves unexplained."""
+
+    matrix: Array
+    unit: str
+    unexplained: float
+
+    @property
+    def axes(self) -> str:
+        """How to read the gyroscope in the magnetometer's axes, e.g. "x ← −y, y ← x, z ← z"."""
+        parts = []
+        for name, row in zip("xyz", np.sign(self.matrix), strict=True):
+            column = int(np.argmax(np.abs(row)))
+            parts.append(f"{name} ← {'−' if row[column] < 0 else ''}{'xyz'[column]}")
+        return ", ".join(parts)
+
+
+def arrangements(recording: Recording) -> list[Arrangement]:
+    """All signed permutations and units of the gyroscope, the best first.
+
+    Δm = m × Gθ − h × Gθ − m × b' Δt + c Δt is linear in h, b' = G b and c; all arrangements share one
+    normal matrix of the products that occur in it.
+    """
+    found = []
+    for unit, factor in _SCALES.items():
+        change, mid, turn, step = _pairs(recording, factor)
+        normal = _normal_matrix(change, mid, turn, step)
+        for matrix in _MATRICES:
+            unexplained = _unexplained(normal, matrix)
+            found.append(Arrangement(matrix * factor, unit, unexplained))
+    return sorted(found, key=lambda a: a.unexplained)
+
+
+def _normal_matrix(change: Array, mid: Array, turn: Array, step: Array) -> Array:
+    """(25, 25) of the products in the model: G_ij, eᵢ θⱼ, m × Δt, Δt, and Δm itself."""
+    scale = float(np.linalg.norm(mid, axis=1).mean())
+    change, mid, step = change / scale, mid / scale, step[:, None, None]
+    columns = np.concatenate(
+        [
+            np.einsum("nri,nj->nrij", -_skew(mid), turn).reshape(-1, 3, 9),  # G_ij: m × eᵢ θⱼ, negated
+            np.einsum("ri,nj->nrij", np.eye(3), turn).reshape(-1, 3, 9),  # eᵢ θⱼ
+            -_skew(mid) * step,
+            np.eye(3) * step,
+            change[:, :, None],
+        ],
+        axis=2,
+    ).reshape(-1, 25)
+    return columns.T @ columns
+
+
+def _unexplained(normal: Array, matrix: Array) -> float:
+    """Share of Σ‖Δm‖² that the arrangement G leaves, with the best h, b' and c."""
+    chosen = np.zeros((25, 10))
+    chosen[:9, 9] = matrix.ravel()  # Δm − m × Gθ …
+    chosen[24, 9] = 1.0
+    chosen[9:18, :3] = np.einsum("jri->rji", _skew(matrix.T)).reshape(9, 3)  # … = [Gθ]× h …
+    chosen[18:24, 3:9] = np.eye(6)  # … − m × b' Δt + c Δt
+    small = chosen.T @ normal @ chosen
+    size = np.maximum(np.sqrt(np.diag(small)), 1e-150)
+    small /= np.outer(size, size)
+    solution = np.linalg.lstsq(small[:9, :9], small[:9, 9], rcond=1e-12)[0]
+    left = (small[9, 9] - small[9, :9] @ solution) * size[9] ** 2
+    return max(float(left), 0.0) / max(float(normal[24, 24]), 1e-300)
+
+
+def check(recording: Recording) -> None:
+    """Compare the arrangements; too few samples to choose between so many of them say nothing, nor do two as good.
+
+    Raises:
+        MagycError: another arrangement than the given one explains the field's variation clearly better.
+    """
+    if len(recording.magnetometer.time) < _LEAST_SAMPLES:
+        return
+    ranked = arrangements(recording)
+    best = ranked[0]
+    given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
+    # Without any gyroscope a constant bias alone explains a turn at constant rate.
+    still = _unexplained(_normal_matrix(*_pairs(recording, _SCALES[best.unit])), np.zeros((3, 3)))
+    limit = min(_EXPLAINS, _CLEARLY * given.unexplained, _CLEARLY * still, _ALONE * ranked[1].unexplained)
+    if given.unexplained < _POOR or best.unexplained > limit:
+        return
+    as_given, otherwise = f"{max(1 - given.unexplained, 0):.0%}", f"{1 - best.unexplained:.0%}"
+    if best.unit:
+        raise MagycError(
+            f"angular_rate: as given it explains {as_given} of the field's changes, read as {best.unit} "
+            f"{otherwise}; convert it, or say the right unit (--angular-unit)"
+        )
+    raise MagycError(
+        f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains {as_given} of the "
+        f"field's changes, with {best.axes} {otherwise}; bring both to one frame (--gyroscope-axes)"
+    )
+
+
+def _pairs(recording: Recording, factor: float) -> tuple[Array, Array, Array, Array]:
+    """Of pairs of means over half the time between them, the rate being `factor` times what the log says:
+
+    change and middle of the field (n, 3), rotation vector in between (n, 3), and the time step (n,). Of single samples
+    the noise of a cheap sensor, 2 µT, is half of what they change by.
+    """
+    time, field = recording.magnetometer
+    gyro_time, rate = recording.gyroscope
+    rate = rate * factor
+    speed = float(np.sqrt(np.mean(rate**2) * 3))  # not the median: a log may rest most of the time
+    seconds = np.clip(_TURN / max(speed, 1e-6), *_LAGS)
+    lag = int(np.clip(round(float(seconds / np.median(np.diff(time)))), 1, (len(time) - 1) // 2))
+    first = np.arange(0, len(time) - lag, max((len(time) - lag) // _PAIRS, 1))
+    angle = np.zeros((len(gyro_time), 3))
+    np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(gyro_time)[:, None], axis=0, out=angle[1:])
+    at = np.stack([np.interp(time, gyro_time, column) for column in angle.T], axis=1)
+    from scipy.ndimage import uniform_filter1d
+
+    time, field, at = (uniform_filter1d(each, max(lag // 2, 1), axis=0) for each in (time, field, at))
+    step = time[first + lag] - time[first]
+    turn = at[first + lag] - at[first]
+    kept = step < 3 * float(np.median(step))
+    change, mid = field[first + lag] - field[first], 0.5 * (field[first + lag] + field[first])
+    return change[kept], mid[kept], turn[kept], step[kept]
+
+
+def _skew(vector: Array) -> Array:
+    x, y, z = vector.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)

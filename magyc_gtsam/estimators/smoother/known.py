@@ -1,0 +1,193 @@
+"""From an earlier calibration and the field at the place to facts about θ, and whether the data agree with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
+from magyc_gtsam.factors.chain.facts import Fact, IronFact, LinearFact, StrengthFact, field_strength, quadratic
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import vech
+from magyc_gtsam.factors.errors import MagycError
+
+_FLOOR = np.r_[np.full(6, 1e-5), np.full(3, 1e-9)]  # sigmas, 1 and T, below which no calibration is known
+_CONTRADICTS = 31.8  # squared difference in its covariance: the 99.99 % point of χ² of eight degrees of freedom
+_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
+
+
+class Known(NamedTuple):
+    """Facts on the first thirteen parameters; on the skew, where the earlier calibration has one; a start."""
+
+    facts: tuple[Fact, ...] = ()
+    skew: LinearFact | None = None
+    soft_iron: Array | None = None
+    hard_iron: Array | None = None
+    note: str = ""
+
+
+def known_of(options: SmootherOptions) -> Known:
+    """What the options say of θ beforehand.
+
+    Raises:
+        MagycError: a prior without covariance, or of another kind of instrument.
+    """
+    prior = options.prior
+    if prior is None:
+        return Known()
+    scale, slope = field_strength(vech(prior.soft_iron))  # ∛det, 1 where no strength of the field was given
+    covariance = _covariance(prior, options)
+    shape = vech(prior.soft_iron) / scale
+    onto = np.eye(9)
+    onto[:6, :6] = (np.eye(6) - np.outer(shape, slope)) / scale
+    root = _root(onto @ covariance @ onto.T + _walked(shape, options))
+    facts: list[Fact] = [IronFact(shape, np.array(prior.hard_iron), root)]
+    note = ""
+    place = options.place
+    if place is not None:
+        relative = math.sqrt(max(float(slope @ covariance[:6, :6] @ slope), 0.0)) / scale
+        if not _scaled(prior):
+            # Its scale is that of the instrument itself, unknown but for how well it measured the field then.
+            measured = prior.field_strength
+            relative = np.inf if measured is None else abs(math.log(measured / place.strength))
+        if relative < 0.1:
+            mean = place.strength * scale
+            facts.append(StrengthFact(mean, float(np.hypot(place.strength_sigma * scale, mean * relative))))
+        if relative > 0.01:
+            note = (
+                "the strength of the field tells little: the earlier calibration was made without one, so its scale "
+                "is not known; give it the strength or the place as well"
+            )
+    return Known(tuple(facts), _skew(prior, options), shape, np.array(prior.hard_iron), note)
+
+
+def _scaled(prior: Calibration) -> bool:
+    """Whether a calibration's soft iron has the scale of a known field."""
+    configured = prior.configuration.get("field_strength", prior.configuration.get("field"))
+    return configured is not None or abs(float(np.linalg.det(prior.soft_iron)) - 1) > 1e-6
+
+
+def _covariance(prior: Calibration, options: SmootherOptions) -> Array:
+    """(9, 9) of soft and hard iron."""
+    if prior.configuration.get("magnetic_field_unit") == "counts":
+        raise MagycError("prior: it is of raw counts, and the recording is in tesla; calibrate both in one unit")
+    if prior.covariance is not None:
+        return np.array(prior.covariance[:9, :9])
+    if not (options.hard_iron_walk and options.soft_iron_walk):
+        raise MagycError(
+            f"prior: a calibration by {prior.method!r} has no covariance; say how far it may be off (hard_iron_walk "
+            "and soft_iron_walk), or take one by the smoother"
+        )
+    return np.zeros((9, 9))
+
+
+def _walked(shape: Array, options: SmootherOptions) -> Array:
+    """(9, 9) what may have changed since, on the soft iron of determinant 1 and the hard iron."""
+    sigma = np.hypot(_FLOOR, np.r_[np.full(6, options.soft_iron_walk), np.full(3, options.hard_iron_walk)])
+    _, slope = field_strength(shape)
+    kept = np.eye(9)
+    kept[:6, :6] -= np.outer(shape, slope)
+    return (kept * sigma**2) @ kept.T
+
+
+def _root(covariance: Array) -> Array:
+    """(k, 9) of the pseudo-inverse: rootᵀ root = covariance⁺, one row less for the scale, which is not in it."""
+    scale = np.sqrt(np.diag(covariance))
+    value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = value > 1e-9 * value[-1]
+    result: Array = (vector[:, kept] / np.sqrt(value[kept])).T / scale
+    return result
+
+
+def _skew(prior: Calibration, options: SmootherOptions) -> LinearFact | None:
+    """What the earlier calibration says of the skew; ε is the negative of the term's rotation of the rate."""
+    terms = [term for term in prior.terms if term.name == "misalignment"]
+    if not terms or options.misalignment == 0:
+        return None
+    covariance = terms[0].covariance + (options.soft_iron_walk**2 + 1e-10) * np.eye(3)
+    return LinearFact(
+        np.arange(SKEW.start, SKEW.stop), -terms[0].value, np.linalg.cholesky(np.linalg.inv(covariance)).T
+    )
+
+
+def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
+    """In which parameters the data alone and the prior contradict each other, by how much, and what to believe.
+
+    Args:
+        alone: the calibration of the same recording without the prior; where it is not determined nothing is
+            contradicted.
+        options: with the prior, widened by what may have changed since.
+    """
+    fact = known_of(options).facts[0]
+    assert isinstance(fact, IronFact)
+    if alone.covariance is None:
+        return []
+    away, slope = fact.away(np.concatenate([vech(alone.soft_iron), alone.hard_iron]))
+    # The facts' root has no row for the scale, which both calibrations leave out.
+    before = np.linalg.pinv(fact.root, rcond=1e-12)
+    before = before @ before.T
+    total = before + slope @ alone.covariance[:9, :9] @ slope.T
+    counted = total.copy()
+    counted[:6, :6] += np.outer(fact.shape, fact.shape)  # the scale, which neither knows, is not compared
+    root = _root(counted)
+    if float(np.sum((root @ away) ** 2)) < _CONTRADICTS:
+        return []
+    known, ratio = np.sqrt(np.diag(before)), np.abs(away) / np.sqrt(np.diag(total))
+    worst = [int(k) for k in np.argsort(-ratio)[:3] if ratio[k] > 0.5 * ratio.max()]
+    named = "; ".join(f"{_said(k, float(away[k]), float(known[k]))} ({ratio[k]:.1f} sigmas)" for k in worst)
+    walks = sorted({"soft_iron_walk" if k < 6 else "hard_iron_walk" for k in worst})
+    if alone.trusted:
+        remedy = "believe the data, which need no prior to be enough: leave it away, or allow for a change"
+    else:
+        remedy = (
+            "the instrument changed, or the field varies here: allow for a change, or record more motion elsewhere"
+        )
+    return [f"the data contradict the earlier calibration: {named}; {remedy} ({' and '.join(walks)})"]
+
+
+def _said(k: int, away: float, sigma: float) -> str:
+    if k < 6:
+        return f"soft iron {_NAMES[k]} by {100 * away:+.2f} %, known to {100 * sigma:.2g} %"
+    return f"hard iron {'xyz'[k - 6]} by {1e6 * away:+.2f} µT, known to {1e6 * sigma:.2g} µT"
+
+
+_MATRIX = 2e-3  # of each element, by which a matrix from an earlier calibration is typically known
+_OPEN = 1e-3  # T, a hard iron of which nothing is known
+
+
+def remedies(fit: Fit, factor: float, enough: Callable[[Array], bool], options: SmootherOptions) -> list[str]:
+    """Which facts would be enough where the motion was not, the cheapest first, with the sigma each would give.
+
+    Args:
+        fit: at its minimum.
+        factor: by which the data's information is divided.
+        enough: whether a covariance (13, 13) of θ is.
+        options: with what is known already.
+    """
+    if options.prior is not None:
+        return []
+    parameters = fit.state.parameters[:PARAMETERS]
+    strength, _ = field_strength(parameters[:6])
+    sigma = np.concatenate([np.full(6, _MATRIX), np.full(3, _OPEN)])
+    matrix = IronFact(parameters[:6] / strength, parameters[6:9], np.diag(1 / sigma))
+    ways = (
+        ("an earlier calibration of this instrument (--prior)", (matrix,)),
+        (
+            "an earlier calibration and the strength of the field at the place (--prior, --location, --date)",
+            (matrix, StrengthFact(strength, FIELD_SIGMA)),
+        ),
+    )
+    data = fit.reduced.information[:PARAMETERS, :PARAMETERS] / factor
+    for name, facts in ways:
+        information = data + quadratic(facts, parameters)[2]
+        covariance = inverse_information(information, fit.free[:PARAMETERS])
+        if enough(covariance):
+            worst = 1e6 * np.sqrt(max(float(np.linalg.eigvalsh(covariance[6:9, 6:9])[-1]), 0.0))
+            return [f"or give {name}: hard iron ±{worst:.2g} µT without another motion"]
+    return []

@@ -1,0 +1,176 @@
+"""The options of the field smoother, batch and online, checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.gauge import check_field_strength
+from magyc_gtsam.factors.errors import MagycError
+
+MOST_DRIFT = 0.1  # s/s, of a clock that is one
+MOST_SKEW = np.radians(45.0)
+FIELD_SIGMA = 150e-9  # T; what the World Magnetic Model is off by, by its own error budget
+DIP_SIGMA = np.radians(0.2)  # likewise
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PlaceField:
+    """The field at the place: strength T and dip rad (below the horizontal), with sigmas; dip None where unknown."""
+
+    strength: float
+    strength_sigma: float
+    dip: float | None
+    dip_sigma: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmootherOptions:
+    """What the user of the smoother may choose.
+
+    Attributes:
+        field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
+        noise: (magnetometer T, gyroscope rad/s) per sample; None estimates both.
+        robust: reject disturbed windows; None and True do.
+        delay: s by which the magnetometer lags; None estimates it, a number fixes it.
+        window: s, longest window.
+        turn: rad, largest rotation inside a window; None chooses it from the spread of the data.
+        clock_drift: s/s that the magnetometer's clock gains on the gyroscope's, taken out of its stamps from the first
+            row on. What is left of one is found, and a result that it harms is not trusted.
+        misalignment: "auto" asks the data whether the two chips are askew; a number is the standard deviation in rad of
+            the prior of each angle, with which the skew is estimated whatever the data say; 0 holds it at none.
+        prior: an earlier calibration of the same instrument, with covariance (or what its `to_dict` gives).
+        hard_iron_walk: T, by which each axis of the hard iron may have changed since.
+        soft_iron_walk: by which each element of the soft iron (determinant 1) may have changed since.
+        field: (strength T, dip rad) at the place, or ((strength, sigma), (dip, sigma)); the dip may be None. The
+            strength sets the scale of the soft iron and, with a prior, informs the fit; the dip is only recorded.
+
+    Raises:
+        MagycError: an option that is out of range.
+    """
+
+    field_strength: float | None = None
+    noise: Pair | None = None
+    robust: bool | None = None
+    delay: float | None = None
+    window: float = 1.5
+    turn: float | None = None
+    clock_drift: float = 0.0
+    misalignment: float | Literal["auto"] = "auto"
+    prior: Calibration | None = None
+    hard_iron_walk: float = 0.0
+    soft_iron_walk: float = 0.0
+    field: Any = None
+
+    def __post_init__(self) -> None:
+        check_field_strength(self.field_strength)
+        if self.robust not in (None, True, False):
+            raise MagycError(
+                f"robust: {self.robust!r} is neither True nor False; this method has one rejection of its own, the "
+                "kernels of magyc_gtsam.factors.KERNELS are for graphs"
+            )
+        _number("window", self.window, 0.0, 60.0, "s")
+        _number("clock_drift", self.clock_drift, -MOST_DRIFT, MOST_DRIFT, "s/s")
+        if self.turn is not None:
+            _number("turn", self.turn, 0.0, np.pi, "rad")
+        if self.delay is not None:
+            _number("delay", self.delay, -1.0, 1.0, "s")
+        if self.noise is not None:
+            if not isinstance(self.noise, (tuple, list)) or len(self.noise) != 2:
+                raise MagycError(f"noise: {self.noise!r} is no pair (magnetometer T, gyroscope rad/s)")
+            _number("noise of the magnetometer", self.noise[0], 0.0, 1e-3, "T")
+            _number("noise of the gyroscope", self.noise[1], 0.0, 10.0, "rad/s")
+        if isinstance(self.misalignment, bool) or self.misalignment not in ("auto", 0):
+            _number("misalignment", self.misalignment, 0.0, MOST_SKEW, "rad, or 'auto'")
+        _number("hard_iron_walk", self.hard_iron_walk, -1e-15, 1.0, "T")
+        _number("soft_iron_walk", self.soft_iron_walk, -1e-15, 10.0, "")
+        if self.prior is None and (self.hard_iron_walk or self.soft_iron_walk):
+            raise MagycError(
+                "hard_iron_walk, soft_iron_walk: they say what may have changed since an earlier calibration; give it "
+                "(prior=)"
+            )
+        if isinstance(self.prior, Mapping):
+            object.__setattr__(self, "prior", Calibration.from_dict(self.prior))
+        if self.prior is not None and not isinstance(self.prior, Calibration):
+            raise MagycError(
+                f"prior: an earlier Calibration is needed, got {type(self.prior).__name__}; Calibration.load reads one"
+            )
+        if self.field is not None and self.field_strength is not None:
+            raise MagycError("field and field_strength: both set the strength of the field; give one of them")
+        _ = self.place
+
+    @property
+    def reject(self) -> bool:
+        """Whether disturbed windows are weighed down."""
+        return self.robust is not False
+
+    @property
+    def place(self) -> PlaceField | None:
+        """`field` with its sigmas."""
+        if self.field is None:
+            return None
+        wrong = MagycError(
+            f"field: {self.field!r} is neither (strength T, dip rad) nor ((strength, sigma), (dip, sigma))"
+        )
+        if isinstance(self.field, PlaceField):
+            return self.field
+        if isinstance(self.field, str):
+            raise wrong
+        try:
+            strength, dip = self.field
+            strength, sigma = strength if np.ndim(strength) else (strength, FIELD_SIGMA)
+            dip, dip_sigma = dip if np.ndim(dip) else (dip, DIP_SIGMA)
+        except (TypeError, ValueError):
+            raise wrong from None
+        check_field_strength(strength)
+        if strength is None:
+            raise wrong
+        _number("field: the sigma of the strength", sigma, 0.0, 1e-4, "T")
+        if dip is not None:
+            _number("field: the dip", dip, -np.pi / 2 - 1e-9, np.pi / 2 + 1e-9, "rad")
+            _number("field: the sigma of the dip", dip_sigma, 0.0, np.pi, "rad")
+            dip = float(dip)
+        return PlaceField(float(strength), float(sigma), dip, float(dip_sigma))
+
+    @property
+    def known_strength(self) -> float | None:
+        """T, the strength that sets the scale of the soft iron."""
+        place = self.place
+        return self.field_strength if place is None else place.strength
+
+    @property
+    def strength_sigma(self) -> float:
+        """T, of `known_strength`."""
+        place = self.place
+        return 0.0 if place is None else place.strength_sigma
+
+    @property
+    def configuration(self) -> Mapping[str, Any]:
+        """What was chosen, JSON types; enough to run again."""
+        chosen = {each.name: getattr(self, each.name) for each in fields(self)}
+        result = {name: value for name, value in chosen.items() if value is not None or name in ("delay", "turn")}
+        for name in ("clock_drift", "hard_iron_walk", "soft_iron_walk"):
+            if not result[name]:
+                del result[name]
+        result["robust"] = self.reject
+        if self.noise is not None:
+            result["noise"] = list(self.noise)
+        place = self.place
+        if place is not None:
+            result["field"] = [[place.strength, place.strength_sigma], [place.dip, place.dip_sigma]]
+        if self.prior is not None:
+            left_out = ("diagnostics", "observability", "configuration")
+            result["prior"] = {k: v for k, v in self.prior.to_dict().items() if k not in left_out}
+        return result
+
+
+def _number(name: str, value: Any, low: float, high: float, unit: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low < value < high:
+        low = max(low, 0.0) if low > -1e-9 else low
+        raise MagycError(f"{name} must be between {low:g} and {high:g} {unit}".rstrip() + f", got {value!r}")

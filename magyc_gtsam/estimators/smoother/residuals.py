@@ -1,0 +1,76 @@
+"""What a calibration leaves unexplained, window by window: the evidence behind the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother import starts
+from magyc_gtsam.estimators.smoother.clock_drift import restamped
+from magyc_gtsam.estimators.smoother.fit import weigh
+from magyc_gtsam.estimators.smoother.search import preintegrate, short_term_noise
+from magyc_gtsam.factors.chain.field_chain import FieldChain, SensorNoise
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Array, Recording
+
+
+@dataclass(frozen=True, eq=False)
+class WindowResiduals:
+    """What the model leaves unexplained, window by window.
+
+    time (n,) s; magnetic_field (n, 3) T in sensor axes, its sigma (n,) T and robust weight (n,); link
+    (n − 1, 3) rad between neighbours, its sigma (n − 1,) rad (infinite across a hole) and weight (n − 1,).
+    """
+
+    time: Array
+    magnetic_field: Array
+    magnetic_sigma: Array
+    magnetic_weight: Array
+    link: Array
+    link_sigma: Array
+    link_weight: Array
+
+
+def window_residuals(recording: Recording, calibration: Calibration) -> WindowResiduals:
+    """Residuals of any calibration with a gyroscope bias; its parameters are kept, the directions smoothed.
+
+    Raises:
+        MagycError: no gyroscope, or no gyroscope bias.
+    """
+    if calibration.gyro_bias is None:
+        raise MagycError(
+            f"method {calibration.method!r} estimates no gyroscope bias, so there are no window residuals"
+        )
+    recording = restamped(recording, calibration.configuration.get("clock_drift", 0.0))
+    samples = preintegrate(recording)
+    windows = samples.integrate(calibration.gyro_bias, calibration.delay)
+    noise = short_term_noise(recording)
+    chain = FieldChain(
+        windows,
+        SensorNoise(
+            calibration.noise.get("magnetic_field", noise.magnetometer),
+            calibration.noise.get("angular_rate", noise.gyroscope),
+        ),
+    )
+    strength = calibration.field_strength or float(
+        np.median(np.linalg.norm(calibration.apply(recording.magnetometer.value), axis=1))
+    )
+    parameters = starts.parameters(
+        calibration.soft_iron * strength, calibration.hard_iron, calibration.gyro_bias, calibration.delay
+    )
+    for term in calibration.terms:
+        if term.name == "misalignment":
+            parameters = np.append(parameters, -term.value)
+    fit = weigh(chain, parameters)
+    residuals = chain.residuals(fit.state)
+    return WindowResiduals(
+        windows.time,
+        residuals.window.T,
+        chain.window_sigma,
+        fit.weights.window,
+        residuals.link.T,
+        chain.link_sigma,
+        fit.weights.link,
+    )

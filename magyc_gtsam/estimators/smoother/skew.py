@@ -1,0 +1,238 @@
+"""A skew between the chips: whether the data show one, and what it adds to the covariance where that is open.
+
+With a gyroscope the full matrix B = S Exp(ε) can be observed. Whether ε is there is asked of the data: its three
+angles are given the prior N(0, s²) with the deviation s itself unknown (`SkewPrior`, from 0 to 2°), and the evidence
+of each s follows from one linearisation at the minimum, in closed form (Laplace; it holds the Occam factor). With θ
+split into ε and the rest a, and the data's information Λ, divided by the residual's colour,
+
+    S = Λ_εε − Λ_εa Λ_aa⁻¹ Λ_aε,   b = S ε₀ − (g_ε − Λ_εa Λ_aa⁻¹ g_a),   Q = S + 1/s²,
+    ln p(data | s) / p(data | 0) = ½ bᵀ Q⁻¹ b − ½ ln |I + s² S|,   ε | s ~ N(Q⁻¹ b, Q⁻¹).
+
+Where a skew is decided, its mean over all s is taken out of the readings. Where not, the twelve parameters are
+reported as if there were none; what a skew may still be, the second moment of ε over all s, is carried into their
+covariance by da/dε = −Λ_aa⁻¹ Λ_aε, so that the stated sigmas hold either way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, State, Weights
+from magyc_gtsam.factors.chain.rotations import Array
+
+_LEAST_SPLIT = 40  # windows, of a recording whose halves are compared
+
+
+@dataclass(frozen=True)
+class SkewPrior:
+    """What is believed of a skew before the data.
+
+    Attributes:
+        deviations: rad, of each angle; the boards that were measured are 0.7 to 1.3° askew in all, 0.4 to 0.75° an
+            angle.
+        weights: how far each is believed; by linear simulation over five motions and skews of 0 to 1.5° these keep
+            the stated covariance between 0.7 and 1.2 times the true one.
+        evidence: nats from which a skew is decided.
+        most: rad, of a skew that is believed. Rooms whose field varies with the place show larger ones (BROAD's
+            trials with translation: 3.9°).
+        tested: nats from which the chain is fitted with a skew, to decide.
+        apart: squared difference between the skews of the two halves, in their covariance, from which it is none;
+            the 99.99 % point of χ² with three degrees of freedom.
+    """
+
+    deviations: tuple[float, ...]
+    weights: tuple[float, ...]
+    evidence: float = 3.0
+    most: float = np.radians(2.0)
+    tested: float = 1.5
+    apart: float = 21.1
+
+    @property
+    def widest(self) -> float:
+        """rad, the largest deviation: what holds ε where the motion does not show it."""
+        return max(self.deviations)
+
+
+AUTOMATIC = SkewPrior(tuple(np.radians((0.0, 0.125, 0.25, 0.5, 1.0, 2.0))), (0.1, 0.05, 0.15, 0.3, 0.3, 0.1))
+
+
+def given(deviation: float) -> SkewPrior:
+    """A skew that is estimated with a prior of this deviation in rad, whatever the evidence."""
+    return SkewPrior((deviation,), (1.0,), evidence=-np.inf, most=np.inf, tested=-np.inf, apart=np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Skew:
+    """What a fit says of a skew.
+
+    Attributes:
+        value: (3,) rad, ε as reported; 0 where it was not decided.
+        covariance: (3, 3) of ε about `value`.
+        evidence: nats for a skew of the most likely deviation against none.
+        gain: (13, 3) dθ/dε of the other parameters.
+        shift: (13,) what the other parameters are to be moved by from the fit's, for `value`.
+        doubt: why a skew that the data ask for is not believed; "" where there is none.
+    """
+
+    value: Array
+    covariance: Array
+    evidence: float
+    gain: Array
+    shift: Array
+    doubt: str = ""
+
+    @property
+    def decided(self) -> bool:
+        """Whether it is taken out of the readings."""
+        return bool(self.value.any())
+
+    @property
+    def sentence(self) -> str:
+        """What was taken out."""
+        size = float(np.degrees(np.linalg.norm(self.value)))
+        sigma = float(np.degrees(np.sqrt(self.value @ self.covariance @ self.value) / np.linalg.norm(self.value)))
+        return f"the two chips are {size:.2f} ± {sigma:.2f}° askew, which is taken out (misalignment)"
+
+    def undecided(self) -> Skew:
+        """The same where it is not taken out."""
+        second = self.covariance + np.outer(self.value, self.value)
+        return replace(self, value=np.zeros(3), covariance=second, shift=self.shift - self.gain @ self.value)
+
+
+class _Profile(NamedTuple):
+    """S (3, 3) and b (3,) of ε, see above; gain and shift as `Skew`, the latter at ε = 0."""
+
+    information: Array
+    pull: Array
+    gain: Array
+    shift: Array
+
+
+def widened(fit: Fit, prior: SkewPrior, known: LinearFact | None = None) -> Fit:
+    """A fit of thirteen parameters, linearised with a skew of 0; `known` is what an earlier calibration says of it."""
+    facts = fit.chain.facts if known is None else (*fit.chain.facts, known)
+    chain = replace(fit.chain, facts=(*facts, held(prior.widest)))
+    state = State(np.append(fit.state.parameters, np.zeros(3)), fit.state.direction)
+    free = np.append(fit.free, np.ones(3, dtype=bool))
+    return replace(fit, chain=chain, state=state, free=free, reduced=chain.eliminate(state, fit.weights))
+
+
+def held(deviation: float) -> LinearFact:
+    """ε ~ N(0, deviation²)."""
+    return LinearFact(np.arange(SKEW.start, SKEW.stop), np.zeros(3), np.eye(3) / deviation)
+
+
+def on_skew(fact: Fact) -> bool:
+    """Whether a fact concerns the skew."""
+    return isinstance(fact, LinearFact) and int(fact.rows[0]) == SKEW.start
+
+
+def skew_of(fit: Fit, prior: SkewPrior, whiten: bool = True) -> Skew:
+    """What a fit of sixteen parameters, at its minimum or near it, says of a skew.
+
+    Args:
+        fit: with `held(prior.widest)` as the last fact of its chain.
+        prior: what is believed of it.
+        whiten: divide the data's information by the residual's colour, which a skew that is not fitted raises.
+    """
+    profile = _profile(fit, fit.colour * fit.widening if whiten else 1.0)
+    angle: list[Array] = []
+    covariance: list[Array] = []
+    evidence: list[float] = []
+    weight: list[float] = []
+    for deviation, believed in zip(prior.deviations, prior.weights, strict=True):
+        if deviation == 0:
+            mean, spread, nats = np.zeros(3), np.zeros((3, 3)), 0.0
+        else:
+            spread = np.linalg.inv(profile.information + np.eye(3) / deviation**2).astype(np.float64)
+            mean = spread @ profile.pull
+            occam = np.linalg.slogdet(np.eye(3) + deviation**2 * profile.information)[1]
+            nats = 0.5 * float(profile.pull @ mean) - 0.5 * float(occam)
+        angle.append(mean)
+        covariance.append(spread)
+        evidence.append(nats)
+        weight.append(believed)
+    best = max(evidence)
+    share = np.array(weight) * np.exp(np.array(evidence) - best)
+    share /= share.sum()
+    mean = share @ np.array(angle)
+    doubt = ""
+    if best > prior.evidence:
+        doubt = _doubt(fit, mean, prior)
+    value = mean if best > prior.evidence and not doubt else np.zeros(3)
+    away = np.array(angle) - value
+    second = np.tensordot(share, np.array(covariance), axes=1) + (share * away.T) @ away
+    return Skew(value, second, best, profile.gain, profile.shift + profile.gain @ value, doubt)
+
+
+def _profile(fit: Fit, factor: float) -> _Profile:
+    """The data's say on ε, with all other parameters at their best for it; `factor` divides the information."""
+    parameters, facts = fit.state.parameters, fit.chain.facts
+    _, slope, believed = quadratic(facts, parameters)
+    _, other_slope, other = quadratic(facts[:-1], parameters)
+    information = (fit.reduced.information - believed) / factor + other
+    gradient = (fit.reduced.gradient - slope) / factor + other_slope
+    rest = np.flatnonzero(fit.free[:PARAMETERS])
+    scale = 1 / np.sqrt(np.maximum(np.diag(information)[rest], 1e-300))
+    inner = information[np.ix_(rest, rest)] * scale * scale[:, None] + 1e-13 * np.eye(len(rest))
+    border = np.column_stack([information[rest, SKEW], gradient[rest]]) * scale[:, None]
+    solved = scale[:, None] * np.linalg.solve(inner, border)
+    curvature = information[SKEW, SKEW] - information[SKEW, rest] @ solved[:, :3]
+    curvature = 0.5 * (curvature + curvature.T)
+    skewed = parameters[SKEW]
+    pull = curvature @ skewed - (gradient[SKEW] - information[SKEW, rest] @ solved[:, 3])
+    gain, shift = np.zeros((PARAMETERS, 3)), np.zeros(PARAMETERS)
+    gain[rest] = -solved[:, :3]
+    shift[rest] = -solved[:, 3] + solved[:, :3] @ skewed
+    return _Profile(curvature, pull, gain, shift)
+
+
+def _doubt(fit: Fit, angle: Array, prior: SkewPrior) -> str:
+    """Why a skew that the data ask for is none of the chips: too large for one, or not there all the time."""
+    size = float(np.degrees(np.linalg.norm(angle)))
+    most = float(np.degrees(prior.most))
+    remedy = "calibrate where it is even, away from steel and in one place"
+    if np.linalg.norm(angle) > prior.most:
+        return (
+            f"the field varies along the way: it would take chips that are {size:.1f}° askew, and boards are within "
+            f"{most:.0f}°; {remedy}, or say that they are (misalignment={np.ceil(size):.0f}°)"
+        )
+    count = len(fit.chain.windows)
+    if count < _LEAST_SPLIT:
+        return ""
+    first, second = (_of_part(fit, rows) for rows in (slice(0, count // 2), slice(count // 2, count)))
+    apart = first.value - second.value
+    if float(apart @ np.linalg.solve(first.covariance + second.covariance, apart)) < prior.apart:
+        return ""
+    one, two = (np.degrees(part.value).round(1).tolist() for part in (first, second))
+    return (
+        f"the field varies along the way: the first half of the recording shows chips that are askew by {one}° about "
+        f"x, y, z, the second half by {two}°; {remedy}"
+    )
+
+
+class _Angle(NamedTuple):
+    """ε (3,) and its covariance (3, 3)."""
+
+    value: Array
+    covariance: Array
+
+
+def _of_part(fit: Fit, rows: slice) -> _Angle:
+    """ε of some of the windows alone, held by the widest prior."""
+    links = slice(rows.start, rows.stop - 1)
+    answer = None if fit.chain.answer is None else fit.chain.answer[:, rows]
+    chain = replace(fit.chain, windows=fit.chain.windows.part(rows.start, rows.stop), answer=answer)
+    state = State(fit.state.parameters, fit.state.direction[:, rows])
+    weights = Weights(fit.weights.window[rows], fit.weights.link[links])
+    _, reduced = chain.settle(state, weights)
+    part = replace(fit, chain=chain, state=state, weights=weights, reduced=reduced)
+    profile = _profile(part, fit.colour * fit.widening)
+    held_by = quadratic(chain.facts[-1:], state.parameters)[2][SKEW, SKEW]
+    covariance = np.linalg.inv(profile.information + held_by).astype(np.float64)
+    return _Angle(covariance @ profile.pull, covariance)

@@ -1,0 +1,268 @@
+"""`smoother`: the maximum-likelihood calibration under the sensor model (docs/field_chain.md), the default.
+
+The field's direction is a Markov chain under the gyroscope; eliminating it leaves thirteen parameters: soft iron
+(times field strength), hard iron, gyroscope bias and the magnetometer's delay; and, where the data ask for them,
+three angles between the two chips. No start, no attitude and no noise level is asked of the user.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.field_jumps import field_jumps
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.estimators.model_error import ModelError, model_error
+from magyc_gtsam.estimators.model_error.samples import too_slow
+from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
+from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
+from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
+from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.estimators.smoother.search import Progress, Streams, fit_field_chain, positive
+from magyc_gtsam.estimators.smoother.skew import Skew, on_skew
+from magyc_gtsam.factors.chain.facts import quadratic
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.level_turn import Askew
+from magyc_gtsam.observability import Observability, assess
+from magyc_gtsam.recording import Array, Recording
+
+_MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
+_LEAST_TRUSTED = 0.5  # share of the windows' weight below which the result must not be trusted
+
+
+def calibrate_smoother(recording: Recording, *, progress: Progress | None = None, **chosen: Any) -> Calibration:
+    """Calibrate by the field smoother; `chosen` are `SmootherOptions`.
+
+    Args:
+        recording: with magnetometer and gyroscope.
+        progress: called with the share done, 0 to 1.
+
+    Raises:
+        MagycError: no gyroscope, too few samples, sensors whose axes or units disagree, or an option out of range.
+    """
+    options = SmootherOptions(**chosen)
+    report = progress or (lambda _: None)
+    report(0.0)
+    if options.clock_drift:
+        recording = restamped(recording, options.clock_drift)
+    fit, rival = fit_field_chain(recording, options, progress=report)
+    doubts = _contradictions(recording, options)
+    calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
+
+    def refit(again: Recording, start: Array | None) -> tuple[Fit, bool]:
+        fit, rival = fit_field_chain(again, options, start=start)
+        return fit, calibration_of(again, fit, rival, options).converged
+
+    drift = find_drift(recording, fit, calibration.converged, refit)
+    report(1.0)
+    return with_drift(calibration, None if drift is None else drift._replace(known=options.clock_drift))
+
+
+def _contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
+    """Where the data alone contradict an earlier calibration."""
+    if options.prior is None:
+        return []
+    alone = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
+    try:
+        fit, rival = fit_field_chain(recording, alone)
+    except MagycError:  # alone they say nothing
+        return []
+    return contradictions(calibration_of(recording, fit, rival, alone), options)
+
+
+class Posterior(NamedTuple):
+    """θ (13,) and its covariance (13, 13) with the skew's share, and the skew itself."""
+
+    parameters: Array
+    covariance: Array
+    skew: Skew | None
+
+
+def posterior(fit: Fit, factor: float) -> Posterior:
+    """What is known of θ: the data, their information divided by `factor`, and the facts, which are what they are."""
+    facts = tuple(fact for fact in fit.chain.facts if not on_skew(fact))
+    rows = np.arange(PARAMETERS)
+    parameters = fit.state.parameters[rows]
+    free = fit.free[rows]
+    if not facts and len(fit.free) == PARAMETERS:
+        covariance = fit.covariance * factor
+    else:
+        _, slope, known = quadratic(facts, fit.state.parameters)
+        _, all_slope, all_known = quadratic(fit.chain.facts, fit.state.parameters)
+        information = ((fit.reduced.information - all_known) / factor + known)[np.ix_(rows, rows)]
+        covariance = inverse_information(information, free)
+        if len(fit.free) == PARAMETERS:
+            gradient = (fit.reduced.gradient - all_slope) / factor + slope
+            parameters = parameters - covariance @ gradient
+    if fit.skew is not None:
+        gain = fit.skew.gain
+        covariance = covariance + gain @ fit.skew.covariance @ gain.T
+        if fit.skew.decided:
+            parameters = parameters + fit.skew.shift
+    return Posterior(parameters, covariance, fit.skew)
+
+
+def calibration_of(
+    recording: Recording,
+    fit: Fit,
+    rival: Fit | None,
+    options: SmootherOptions,
+    colour: float | None = None,
+    doubts: Sequence[str] = (),
+    unexplained: ModelError | None = None,
+    samples: Streams | None = None,
+) -> Calibration:
+    """The result of a fit, its covariance and why it must not be trusted, if so.
+
+    `colour` and `unexplained` stand for the fit's own where that holds only the end of a longer chain, and `samples`
+    for those of `recording` where that does; `doubts` are known beforehand.
+    """
+    samples = recording if samples is None else samples
+    colour = fit.colour if colour is None else colour
+    parameters, sensors, skew = posterior(fit, colour * fit.widening)
+    unexplained = model_error(fit, samples) if unexplained is None else unexplained
+    covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]
+    soft, scale = unvech(parameters[:6]), (options.known_strength, options.strength_sigma)
+    soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12], *scale)
+    of_sensors = fix_scale(soft, sensors[:12, :12], *scale)[2]
+    askew = _askew(skew, unit)
+    observability = assess(of_sensors, soft_iron, unit, recording, parameters[6:9], askew)
+    whole = observability
+    if unexplained.components:
+        whole = assess(reported, soft_iron, unit, recording, parameters[6:9], askew)
+    reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
+    reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
+    if not observability.observable:
+
+        def enough(covariance: Array) -> bool:
+            given = fix_scale(soft, covariance[:12, :12], *scale)[2]
+            return assess(given, soft_iron, unit, recording, parameters[6:9]).observable
+
+        reasons += remedies(fit, colour * fit.widening, enough, options)
+    reasons += filter(None, (too_slow(samples), reason(unexplained, whole, observability)))
+    told = [
+        f"converged in {fit.iterations} iterations",
+        known_of(options).note,
+        remark(unexplained, of_sensors, reported),
+    ]
+    noise = fit.chain.noise
+    terms: tuple[Term, ...] = ()
+    if skew is not None and skew.decided:
+        terms = (Term("misalignment", -skew.value, skew.covariance),)
+        told.insert(1, skew.sentence)
+    return Calibration(
+        soft_iron=soft_iron,
+        hard_iron=parameters[6:9],
+        gyro_bias=parameters[9:12],
+        covariance=reported,
+        noise_covariance=of_sensors,
+        delay=float(parameters[DELAY]),
+        delay_sigma=float(np.sqrt(covariance[DELAY, DELAY])) if fit.free[DELAY] else None,
+        terms=terms,
+        converged=not reasons,
+        message="; ".join(reasons or filter(None, told)),
+        method="smoother",
+        noise={"magnetic_field": noise.magnetometer, "angular_rate": noise.gyroscope},
+        field_strength=unit,
+        observability=replace(observability, heading_sigma=whole.heading_sigma),
+        diagnostics={
+            "windows": len(fit.chain.windows),
+            "iterations": fit.iterations,
+            "cost": fit.reduced.cost,
+            "trusted_share": float(fit.weights.window.mean()),
+            "colour": colour,
+            "widening": fit.widening,
+            "disturbed": _disturbed(fit),
+            "model_error": diagnostics(unexplained),
+        }
+        | _said_of(skew, askew),
+        configuration=dict(options.configuration),
+    )
+
+
+def _askew(skew: Skew | None, strength: float) -> Askew | None:
+    """What a skew leaves open of the heading."""
+    if skew is None:
+        return None
+    cross = skew.gain[:9] @ skew.covariance
+    cross[:6] /= strength
+    return Askew(skew.covariance, cross)
+
+
+def _said_of(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
+    """For the diagnostics, JSON types."""
+    if skew is None or askew is None:
+        return {}
+    return {
+        "skew": {
+            "evidence": skew.evidence,
+            "covariance": askew.covariance.tolist(),
+            "cross": askew.cross.tolist(),
+        }
+    }
+
+
+def _jumped(fit: Fit, recording: Recording) -> list[str]:
+    """Where the field jumped, if the fit left out so much that this may be why."""
+    if fit.weights.window.mean() >= _LEAST_TRUSTED:
+        return []
+    jumps = field_jumps(recording)
+    if not jumps:
+        return []
+    named = " and ".join(f"at {jump.time:.0f} s by {jump.size * 1e6:.0f} µT" for jump in jumps)
+    return [f"the field jumped {named}: calibrate a stretch between (--start, --end), or run `gap`"]
+
+
+def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: Observability) -> list[str]:
+    """Why the result must not be trusted, the root cause first; empty where it may be."""
+    reasons = []
+    left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
+    misfit = ""
+    if left > _MOST_UNEXPLAINED * field_strength:
+        misfit = f"the model leaves {left * 1e6:.1f} µT unexplained (at most {_MOST_UNEXPLAINED:.0%} of the field)"
+    elif not positive(fit):
+        misfit = "only a soft iron that mirrors the field fits, which no instrument has"
+    if misfit:
+        reasons.append(
+            f"{misfit}: the field or the instrument changed during the recording; choose an interval (--start, --end)"
+        )
+    trusted = float(fit.weights.window.mean())
+    if trusted < _LEAST_TRUSTED:
+        reasons.append(
+            f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated"
+        )
+    if not observability.observable:
+        x, y, z = np.ptp(fit.chain.windows.field, axis=1) * 1e6
+        reasons.append(
+            f"too little motion (the field swept {x:.0f}, {y:.0f}, {z:.0f} µT along x, y, z; turning over sweeps "
+            f"some 90 along each): {observability.weak[0].sentence}"
+        )
+    if rival is not None:
+        other = rival.state.parameters[6:9] * 1e6
+        reasons.append(
+            f"two calibrations explain the data almost equally well (the other hard iron is "
+            f"{other[0]:.1f}, {other[1]:.1f}, {other[2]:.1f} µT): record more motion, or choose "
+            "an undisturbed interval (--start, --end)"
+        )
+    if not fit.converged:
+        reasons.append(f"no convergence within {fit.iterations} iterations")
+    return reasons
+
+
+def _disturbed(fit: Fit) -> list[list[float]]:
+    """Stretches [from, to] in s that were weighed down to less than half, neighbours joined, longest first."""
+    low = np.flatnonzero(fit.weights.window < 0.5)
+    if not len(low):
+        return []
+    time = fit.chain.windows.time
+    groups = np.split(low, np.flatnonzero(np.diff(low) > 2) + 1)
+    stretches = [[float(time[group[0]]), float(time[group[-1]])] for group in groups]
+    return sorted(stretches, key=lambda pair: pair[0] - pair[1])[:20]

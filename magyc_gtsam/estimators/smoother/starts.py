@@ -1,0 +1,87 @@
+"""Where the smoother starts: no start is asked of the user, and h = 0 can be a false minimum."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, UPPER
+from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.vech import unvech
+
+_LAG = 3.0  # s between the windows that the linear start compares
+_PAIRS = 200  # pairs of windows that are enough for a start
+_PASSES = 3
+
+
+def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) -> Array:
+    """θ (13,) from soft iron times field strength (3, 3) T, hard iron T, bias rad/s and delay s."""
+    result = np.empty(PARAMETERS)
+    result[:6], result[6:9], result[9:12], result[12] = soft_iron[UPPER], hard_iron, bias, delay
+    return result
+
+
+def from_prior(windows: FieldWindows, soft_iron: Array, hard_iron: Array, bias: Array) -> Array:
+    """θ of an earlier calibration, vech(soft_iron) (6,), with the median strength of the field."""
+    straight = np.linalg.solve(unvech(soft_iron), windows.field - hard_iron[:, None])
+    strength = float(np.median(np.linalg.norm(straight, axis=0)))
+    return parameters(unvech(soft_iron) * strength, hard_iron, bias, windows.delay)
+
+
+def spherical(windows: FieldWindows, hard_iron: Array, bias: Array) -> Array:
+    """θ with a spherical field around `hard_iron`, of the median radius."""
+    radius = float(np.median(np.linalg.norm(windows.field - hard_iron[:, None], axis=0)))
+    return parameters(np.eye(3) * radius, hard_iron, bias, windows.delay)
+
+
+def from_gyroscope(windows: FieldWindows) -> Array:
+    """Hard iron and gyroscope bias by robust linear least squares, soft iron spherical.
+
+    With A = I the field turned back by the gyroscope, y = Mᵀ(m − h), stands still but for the bias:
+    y' − y = [y]× ΔK b. Noise is additive here, so a large hard iron or noisy data do not bias it, and
+    it needs no tilt: it is right where an ellipsoid fit sees only an arc.
+    """
+    spacing = max(float(np.median(np.diff(windows.time))), 1e-9)
+    lag = int(np.clip(round(_LAG / spacing), 1, (len(windows) - 1) // 2))
+    turned_back = np.einsum("ijn,in->jn", windows.rotation, windows.field)
+    total = np.zeros((3, 3, len(windows)))
+    np.cumsum(windows.lever, axis=2, out=total[:, :, 1:])
+    first = np.arange(0, len(windows) - lag, -(-(len(windows) - lag) // _PAIRS))
+    last = first + lag
+    lever = total[:, :, last] - total[:, :, first]
+    holes = np.concatenate([[0], np.cumsum(~windows.linked)])
+    weight = (holes[last] == holes[first]).astype(float)
+    if not weight.any():
+        weight[:] = 1.0
+
+    constant = turned_back[:, last] - turned_back[:, first]
+    on_hard_iron = np.swapaxes(windows.rotation[:, :, last] - windows.rotation[:, :, first], 0, 1)
+    before = windows.rotation[:, :, first]
+    hard_iron, bias = windows.field.mean(axis=1), np.zeros(3)
+    for _ in range(_PASSES):
+        still = turned_back[:, first] - np.einsum("ijn,i->jn", before, hard_iron)
+        design = np.concatenate(
+            [on_hard_iron.swapaxes(0, 1), cross(still[:, None], lever).swapaxes(0, 1)]
+        )  # (6, 3, n)
+        flat = design.reshape(6, -1)
+        weighted = (design * weight).reshape(6, -1)
+        normal = weighted @ flat.T
+        normal[np.diag_indices(6)] *= 1 + 1e-9
+        solution = np.linalg.lstsq(normal, weighted @ constant.ravel(), rcond=None)[0]
+        hard_iron, bias = solution[:3], solution[3:]
+        misfit = constant - (solution @ flat).reshape(3, -1)
+        square = np.einsum("in,in->n", misfit, misfit)
+        scale = float(np.median(square[weight > 0])) or 1.0
+        weight = (weight > 0) / (1 + square / (2 * scale))  # Cauchy
+    return spherical(windows, hard_iron, bias)
+
+
+def others(windows: FieldWindows, bias: Array) -> list[Array]:
+    """The starts that need no gyroscope: no hard iron, the middle of the samples' box, the sphere fit."""
+    field = windows.field
+    box = 0.5 * (field.max(axis=1) + field.min(axis=1))
+    ones = np.ones((1, field.shape[1]))
+    design = np.concatenate([2 * (field - box[:, None]), ones * np.ptp(field)])
+    square = np.einsum("in,in->n", field - box[:, None], field - box[:, None])
+    sphere = np.linalg.lstsq(design.T, square, rcond=None)[0][:3] + box
+    return [spherical(windows, hard_iron, bias) for hard_iron in (np.zeros(3), box, sphere)]

@@ -1,0 +1,144 @@
+"""The field of the place as variance components, beside which everything else has to explain the data.
+
+On real logs the field is not constant: it wanders along the way, and depends on attitude, to which a hand or an arm
+ties the position. Both are random functions of low rank in the world's axes: cosines of time with the spectrum of an
+Ornstein–Uhlenbeck process, and a Gaussian process on rotations (by Nyström). With their whitened columns Z, amplitudes
+Λ and a noise ρ from window to window, innovations freed of the model's columns have
+
+    ln Z = −½ [ (|v|² − |L⁻¹ √Λ Z v|²) / ρ² + 2 Σ ln L_ii + n ln ρ² ],   L Lᵀ = I + √Λ Z Zᵀ √Λ,
+
+whose maximum over a grid of amplitudes is taken (restricted maximum likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.gap.score import Projector
+from magyc_gtsam.gap.twin import Columns, Twin
+
+_MODES = 60  # of the time
+_CORRELATION = (1.0, 4.0, 16.0)  # s
+_AMPLITUDES = 1e-6 * 2.0 ** np.arange(-3.0, 4.0)  # T
+_SHARES = (0.0, 0.5, 1.0, 2.0)  # of attitude's part in the way's: alone it would be something that is no place
+_TURN = 0.6  # rad, of change with attitude: likeliest of 0.3, 0.6 and 1 on hand-held real logs
+_ATTITUDES = 80  # at which the function of attitude is spanned
+_LEAST = 0.05  # of its variance at one of them: a direction with less is left out
+_EVIDENT = 5.0  # nats: twice what clean recordings show by chance (at most 2.3)
+_SWEEPS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class FieldVariation:
+    """How much the field varies over a recording.
+
+    Attributes:
+        gain: nats by which it explains the innovations better than a field that stands still.
+        along, attitude: T, standard deviations along the way and with attitude; noise: ρ, in the sensors' noise.
+    """
+
+    gain: float
+    along: float
+    attitude: float
+    noise: float
+    _columns: Array
+    _less: Array
+
+    @property
+    def evident(self) -> bool:
+        """Whether the field varies at all."""
+        return self.gain > _EVIDENT
+
+    def whiten(self, rows: Array) -> Array:
+        """Rows (k, 3n) that were whitened for the sensors' noise, whitened for the field's variation too."""
+        result: Array = (rows - ((rows @ self._columns.T) * self._less) @ self._columns) / self.noise
+        return result
+
+
+def field_variation(twin: Twin) -> FieldVariation:
+    """The amplitudes under which what a model leaves is most likely."""
+    project = Projector(twin.base_columns, twin.base_pull)
+    v = project(twin.residual().reshape(1, -1))[0]
+    duration = float(twin.time[-1] - twin.time[0])
+    order = np.arange(1, min(_MODES, twin.n // 4) + 1)
+    cosines = np.sqrt(2) * np.cos(order[:, None] * np.pi * (twin.time - twin.time[0]) / duration)
+    raw = np.concatenate(
+        [_in_world(twin, cosines), _in_world(twin, functions_of_attitude(twin.windows.need("to_sensor")))]
+    )
+    shapes = [np.zeros(3 * len(order))]
+    for amplitude, time in product(_AMPLITUDES, _CORRELATION):
+        power = 1 / (1 + (np.pi * order / duration * time) ** 2)
+        shapes.append(amplitude * np.repeat(np.sqrt(power / power.sum()), 3))
+    turned = len(raw) - 3 * len(order)
+    search = _Search(v, project(raw), 3 * twin.n - len(twin.base_columns))
+
+    def deviations(shape: int, share: int) -> Array:
+        along = float(np.sqrt((shapes[shape] ** 2).sum() / 3))
+        return np.concatenate([shapes[shape], np.full(turned, _SHARES[share] * along)])
+
+    shape, share = len(shapes) // 2, 1
+    for _ in range(_SWEEPS):
+        shape = _best([search.log(deviations(i, share))[0] for i in range(len(shapes))])
+        share = _best([search.log(deviations(shape, i))[0] for i in range(len(_SHARES))])
+    chosen = deviations(shape, share)
+    log, noise = search.log(chosen)
+    still, _ = search.log(np.zeros(len(raw)), fixed=True)
+    scaled = raw[chosen > 0] * chosen[chosen > 0, None]
+    value, vector = np.linalg.eigh(scaled @ scaled.T)
+    kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
+    columns = (vector[:, kept] / np.sqrt(value[kept])).T @ scaled
+    along = float(np.sqrt((shapes[shape] ** 2).sum() / 3)) * noise
+    return FieldVariation(
+        log - still, along, _SHARES[share] * along, noise, columns, 1 - 1 / np.sqrt(1 + value[kept])
+    )
+
+
+def _best(logs: Sequence[float]) -> int:
+    return int(np.argmax(logs))
+
+
+class _Search:
+    """ln Z of innovations (3n,) for amplitudes of columns (k, 3n), both freed of the model's."""
+
+    def __init__(self, innovation: Array, columns: Array, freedom: int) -> None:
+        self._gram, self._score = columns @ columns.T, columns @ innovation
+        self._square, self._freedom = float(innovation @ innovation), freedom
+
+    def log(self, deviations: Array, fixed: bool = False) -> tuple[float, float]:
+        """ln Z and ρ, which is 1 where it is `fixed`, and never less."""
+        use = deviations > 0
+        d = deviations[use]
+        inner = d[:, None] * self._gram[np.ix_(use, use)] * d
+        inner[np.diag_indices_from(inner)] += 1.0
+        lower = cholesky(inner, lower=True, check_finite=False) if len(d) else inner
+        y = solve_triangular(lower, d * self._score[use], lower=True) if len(d) else np.zeros(0)
+        rest = max(self._square - float(y @ y), 1e-9)
+        variance = 1.0 if fixed else max(rest / self._freedom, 1.0)
+        logs = 2 * float(np.log(np.diag(lower)).sum()) + self._freedom * float(np.log(variance))
+        return -0.5 * (rest / variance + logs), float(np.sqrt(variance))
+
+
+def _in_world(twin: Twin, profiles: Array) -> Array:
+    """(3k, 3n) whitened columns of profiles (k, n) along each of the world's axes, T as read."""
+    soft = unvech(twin.state.parameters[:6])
+    from_world = np.einsum("ij,jkn->kin", soft / np.cbrt(np.linalg.det(soft)), twin.windows.need("to_sensor"))
+    return twin.whiten(Columns((profiles[:, None, None] * from_world).reshape(-1, 3, twin.n), None))
+
+
+def functions_of_attitude(to_sensor: Array) -> Array:
+    """(k, n) orthogonal functions that span a smooth random one of unit variance."""
+    n = to_sensor.shape[-1]
+    some = np.unique(np.linspace(0, n - 1, min(n, _ATTITUDES)).astype(int))
+    apart = 3 - np.einsum("abn,abm->nm", to_sensor, to_sensor[..., some])  # 2 − 2 cos θ
+    kernel = np.exp(-0.5 * apart / _TURN**2)
+    value, vector = np.linalg.eigh(kernel[some])
+    kept = value > _LEAST
+    result: Array = (kernel @ (vector[:, kept] / np.sqrt(value[kept]))).T
+    return result

@@ -1,0 +1,144 @@
+"""All logs of one instrument at once, given which of them are wrong and where the hard iron jumped.
+
+The shape s of the soft iron is shared, each log has its hard iron h_k, and neighbours are joined by a random walk:
+
+    (s, h_k) ~ N(log k),   h_{k+1} − h_k ~ N(0, q Δt_k I), or with a jump N(0, (q Δt_k + jump²) I).
+
+The information matrix is block tridiagonal with a border for s. Cost and memory are linear in the number of logs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from magyc_gtsam.history.coordinates import SHAPE
+from magyc_gtsam.recording import Array
+
+_BAND = 6  # rows of the band: neighbouring blocks of three
+
+
+@dataclass(frozen=True, eq=False)
+class Observations:
+    """What the logs say of (s, h) in the order of time.
+
+    Attributes:
+        mean: (k, 8) s and h µT.
+        information: (k, 8, 8); zeros for a log that says nothing.
+        elapsed: (k − 1,) days between neighbours, or 1 each where the logs have no dates.
+    """
+
+    mean: Array
+    information: Array
+    elapsed: Array
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """The joint posterior of s and all h.
+
+    Attributes:
+        shape: (5,), its covariance (5, 5).
+        hard_iron: (k, 3) µT, covariances (k, 3, 3), covariances with s (k, 3, 5).
+        change: (k − 1, 3, 3) covariance of h_{k+1} − h_k.
+        log_likelihood: of the observations under flat priors on s and h_0, but for a constant.
+    """
+
+    shape: Array
+    shape_covariance: Array
+    hard_iron: Array
+    covariance: Array
+    cross: Array
+    change: Array
+    log_likelihood: float
+
+
+def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Array, Array, Array]:
+    """Band (6, 3k) lower, border (3k, 5), corner (5, 5) and right-hand side (3k + 5,) of the normal equations."""
+    k = len(observed)
+    information, mean = observed.information, observed.mean
+    ties = 1 / step_variance
+    blocks = information[:, SHAPE:, SHAPE:].copy()
+    both = np.zeros(k)
+    both[:-1] += ties
+    both[1:] += ties
+    blocks += both[:, None, None] * np.eye(3)
+    band = np.zeros((_BAND, 3 * k))
+    for offset in range(3):
+        for column in range(3 - offset):
+            band[offset, column::3] = blocks[:, column + offset, column]
+    band[3, : 3 * (k - 1)] = -np.repeat(ties, 3)
+    border = information[:, SHAPE:, :SHAPE].reshape(3 * k, SHAPE)
+    corner = information[:, :SHAPE, :SHAPE].sum(axis=0)
+    weighted = np.einsum("kij,kj->ki", information, mean)
+    right = np.concatenate([weighted[:, SHAPE:].ravel(), weighted[:, :SHAPE].sum(axis=0)])
+    return band, border, corner, right
+
+
+def solve(observed: Observations, step_variance: Array, *, marginals: bool = True) -> Posterior:
+    """The posterior at given variances of the steps.
+
+    Args:
+        observed: at least one log that says something.
+        step_variance: (k − 1,) µT², of each step on each axis.
+        marginals: also the covariances; else they are empty.
+    """
+    k = len(observed)
+    band, border, corner, right = _assembled(observed, step_variance)
+    factor = cholesky_banded(band, lower=True)
+    solved = cho_solve_banded((factor, True), np.column_stack([border, right[: 3 * k]]))
+    schur = corner - border.T @ solved[:, :SHAPE]
+    schur = 0.5 * (schur + schur.T)
+    shape = np.linalg.solve(schur, right[3 * k :] - border.T @ solved[:, SHAPE])
+    hard_iron = (solved[:, SHAPE] - solved[:, :SHAPE] @ shape).reshape(k, 3)
+
+    left = observed.mean - np.column_stack([np.tile(shape, (k, 1)), hard_iron])
+    step = np.diff(hard_iron, axis=0)
+    cost = float(np.einsum("ki,kij,kj->", left, observed.information, left))
+    cost += float(np.sum(np.sum(step**2, axis=1) / step_variance))
+    log_likelihood = -0.5 * (
+        cost
+        + 3 * float(np.log(step_variance).sum())
+        + 2 * float(np.log(factor[0]).sum())
+        + float(np.linalg.slogdet(schur)[1])
+    )
+    shape_covariance = np.linalg.inv(schur)
+    empty = np.zeros((0, 3, 3))
+    if not marginals:
+        return Posterior(shape, shape_covariance, hard_iron, empty, np.zeros((0, 3, SHAPE)), empty, log_likelihood)
+    own, change = _marginals(band, 1 / step_variance)
+    on_shape = solved[:, :SHAPE].reshape(k, 3, SHAPE)
+    spread = np.einsum("kia,ab,kjb->kij", on_shape, shape_covariance, on_shape)
+    moved = np.diff(on_shape, axis=0)
+    change = change + np.einsum("kia,ab,kjb->kij", moved, shape_covariance, moved)
+    cross = -np.einsum("kia,ab->kib", on_shape, shape_covariance)
+    return Posterior(shape, shape_covariance, hard_iron, own + spread, cross, change, log_likelihood)
+
+
+def _marginals(band: Array, ties: Array) -> tuple[Array, Array]:
+    """Covariances of each h (k, 3, 3) at given s, and of the neighbours' differences (k − 1, 3, 3).
+
+    Forward elimination D_i = A_i − t²_{i−1} D⁻¹_{i−1}, then backward: Σ_i = D_i⁻¹ + G_i Σ_{i+1} G_iᵀ with
+    G_i = t_i D_i⁻¹, which is also the covariance of h_i with h_{i+1} over Σ_{i+1}.
+    """
+    k = band.shape[1] // 3
+    blocks = np.zeros((k, 3, 3))
+    for offset in range(3):
+        for column in range(3 - offset):
+            blocks[:, column + offset, column] = blocks[:, column, column + offset] = band[offset, column::3]
+    inverse = np.zeros((k, 3, 3))
+    inverse[0] = np.linalg.inv(blocks[0])
+    for i in range(1, k):
+        inverse[i] = np.linalg.inv(blocks[i] - ties[i - 1] ** 2 * inverse[i - 1])
+    own, change = inverse.copy(), np.zeros((max(k - 1, 0), 3, 3))
+    for i in range(k - 2, -1, -1):
+        gain = ties[i] * inverse[i]
+        own[i] = inverse[i] + gain @ own[i + 1] @ gain.T
+        joint = gain @ own[i + 1]
+        change[i] = own[i] + own[i + 1] - joint - joint.T
+    return own, change

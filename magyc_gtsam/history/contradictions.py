@@ -1,0 +1,78 @@
+"""Logs that do not go with the rest of their instrument, and in what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.history.coordinates import SHAPE
+from magyc_gtsam.history.instrument import WRONG, Instrument
+from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, LogFactor
+from magyc_gtsam.recording import Array
+
+_UNITS = (
+    ("soft iron", slice(0, SHAPE), 100.0, "%"),
+    ("hard iron", HARD_IRON, 1.0, "µT"),
+    ("gyroscope bias", GYRO_BIAS, 1.0, "mrad/s"),
+)
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """One log that contradicts the others.
+
+    Attributes:
+        index: of the log.
+        name: of the log.
+        sentence: in what, by how much and by how many sigmas.
+    """
+
+    index: int
+    name: str
+    sentence: str
+
+
+def contradictions_of(
+    factors: Sequence[LogFactor], groups: Sequence[Sequence[int]], instruments: Sequence[Instrument]
+) -> tuple[Contradiction, ...]:
+    """Logs without a calibration, logs labelled wrong, and logs that are of no group but their own."""
+    found = [
+        Contradiction(i, f.name, f"not calibrated: {f.problem}") for i, f in enumerate(factors) if f.mean is None
+    ]
+    main = instruments[0]
+    for instrument in instruments:
+        for k in np.flatnonzero(instrument.labels.label == WRONG):
+            i = instrument.order[k]
+            if factors[i].mean is not None:
+                off = _largest(factors[i], instrument, int(k))
+                found.append(
+                    Contradiction(i, factors[i].name, f"{off}: left out, as beside iron that is not its own")
+                )
+    for group in groups[1:]:
+        if len(group) == 1:
+            near = min(range(len(main.order)), key=lambda k: abs(main.order[k] - group[0]))
+            off = _largest(factors[group[0]], main, near)
+            sentence = f"{off}: another instrument, or a field that its surroundings disturb"
+            found.append(Contradiction(group[0], factors[group[0]].name, sentence))
+    return tuple(sorted(found, key=lambda each: each.index))
+
+
+def _largest(factor: LogFactor, instrument: Instrument, k: int) -> str:
+    """The parameter in which a log is farthest from its instrument, in words."""
+    assert factor.mean is not None
+    assert factor.covariance is not None
+    posterior = instrument.posterior
+    off: list[tuple[float, str]] = []
+    for name, part, unit, word in _UNITS[:2]:
+        expected, spread = (
+            (posterior.shape, posterior.shape_covariance)
+            if name == "soft iron"
+            else (posterior.hard_iron[k], posterior.covariance[k])
+        )
+        difference: Array = factor.mean[part] - expected
+        total = factor.covariance[part, part] + spread
+        sigmas = float(np.sqrt(difference @ np.linalg.solve(total, difference)))
+        off.append((sigmas, f"{name} off by {np.linalg.norm(difference) * unit:.2g} {word} ({sigmas:.1f} sigma)"))
+    return max(off)[1]

@@ -1,0 +1,49 @@
+"""The history as a GTSAM graph, for whoever joins it to a graph of their own; needs GTSAM.
+
+Variables: the soft iron's shape `s` (5-vector) and each log's hard iron `h_k` (3-vector, µT). Factors: one for each
+log, which is what is left of its chain of field directions after elimination, and a random walk between neighbours.
+"""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.history.chain import Observations
+from magyc_gtsam.history.coordinates import SHAPE
+from magyc_gtsam.recording import Array
+
+SHAPE_KEY = gtsam.symbol("s", 0)
+
+
+def history_graph(observed: Observations, step_variance: Array) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """The graph of `chain.solve`, and a start.
+
+    Args:
+        observed: what the logs say.
+        step_variance: (k − 1,) µT², of each step of the hard iron on each axis.
+    """
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    values.insert(SHAPE_KEY, np.zeros(SHAPE))
+    for k in range(len(observed)):
+        values.insert(hard_iron_key(k), np.zeros(3))
+    for k, (mean, information) in enumerate(zip(observed.mean, observed.information, strict=True)):
+        if information[0, 0] > 0:
+            root = np.linalg.cholesky(information).T
+            linear = gtsam.JacobianFactor(
+                SHAPE_KEY, root[:, :SHAPE], hard_iron_key(k), root[:, SHAPE:], root @ mean, _unit(len(root))
+            )
+            graph.add(gtsam.LinearContainerFactor(linear, values))
+    for k, variance in enumerate(step_variance):
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, float(np.sqrt(variance)))
+        graph.add(gtsam.BetweenFactorVector(hard_iron_key(k), hard_iron_key(k + 1), np.zeros(3), noise))
+    return graph, values
+
+
+def hard_iron_key(k: int) -> int:
+    """Of the k-th log's hard iron."""
+    return int(gtsam.symbol("h", k))
+
+
+def _unit(size: int) -> gtsam.noiseModel.Diagonal:
+    return gtsam.noiseModel.Unit.Create(size)

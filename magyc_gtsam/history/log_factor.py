@@ -1,0 +1,175 @@
+"""One log, eliminated: all that it says of the instrument, as one Gaussian factor.
+
+The factor stands on (s, h, b): the soft iron's shape (`coordinates`), the hard iron in µT and the gyroscope bias in
+mrad/s. The delay is nearly independent of them (it changes no sigma of soft or hard iron by more than 1 %) and stands
+beside. The noise, the directions of the field and the robust weights are eliminated: a log is never read again.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope
+from magyc_gtsam.recording import Array, Recording
+
+HARD_IRON = slice(SHAPE, SHAPE + 3)
+GYRO_BIAS = slice(SHAPE + 3, SHAPE + 6)
+SIZE = SHAPE + 6
+MICROTESLA, MILLIRADIAN = 1e-6, 1e-3
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "mean": (SIZE,),
+    "covariance": (SIZE, SIZE),
+    "misalignment": (3,),
+    "misalignment_covariance": (3, 3),
+}
+_UNKNOWN_BIAS = 1e3  # mrad/s, deviation of a bias that the method does not estimate
+_EPOCH = re.compile(r"time 0 is .*?(\d+\.\d{9}) s")  # a note of the reader
+_CALENDAR = 1e8  # s since 1970; a clock that shows less counts from its own start
+
+
+@dataclass(frozen=True, eq=False)
+class LogFactor:
+    """A log's information on the instrument.
+
+    Attributes:
+        name: the log's.
+        time: s since 1970 of its middle; None where its clock does not know the date.
+        mean: (11,) s, h µT, b mrad/s; None where there is no calibration to be trusted.
+        covariance: (11, 11).
+        delay, delay_sigma: s; the sigma is None where the delay was not estimated.
+        misalignment, misalignment_covariance: (3,) rad, (3, 3); None where the log did not show one.
+        log_scale: logarithm of the instrument's own scale; None where the field's strength was not given.
+        field_strength: T, as the log shows or was told it.
+        problem: why the log says nothing of the instrument; "" where it does.
+    """
+
+    name: str
+    time: float | None
+    mean: Array | None
+    covariance: Array | None
+    delay: float = 0.0
+    delay_sigma: float | None = None
+    misalignment: Array | None = None
+    misalignment_covariance: Array | None = None
+    log_scale: float | None = None
+    field_strength: float | None = None
+    problem: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types."""
+        arrays = {name: getattr(self, name) for name in _SHAPES}
+        return asdict(self) | {name: None if value is None else value.tolist() for name, value in arrays.items()}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> LogFactor:
+        """The inverse of `to_dict`.
+
+        Raises:
+            MagycError: something is missing or of a wrong shape.
+        """
+        try:
+            values = dict(data)
+            for name, shape in _SHAPES.items():
+                if values[name] is not None:
+                    values[name] = np.array(values[name], dtype=np.float64)
+                    if values[name].shape != shape or not np.isfinite(values[name]).all():
+                        raise MagycError(f"history: {name} of a log must be {shape} finite numbers")
+            factor = cls(**values)
+        except (KeyError, TypeError, ValueError) as error:
+            if isinstance(error, MagycError):
+                raise
+            raise MagycError(f"history: damaged entry of a log ({error})") from None
+        if (factor.mean is None) != bool(factor.problem):
+            raise MagycError(f"history: log {factor.name!r} has neither a calibration nor a problem, or both")
+        return factor
+
+
+def compress(calibration: Calibration, name: str, time: float | None) -> LogFactor:
+    """The factor of one log's calibration; one that must not be trusted leaves its reason only.
+
+    Raises:
+        MagycError: the method states no covariance.
+    """
+    if not calibration.trusted:
+        return LogFactor(name, time, None, None, problem=calibration.message or "the calibration did not converge")
+    if calibration.covariance is None:
+        raise MagycError(
+            f"method {calibration.method!r} states no covariance, so that logs cannot be weighed; use 'smoother'"
+        )
+    shape, log_scale = shape_of(calibration.soft_iron)
+    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    mean[:SHAPE] = shape
+    mean[HARD_IRON] = calibration.hard_iron / MICROTESLA
+    known = SIZE - 3 if calibration.gyro_bias is None else SIZE
+    if calibration.gyro_bias is not None:
+        mean[GYRO_BIAS] = calibration.gyro_bias / MILLIRADIAN
+    slope = np.zeros((known, known + 1))
+    slope[:SHAPE, :6] = shape_slope(calibration.soft_iron)
+    units = np.array([MICROTESLA] * 3 + [MILLIRADIAN] * 3)[: known - SHAPE]
+    slope[SHAPE:, 6:] = np.diag(1 / units)
+    covariance[:known, :known] = slope @ calibration.covariance @ slope.T
+    covariance[known:, known:] = np.eye(SIZE - known) * _UNKNOWN_BIAS**2
+    given = calibration.configuration.get("field_strength") is not None
+    skew = next((term for term in calibration.terms if term.name == "misalignment"), None)
+    return LogFactor(
+        name,
+        time,
+        mean,
+        0.5 * (covariance + covariance.T),
+        delay=calibration.delay,
+        delay_sigma=calibration.delay_sigma,
+        misalignment=None if skew is None else skew.value,
+        misalignment_covariance=None if skew is None else skew.covariance,
+        log_scale=log_scale if given else None,
+        field_strength=calibration.field_strength,
+    )
+
+
+def calibration_of(
+    mean: Array,
+    covariance: Array,
+    *,
+    delay: tuple[float, float | None],
+    terms: tuple[Term, ...],
+    log_scale: float,
+    field_strength: float | None,
+    message: str,
+    diagnostics: Mapping[str, Any],
+) -> Calibration:
+    """A `Calibration` of (s, h, b) and their covariance; the inverse of `compress`."""
+    slope = np.zeros((12, SIZE))
+    slope[:6, :SHAPE] = soft_iron_slope(mean[:SHAPE], log_scale)
+    slope[6:9, HARD_IRON] = np.eye(3) * MICROTESLA
+    slope[9:, GYRO_BIAS] = np.eye(3) * MILLIRADIAN
+    return Calibration(
+        soft_iron=soft_iron_of(mean[:SHAPE], log_scale),
+        hard_iron=mean[HARD_IRON] * MICROTESLA,
+        gyro_bias=mean[GYRO_BIAS] * MILLIRADIAN,
+        covariance=slope @ covariance @ slope.T,
+        delay=delay[0],
+        delay_sigma=delay[1],
+        terms=terms,
+        message=message,
+        method="history",
+        field_strength=field_strength,
+        diagnostics=diagnostics,
+    )
+
+
+def date_of(recording: Recording) -> float | None:
+    """s since 1970 in the middle of a recording; None where its clock does not know the date."""
+    middle = 0.5 * float(recording.time[0] + recording.time[-1])
+    for note in recording.notes:
+        found = _EPOCH.search(note)
+        if found:
+            middle += float(found[1])
+            break
+    return middle if middle > _CALENDAR else None

@@ -1,0 +1,139 @@
+"""Calibrations out of a solved instrument: of each log, and of the log to come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.history.coordinates import SHAPE
+from magyc_gtsam.history.instrument import WRONG, Instrument
+from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, SIZE, LogFactor, calibration_of
+from magyc_gtsam.history.model import HistoryModel
+from magyc_gtsam.recording import Array
+
+_OBSERVED = SHAPE + 3
+
+
+def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int) -> Calibration:
+    """Of the k-th log of an instrument: s and h of all logs, and what they say of its bias."""
+    factor = factors[instrument.order[k]]
+    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    mean[:_OBSERVED], covariance[:_OBSERVED, :_OBSERVED] = _shape_and_iron(instrument, k)
+    said = factor.mean is not None and factor.covariance is not None and instrument.labels.label[k] != WRONG
+    if said:
+        assert factor.mean is not None
+        assert factor.covariance is not None
+        own = factor.covariance
+        gain = own[GYRO_BIAS, :_OBSERVED] @ np.linalg.inv(own[:_OBSERVED, :_OBSERVED])
+        both = covariance[:_OBSERVED, :_OBSERVED]
+        mean[GYRO_BIAS] = factor.mean[GYRO_BIAS] + gain @ (mean[:_OBSERVED] - factor.mean[:_OBSERVED])
+        covariance[GYRO_BIAS, :_OBSERVED] = gain @ both
+        covariance[:_OBSERVED, GYRO_BIAS] = covariance[GYRO_BIAS, :_OBSERVED].T
+        left = own[GYRO_BIAS, GYRO_BIAS] - gain @ own[:_OBSERVED, GYRO_BIAS]
+        covariance[GYRO_BIAS, GYRO_BIAS] = left + gain @ both @ gain.T
+        message = f"with {_said(factors, instrument) - 1} other logs of the instrument"
+    else:
+        mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, 0.0)
+        reason = factor.problem or "its readings contradict the other logs"
+        message = f"by the other logs of the instrument alone; this one says nothing ({reason})"
+    return _calibration(factors, instrument, mean, covariance, message, factor.field_strength)
+
+
+def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model: HistoryModel) -> Calibration:
+    """Of the log to come: the last hard iron, its covariance widened by the walk up to it; jumps are not in it."""
+    last = len(instrument.order) - 1
+    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    mean[:_OBSERVED], covariance[:_OBSERVED, :_OBSERVED] = _shape_and_iron(instrument, last)
+    covariance[HARD_IRON, HARD_IRON] += instrument.ahead
+    covariance[:SHAPE, :SHAPE] += np.eye(SHAPE) * instrument.scatter**2
+    mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, model.bias_scatter)
+    strength = next(
+        (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
+    )
+    message = f"predicted by {_said(factors, instrument)} logs; unless the hard iron jumps"
+    return _calibration(factors, instrument, mean, covariance, message, strength)
+
+
+def _said(factors: Sequence[LogFactor], instrument: Instrument) -> int:
+    """Logs of the instrument that say anything of it."""
+    wrong = instrument.labels.label == WRONG
+    return sum(factors[i].mean is not None and not bad for i, bad in zip(instrument.order, wrong, strict=True))
+
+
+def _shape_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
+    posterior = instrument.posterior
+    covariance = np.zeros((_OBSERVED, _OBSERVED))
+    covariance[:SHAPE, :SHAPE] = posterior.shape_covariance
+    covariance[SHAPE:, SHAPE:] = posterior.covariance[k]
+    covariance[SHAPE:, :SHAPE] = posterior.cross[k]
+    covariance[:SHAPE, SHAPE:] = posterior.cross[k].T
+    return np.concatenate([posterior.shape, posterior.hard_iron[k]]), covariance
+
+
+def _bias(factors: Sequence[LogFactor], instrument: Instrument, scatter: float) -> tuple[Array, Array]:
+    """Mean of the logs' biases and its deviation from log to log, with `scatter` mrad/s at least."""
+    own = [factors[i] for k, i in enumerate(instrument.order) if instrument.labels.label[k] != WRONG]
+    rows = np.array([factor.mean[GYRO_BIAS] for factor in own if factor.mean is not None])
+    known = [factor.covariance[GYRO_BIAS, GYRO_BIAS] for factor in own if factor.covariance is not None]
+    variance = np.mean(np.diagonal(known, axis1=1, axis2=2), axis=0) / len(rows) + scatter**2
+    if len(rows) > 2:
+        variance = np.maximum(variance, rows.var(axis=0, ddof=1) * (1 + 1 / len(rows)))
+    return rows.mean(axis=0), np.diag(variance)
+
+
+def _calibration(
+    factors: Sequence[LogFactor],
+    instrument: Instrument,
+    mean: Array,
+    covariance: Array,
+    message: str,
+    strength: float | None,
+) -> Calibration:
+    scales = [factors[i].log_scale for i in instrument.order]
+    known = [scale for scale in scales if scale is not None]
+    diagnostics: dict[str, Any] = {
+        "logs": len(instrument.order),
+        "walk": instrument.walk,
+        "scatter": instrument.scatter,
+    }
+    return calibration_of(
+        mean,
+        0.5 * (covariance + covariance.T),
+        delay=_delay([factors[i] for i in instrument.order]),
+        terms=_misalignment([factors[i] for i in instrument.order]),
+        log_scale=float(np.mean(known)) if known else 0.0,
+        field_strength=strength,
+        message=message,
+        diagnostics=diagnostics,
+    )
+
+
+def _misalignment(logs: Sequence[LogFactor]) -> tuple[Term, ...]:
+    """The weighted mean of the logs that show one, its covariance widened where they scatter by more than their own."""
+    rows = [log.misalignment for log in logs if log.misalignment is not None]
+    if not rows:
+        return ()
+    each = [np.linalg.inv(log.misalignment_covariance) for log in logs if log.misalignment_covariance is not None]
+    covariance = np.linalg.inv(np.sum(each, axis=0))
+    mean = covariance @ np.einsum("kij,kj->i", each, rows)
+    off = np.array(rows) - mean
+    squares = float(np.einsum("ki,kij,kj->", off, each, off))
+    widened = max(1.0, squares / max(3 * len(rows) - 3, 1))  # Birge's ratio
+    return (Term("misalignment", mean, covariance * widened),)
+
+
+def _delay(logs: Sequence[LogFactor]) -> tuple[float, float | None]:
+    """The logs' weighted mean, its sigma widened where they scatter by more than their own."""
+    rows = np.array([(log.delay, log.delay_sigma) for log in logs if log.mean is not None and log.delay_sigma])
+    if not len(rows):
+        fixed = [log.delay for log in logs if log.mean is not None]
+        return (fixed[-1] if fixed else 0.0), None
+    weight = 1 / rows[:, 1] ** 2
+    mean = float(weight @ rows[:, 0] / weight.sum())
+    squares = float(weight @ (rows[:, 0] - mean) ** 2)
+    widened = max(1.0, squares / max(len(rows) - 1, 1))  # Birge's ratio
+    return mean, float(np.sqrt(widened / weight.sum()))

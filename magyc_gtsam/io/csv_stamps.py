@@ -1,0 +1,124 @@
+"""Time stamps as people write them: decimals of a unit, exact to the nanosecond, or calendar dates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.csv_table import Stamps
+from magyc_gtsam.io.units import factor
+
+_LONGEST_STEP = 2.0  # s; a table of larger steps counts in another unit, unless its header says seconds
+_MOST_DIGITS = 18  # that an int64 holds
+
+
+class StampColumn:
+    """The stamps of a column, line by line: a float64 of seconds since 1970 is good for 0.2 µs only.
+
+    Args:
+        path: for error messages.
+        unit: "s", "ms", "us" or "ns"; None where nothing says it.
+    """
+
+    def __init__(self, path: Path, unit: str | None) -> None:
+        self.path = path
+        self.unit = unit
+        self._scale = int(factor("time", unit or "s"))
+
+    def __call__(self, cells: list[str], numbers: Sequence[int]) -> Stamps:
+        """(n,) ns.
+
+        Raises:
+            MagycError: a cell is no time stamp, or beyond any date in this unit.
+        """
+        found = _decimals(cells, self._scale)
+        if found is not None:
+            return found
+        stamp = np.empty(len(cells), dtype=np.int64)
+        for row, cell in enumerate(cells):
+            cell = cell.strip()
+            try:
+                stamp[row] = int((Decimal(cell) * self._scale).to_integral_value())
+            except (OverflowError, InvalidOperation, ValueError):
+                stamp[row] = self._other(cell, numbers[row])
+        return stamp
+
+    def _other(self, cell: str, number: int) -> int:
+        """A calendar date, or the reason why it is none."""
+        try:
+            value = Decimal(cell)
+        except InvalidOperation:
+            self.unit = self.unit or "ISO 8601"
+            return self._calendar(cell, number)
+        if not value.is_finite():
+            raise MagycError(
+                f"{self.path}, line {number}: {cell[:80]!r} is no time stamp; repair or remove the line"
+            )
+        likely = next((u for u, least in (("ns", 17), ("us", 14)) if value.adjusted() >= least), "ms")
+        raise MagycError(
+            f"{self.path}, line {number}: time stamp {cell[:80]} is beyond any date in {self.unit or 's'}; "
+            f"likely unit: {likely}; say it (time_unit='{likely}')"
+        ) from None
+
+    def _calendar(self, cell: str, number: int) -> int:
+        try:
+            moment = np.datetime64(datetime.fromisoformat(cell).replace(tzinfo=None), "s")
+            # datetime reads the calendar and the zone, but no digits below the microsecond.
+            zone = datetime.fromisoformat(cell).utcoffset()
+            digits = cell.split(".")[1] if "." in cell else ""
+            fraction = "".join(c for c in digits.split("+")[0].split("-")[0] if c.isdigit())[:9].ljust(9, "0")
+        except ValueError:
+            raise MagycError(
+                f"{self.path}, line {number}: {cell[:80]!r} is no time stamp; repair or remove the line"
+            ) from None
+        seconds = int(moment.astype(np.int64)) - (int(zone.total_seconds()) if zone else 0)
+        return seconds * 1_000_000_000 + int(fraction)
+
+    def check(self, stamp: Stamps, name: str) -> None:
+        """Refuse steps that no recording has, where the unit was a guess.
+
+        Raises:
+            MagycError: the steps are larger than 2 s and no unit was named.
+        """
+        step = float(np.median(np.abs(np.diff(stamp)))) / 1e9 if len(stamp) > 1 else 0.0
+        if self.unit is None and step > _LONGEST_STEP:
+            likely = next(
+                (u for u, s in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if step / s <= _LONGEST_STEP), "ns"
+            )
+            raise MagycError(
+                f"{self.path}: column {name} names no unit and steps by {step:g}; "
+                f"likely unit: {likely}; say it (time_unit='{likely}')"
+            )
+
+
+def _decimals(cells: list[str], scale: int) -> Stamps | None:
+    """`cells` times `scale`, all at once where they are plain decimals that come out whole; else None."""
+    try:
+        text = np.array(cells, dtype=np.bytes_)
+    except (UnicodeEncodeError, ValueError):
+        return None
+    width = text.dtype.itemsize
+    digits = text.view(np.uint8).reshape(len(cells), width)
+    length = np.char.str_len(text)
+    result = np.empty(len(cells), dtype=np.int64)
+    for size in np.unique(length).tolist():
+        alike = np.flatnonzero(length == size)
+        group = digits[alike, :size]
+        point = group == ord(".")
+        where = np.where(point.any(axis=1), point.argmax(axis=1), size) if size else np.zeros(len(alike), int)
+        for place in np.unique(where).tolist():
+            rows = where == place
+            whole = group[rows][:, [k for k in range(size) if k != place]].astype(np.int64) - ord("0")
+            after = max(size - place - 1, 0)
+            if not 0 < whole.shape[1] <= _MOST_DIGITS or whole.min() < 0 or whole.max() > 9 or scale % 10**after:
+                return None
+            value = whole @ 10 ** np.arange(whole.shape[1] - 1, -1, -1, dtype=np.int64)
+            if int(value.max()) * (scale // 10**after) >= 2**63:
+                return None
+            result[alike[rows]] = value * (scale // 10**after)
+    return result

@@ -1,0 +1,250 @@
+"""The records of an MCAP file, its messages as blocks of bytes.
+
+What a file asks for is looked at before it is granted: a chunk is unpacked up to the size that it names, and that
+is bounded. A chunk or record that is damaged costs itself.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import IO, TypeAlias
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, Schema
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import shortened
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")  # of a record: opcode, length
+_CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size, checksum, length of the compression's name
+_MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])
+_LARGEST_CHUNK = 1 << 28  # bytes, unpacked; recorders write chunks of 1 to 16 MB
+_LARGEST_RECORD = 1 << 24  # bytes of a schema, a channel or metadata, and of a message outside of chunks
+_BEYOND_ANY = 1 << 32  # bytes; a record that announces more was not written so
+_AT_ONCE = 1 << 22  # bytes of messages outside of chunks
+_UNPACKED = (100, 1 << 26)  # times the file, and bytes: measurements pack to a fifth, their headers to a tenth
+
+
+class Damage(MagycError):
+    """A record or chunk that cannot be read; the rest of the file can."""
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Messages: the bytes in which they lie, and of each its channel, time of recording (ns) and place."""
+
+    data: NDArray[np.uint8]
+    channel: NDArray[np.uint16]
+    log_time: NDArray[np.int64]
+    start: NDArray[np.int64]
+    length: NDArray[np.int64]
+
+
+Record: TypeAlias = Schema | Channel | Metadata | Block
+
+
+def records(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[Record]:
+    """All records in order; where the file is damaged, those before and behind, and a note.
+
+    Raises:
+        MagycError: not an MCAP file, or one that unpacks to far more than measurements do.
+    """
+    size = os.path.getsize(path)
+    budget = _UNPACKED[0] * size + _UNPACKED[1]
+    whole = damaged = False
+    with open(path, "rb") as file:
+        place = file.seek(len(MAGIC))
+        loose = _Loose(file)
+        while not whole and (head := file.read(HEAD.size)):
+            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, size)
+            end = place + HEAD.size + length
+            if end > size:
+                damaged = length > _BEYOND_ANY
+                break
+            if opcode == Opcode.MESSAGE and length <= _LARGEST_RECORD:
+                yield from loose.add(place + HEAD.size, length)
+            else:
+                yield from loose.taken()
+            if opcode == Opcode.CHUNK or (opcode in _PARSED and length <= _LARGEST_RECORD):
+                content = file.read(length)
+                try:
+                    if opcode == Opcode.CHUNK:
+                        report(end / size)
+                        data = unpacked(content)
+                        budget -= len(data)
+                        if budget < 0:
+                            raise MagycError(
+                                f"{path}: unpacks to more than {_UNPACKED[0]} times its {size} bytes, which no log of "
+                                "measurements does; refused before it fills the memory"
+                            )
+                        yield from broken_up(data)
+                    else:
+                        yield parsed(opcode, content)
+                except Damage as error:
+                    what = "chunk" if opcode == Opcode.CHUNK else "record"
+                    notes.append(f"a {what} is damaged and was left out ({shortened(error)})")
+            whole = opcode == Opcode.FOOTER
+            place = file.seek(end)
+        yield from loose.taken()
+    if place <= len(MAGIC):
+        raise MagycError(f"{path}: not an MCAP file (it ends too early)")
+    if damaged:
+        notes.append(f"the file is damaged at byte {place} (a record of {length} bytes is announced)")
+    elif not whole:
+        notes.append(f"the file is cut off after {size} bytes (no footer)")
+    report(1.0)
+
+
+class _Loose:
+    """Messages outside of chunks, put together to blocks."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._places: list[tuple[int, int]] = []
+
+    def add(self, start: int, length: int) -> Iterator[Block]:
+        if self._places and start - self._places[0][0] > _AT_ONCE:
+            yield from self.taken()
+        self._places.append((start, length))
+
+    def taken(self) -> Iterator[Block]:
+        if not self._places:
+            return
+        back = self._file.tell()
+        first = self._places[0][0]
+        last, length = self._places[-1]
+        self._file.seek(first)
+        data = self._file.read(last + length - first)
+        self._file.seek(back)
+        places = [(start - first, length) for start, length in self._places if start + length - first <= len(data)]
+        self._places = []
+        yield from block_of(data, places)
+
+
+def unpacked(content: bytes) -> bytes:
+    """The records in a chunk.
+
+    Raises:
+        Damage: it does not unpack, or not to what it says, or is larger than is granted.
+    """
+    try:
+        _, _, size, checksum, name = _CHUNK_HEAD.unpack_from(content)
+        compression = content[_CHUNK_HEAD.size : _CHUNK_HEAD.size + name].decode("ascii")
+        (length,) = struct.unpack_from("<Q", content, _CHUNK_HEAD.size + name)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise Damage(f"its head cannot be read: {error}") from None
+    data = content[_CHUNK_HEAD.size + name + 8 :][:length]
+    if len(data) < length:
+        raise Damage("its records are cut off")
+    if compression in ("zstd", "lz4"):
+        if size > _LARGEST_CHUNK:
+            raise Damage(f"it asks for {size} bytes, {_LARGEST_CHUNK} are granted")
+        try:
+            data = _zstd(data, size) if compression == "zstd" else _lz4(data, size)
+        except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError) as error:  # lz4 raises RuntimeError
+            raise Damage(str(error) or type(error).__name__) from None
+    if checksum and (calculated := zlib.crc32(data)) != checksum:
+        raise Damage(f"crc validation failed in Chunk, expected: {checksum}, calculated: {calculated}")
+    return data
+
+
+def _zstd(data: bytes, size: int) -> bytes:
+    named = zstandard.frame_content_size(data)
+    if named > size:
+        raise ValueError(f"it unpacks to {named} bytes, not to {size}")
+    return zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK).decompress(
+        data, max_output_size=max(size, 1)
+    )
+
+
+def _lz4(data: bytes, size: int) -> bytes:
+    decompressor = lz4.frame.LZ4FrameDecompressor()
+    # An input that is not bounded would be unpacked in full before its length is known.
+    result = bytes(decompressor.decompress(data, max_length=size + 1))
+    if len(result) > size:
+        raise ValueError(f"it unpacks to more than {size} bytes")
+    if not decompressor.eof:
+        raise ValueError("it ends too early")
+    return result
+
+
+def broken_up(data: bytes) -> list[Record]:
+    """The schemas, channels and messages in the records of a chunk.
+
+    Raises:
+        Damage: a record is cut off or cannot be read.
+    """
+    found: list[Record] = []
+    places: list[tuple[int, int]] = []
+    place, size, unpack = 0, len(data), HEAD.unpack_from
+    while place < size:
+        try:
+            opcode, length = unpack(data, place)
+        except struct.error:
+            raise Damage("a record in it is cut off") from None
+        place += 9
+        if place + length > size:
+            raise Damage("a record in it is cut off")
+        if opcode == 5:  # a message
+            places.append((place, length))
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            found.append(parsed(opcode, data[place : place + length]))
+        place += length
+    return [*found, *block_of(data, places)]
+
+
+def block_of(data: bytes, places: list[tuple[int, int]]) -> list[Block]:
+    """The messages at these places (start, length) of their records in `data`; none where there are none.
+
+    Raises:
+        Damage: one is shorter than its head.
+    """
+    if not places:
+        return []
+    table = np.array(places, dtype=np.int64)
+    start, length = table.T
+    if length.min() < _MESSAGE_HEAD.itemsize:
+        raise Damage("a message in it is cut off")
+    content = np.frombuffer(data, dtype=np.uint8)
+    everywhere: NDArray[np.void] = np.ndarray(
+        (len(content) - _MESSAGE_HEAD.itemsize + 1,), dtype=_MESSAGE_HEAD, buffer=content, strides=(1,)
+    )
+    head = everywhere[start]
+    return [
+        Block(
+            content,
+            head["channel"],
+            head["log_time"].astype(np.int64),
+            start + _MESSAGE_HEAD.itemsize,
+            length - _MESSAGE_HEAD.itemsize,
+        )
+    ]
+
+
+_PARSED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Metadata}
+
+
+def parsed(opcode: int, content: bytes) -> Schema | Channel | Metadata:
+    """A schema, channel or metadata record.
+
+    Raises:
+        Damage: it is cut off, or its text is none.
+    """
+    try:
+        record: Schema | Channel | Metadata = _PARSED[Opcode(opcode)].read(ReadDataStream(BytesIO(content)))
+    except (EndOfFile, struct.error, UnicodeDecodeError, MemoryError, OverflowError) as error:
+        raise Damage(f"a record cannot be read: {error or type(error).__name__}") from None
+    return record

@@ -1,0 +1,192 @@
+"""What a calibration is worth in heading: the error over a turn in which the vehicle stays level."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import numpy as np
+
+from magyc_gtsam.recording import Array, Recording
+
+if TYPE_CHECKING:
+    from magyc_gtsam.calibration import Calibration
+
+UNKNOWN_FROM = 90.0  # deg; a heading that is uncertain by more is unknown
+_MOST = 2000  # rows from which vertical and dip are taken
+_UPRIGHT = 0.5  # length of the mean vertical from which the vehicle has an axis that points up
+_DIP = 60.0  # deg, where nothing recorded says which way is up: that of the middle latitudes
+_STEPS = 120
+
+
+class Askew(NamedTuple):
+    """What a calibration leaves open of a skew between magnetometer and gyroscope, which turns heading as well.
+
+    covariance (3, 3) rad²; cross (9, 3): the covariance of vech(soft_iron) and hard_iron T with it.
+    """
+
+    covariance: Array
+    cross: Array
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Askew | None:
+        """None where the method did not ask."""
+        stored = calibration.diagnostics.get("skew")
+        return None if stored is None else cls(np.array(stored["covariance"]), np.array(stored["cross"]))
+
+
+@dataclass(frozen=True, eq=False)
+class LevelTurn:
+    """A level turn through all headings, in the field of a recording.
+
+    Attributes:
+        heading: (n,) deg, 0 to 360.
+        field: (n, 3) T, true field in sensor axes.
+        ahead, left: (3,) unit vectors in sensor axes at heading 0.
+        dip: deg, angle of the field below the horizontal.
+        about: what the vehicle turns about, in words.
+    """
+
+    heading: Array
+    field: Array
+    ahead: Array
+    left: Array
+    dip: float
+    about: str
+
+    def raw_error(self, soft_iron: Array, hard_iron: Array) -> Array:
+        """(n,) deg by which the raw compass is off."""
+        raw = self.field @ soft_iron.T + hard_iron
+        angle = np.arctan2(raw @ self.left, raw @ self.ahead) - np.radians(self.heading)
+        return cast(Array, np.degrees(np.angle(np.exp(1j * angle))))
+
+    def systematic(self, covariance: Array, soft_iron: Array, askew: Askew | None = None) -> Array:
+        """(n,) deg, standard deviation of the calibrated heading that all samples share, by the covariance.
+
+        A calibration error (dA, dh) leaves −A⁻¹ (dA u + dh) in the field u, one of the skew u × dε; its part across
+        the horizontal field turns the heading.
+        """
+        gain = self._gain(soft_iron)
+        rows, columns = np.triu_indices(3)
+        mirrored = np.where(rows == columns, 0.0, gain[:, columns] * self.field[:, rows])
+        jacobian = np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
+        variance = np.einsum("na,ab,nb->n", jacobian, covariance[:9, :9], jacobian)
+        if askew is not None:
+            turned = np.cross(self._gain(np.eye(3)), self.field)
+            variance += np.einsum("na,ab,nb->n", turned, askew.covariance, turned)
+            variance -= 2 * np.einsum("na,ab,nb->n", jacobian, askew.cross, turned)
+        return cast(Array, np.degrees(np.sqrt(np.clip(variance, 0.0, None))))
+
+    def per_sample(self, noise: float, soft_iron: Array) -> Array:
+        """(n,) deg, standard deviation of the heading of one sample with that noise (T per axis)."""
+        return cast(Array, np.degrees(noise * np.linalg.norm(self._gain(soft_iron), axis=1)))
+
+    def _gain(self, soft_iron: Array) -> Array:
+        """(n, 3) rad/T: heading error by an error of the measured field."""
+        angle = np.radians(self.heading)[:, None]
+        sideways = np.cos(angle) * self.left - np.sin(angle) * self.ahead
+        horizontal = np.linalg.norm(self.field[0]) * np.cos(np.radians(self.dip))
+        return cast(Array, sideways @ np.linalg.inv(soft_iron) / horizontal)
+
+
+@dataclass(frozen=True)
+class HeadingUncertainty:
+    """Standard deviation of heading, the largest over a level turn.
+
+    Attributes:
+        systematic: deg that all samples share, by the calibration's covariance; None where that states nothing, or
+            more than 90°.
+        per_sample: deg of a single sample, by the magnetometer's noise; None likewise.
+    """
+
+    systematic: float | None
+    per_sample: float | None
+
+    @classmethod
+    def of(cls, recording: Recording, calibration: Calibration) -> HeadingUncertainty:
+        """The one definition that terminal, page and files share."""
+        turn = turn_of(recording, calibration)
+        noise = calibration.noise.get("magnetic_field")
+        return cls(
+            None
+            if calibration.covariance is None
+            else _known(turn.systematic(calibration.covariance, calibration.soft_iron, Askew.of(calibration))),
+            None if not noise else _known(turn.per_sample(noise, calibration.soft_iron)),
+        )
+
+    def to_dict(self) -> Mapping[str, float | None]:
+        """JSON types, units in the names."""
+        return {"systematic_deg": self.systematic, "per_sample_deg": self.per_sample}
+
+
+def turn_of(recording: Recording, calibration: Calibration) -> LevelTurn:
+    """The level turn in which a calibration is judged."""
+    strength = calibration.field_strength
+    if strength is None:
+        field = calibrated(recording.magnetic_field, calibration.soft_iron, calibration.hard_iron)
+        strength = float(np.median(np.linalg.norm(field, axis=1)))
+    return level_turn(recording, calibration.soft_iron, calibration.hard_iron, strength)
+
+
+def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strength: float) -> LevelTurn:
+    """A level turn in a field of `strength` T, with the vertical and the dip of the recording.
+
+    Without a mean vertical the turn is about the sensor's z axis; without any vertical the dip is taken for 60°.
+    """
+    rows = slice(None, None, max(len(recording.time) // _MOST, 1))
+    field = calibrated(recording.magnetic_field[rows], soft_iron, hard_iron)
+    up = vertical(
+        None if recording.attitude is None else recording.attitude[rows],
+        None if recording.acceleration is None else recording.acceleration[rows],
+    )
+    axis, about = np.array([0.0, 0.0, 1.0]), "the sensor's z axis"
+    if np.median(field[:, 2]) > 0:  # the northern half of the Earth
+        axis = -axis
+    dip = _DIP
+    if up is not None:
+        mean = np.nanmean(up, axis=0)
+        if np.linalg.norm(mean) > _UPRIGHT:  # else the instrument was tumbled, and no axis was the vertical
+            axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
+        dip = float(np.nanmedian(inclination(field, up)))
+    dip = float(np.clip(dip, -85.0, 85.0))  # nearer to the pole the heading has no meaning
+    ahead = np.eye(3)[np.abs(axis).argmin()] if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
+    ahead = ahead - axis * (axis @ ahead)
+    ahead /= np.linalg.norm(ahead)
+    left = np.cross(axis, ahead)
+    heading = np.linspace(0.0, 360.0, _STEPS + 1)
+    angle = np.radians(heading)[:, None]
+    horizontal = np.cos(angle) * ahead + np.sin(angle) * left
+    sine, cosine = np.sin(np.radians(dip)), np.cos(np.radians(dip))
+    return LevelTurn(heading, strength * (cosine * horizontal - sine * axis), ahead, left, dip, about)
+
+
+def calibrated(field: Array, soft_iron: Array, hard_iron: Array) -> Array:
+    """(n, 3) T: soft_iron⁻¹ (field − hard_iron)."""
+    return cast(Array, (field - hard_iron) @ np.linalg.inv(soft_iron).T)
+
+
+def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None:
+    """(n, 3) unit vertical in sensor axes, by the attitude or else the accelerometer; NaN where unknown."""
+    if attitude is not None and np.isfinite(attitude).any():
+        x, y, z, w = (attitude / np.linalg.norm(attitude, axis=1, keepdims=True)).T
+        # The world's z axis in sensor axes: the last row of the rotation matrix.
+        up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+        if acceleration is not None and np.nanmedian((up * acceleration).sum(axis=1)) < 0:
+            up = -up
+        return up
+    if acceleration is not None and np.isfinite(acceleration).any():
+        norm = np.linalg.norm(acceleration, axis=1, keepdims=True)
+        return acceleration / np.where(norm > 0, norm, np.nan)
+    return None
+
+
+def inclination(field: Array, up: Array) -> Array:
+    """(n,) deg, angle of `field` below the horizontal."""
+    sine = -(field * up).sum(axis=1) / np.linalg.norm(field, axis=1)
+    return cast(Array, np.degrees(np.arcsin(np.clip(sine, -1, 1))))
+
+
+def _known(sigma: Array) -> float | None:
+    worst = float(sigma.max())
+    return worst if worst < UNKNOWN_FROM else None

@@ -1,0 +1,99 @@
+"""What the online smoother reports: calibration, convergence, progress and changes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.clock_drift import speaks, with_drift
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
+from magyc_gtsam.estimators.smoother.search import disturbed, moved, short_term_noise, suitable_turn
+from magyc_gtsam.factors.chain.field_chain import FieldChain
+from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.online.buffers import IntegratedWindows
+from magyc_gtsam.online.coverage import coverage
+from magyc_gtsam.online.engine import Change, Progress
+from magyc_gtsam.online.random_walk import fit_random_walk
+from magyc_gtsam.online.refit import REFIT_GROWTH, drift_of, fit_samples, testable
+from magyc_gtsam.online.state import FIRST, SmootherState
+
+_MOST_REFITTED = 2400  # windows; the noise levels of longer logs are those of the last refit
+_LEAST_CONVERGED = 120  # windows of the last refit; noise levels from fewer make no honest covariance
+
+
+def current_calibration(online: SmootherState, integrated: IntegratedWindows) -> Calibration | None:
+    """As the batch method would fit all samples so far; of a long log, the tail given all before it."""
+    m = online.belief
+    if m.head is None:
+        return m.report
+    ending = online.recording(None, m.tail)
+    if m.past is None and m.front is None and len(online.numbers()) <= _MOST_REFITTED:
+        well_cut = (
+            online.settings.turn is not None
+            or suitable_turn(online.buffer.magnetometer.value) == online.buffer.turn
+        )
+        fit = _refit_all(online, integrated.of(online.buffer, m.origin)) if well_cut else None
+        if fit is not None:
+            return _with_clocks(online, online.result(ending, fit), fit)
+        recording = online.recording(None)
+        fit, rival, _ = fit_samples(online, recording, False)
+        return _with_clocks(online, online.result(recording, fit, rival), fit)
+    stop = int(online.buffer.numbers[-1]) + 1
+    fit = online.fit_tail(stop) if m.front is None else fit_random_walk(online, stop)
+    return with_drift(online.result(ending, fit, None, m.tail, online.last), m.drift)
+
+
+def _with_clocks(online: SmootherState, calibration: Calibration, fit: Fit) -> Calibration:
+    """With what the clocks did: as the last refit found, or else as all windows say now."""
+    drift = online.belief.drift
+    if drift is None and testable(online, len(fit.chain.windows)) and speaks(fit):
+        drift = drift_of(online, online.recording(None), fit, calibration.converged)
+    return with_drift(calibration, drift)
+
+
+def _refit_all(online: SmootherState, windows: FieldWindows) -> Fit | None:
+    """All windows at their minimum, with their own noise levels and weights; None where they must be cut or integrated
+    anew."""
+    settings, last = online.settings, online.last
+    short_term = short_term_noise(online.buffer) if settings.noise is None else None
+    # From the sensors' short-term noise, as the batch method: what its tolerances leave is then the same.
+    begun = begin(
+        FieldChain(windows, short_term or last.noise, facts=online.facts), last.parameters, settings.free
+    )
+    fit = adapt(descend(begun, NEAR), settings.reject, short_term)
+    # Once more: a start so near leaves the directions where their own windows saw them.
+    fit = descend(replace(fit, reduced=fit.chain.eliminate(fit.state, fit.weights)))
+    newly_disturbed = online.buffer.length == settings.window and disturbed(fit)
+    return None if moved(fit) or (settings.reject and newly_disturbed) else fit
+
+
+def has_converged(online: SmootherState) -> bool:
+    """Whether the last refit held enough, and stood still."""
+    return online.belief.stable and online.belief.next_refit >= int(REFIT_GROWTH * _LEAST_CONVERGED)
+
+
+def progress_of(online: SmootherState, calibration: Calibration | None) -> Progress:
+    """How far it is, given the current calibration."""
+    m = online.belief
+    windows = m.given_up + len(online.numbers())
+    seen = 0.0 if calibration is None else coverage(calibration, online.buffer.magnetometer.value)
+    weak = calibration.observability.weak if calibration and calibration.observability else ()
+    converged = has_converged(online)
+    if m.problem:
+        sentence = m.problem
+    elif calibration is None:
+        sentence = f"collecting: {windows} of {FIRST} windows"
+    elif not calibration.converged:
+        sentence = calibration.message
+    elif not converged:
+        sentence = f"the estimate still moves: {weak[0].sentence if weak else 'go on turning'}"
+    else:
+        sentence = "converged"
+    return Progress(None, 0.0, windows, converged, sentence, weak, seen)
+
+
+def changes_until(online: SmootherState, calibration: Calibration | None) -> tuple[Change, ...]:
+    """The steps found; after each, what held until the next, after the last what holds now."""
+    found = online.belief.changes
+    after = [change.before for change in found[1:]] + [calibration]
+    return tuple(replace(change, after=now) for change, now in zip(found, after[: len(found)], strict=True))

@@ -1,0 +1,220 @@
+"""Figures as the numbers from which the browser draws them: charts by uPlot, and a sphere that turns.
+
+Arrays travel as base64 of little-endian 32-bit floats, thinned to what a screen can show.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.report.analysis import Coverage, spread, summary
+
+MOST_BINS = 800  # of a chart over time
+MOST_POINTS = 2500  # of a cloud
+_LONG = 1200.0  # s, from which minutes are shown
+_UNIX = 1e6  # s; stamps beyond are of a clock whose zero is no log's beginning
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure with its title, caption and what the browser needs to draw it.
+
+    Attributes:
+        title, caption: words above and below.
+        spec: for charts.js or sphere.js.
+        keys: (index of the series or "cells", colour, label) of what can be shown and hidden.
+        wide: whether it takes the page's whole width.
+    """
+
+    title: str
+    caption: str
+    spec: Mapping[str, Any]
+    keys: tuple[tuple[int | str, str, str], ...] = ()
+    wide: bool = False
+
+    @property
+    def data(self) -> Markup:
+        """The specification as JSON that may stand inside a script element."""
+        return Markup(json.dumps(self.spec, ensure_ascii=False).replace("<", "\\u003c"))
+
+
+@dataclass(frozen=True)
+class Series:
+    """One line of a chart: values, the range about them, or both.
+
+    Attributes:
+        label: "" for what needs no key.
+        colour: a name of style.css: raw, calibrated, disturbed, ink, soft.
+        y, low, high: (n,), NaN where there is nothing.
+        style: "line", "dashed", "dots", "marked" or "bars".
+    """
+
+    label: str
+    colour: str
+    y: Array | None = None
+    low: Array | None = None
+    high: Array | None = None
+    style: str = "line"
+
+    def to_dict(self) -> dict[str, Any]:
+        """For charts.js."""
+        return {
+            "label": self.label,
+            "colour": self.colour,
+            "style": self.style,
+            "y": packed(self.y),
+            "low": packed(self.low),
+            "high": packed(self.high),
+        }
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What surrounds the lines of a chart: labels, dashed levels, shaded stretches, limits."""
+
+    xlabel: str
+    ylabel: str
+    levels: Sequence[float] = ()
+    spans: Sequence[tuple[float, float]] = ()
+    ylim: tuple[float, float] | None = None
+    xlim: tuple[float, float] | None = None
+    logx: bool = False
+    height: int = 230
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+
+def packed(values: Array | None) -> str | None:
+    """base64 of 32-bit floats."""
+    if values is None:
+        return None
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
+
+
+def chart(
+    title: str, caption: str, x: Array, series: Sequence[Series], frame: Frame, *, wide: bool = False
+) -> Figure:
+    """A chart of lines, dots or bars over `x`."""
+    spec = {
+        "kind": "lines",
+        "strip": False,
+        "x": packed(x),
+        "series": [each.to_dict() for each in series],
+        "xlabel": frame.xlabel,
+        "ylabel": frame.ylabel,
+        "levels": [float(level) for level in frame.levels],
+        "spans": [[float(start), float(end)] for start, end in frame.spans],
+        "logx": frame.logx,
+        "height": frame.height,
+        **({} if frame.ylim is None else {"ylim": list(frame.ylim)}),
+        **({} if frame.xlim is None else {"xlim": list(frame.xlim)}),
+        **frame.more,
+    }
+    keys = tuple((k, each.colour, each.label) for k, each in enumerate(series) if each.label)
+    return Figure(title, caption, spec, keys, wide)
+
+
+def over_time(
+    title: str,
+    caption: str,
+    recording: Recording,
+    time: Array,
+    values: Sequence[tuple[str, str, Array]],
+    ylabel: str,
+    *,
+    strip: bool = False,
+    levels: Sequence[float] = (),
+    spans: Sequence[tuple[float, float]] = (),
+    wide: bool = False,
+) -> Figure:
+    """Means as lines and ranges of the samples as bands, on one scale.
+
+    Args:
+        title, caption: of the figure.
+        recording: whose clock `time` is counted on.
+        time: (n,) s since `origin(recording)`.
+        values: (label, colour, (n,)) each.
+        ylabel: of the vertical axis.
+        strip: whether an interval can be dragged and copied.
+        levels: dashed.
+        spans: shaded, s.
+        wide: whether it takes the page's whole width.
+    """
+    series = []
+    middle = time
+    for label, colour, value in values:
+        middle, mean, low, high = summary(time, value, MOST_BINS)
+        series.append(Series(label, colour, mean, low, high))
+    return chart(title, caption, middle, series, clock(recording, middle, ylabel, levels, spans, strip), wide=wide)
+
+
+def clock(
+    recording: Recording,
+    time: Array,
+    ylabel: str,
+    levels: Sequence[float] = (),
+    spans: Sequence[tuple[float, float]] = (),
+    strip: bool = False,
+) -> Frame:
+    """The frame of a chart over time, in seconds or minutes."""
+    long = float(time[-1] - time[0]) > _LONG
+    more = {"time": True, "divide": 60.0 if long else 1.0, "strip": strip, "origin": 0.0}
+    return Frame("Time (min)" if long else "Time (s)", ylabel, levels, spans, more=more)
+
+
+def origin(recording: Recording) -> float:
+    """s, what the page counts time from: the log's own zero, or the first row of a clock that has none."""
+    first = float(recording.time[0])
+    return 0.0 if abs(first) < _UNIX else first
+
+
+def sphere(
+    title: str,
+    caption: str,
+    clouds: Sequence[tuple[str, str, Array]],
+    radius: float,
+    *,
+    outlines: Sequence[tuple[Array, Array, str]] = (),
+    coverage: Coverage | None = None,
+) -> Figure:
+    """Points in three dimensions that can be turned.
+
+    Args:
+        title, caption: of the figure.
+        clouds: (label, colour, (n, 3)) each.
+        radius: of the sphere about zero.
+        outlines: (matrix (3, 3), centre (3,), colour): great circles of {matrix u + centre}.
+        coverage: how long which direction was seen, painted on the sphere.
+    """
+    drawn = []
+    for label, colour, points in clouds:
+        thin = points[spread(points, radius / 40, MOST_POINTS)] if len(points) else points
+        drawn.append({"label": label, "colour": colour, "points": packed(thin.ravel())})
+    spec = {
+        "kind": "sphere",
+        "strip": False,
+        "clouds": drawn,
+        "radius": float(radius),
+        "outlines": [
+            {"matrix": matrix.tolist(), "centre": centre.tolist(), "colour": colour}
+            for matrix, centre, colour in outlines
+        ],
+        "cells": None
+        if coverage is None
+        else {
+            "latitudes": coverage.seconds.shape[0],
+            "longitudes": coverage.seconds.shape[1],
+            "seconds": packed(coverage.seconds.ravel()),
+        },
+    }
+    keys: list[tuple[int | str, str, str]] = [(k, colour, label) for k, (label, colour, _) in enumerate(clouds)]
+    if coverage is not None:
+        keys.append(("cells", "visited", "directions visited"))
+    return Figure(title, caption, spec, tuple(keys))

@@ -1,0 +1,112 @@
+"""The figures of the comparison page, as Fig. 7 of the Autocal paper: ellipsoids, and norms before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.recording import Array
+from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
+from magyc_gtsam.report.words import uncertain
+from magyc_gtsam.study.comparison import Comparison, Outcome, Status
+
+_BEYOND = 1.5  # times the spread of the trusted methods, from which an estimate is drawn at the edge
+
+
+@dataclass(frozen=True)
+class Dot:
+    """One method's estimate on a scale: its place, and its bar from `start` over `width`, in %; and in words."""
+
+    method: str
+    left: float
+    start: float
+    width: float
+    words: str
+    trusted: bool
+    beyond: bool
+
+
+def ellipsoid(comparison: Comparison, outcome: Outcome) -> Figure:
+    """Raw samples, those that fit no ellipsoid in another colour, and the method's ellipsoid."""
+    calibration, strength = outcome.calibration, outcome.strength
+    assert calibration is not None
+    assert strength is not None
+    scale, unit = comparison.recording.field_shown
+    field = comparison.recording.magnetometer.value * scale
+    clouds = [("samples", "raw", field[comparison.inlier])]
+    if not comparison.inlier.all():
+        clouds.append(("samples that do not fit", "disturbed", field[~comparison.inlier]))
+    radius = float(np.median(np.linalg.norm(field - field.mean(axis=0), axis=1)))
+    matrix, centre = calibration.soft_iron * strength * scale, calibration.hard_iron * scale
+    return sphere(f"Samples and ellipsoid ({unit})", "", clouds, radius, outlines=[(matrix, centre, "ink")])
+
+
+def strength(comparison: Comparison, outcome: Outcome) -> Figure:
+    """Strength of the field over time, before and after."""
+    assert outcome.calibration is not None
+    time, field = comparison.recording.magnetometer
+    scale, unit = comparison.recording.field_shown
+    raw, calibrated = (np.linalg.norm(f, axis=1) * scale for f in (field, outcome.calibration.apply(field)))
+    return over_time(
+        "Strength before and after",
+        "",
+        comparison.recording,
+        time - origin(comparison.recording),
+        [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
+        f"Strength ({unit})",
+        levels=[float(np.median(calibrated))],
+    )
+
+
+def heading(comparison: Comparison, outcome: Outcome) -> Figure:
+    """Error of the magnetic heading against the reference over time, before and after."""
+    raw, calibrated = comparison.raw.heading, outcome.heading
+    assert raw is not None
+    assert calibrated is not None
+    return over_time(
+        "Heading error before and after",
+        "",
+        comparison.recording,
+        raw.time,
+        [("raw", "raw", raw.error), ("calibrated", "calibrated", calibrated.error)],
+        "Error (°)",
+        levels=[0.0],
+    )
+
+
+def hard_irons(comparison: Comparison, axis: int) -> list[Dot]:
+    """Hard iron of every method along an axis, on a scale that shows where the trusted ones differ."""
+    outcomes = [o for o in comparison.by_trust if o.calibration is not None]
+    scale, unit = comparison.recording.field_shown
+    value, sigma = _estimates(outcomes, axis, scale)
+    trusted = np.array([o.status is Status.TRUSTED for o in outcomes])
+    every = np.array([o.calibration.hard_iron for o in outcomes if o.calibration]) * scale
+    seen = every[trusted] if trusted.any() else every
+    bars = [0.0, *np.nan_to_num(sigma[trusted])]
+    reach = _BEYOND * 0.7 * max(float(np.ptp(seen, axis=0).max()), max(bars), 1e-6)
+    low = 0.5 * (seen[:, axis].min() + seen[:, axis].max()) - reach
+    place = 100 * (value - low) / (2 * reach)
+    half = 50 * np.nan_to_num(sigma) / reach
+    start, end = np.clip(place - half, 0, 100), np.clip(place + half, 0, 100)
+    return [
+        Dot(
+            o.method,
+            float(np.clip(at, 1, 99)),
+            float(first),
+            float(last - first),
+            f"{uncertain(v, s) if s > 0 else f'{v:.2f}'} {unit}",
+            bool(good),
+            not 0 < at < 100,
+        )
+        for o, at, first, last, v, s, good in zip(outcomes, place, start, end, value, sigma, trusted, strict=True)
+    ]
+
+
+def _estimates(outcomes: Sequence[Outcome], axis: int, scale: float) -> tuple[Array, Array]:
+    unknown = np.full(3, np.nan)
+    known = [o.calibration for o in outcomes if o.calibration is not None]
+    value = np.array([calibration.hard_iron[axis] for calibration in known]) * scale
+    sigma = np.array([calibration.sigma.get("hard_iron", unknown)[axis] for calibration in known]) * scale
+    return value, sigma

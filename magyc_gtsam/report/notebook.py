@@ -1,0 +1,140 @@
+"""What a calibration and a gap show in a notebook: figures by matplotlib, and a few lines of HTML."""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.residuals import window_residuals
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.recording import Recording
+from magyc_gtsam.report import words
+from magyc_gtsam.report.analysis import field_history
+from magyc_gtsam.report.gap_words import effect_value, judged_gap
+from magyc_gtsam.report.verdict import judged
+from magyc_gtsam.study.comparison import Comparison
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_INK = "#808a94"  # to be read on light and dark ground
+
+
+def plot_calibration(calibration: Calibration, recording: Recording | None = None) -> Figure:
+    """The field before and after, its strength, and the heading.
+
+    Args:
+        calibration: the result.
+        recording: what it was made from; None where the calibration knows it.
+
+    Raises:
+        MagycError: the recording is not known.
+    """
+    from magyc_gtsam.report import plots
+
+    recording = _of(calibration, recording)
+    history = field_history(recording, calibration)
+    figure = _figure(11.0, 6.6)
+    halves: Any = figure.subfigures(2, 1)
+    upper, lower = halves
+    for part, plane in zip(upper.subfigures(1, 3), ((0, 1), (0, 2), (1, 2)), strict=True):
+        plots.field_projection(part, history, calibration.soft_iron, calibration.hard_iron, plane)
+    left, right = lower.subfigures(1, 2)
+    plots.field_strength(left, history)
+    if history.heading_error is not None:
+        plots.heading_error(right, history.time, history.heading_error)
+    else:
+        plots.level_turn_error(right, turn_of(recording, calibration), calibration)
+    figure.suptitle(judged(calibration, recording).sentence, fontsize=10)
+    return _in_ink(figure)
+
+
+def plot_gap(gap: Gap) -> Figure:
+    """The prediction before and after, and where the gap is."""
+    from magyc_gtsam.report import gap_plots
+
+    later = {each.over: each for each in gap.after.maps}
+    shown = [each for each in gap.before.maps if len(each.centre) > 1][:4]
+    figure = _figure(11.0, 6.6)
+    halves: Any = figure.subfigures(2, 1)
+    upper, lower = halves
+    if len(gap.before.open_loop.time):
+        gap_plots.open_loop(upper, gap.before.open_loop, gap.after.open_loop)
+    parts = np.ravel(lower.subfigures(1, len(shown))) if shown else ()
+    for part, each in zip(parts, shown, strict=True):
+        gap_plots.gap_map(part, each, each if gap.after is gap.before else later.get(each.over, each))
+    figure.suptitle(judged_gap(gap).title, fontsize=10)
+    return _in_ink(figure)
+
+
+def report(calibration: Calibration, path: str | os.PathLike[str], recording: Recording | None = None) -> Path:
+    """The page of a calibration as an HTML file, or its figures as a PDF where the name ends in .pdf."""
+    recording = _of(calibration, recording)
+    if Path(path).suffix == ".pdf":
+        plot_calibration(calibration, recording).savefig(path)
+        return Path(path)
+    from magyc_gtsam.report.page import write_report
+
+    has_residuals = recording.angular_rate is not None and calibration.gyro_bias is not None
+    return write_report(
+        path, recording, calibration, window_residuals(recording, calibration) if has_residuals else None
+    )
+
+
+def html_of(value: Calibration | Gap | Comparison) -> str:
+    """A verdict and a table."""
+    if isinstance(value, Calibration):
+        rows = [[name, *values] for name, values in words.parameter_rows(value)]
+        return _html(judged(value, value.recording).sentence, ("", "x", "y", "z"), rows)
+    if isinstance(value, Gap):
+        rows = [[e.label, effect_value(e), "added" if e.applied else "not corrected"] for e in value.effects]
+        return _html(judged_gap(value).sentence, ("effect", "value", ""), rows)
+    from magyc_gtsam.report import compare_words
+
+    header, rows = compare_words.short_header(value), compare_words.short_rows(value)
+    return _html(compare_words.judged_comparison(value).sentence, header, rows)
+
+
+def _html(sentence: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    def cells(tag: str, values: Sequence[str]) -> str:
+        return "".join(f"<{tag} style='text-align:left'>{html.escape(each)}</{tag}>" for each in values)
+
+    body = "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
+    table = f"<table><thead><tr>{cells('th', header)}</tr></thead><tbody>{body}</tbody></table>" if rows else ""
+    return f"<p><b>{html.escape(sentence)}</b></p>{table}"
+
+
+def _of(calibration: Calibration, recording: Recording | None) -> Recording:
+    found = recording if recording is not None else calibration.recording
+    if found is None:
+        raise MagycError(
+            "the calibration does not know its recording (it was loaded or changed); give it: recording="
+        )
+    return found
+
+
+def _figure(width: float, height: float) -> Figure:
+    """Of pyplot, so that a notebook shows what is returned, and closed, so that it shows it once."""
+    import matplotlib.pyplot as plt
+
+    figure = plt.figure(figsize=(width, height), layout="constrained")
+    plt.close(figure)
+    return figure
+
+
+def _in_ink(figure: Figure) -> Figure:
+    """With text and axes that can be read on light and dark ground, in place of the page's own colour."""
+    from magyc_gtsam.report.plots import INK
+
+    artists: list[Any] = figure.findobj(lambda a: hasattr(a, "get_color") and a.get_color() == INK)
+    for artist in artists:
+        artist.set_color(_INK)
+    return figure

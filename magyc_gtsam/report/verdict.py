@@ -1,0 +1,195 @@
+"""The one verdict on a calibration, which terminal, page, JSON, files and exit code all take from here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.field_jumps import field_jumps
+from magyc_gtsam.level_turn import HeadingUncertainty
+from magyc_gtsam.recording import Recording
+
+MOST_WORDS = 30  # of cause and action together
+_STILL = 5e-6  # T, sweep of the field below which a log holds no motion
+_INTERVAL = "choose an interval without it (--start, --end)"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a result is to be used.
+
+    Attributes:
+        trusted: whether it is.
+        cause, action: why not, and what to do, together of at most 30 words; "" where it is trusted.
+        heading: what it is worth; unknown of a result that is not trusted.
+        worth: likewise in words.
+        details: everything else that was noticed, one sentence each.
+        called: its title, where it is not on a calibration.
+    """
+
+    trusted: bool
+    cause: str = ""
+    action: str = ""
+    heading: HeadingUncertainty = field(default_factory=lambda: HeadingUncertainty(None, None))
+    worth: str = ""
+    details: tuple[str, ...] = ()
+    called: str = ""
+
+    @property
+    def title(self) -> str:
+        """In a few words: `called`, or what is to be said of a calibration."""
+        return self.called or ("Calibrated" if self.trusted else "Do not use this calibration")
+
+    @property
+    def reason(self) -> str:
+        """Cause and action in one sentence; what it is worth where it is trusted."""
+        if self.trusted:
+            return self.worth
+        return f"{self.cause}: {self.action}" if self.action else self.cause
+
+    @property
+    def sentence(self) -> str:
+        """The first line of every output."""
+        return f"{'✔' if self.trusted else '✘'} {self.title}: {self.reason}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types, units in the names."""
+        return {
+            "trusted": self.trusted,
+            "sentence": self.sentence,
+            "cause": self.cause,
+            "action": self.action,
+            "heading": dict(self.heading.to_dict()),
+            "details": list(self.details),
+        }
+
+
+def judged(calibration: Calibration, recording: Recording | None = None) -> Verdict:
+    """The verdict on a calibration.
+
+    Args:
+        calibration: the result.
+        recording: what it was made from; without it nothing is said about heading, and no jump is looked for.
+    """
+    details = _details(calibration)
+    if not calibration.trusted:
+        cause, action = _cause(calibration, recording)
+        return Verdict(False, cause, action, worth="heading error unknown", details=details)
+    if recording is None or recording.magnetic_field_unit == "counts":
+        return Verdict(True, worth=calibration.message or "converged", details=details)
+    heading = HeadingUncertainty.of(recording, calibration)
+    return Verdict(True, heading=heading, worth=_worth(calibration, heading), details=details)
+
+
+def degrees(value: float | None) -> str:
+    """Two digits, or that it is unknown."""
+    return "unknown" if value is None else f"{value:.2g}°"
+
+
+def parts_of_sigma(calibration: Calibration) -> tuple[float, float] | None:
+    """T, of the hard iron's sigma: sensor noise, and what the model does not explain; None where not told apart."""
+    noise_covariance = calibration.noise_covariance
+    if calibration.covariance is None or noise_covariance is None:
+        return None
+    noise, whole = (
+        float(np.linalg.eigvalsh(matrix[6:9, 6:9])[-1]) for matrix in (noise_covariance, calibration.covariance)
+    )
+    return float(np.sqrt(max(noise, 0.0))), float(np.sqrt(max(whole - noise, 0.0)))
+
+
+def _worth(calibration: Calibration, heading: HeadingUncertainty) -> str:
+    if calibration.covariance is None:
+        systematic = f"heading error unknown, {calibration.method or 'the method'} states no uncertainty"
+    elif heading.systematic is None:
+        systematic = "systematic heading error unknown (1σ beyond 90°)"
+    else:
+        systematic = f"systematic heading error at most {degrees(heading.systematic)} (1σ)"
+    if heading.per_sample is None:
+        return systematic
+    return f"{systematic}; single samples {degrees(heading.per_sample)} by sensor noise"
+
+
+def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, str]:
+    """The root cause and what to do about it, in few words."""
+    if recording is not None and recording.magnetic_field_unit != "counts":
+        jumps = field_jumps(recording)
+        if jumps:
+            times = [f"{jump.time:.0f} s" for jump in jumps]
+            listed = times[0] if len(times) == 1 else f"{', '.join(times[:-1])} and {times[-1]}"
+            return f"the field jumped at {listed}", f"run `magyc-gtsam gap`, or {_INTERVAL}"
+    first = next(iter(clauses(calibration.message)), "the method did not converge")
+    observability = calibration.observability
+    motion = "too little motion" in first or "not observable" in first or calibration.converged
+    if observability is not None and not observability.observable and motion:
+        missing = list(dict.fromkeys(w.remedy for w in observability.weak if w.sigma > w.limit))
+        cause = f"too little motion to determine the {observability.weak[0].what}"
+        if recording is not None and float(np.ptp(recording.magnetic_field, axis=0).max()) < _STILL:
+            cause = "the instrument hardly moved"
+        return cause, f"{_joined(missing)}, and record again"
+    return _shortened(first)
+
+
+def _joined(remedies: list[str]) -> str:
+    """One remedy for several."""
+    turn, pitch = "turn through all headings", "pitch or roll by 20° or more"
+    if any(turn in remedy for remedy in remedies) and any(pitch in remedy for remedy in remedies):
+        return f"{turn}, and {pitch}"
+    return " and ".join(remedies[:2])
+
+
+def clauses(message: str) -> list[str]:
+    """The parts of a message between semicolons, those in brackets left whole."""
+    parts, depth, start = [], 0, 0
+    for place, character in enumerate(message):
+        depth += (character == "(") - (character == ")")
+        if character == ";" and depth <= 0:
+            parts.append(message[start:place].strip())
+            start = place + 1
+    return [part for part in (*parts, message[start:].strip()) if part]
+
+
+def _shortened(message: str) -> tuple[str, str]:
+    """A message of the form "cause (numbers): remedy; more" without its numbers, to at most 30 words."""
+    cause, _, action = message.partition(": ")
+    if len(f"{cause} {action}".split()) > MOST_WORDS:
+        cause = _without_brackets(cause)
+    if len(f"{cause} {action}".split()) > MOST_WORDS:
+        action = _clause(action, MOST_WORDS - min(len(cause.split()), MOST_WORDS))
+    return _clause(cause, MOST_WORDS), action
+
+
+def _without_brackets(text: str) -> str:
+    while " (" in text and ")" in text[text.index(" (") :]:
+        start = text.index(" (")
+        text = text[:start] + text[text.index(")", start) + 1 :]
+    return text
+
+
+def _clause(text: str, words: int) -> str:
+    """As many whole clauses as fit, or as many words where not even one does."""
+    kept = ""
+    for clause in text.replace("; ", ", ").split(", "):
+        longer = f"{kept}, {clause}" if kept else clause
+        if len(longer.split()) > words:
+            break
+        kept = longer
+    if kept or not text or words < 2:
+        return kept
+    return " ".join(text.split()[: words - 1]) + " …"
+
+
+def _details(calibration: Calibration) -> tuple[str, ...]:
+    sentences = clauses(calibration.message)
+    parts = parts_of_sigma(calibration)
+    if parts is not None:
+        noise, model = (f"{value * 1e6:.2g} µT" for value in parts)
+        sentences.append(f"hard iron's 1σ: sensor noise {noise}, what the model does not explain {model}")
+    observability = calibration.observability
+    if observability is None:
+        sentences.append("the method does not say whether the motion was sufficient: judge by the figures")
+    else:
+        sentences += [weakness.sentence for weakness in observability.weak]
+    return tuple(dict.fromkeys(sentences))

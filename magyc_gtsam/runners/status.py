@@ -1,0 +1,19 @@
+"""Why an optimisation ended."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Status(str, Enum):
+    """Why an optimisation ended."""
+
+    CONVERGED = "converged"
+    MAX_ITERATIONS = "max-iterations"
+    DIVERGED = "diverged"  # step after step is larger than the one before
+    STALLED = "stalled"  # no step lowers the error, yet it is no minimum
+    INDETERMINATE = "indeterminate"  # a variable is not determined by the data
+    FAILED = "failed"  # error, residual or Jacobian not finite
+    INTERRUPTED = "interrupted"
+
+    __str__ = str.__str__

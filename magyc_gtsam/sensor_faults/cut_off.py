@@ -1,0 +1,332 @@
+"""Turns faster than the gyroscope's full scale: how far the instrument turned meanwhile is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import betainc
+
+from magyc_gtsam.recording import Array, Samples
+
+MOST = 0.5  # share of the recording that may be left out
+_BAND = 30  # steps of the sensor below the largest value, in which the values near it are counted
+_LEAST = 5  # samples at exactly the largest value, of which some follow each other
+_STEEP = 3.0  # steps of the sensor between the largest value and a neighbour: no turn levels off so
+_CHANCE = 1e-7  # that so many fall on the largest value where all in the band are as likely
+_EVEN = 0.9  # share of repeats from which the whole recording is at even rates: a simulation
+_HOLE = 12  # median steps, and
+_HOLE_DURATION = 0.6  # s, of the hole made after each sample: one that counts (`Recording.gaps`)
+_STAMPS = 33  # samples after which their median step is taken to be known; nothing is decided before
+_LONGEST_RUN = 100  # samples at the largest value that are held back; a rate that repeats for longer is `stuck`
+_REMEMBERED = 256  # stamps of samples at the largest value, before it is known to be a full scale
+
+
+@dataclass(frozen=True)
+class Clipped:
+    """What a gyroscope's full scale cut off.
+
+    Attributes:
+        axes: of x, y, z, that reached it.
+        level: rad/s, the largest of them.
+        count: of the samples; first: s, stamp of the first.
+        share: of the recording that is left out for it.
+    """
+
+    axes: str
+    level: float
+    count: int
+    first: float
+    share: float
+
+    @property
+    def where(self) -> str:
+        """Which axes, at which rate, when first."""
+        which = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
+        return (
+            f"angular_rate: {which} of the gyroscope cut off at {self.level:.3g} rad/s in {self.count} samples, "
+            f"first at {self.first:.1f} s ({self.share:.1%} of the recording)"
+        )
+
+    @property
+    def too_often(self) -> bool:
+        """Whether too little is left for a calibration."""
+        return self.share > MOST
+
+    @property
+    def sentence(self) -> str:
+        """`where`, the limit and the remedy."""
+        return (
+            f"{self.where}: at most {MOST:.0%} can be left out; raise the gyroscope's full scale, turn more "
+            "slowly, or choose an interval without it (--start, --end)"
+        )
+
+
+class CutOff:
+    """Finds the samples of a gyroscope that its full scale cut off; a `gate.Detector`.
+
+    A turn that levels off repeats its largest value by a step or so of the sensor; a full scale repeats it however
+    steep the way there and back. Noise of some steps does so, too, but spreads over all values near the largest.
+
+    Attributes:
+        spans: (m, 2) s, stretches that a batch leaves out: each sample that was cut off and the hole after it.
+    """
+
+    def __init__(self) -> None:
+        self.pending = np.inf
+        self.spans = np.empty((0, 2))
+        self._sides = tuple(_Side() for _ in range(6))  # x, y, z and −x, −y, −z
+        self._step = np.inf  # rad/s, smallest change of any axis
+        self._seen, self._last = 0, np.full(3, np.nan)
+        self._stamps = np.empty(0)  # s, the first ones
+        self._run, self._run_since = 0, np.nan  # samples in a row at a largest value, and since when
+        self._rejected = np.empty((0, 2))  # as `spans`, of what could still be held back
+        self._count, self._first, self._latest = 0, np.nan, -np.inf
+
+    def observe(self, block: Samples) -> None:
+        """Take the next samples."""
+        time, value = block
+        n = len(time)
+        if not n:
+            return
+        self._stamps = np.append(self._stamps, time[: _STAMPS - len(self._stamps)])
+        change = np.abs(np.diff(value, axis=0, prepend=self._last[None]))
+        moved = np.asarray((change > 0).any(axis=1))
+        smallest = np.where(change > 0, change, np.inf).min(axis=1)
+        step = np.minimum(np.minimum.accumulate(smallest), self._step)
+        high, low = value.max(axis=0).tolist(), value.min(axis=0).tolist()
+        far = [
+            side.is_far(most, self._step)
+            for side, most in zip(self._sides, [*high, *(-v for v in low)], strict=True)
+        ]
+        if all(far):
+            repeats = (change == 0).sum(axis=0)
+            for side, count in zip(self._sides, [*repeats, *repeats], strict=True):
+                side.pass_by(n, int(count))
+            self._run, self.pending = 0, np.inf
+        else:
+            self._examine(time, value, change, moved, step)
+        self._seen, self._last, self._step = self._seen + n, value[-1].copy(), float(step[-1])
+        self._latest = float(time[-1])
+
+    def _examine(self, time: Array, value: Array, change: Array, moved: np.ndarray, step: Array) -> None:
+        """Take samples of which some are near a largest value."""
+        n = len(time)
+        allowed = self._seen + np.arange(n) >= _STAMPS
+        at, continued, known = (np.zeros(n, dtype=bool) for _ in range(3))
+        stamps, decisive = [np.empty(0)], set()
+        for side, x, by in zip(
+            self._sides, np.hstack([value, -value]).T, np.hstack([change, change]).T, strict=True
+        ):
+            part = side.observe(time, x, by, moved, step, self._step, allowed)
+            if part is not None:
+                at |= part.at
+                continued |= part.continued
+                known |= part.at & part.known
+                stamps.append(part.stamps)
+                decisive |= part.decisive
+        self._find(time, np.unique(np.concatenate(stamps)), at, continued, known, decisive)
+
+    def _find(
+        self,
+        time: Array,
+        stamps: Array,
+        at: np.ndarray,
+        continued: np.ndarray,
+        known: np.ndarray,
+        decisive: set[int],
+    ) -> None:
+        """Note what was cut off at `stamps`, and which of the samples an estimator can still be kept from."""
+        place = np.arange(len(time))
+        begun = np.maximum.accumulate(np.where(at & ~continued, place, -1))
+        run = np.where(at, np.where(begun >= 0, place - begun + 1, self._run + place + 1), 0)
+        since = np.where(begun >= 0, time[begun], self._run_since)
+        self._rejected = self._rejected[self._rejected[:, 1] >= min(self.pending, time[0])]
+        if len(stamps):
+            hole = max(_HOLE * float(np.median(np.diff(self._stamps))), _HOLE_DURATION)
+            self._count += len(stamps)
+            self._first = float(np.fmin(self._first, stamps[0]))
+            self.spans = _merged(np.vstack([self.spans, np.column_stack([stamps, stamps + hole])]))
+            rejected = [np.column_stack([time[known], time[known] + hole])]
+            for row in sorted(decisive):  # with the run that was held back until it was known
+                last = row if at[row] else row - 1
+                length, start = (run[last], since[last]) if last >= 0 else (self._run, self._run_since)
+                if length - int(at[row]) < _LONGEST_RUN:
+                    rejected.append(np.array([[start, (time[last] if last >= 0 else time[0]) + hole]]))
+            self._rejected = _merged(np.vstack([self._rejected, *rejected]))
+        self._run, self._run_since = int(run[-1]), float(since[-1])
+        until = self._rejected[-1, 1] if len(self._rejected) else -np.inf
+        undecided = at[-1] and self._run < _LONGEST_RUN and time[-1] > until
+        self.pending = self._run_since if undecided else np.inf
+
+    def rejects(self, time: Array) -> np.ndarray:
+        """(n,) bool, the samples in a hole that began while they could be held back."""
+        return inside(self._rejected, time)
+
+    def finding(self, share: float) -> Clipped | None:
+        """What was cut off so far; `share` of the recording is left out for it."""
+        found = [side.full_scale for side in self._sides]
+        if np.isnan(found).all():
+            return None
+        axes = "".join(
+            axis for axis, *of in zip("xyz", found[:3], found[3:], strict=True) if not np.isnan(of).all()
+        )
+        return Clipped(axes, float(np.nanmax(found)), self._count, self._first, share)
+
+    @property
+    def now(self) -> bool:
+        """Whether the last sample is in a hole."""
+        return len(self._rejected) > 0 and bool(self._latest <= self._rejected[-1, 1])
+
+    def state(self) -> Mapping[str, Array]:
+        """For `restore`."""
+        own = {
+            "numbers": np.array([self.pending, self._step, self._run_since, self._first, self._latest]),
+            "counts": np.array([self._seen, self._run, self._count]),
+            "last": self._last,
+            "stamps": self._stamps,
+            "spans": self.spans,
+            "rejected": self._rejected,
+        }
+        return own | {f"{i}/{name}": v for i, side in enumerate(self._sides) for name, v in side.state().items()}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        numbers = (float(v) for v in state["numbers"])
+        self.pending, self._step, self._run_since, self._first, self._latest = numbers
+        self._seen, self._run, self._count = (int(v) for v in state["counts"])
+        self._last, self._stamps = state["last"], state["stamps"]
+        self.spans, self._rejected = state["spans"], state["rejected"]
+        for i, side in enumerate(self._sides):
+            side.restore({k.removeprefix(f"{i}/"): v for k, v in state.items() if k.startswith(f"{i}/")})
+
+
+class _Part(NamedTuple):
+    """What one side of an axis says of a block: (n,) samples at its largest value, those of them that follow another,
+    those since the value is known to be a full scale; the rows (indices) at which it became known; the stamps of all
+    samples at a full scale, earlier blocks' with them where it became known in this one."""
+
+    at: np.ndarray
+    continued: np.ndarray
+    known: np.ndarray
+    decisive: set[int]
+    stamps: Array
+
+
+class _Side:
+    """The largest value of an axis to one side, and how the samples come to it.
+
+    Attributes:
+        full_scale: rad/s, the largest value that was known to be one; NaN without.
+    """
+
+    def __init__(self) -> None:
+        self.full_scale = np.nan
+        self._level, self._at, self._known = -np.inf, False, False
+        # Samples at the level, pairs of them while another axis moved, passages between it and a neighbour, steep
+        # ones, samples within the band below it; and pairs of neighbours away from any level, and equal ones.
+        self._counts, self._away = np.zeros(5, dtype=int), np.zeros(2, dtype=int)
+        self._near = np.empty((0, 2))  # values within the band, and how often
+        self._stamps = np.empty(0)
+
+    def is_far(self, most: float, step: float) -> bool:
+        """Whether samples up to `most` stay below the band, and the last one was not at the largest value."""
+        return not self._at and most < self._level - _BAND * step
+
+    def pass_by(self, count: int, repeats: int) -> None:
+        """Take note of samples that are far, and of how many of them repeat the one before."""
+        self._away = self._away + [count, repeats]
+
+    def observe(
+        self,
+        time: Array,
+        x: Array,
+        change: Array,
+        moved: np.ndarray,
+        step: Array,
+        step_before: float,
+        allowed: np.ndarray,
+    ) -> _Part | None:
+        """Take samples (n,) of this side; None where none comes near the largest value."""
+        first = int(np.isnan(change[0]))  # of all, which has no neighbour
+        if self.is_far(float(x.max()), step_before):
+            self.pass_by(len(x), int((change == 0).sum()))
+            return None
+        record = np.maximum.accumulate(np.concatenate([[self._level], x]))
+        level, rises = record[1:], record[1:] > record[:-1]
+        at = x == level
+        continued = at & np.concatenate([[self._at], at[:-1]]) & ~rises
+        was = np.concatenate([[self._at], at[:-1]]) & ~rises
+        edge, away = at != was, ~(at | was)
+        edge[:first] = away[:first] = False
+        number = np.cumsum(rises)  # of the level
+        begin = np.maximum.accumulate(np.where(rises, np.arange(len(x)), 0))
+        near = ~at & (x > level - _BAND * step)
+        kinds = np.stack([at, continued & moved, edge, edge & (change >= _STEEP * step), near])
+        counts = np.cumsum(kinds, axis=1)
+        counts = counts - np.where(number > 0, (counts - kinds)[:, begin], -self._counts[:, None])
+        others, repeats = self._away[:, None] + np.cumsum([away, away & (change == 0)], axis=1)
+        count, pairs, edges, steep, _ = counts
+        possible = allowed & (at | was) & (count >= _LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)
+        possible &= (others == 0) | (repeats < _EVEN * others)
+        asked = begin[possible & (number > 0)]
+        for row in np.unique(np.append(asked, begin[-1]) if number[-1] else asked):  # how many came near it before
+            low = level[row] - _BAND * step[row]
+            before = int(self._near[self._near[:, 0] > low, 1].sum()) + int((x[:row] > low).sum())
+            counts[4, begin == row] += before
+        sure = np.zeros(len(x), dtype=bool)
+        # Of a binomial distribution, all values in the band being as likely.
+        sure[possible] = betainc(count[possible], counts[4, possible] + 1, 1 / (_BAND + 1)) < _CHANCE
+        total = np.cumsum(sure)
+        known = np.where(number > 0, total - (total - sure)[begin] > 0, self._known | (total > 0))
+        decisive = set(np.flatnonzero(known & (rises | ~np.concatenate([[self._known], known[:-1]]))).tolist())
+        full_scale = np.isin(number, number[known])
+        stamps = time[at & full_scale]
+        if full_scale[0] and not number[0] and not self._known:
+            stamps = np.concatenate([self._stamps, stamps])
+        if known.any():
+            self.full_scale = float(np.fmax(self.full_scale, level[known].max()))
+        earlier = self._stamps if not number[-1] else np.empty(0)
+        self._stamps = np.concatenate([earlier, time[at & (number == number[-1])]])[-_REMEMBERED:]
+        self._level, self._at, self._known = float(level[-1]), bool(at[-1]), bool(known[-1])
+        self._counts, self._away = counts[:, -1].copy(), np.array([others[-1], repeats[-1]])
+        values, where = np.unique(np.concatenate([self._near[:, 0], x]), return_inverse=True)
+        often = np.bincount(where, np.concatenate([self._near[:, 1], np.ones(len(x))]))
+        kept = values > self._level - _BAND * step[-1]
+        self._near = np.column_stack([values[kept], often[kept]])
+        return _Part(at, continued, known, decisive, stamps)
+
+    def state(self) -> Mapping[str, Array]:
+        """For `restore`."""
+        return {
+            "numbers": np.array([self.full_scale, self._level, self._at, self._known]),
+            "counts": np.concatenate([self._counts, self._away]),
+            "near": self._near,
+            "stamps": self._stamps,
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        self.full_scale, self._level = (float(v) for v in state["numbers"][:2])
+        self._at, self._known = (bool(v) for v in state["numbers"][2:])
+        self._counts, self._away = state["counts"][:5].copy(), state["counts"][5:].copy()
+        self._near, self._stamps = state["near"], state["stamps"]
+
+
+def inside(spans: Array, time: Array) -> np.ndarray:
+    """(n,) bool, which times are inside one of the ascending `spans` (m, 2) s, their ends included."""
+    if not len(spans):
+        return np.zeros(len(time), dtype=bool)
+    at = np.searchsorted(spans[:, 0], time, side="right") - 1
+    return np.asarray((at >= 0) & (time <= spans[at, 1]))
+
+
+def _merged(spans: Array) -> Array:
+    """Ascending (m, 2), without overlaps."""
+    spans = spans[np.argsort(spans[:, 0], kind="stable")]
+    end = np.maximum.accumulate(spans[:, 1])
+    first = np.concatenate([[True], spans[1:, 0] > end[:-1]])
+    last = np.append(np.flatnonzero(first)[1:] - 1, len(spans) - 1)
+    return np.column_stack([spans[first, 0], end[last]])

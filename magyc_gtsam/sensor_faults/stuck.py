@@ -1,0 +1,305 @@
+"""Axes that stand still where a working sensor cannot: a broken chip, a bus that froze, a column never filled in.
+
+A value that repeats is no fault by itself: a vehicle at rest with a coarse sensor repeats for minutes, and a
+simulation without noise turns about one axis only. An axis counts as stuck where its own sensor shows noise of
+1.5 steps or more on another axis meanwhile; a gyroscope as a whole where the field turned meanwhile, unless it stands
+at a rate and the magnetometer shows no noise either, as in a simulation of an even turn. (A magnetometer that repeats
+on all axes brings no samples: `repeats`.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.recording import Array, Samples
+
+MOST = 0.5  # share of the recording from which no calibration is tried
+SMALL = 0.005  # share up to which it harms no method
+LEAST_SAMPLES = 100  # in a row; with noise of half a step a working axis repeats that often once in 10¹⁵
+LEAST_DURATION = 2.0  # s
+_SUSPECT = 6  # equal values in a row from which samples are held back
+_LONGEST = 30.0  # s, for which a gyroscope that stands still on all axes is held back until the field has turned
+_NOISY = 1.5  # steps of the sensor from which noise on one axis must show on another
+_ALTERNATES = 0.55  # share of sign changes of second differences; 0.73 for white noise, near 0 for motion
+_TURNED = 0.2  # sweep of the field over its median strength that no gyroscope at rest goes with
+_REMEMBERED = 50  # stretches, the latest
+_NAMES = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}
+
+Turned = Callable[[Array], bool | None]
+
+
+class Stretch(NamedTuple):
+    """Axes (3,) bool that stood still at `value` (3,) from `start` to `end` in s; `held` s is the first stamp that an
+    estimator could still be kept from."""
+
+    axes: tuple[bool, ...]
+    value: tuple[float, ...]
+    start: float
+    end: float
+    held: float
+
+
+@dataclass(frozen=True)
+class Stuck:
+    """Axes of one sensor that stood still.
+
+    Attributes:
+        sensor: "magnetic_field" or "angular_rate".
+        axes: of x, y, z.
+        value: what the first of them stood at at first, as shown: µT, counts or mrad/s with the unit.
+        stretches: (from, to) in s, the longest first.
+        share: of the recording's duration.
+    """
+
+    sensor: str
+    axes: str
+    value: str
+    stretches: tuple[tuple[float, float], ...]
+    share: float
+
+    @property
+    def where(self) -> str:
+        """Which axes stood still, where and by what evidence."""
+        start, end = self.stretches[0]
+        more = f" and {len(self.stretches) - 1} more times" if len(self.stretches) > 1 else ""
+        one = f"axis {self.axes} of the {_NAMES[self.sensor]} is"
+        which = one if len(self.axes) == 1 else f"axes {', '.join(self.axes)} are"
+        turned = "the gyroscope turned" if self.sensor == "magnetic_field" else "the field turned"
+        others = {1: "its other axes show noise", 2: "its other axis shows noise", 3: turned}
+        return (
+            f"{self.sensor}: {which} stuck at {self.value} from {start:.1f} to {end:.1f} s{more}, "
+            f"{self.share:.0%} of the recording, while {others[len(self.axes)]}"
+        )
+
+    @property
+    def sentence(self) -> str:
+        """`where`, the limit and the remedy."""
+        spare = ""
+        if self.sensor == "angular_rate":
+            spare = "; methods that need the magnetometer alone (--method autocal) do without it"
+        return (
+            f"{self.where} (at most {MOST:.0%} can be left out): name another source ({self.sensor}=), choose an "
+            f"interval without it (--start, --end), or have the sensor repaired{spare}"
+        )
+
+
+class StuckAxes:
+    """Finds the axes of one sensor that stand still; a `gate.Detector`.
+
+    From six equal values in a row on samples are undecided, until the axis moves, or until a hundred of them say that
+    it is stuck: then all are rejected until it moves.
+
+    Args:
+        turned: whether the field turned while all axes stood still as in rows (n, 4) of time and value; None while
+            that is not known. A magnetometer's is never asked.
+        longest: s, after which a gyroscope that stands still while the field does is taken to be at rest.
+    """
+
+    def __init__(self, turned: Turned = lambda rows: False, longest: float = _LONGEST) -> None:
+        self.pending = np.inf
+        self._turned, self._longest = turned, longest
+        self._stuck = np.zeros(3, dtype=bool)
+        self._begun = np.full(3, np.nan)  # s, since when each axis has its value
+        self._run = np.zeros(3, dtype=int)  # equal values in a row
+        self._last = np.full(4, np.nan)  # time and value
+        self._step = np.inf  # smallest change of any axis
+        self._held = np.empty((0, 4))
+        self._examined = 0  # of the samples held
+        self._waiting = np.empty((0, 4))  # samples that follow an examination which waits for the other sensor
+        self._stretches: list[Stretch] = []  # the last one is still open while an axis is stuck
+
+    def observe(self, block: Samples) -> None:
+        """Take the next samples."""
+        rows = np.vstack([self._waiting, np.column_stack(block)])
+        self._waiting = rows[:0]
+        if self._due() and not self._examine():
+            self._waiting = rows
+        elif len(rows):
+            self._take(rows)
+        self.pending = min([part[0, 0] for part in (self._held, self._waiting) if len(part)], default=np.inf)
+
+    def conclude(self) -> None:
+        """No more samples follow: decide about those that are held."""
+        if len(self._held) >= LEAST_SAMPLES and self._held[-1, 0] - self._held[0, 0] >= LEAST_DURATION:
+            self._examine()
+
+    def _take(self, rows: Array) -> None:
+        time, n = rows[:, 0], len(rows)
+        change = np.abs(np.diff(rows[:, 1:], axis=0, prepend=self._last[None, 1:]))
+        same, place = change == 0, np.arange(n)[:, None]
+        moved = np.maximum.accumulate(np.where(same, -1, place), axis=0)  # row since which an axis has its value
+        run = np.where(moved >= 0, place - moved + 1, self._run + place + 1)
+        begun = np.where(moved >= 0, time[moved], self._begun)
+        smallest = np.where(change > 0, change, np.inf).min(axis=1)
+        step = np.minimum(np.minimum.accumulate(smallest), self._step)
+        suspect = (run >= _SUSPECT).any(axis=1)
+
+        def note(row: int) -> None:
+            self._run, self._begun = run[row], begun[row]
+            self._last, self._step = rows[row].copy(), float(step[row])
+
+        if not len(self._held) and not self._stuck.any() and not suspect.any():
+            note(n - 1)
+            return
+        # A stretch of suspects that begins and ends here is of no interest where it is short.
+        edges = np.flatnonzero(np.diff(suspect.astype(int), prepend=0, append=0)).reshape(-1, 2)
+        size = edges[:, 1] - edges[:, 0]
+        carried = (edges[:, 0] == 0) & (len(self._held) > 0)
+        asked = edges[carried | (size >= LEAST_SAMPLES) | (edges[:, 1] == n)]
+        i = 0
+        while i < n:
+            if self._stuck.any():
+                moving = ~same[i:, self._stuck].all(axis=1)
+                stop = i + int(moving.argmax()) if moving.any() else n
+                if stop > i:
+                    note(stop - 1)
+                    self._stretches[-1] = self._stretches[-1]._replace(end=float(time[stop - 1]))
+                if stop < n:
+                    self._stuck = self._stuck & same[stop]
+                    if self._stuck.any():
+                        note(stop)
+                        self._open(float(time[stop]))
+                i = stop
+                continue
+            following = asked[asked[:, 1] > i]
+            first, end = following[0] if len(following) else (n, n)
+            if first > i:
+                self._held, self._examined = self._held[:0], 0
+                i = int(first)
+                continue
+            need = max(LEAST_SAMPLES, 2 * self._examined) - len(self._held)
+            since = self._held[0, 0] if len(self._held) else time[i]
+            stop = max(i + need, int(np.searchsorted(time, since + LEAST_DURATION)) + 1)
+            stop = min(stop, int(end))
+            self._held = np.vstack([self._held, rows[i:stop]])
+            note(stop - 1)
+            i = stop
+            if self._due() and not self._examine():
+                self._waiting = rows[stop:].copy()
+                return
+            if stop == end < n and not self._stuck.any():
+                self._held, self._examined = self._held[:0], 0
+        note(n - 1)
+
+    def _due(self) -> bool:
+        """Whether enough is held to say more."""
+        if len(self._held) < max(LEAST_SAMPLES, 2 * self._examined):
+            return False
+        return bool(self._held[-1, 0] - self._held[0, 0] >= LEAST_DURATION)
+
+    def _examine(self) -> bool:
+        """Decide about the samples held, or hold them longer; False where that takes more of the other sensor."""
+        rows, still = self._held, self._run >= len(self._held)
+        if still.all():
+            answer = self._turned(rows)
+            if answer is None:
+                return False
+            if not answer and rows[-1, 0] - rows[0, 0] < self._longest:
+                self._examined = len(rows)
+                return True
+            self._stuck = np.full(3, answer)
+        else:
+            value = rows[1:, 1:][(np.diff(rows[:, 1:], axis=0) != 0).any(axis=1)]  # a held sensor repeats its rows
+            noisy = [white_noise(np.delete(value, axis, axis=1)) >= _NOISY * self._step for axis in range(3)]
+            self._stuck = still & noisy
+        if self._stuck.any():
+            self._open(float(rows[0, 0]))
+        self._held, self._examined = rows[:0], 0
+        return True
+
+    def _open(self, held: float) -> None:
+        """A stretch begins, of the axes stuck now."""
+        axes, value = tuple(self._stuck.tolist()), tuple(self._last[1:].tolist())
+        start, end = float(self._begun[self._stuck].min()), float(self._last[0])
+        self._stretches = [*self._stretches, Stretch(axes, value, start, end, held)][-_REMEMBERED:]
+
+    def rejects(self, time: Array) -> np.ndarray:
+        """(n,) bool, the samples at which an axis was known to stand still."""
+        result = np.zeros(len(time), dtype=bool)
+        for stretch in self._stretches:
+            if len(time) and stretch.end >= time[0]:
+                result |= (time >= stretch.held) & (time <= stretch.end)
+        return result
+
+    @property
+    def stretches(self) -> tuple[Stretch, ...]:
+        """When axes stood still."""
+        return tuple(self._stretches)
+
+    @property
+    def now(self) -> tuple[Stretch, ...]:
+        """The stretch that is not over; empty where nothing stands still."""
+        return tuple(self._stretches[-1:]) if self._stuck.any() else ()
+
+    def state(self) -> Mapping[str, Array]:
+        """For `restore`."""
+        return {
+            "axes": np.array([self._stuck, self._begun, self._run], dtype=float),
+            "last": self._last,
+            "numbers": np.array([self.pending, self._step, self._examined]),
+            "held": self._held,
+            "waiting": self._waiting,
+            "stretches": np.array([[*s.axes, *s.value, *s[2:]] for s in self._stretches]).reshape(-1, 9),
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        stuck, self._begun, run = (row.copy() for row in state["axes"])
+        self._stuck, self._run = stuck.astype(bool), run.astype(int)
+        self.pending, self._step = (float(v) for v in state["numbers"][:2])
+        self._examined = int(state["numbers"][2])
+        self._last, self._held, self._waiting = state["last"], state["held"], state["waiting"]
+        self._stretches = [
+            Stretch(tuple(bool(v) for v in row[:3]), tuple(row[3:6]), *row[6:])
+            for row in state["stretches"].tolist()
+        ]
+
+
+def named(
+    sensor: str, stretches: Sequence[Stretch], duration: float, shown: float, unit: str
+) -> tuple[Stuck, ...]:
+    """Findings of one sensor, stretches of the same axes together; `shown` is what a value is multiplied with."""
+    result = []
+    for axes in dict.fromkeys(stretch.axes for stretch in stretches):
+        group = sorted((s for s in stretches if s.axes == axes), key=lambda s: s.start - s.end)
+        first = min(group, key=lambda s: s.start)
+        at = ", ".join(f"{value * shown + 0.0:.4g}" for value, flag in zip(first.value, axes, strict=True) if flag)
+        share = min(sum(s.end - s.start for s in group) / max(duration, 1e-9), 1.0)
+        names = "".join(axis for axis, flag in zip("xyz", axes, strict=True) if flag)
+        result.append(Stuck(sensor, names, f"{at} {unit}", tuple((s.start, s.end) for s in group), share))
+    return tuple(result)
+
+
+def resolution(value: Array) -> float:
+    """The smallest change of any axis between neighbours: the sensor's resolution, or less."""
+    change = np.abs(np.diff(value, axis=0))
+    return float(change[change > 0].min(initial=np.inf))
+
+
+def white_noise(value: Array) -> float:
+    """Largest deviation of white noise per sample on any of the axes; 0 where what changes is smooth."""
+    levels = []
+    for column in value.T:
+        second = np.diff(column, 2)
+        moved = np.sign(second[second != 0])
+        alternates = float((moved[1:] != moved[:-1]).mean()) if len(moved) > LEAST_SAMPLES // 2 else 0.0
+        if alternates < _ALTERNATES:
+            levels.append(0.0)
+            continue
+        # The median passes over spikes and motion; 2.45 is the gain of second differences.
+        levels.append(float(np.median(np.abs(second))) / (0.6745 * np.sqrt(6)))
+    return max(levels)
+
+
+def field_turned(field: Array, rate: Array) -> bool:
+    """Whether a field (n, 3) turned by more than a gyroscope would go with that stands at `rate` (3,)."""
+    if len(field) < 3:
+        return False
+    low, high = np.percentile(field, (5, 95), axis=0)
+    strength = float(np.median(np.linalg.norm(field, axis=1)))
+    turned = float(np.linalg.norm(high - low)) > _TURNED * strength
+    return turned and (not rate.any() or white_noise(field) > 0)

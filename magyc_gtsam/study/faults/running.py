@@ -1,0 +1,162 @@
+"""Runs the study in worker processes, one file per recording, so that an interrupted study goes on where it was."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Recording
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.scoring import OUTCOMES, crashed, refused, score
+from magyc_gtsam.study.faults.signals import record
+
+Method = Callable[[Recording], Calibration | None]
+STRENGTHS = ("weak", "strong")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording of the study."""
+
+    fault: str
+    strength: str
+    motion: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of its file."""
+        return f"{self.fault}-{self.strength}-{self.motion}-{self.seed}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """All seeds of one fault at one strength, on one motion, by one method: how many came to each outcome, and the
+    median errors of those that were trusted and wrong (T and deg)."""
+
+    fault: str
+    strength: str
+    motion: str
+    method: str
+    counts: Mapping[str, int]
+    hard_iron: float
+    heading: float
+
+
+def cases(names: Sequence[str], motions: Sequence[str], seeds: int) -> list[Case]:
+    """Every fault at both strengths; "clean" once.
+
+    Raises:
+        MagycError: an unknown fault.
+    """
+    unknown = [name for name in names if name not in FAULTS]
+    if unknown:
+        raise MagycError(f"fault: {unknown[0]!r} is none of {', '.join(FAULTS)}")
+    return [
+        Case(name, strength, motion, seed)
+        for name in names or FAULTS
+        for strength in (STRENGTHS if FAULTS[name].weak != FAULTS[name].strong else STRENGTHS[:1])
+        for motion in motions
+        for seed in range(seeds)
+    ]
+
+
+def run(
+    folder: Path,
+    every: Sequence[Case],
+    methods: Mapping[str, Method],
+    workers: int = 2,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[dict[str, Any]]:
+    """One row for every case and method; what `folder` holds already is not done again.
+
+    Args:
+        folder: of the parts, `parts/CASE-METHOD.json`.
+        every: what to record.
+        methods: {name: recording → calibration}, functions that worker processes can import.
+        workers: processes.
+        progress: called with the share done.
+    """
+    parts = folder / "parts"
+    parts.mkdir(parents=True, exist_ok=True)
+    jobs = [(case, name) for case in every for name in methods]
+    pending = [(case, name) for case, name in jobs if not _part(parts, case, name).exists()]
+    with ProcessPoolExecutor(max_workers=workers) as pool:
+        futures = [pool.submit(_work, parts, case, name, methods[name]) for case, name in pending]
+        try:
+            for done, future in enumerate(as_completed(futures), len(jobs) - len(pending) + 1):
+                future.result()
+                progress(done / len(jobs))
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+    return [json.loads(_part(parts, case, name).read_text("utf-8")) for case, name in jobs]
+
+
+def _part(parts: Path, case: Case, method: str) -> Path:
+    return parts / f"{case.name}-{method}.json"
+
+
+def _work(parts: Path, case: Case, name: str, method: Method) -> None:
+    fault = FAULTS[case.fault]
+    size = getattr(fault, case.strength)
+    log = record(case.motion, case.seed, fault, size, case.fault)
+    try:
+        result = score(method(log.recording(case.name)))
+    except MagycError as problem:
+        result = refused(str(problem))
+    except Exception as error:  # noqa: BLE001 - counted, and the study ends with exit code 1
+        result = crashed(error)
+    row = {**vars(case), "size": size, "unit": fault.unit, "shows": fault.shows, "method": name, **result.row()}
+    row = {
+        key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in row.items()
+    }
+    path = _part(parts, case, name)
+    unfinished = path.with_suffix(f".{os.getpid()}")
+    unfinished.write_text(json.dumps(row), "utf-8")
+    os.replace(unfinished, path)
+
+
+def cells(rows: Iterable[Mapping[str, Any]]) -> list[Cell]:
+    """The rows by fault, strength, motion and method; the worst first."""
+    groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["fault"], row["strength"], row["motion"], row["method"]), []).append(row)
+    result = []
+    for (fault, strength, motion, method), group in groups.items():
+        counts = {outcome: sum(row["outcome"] == outcome for row in group) for outcome in OUTCOMES}
+        wrong = [row for row in group if row["outcome"] == OUTCOMES[0]]
+        errors = [
+            float(np.median([row[name] for row in wrong])) if wrong else np.nan
+            for name in ("hard_iron", "heading")
+        ]
+        result.append(Cell(fault, strength, motion, method, counts, *errors))
+    return sorted(result, key=lambda cell: -cell.counts[OUTCOMES[0]] / sum(cell.counts.values()))
+
+
+def write(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
+    """All rows as Parquet where pyarrow is installed, else as CSV."""
+    with suppress(ImportError):
+        import pyarrow
+        from pyarrow import parquet
+
+        path = folder / "faults.parquet"
+        parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), path)
+        return path
+    path = folder / "faults.csv"
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path

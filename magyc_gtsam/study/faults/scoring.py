@@ -1,0 +1,93 @@
+"""What a result is worth beside the truth: right, wrong or refused."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.level_turn import LevelTurn
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation import FIELD, HARD_IRON, SOFT_IRON
+
+SIGMAS = 3.0  # stated ones, beyond which an error is wrong
+HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
+HEADING_MATTERS = 0.5  # deg
+OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
+
+
+@dataclass(frozen=True)
+class Score:
+    """The outcome of one method on one recording.
+
+    Attributes:
+        outcome: of OUTCOMES.
+        hard_iron, heading: largest error in T and deg (over a level turn); NaN without a calibration.
+        hard_iron_sigmas, heading_sigmas: the largest in stated sigmas.
+        message: the result's own words.
+    """
+
+    outcome: str
+    hard_iron: float
+    hard_iron_sigmas: float
+    heading: float
+    heading_sigmas: float
+    message: str
+
+    def row(self) -> dict[str, Any]:
+        """By name."""
+        return asdict(self)
+
+
+def refused(message: str) -> Score:
+    """Of a method that gave no calibration."""
+    return Score("refused", np.nan, np.nan, np.nan, np.nan, message)
+
+
+def crashed(error: Exception) -> Score:
+    """Of a method that ended in an error of its own: a defect."""
+    return Score("crashed", np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
+
+
+def score(calibration: Calibration | None, message: str = "") -> Score:
+    """A calibration beside the truth of `signals.record`."""
+    if calibration is None or calibration.covariance is None:
+        return refused(message or "no calibration with a covariance")
+    off = np.abs(calibration.hard_iron - HARD_IRON)
+    sigma = np.sqrt(np.diag(calibration.covariance)[6:9])
+    heading, heading_sigma = _heading(calibration)
+    iron_wrong = bool(((off > SIGMAS * sigma) & (off > HARD_IRON_MATTERS)).any())
+    heading_wrong = bool(((heading > SIGMAS * heading_sigma) & (heading > HEADING_MATTERS)).any())
+    outcome = "refused"
+    if calibration.trusted:
+        outcome = "wrong and trusted" if iron_wrong or heading_wrong else "right and trusted"
+    return Score(
+        outcome,
+        float(off.max()),
+        float((off / sigma).max()),
+        float(heading.max()),
+        float((heading / heading_sigma).max()),
+        calibration.message,
+    )
+
+
+def _heading(calibration: Calibration) -> tuple[Array, Array]:
+    """(n,) deg, error of the calibrated heading over a level turn, and its stated sigma."""
+    heading = np.arange(0.0, 360.0, 10.0)
+    angle = np.deg2rad(heading)
+    north, east, down = FIELD  # level: a turn about the sensor's z
+    forward, right = north * np.cos(angle) + east * np.sin(angle), -north * np.sin(angle) + east * np.cos(angle)
+    body = np.column_stack([forward, right, np.full_like(angle, down)])
+    field = calibration.apply(body @ SOFT_IRON.T + HARD_IRON)
+    angle = np.arctan2(body[:, 1], body[:, 0])  # of the horizontal field in sensor axes
+    error = np.arctan2(field[:, 1], field[:, 0]) - angle
+    error = np.abs(np.rad2deg(np.angle(np.exp(1j * error))))
+    scale, dip = (
+        float(np.cbrt(np.linalg.det(SOFT_IRON))),
+        float(np.degrees(np.arctan2(down, np.hypot(north, east)))),
+    )
+    turn = LevelTurn(np.degrees(angle), scale * body, np.eye(3)[0], np.eye(3)[1], dip, "the sensor's z axis")
+    assert calibration.covariance is not None
+    return error, np.maximum(turn.systematic(calibration.covariance, calibration.soft_iron), 1e-6)

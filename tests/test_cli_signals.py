@@ -1,0 +1,119 @@
+"""Commands that are asked to end, or killed: nothing half written, nothing left behind, no traceback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.foreign_text import printable, shortened
+from magyc_gtsam.io import write_mcap
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and locks of POSIX")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("signals") / "log.mcap"
+    write_mcap(path, mg.simulate("wide", duration=60, rate=10, seed=0).recording)
+    return path
+
+
+def stopped(log: Path, folder: Path, number: int, after: float) -> tuple[int, str]:
+    """Exit code and standard error of `calibrate`, sent a signal after so many seconds."""
+    command = [sys.executable, "-c", "import sys; from magyc_gtsam.cli import main; sys.exit(main())"]
+    process = subprocess.Popen(
+        [*command, "calibrate", str(log), "--output", str(folder / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        process.wait(after)
+    except subprocess.TimeoutExpired:
+        process.send_signal(number)
+    errors = process.communicate(timeout=120)[1]
+    return process.returncode, errors
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("after", [0.4, 1.2])
+def test_asked_to_end(log: Path, tmp_path: Path, number: int, code: int, after: float) -> None:
+    """From the first half second on, in which everything is imported."""
+    returned, errors = stopped(log, tmp_path, number, after)
+    if returned == -number:  # before the first line of ours: the interpreter itself was still starting
+        pytest.skip("the machine is too busy to start Python within the time")
+    if returned in (0, 1):
+        assert (tmp_path / "out" / "calibration.yaml").exists()
+        return
+    assert returned == code
+    assert "Traceback" not in errors
+    assert "no file is left half written" in errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path: Path) -> None:
+    script = (
+        "import sys, time; from pathlib import Path; from magyc_gtsam.cli.files import replacing_folder\n"
+        "with replacing_folder(Path(sys.argv[1])) as part:\n"
+        "    (part / 'half').write_text('x'); print('ready', flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", script, str(tmp_path / "out")], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    with replacing_folder(tmp_path / "other") as part:
+        (part / "whole").write_text("y")
+    assert len(list(tmp_path.glob(".magyc-gtsam-*"))) == 1  # of the run at work, which is not touched
+    process.kill()
+    process.communicate()
+    with replacing_folder(tmp_path / "other") as part:
+        (part / "whole").write_text("z")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["other"]
+    assert (tmp_path / "other" / "whole").read_text() == "z"
+
+
+def test_two_runs_into_one_folder_leave_the_files_of_one(tmp_path: Path) -> None:
+    """Both find no folder when they begin; the later one to end takes the places of all files."""
+    target = tmp_path / "out"
+    with replacing_folder(target) as first:
+        with replacing_folder(target) as second:
+            for part, text in ((first, "first"), (second, "second")):
+                for name in ("a", "b", "c"):
+                    (part / name).write_text(text)
+        assert (target / "a").read_text() == "second"
+    assert {(target / name).read_text() for name in "abc"} == {"first"}
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_names_from_files_do_not_reach_the_terminal_as_commands(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from magyc_gtsam.cli import main
+
+    name = "mag\x1b]0;owned\x07\u202e_x"
+    path = tmp_path / "a.csv"
+    path.write_text(f"t,{name},b\n" + "\n".join(f"{k},1,2" for k in range(20)))
+    assert main(["info", str(path)]) in (0, 1, 2)
+    assert main(["calibrate", str(path)]) == 2
+    shown = "".join(capfd.readouterr())
+    assert "\x1b]" not in shown
+    assert "\x07" not in shown
+    assert "\u202e" not in shown
+    assert "\\x1b]0;owned" in shown
+    assert printable("µT − 3\u00a0°") == "µT − 3\u00a0°"
+    assert len(shortened("x" * 10_000)) == 201
+
+
+def test_time_to_interrupt(log: Path, tmp_path: Path) -> None:
+    """A process that ignores nothing ends within seconds of being asked."""
+    began = time.monotonic()
+    returned, _ = stopped(log, tmp_path, signal.SIGTERM, 0.8)
+    assert returned in (0, 1, 143, -signal.SIGTERM)
+    assert time.monotonic() - began < 60

@@ -1,0 +1,64 @@
+"""The documentation builds without a broken link, and says what the code does."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.gap.effects import TERMS
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_readme_is_short() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= 700
+    for target in re.findall(r"\]\(([^)#]+)", text):
+        assert (ROOT / target).exists(), target
+
+
+def test_the_site_builds_and_no_link_is_broken(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="pip install '.[docs]'")
+    pytest.importorskip("mkdocstrings_handlers.python", reason="pip install '.[docs]'")
+    command = [
+        sys.executable,
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--site-dir",
+        str(tmp_path / "site"),
+    ]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    commands = (tmp_path / "site" / "reference" / "command-line" / "index.html").read_text(encoding="utf-8")
+    for name in ("calibrate", "online", "gap", "export"):
+        assert f'id="{name}"' in commands
+    assert "--magnetic-field" in commands
+    effects = (tmp_path / "site" / "reference" / "effects" / "index.html").read_text(encoding="utf-8")
+    assert all(f"<code>{name}</code>" in effects for name in TERMS)
+    assert "angular_rate_is" in (tmp_path / "site" / "reference" / "api" / "index.html").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_the_schema_holds_for_what_is_saved(tmp_path: Path) -> None:
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((ROOT / "docs" / "reference" / "calibration.schema.json").read_text(encoding="utf-8"))
+    recording = mg.simulate("wide", 60).recording
+    for method in ("smoother", "ellipsoid", "sar-ls"):
+        mg.calibrate(recording, method).save(tmp_path / "cal.json")
+        jsonschema.validate(json.loads((tmp_path / "cal.json").read_text(encoding="utf-8")), schema)
+    keys = json.loads((tmp_path / "cal.json").read_text(encoding="utf-8")).keys()
+    assert keys <= schema["properties"].keys()
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(
+            {"format": "magyc-gtsam calibration 1", "soft_iron": [[1]], "hard_iron": [0, 0, 0]}, schema
+        )

@@ -1,0 +1,124 @@
+"""The field of the place as variance components, and what is named and not corrected beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.field_variation import field_variation, functions_of_attitude
+from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.refit import refit, widened, with_term
+from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.worth import expected, pays, predicted
+
+
+def twin_of(recording: mg.Recording) -> Twin:
+    """The base model at the sensors' own noise."""
+    short_term = short_term_noise(recording)
+    base = base_model(recording, None, short_term)
+    return refit(base.twin.problem, replace(base.model, noise=short_term), None).twin
+
+
+def in_a_room(seed: int, level: float, **sensor: float) -> mg.Recording:
+    """A field that wanders over some ten seconds along the way, in the world's axes."""
+    simulation = mg.simulate("wide", 200, seed=seed, **sensor)
+    recording = simulation.recording
+    assert recording.attitude is not None
+    steps = np.random.default_rng(seed).standard_normal((len(recording.time), 3))
+    world, pole = np.zeros_like(steps), np.exp(-0.1 / 10.0)
+    for k in range(1, len(steps)):
+        world[k] = pole * world[k - 1] + np.sqrt(1 - pole**2) * steps[k]
+    added = Rotation.from_quat(recording.attitude).inv().apply(level * world) @ simulation.truth.soft_iron.T
+    return replace(recording, magnetic_field=recording.magnetic_field + added)
+
+
+def test_a_field_that_stands_is_not_said_to_vary() -> None:
+    for motion in ("wide", "moderate"):
+        found = [field_variation(twin_of(mg.simulate(motion, 200, seed=s).recording)) for s in range(400, 404)]
+        assert not any(one.evident for one in found)
+        assert max(one.noise for one in found) < 1.1
+
+
+def test_a_field_that_varies_is_sized() -> None:
+    """The process of 1.5 µT is found to a factor of two, and what it leaves is white."""
+    sizes = []
+    for seed in range(500, 504):
+        twin = twin_of(in_a_room(seed, 1.5e-6))
+        found = field_variation(twin)
+        assert found.evident
+        sizes.append(found.along)
+        base = np.linalg.qr(found.whiten(twin.base_columns).T)[0]
+        v = found.whiten(twin.residual().reshape(1, -1))[0]
+        v = v - base @ (base.T @ v)
+        assert (v @ v) / (len(v) - 12) == pytest.approx(1.0, abs=0.15)
+    assert 0.75e-6 < np.median(sizes) < 3e-6
+
+
+def test_the_whitening_is_that_of_the_covariance() -> None:
+    """M^½ M^½ is the inverse of ρ² (I + Z Λ Zᵀ), whatever rows it is applied to."""
+    found = field_variation(twin_of(in_a_room(505, 1.5e-6)))
+    rows = np.random.default_rng(0).standard_normal((3, found._columns.shape[1]))
+    inner = found.whiten(rows) @ found.whiten(rows).T
+    inside = rows @ found._columns.T
+    added = 1 / (1 - found._less) ** 2 - 1  # eigenvalues of Z Λ Zᵀ
+    direct = (rows @ rows.T - (inside * (added / (1 + added))) @ inside.T) / found.noise**2
+    np.testing.assert_allclose(inner, direct, rtol=1e-9)
+
+
+def test_functions_of_attitude_span_a_smooth_process() -> None:
+    """Of unit variance wherever the sensor was turned to, and fewer for a motion that turns less."""
+    wide, tiny = (
+        functions_of_attitude(twin_of(mg.simulate(motion, 200, seed=2).recording).windows.need("to_sensor"))
+        for motion in ("wide", "tiny")
+    )
+    assert (wide**2).sum(axis=0).mean() == pytest.approx(1.0, abs=0.1)
+    assert len(tiny) < 0.5 * len(wide)
+
+
+def test_what_is_there_pays_and_what_is_not_does_not() -> None:
+    """A delay of 0.3 s in a room, and a bent reading that is none; of four seeds each."""
+    right = {"timing": 0, "cubic": 0}
+    for seed in range(510, 514):
+        recording = in_a_room(seed, 1.5e-6, delay=0.3)
+        short_term = short_term_noise(recording)
+        base = base_model(recording, None, short_term)
+        late = with_term(base.model, Active("timing", {}, np.zeros(1)))
+        one = widened(refit(base.twin.problem, late, short_term))
+        variation = field_variation(one.twin)
+        right["timing"] += pays(one, widened(base), 0, variation)
+        two = widened(refit(base.twin.problem, with_term(one.model, Active("cubic", {}, np.zeros(3))), short_term))
+        right["cubic"] += not pays(two, one, 1, variation)
+        assert min(predicted(one, 0, variation)) > min(predicted(two, 1, variation))
+        assert expected(one, widened(base), 0) > 0
+    assert right == {"timing": 4, "cubic": 4}
+
+
+def test_a_lead_is_no_plate_and_neither_is_one_delay() -> None:
+    twin = twin_of(mg.simulate("wide", 100, seed=1).recording)
+    possible, full = TERMS["eddy-plane"].possible, {"full": 1.0}
+    assert not possible(twin, 5e-3 * np.eye(3).ravel(), full)
+    assert not possible(twin, -np.diag([5e-3, 1e-3, 0.0]).ravel(), full)
+    assert possible(twin, np.diag([5e-3, 1e-3, 0.0]).ravel(), full)
+    across = {"x": 0.0, "y": 0.0, "z": 1.0}
+    assert possible(twin, np.array([0.0, 0.0, 5e-3]), across)
+    assert not possible(twin, np.array([0.0, 0.0, -5e-3]), across)
+
+
+@pytest.mark.real
+def test_a_misalignment_of_half_a_walk_is_not_corrected(shared_data) -> None:  # type: ignore[no-untyped-def]
+    """It would take the heading of the other half from 3.4° to 4.6°; the delay of the first half is corrected."""
+    recording = mg.read(shared_data / "nexus5_augmented_reality.mcap")
+    half = 0.5 * recording.duration
+    for part in (recording.between(None, half), recording.between(half, None)):
+        gap = mg.find_gap(part)
+        assert not any(e.applied for e in gap.effects if e.name in ("misalignment", "gyro-scale"))
+        assert gap.before.heading is not None
+        assert gap.after.heading is not None
+        assert gap.after.heading < 1.02 * gap.before.heading

@@ -1,0 +1,230 @@
+"""Many logs of one instrument: shared soft iron, a hard iron that walks and jumps, and logs that do not belong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.factors.chain.vech import unvech, vech
+from magyc_gtsam.history import History
+from magyc_gtsam.history.chain import Observations, solve
+from magyc_gtsam.history.coordinates import shape_of, shape_slope, soft_iron_of, soft_iron_slope
+from magyc_gtsam.history.log_factor import LogFactor, compress
+from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
+
+SEASONS = 10
+
+
+@pytest.fixture(scope="module")
+def dives() -> tuple[LogFactor, ...]:
+    return dive_factors(("wide", "moderate", "low", "tiny"))
+
+
+def test_coordinates_and_their_slopes() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        shape, log_scale = rng.normal(0, 0.2, 5), rng.normal(0, 0.1)
+        soft_iron = soft_iron_of(shape, log_scale)
+        again, scale = shape_of(soft_iron)
+        assert again == pytest.approx(shape, abs=1e-12)
+        assert scale == pytest.approx(log_scale, abs=1e-12)
+        assert np.linalg.det(soft_iron_of(shape)) == pytest.approx(1.0)
+        step = 1e-6
+        columns = [
+            (shape_of(unvech(vech(soft_iron) + step * e))[0] - shape_of(unvech(vech(soft_iron) - step * e))[0])
+            for e in np.eye(6)
+        ]
+        assert shape_slope(soft_iron) == pytest.approx(np.array(columns).T / (2 * step), abs=1e-7)
+        columns = [
+            vech(soft_iron_of(shape + step * e, log_scale)) - vech(soft_iron_of(shape - step * e, log_scale))
+            for e in np.eye(5)
+        ]
+        assert soft_iron_slope(shape, log_scale) == pytest.approx(np.array(columns).T / (2 * step), abs=1e-7)
+
+
+def random_observations(logs: int, seed: int) -> tuple[Observations, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(logs, 8, 8))
+    information = root @ root.transpose(0, 2, 1) + np.eye(8)
+    information[2] = 0.0  # one that says nothing
+    observed = Observations(rng.normal(size=(logs, 8)), information, np.ones(logs - 1))
+    return observed, rng.uniform(0.1, 2.0, logs - 1)
+
+
+def test_the_chain_is_the_dense_solution() -> None:
+    observed, variance = random_observations(7, 1)
+    dense, right = np.zeros((26, 26)), np.zeros(26)
+    for k in range(7):
+        rows = np.r_[0:5, 5 + 3 * k : 8 + 3 * k]
+        dense[np.ix_(rows, rows)] += observed.information[k]
+        right[rows] += observed.information[k] @ observed.mean[k]
+        if k < 6:
+            step = np.zeros((3, 26))
+            step[:, 5 + 3 * k : 8 + 3 * k], step[:, 8 + 3 * k : 11 + 3 * k] = -np.eye(3), np.eye(3)
+            dense += step.T @ step / variance[k]
+    covariance, found = np.linalg.inv(dense), solve(observed, variance)
+    mean = covariance @ right
+    assert found.shape == pytest.approx(mean[:5])
+    assert found.hard_iron.ravel() == pytest.approx(mean[5:])
+    assert found.shape_covariance == pytest.approx(covariance[:5, :5])
+    for k in range(7):
+        own = slice(5 + 3 * k, 8 + 3 * k)
+        assert found.covariance[k] == pytest.approx(covariance[own, own])
+        assert found.cross[k] == pytest.approx(covariance[own, :5])
+        if k < 6:
+            after = slice(8 + 3 * k, 11 + 3 * k)
+            change = (
+                covariance[own, own] + covariance[after, after] - covariance[own, after] - covariance[after, own]
+            )
+            assert found.change[k] == pytest.approx(change)
+
+
+def test_the_chain_is_the_graph() -> None:
+    pytest.importorskip("gtsam")
+    from magyc_gtsam.history.graph import SHAPE_KEY, hard_iron_key, history_graph
+    from magyc_gtsam.runners import Incremental, optimize
+
+    observed, variance = random_observations(5, 2)
+    found = solve(observed, variance)
+    graph, start = history_graph(observed, variance)
+    batch = optimize(graph, start)
+    assert batch.converged
+    incremental = Incremental("gauss-newton")
+    assert incremental.update(graph, start, steps=5).updated
+    for values in (batch.values, incremental.values):
+        assert values.atVector(SHAPE_KEY) == pytest.approx(found.shape, abs=1e-6)
+        for k in range(5):
+            assert values.atVector(hard_iron_key(k)) == pytest.approx(found.hard_iron[k], abs=1e-6)
+
+
+def test_seasons(dives: tuple[LogFactor, ...]) -> None:
+    """Sixty dives: what happened is named and dated, nothing else is, and the sigmas are true."""
+    named = false = 0
+    shape, hard_iron, ahead, covered = [], [], [], []
+    for seed in range(SEASONS):
+        season = draw_season(seed, dives)
+        history = History(season.factors)
+        found = {index for index, _, _ in history.jumps}
+        named += len(found & set(season.jumps))
+        false += len(found - set(season.jumps))
+        contradicting = {each.index for each in history.contradictions}
+        assert contradicting >= {*season.wrecks, *season.wrong_units}
+        false += len(contradicting - {*season.wrecks, *season.wrong_units})
+        own = history.groups[0]
+        posterior = compress(history.calibrations[own[0]], "", None)
+        assert posterior.mean is not None
+        assert posterior.covariance is not None
+        off = posterior.mean[:5] - season.shape
+        shape.append(off @ np.linalg.solve(posterior.covariance[:5, :5], off))
+        for k in set(own) - contradicting:
+            off = history.hard_iron[k] - season.hard_iron[k]
+            hard_iron.append(off @ np.linalg.solve(history.hard_iron_covariance[k], off))
+        off = history.next.hard_iron - season.next_hard_iron
+        spread = history.next.covariance[6:9, 6:9]
+        ahead.append(off @ np.linalg.solve(spread, off))
+        covered += list(np.abs(off) < 1.96 * np.sqrt(np.diag(spread)))
+    assert named >= 0.95 * 2 * SEASONS
+    assert false <= 0.01 * 60 * SEASONS
+    band = 3.3 / np.sqrt(SEASONS)  # 99.9 %
+    assert abs(np.mean(shape) - 5) < band * np.sqrt(10)
+    assert abs(np.mean(ahead) - 3) < band * np.sqrt(6)
+    assert np.mean(hard_iron) == pytest.approx(3, abs=0.4)  # neighbours hang together
+    assert np.mean(covered) > 0.87
+
+
+def test_adding_a_log_is_the_batch(dives: tuple[LogFactor, ...], tmp_path: Path) -> None:
+    sims = [mg.simulate("wide", 120, 10, seed=seed, hard_iron=[2e-6, 12e-6, 9e-6]) for seed in range(4)]
+    recordings = [sim.recording for sim in sims]
+    times = [1.7e9 + 86400.0 * k for k in range(4)]
+    history = mg.calibrate_many(recordings[:3], times=times[:3])
+    history.save(tmp_path / "history.yaml")
+    loaded = History.load(tmp_path / "history.yaml")
+    np.testing.assert_array_equal(loaded.hard_iron, history.hard_iron)
+    np.testing.assert_array_equal(loaded.next.covariance, history.next.covariance)
+    batch = mg.calibrate_many(recordings, times=times)
+    added = loaded.add(recordings[3], time=times[3])
+    assert len(added) == 4
+    np.testing.assert_array_equal(added.hard_iron, batch.hard_iron)
+    np.testing.assert_array_equal(added.hard_iron_covariance, batch.hard_iron_covariance)
+    np.testing.assert_array_equal(added.calibrations[0].soft_iron, batch.calibrations[0].soft_iron)
+    # all logs know the shared soft iron better than each
+    alone = mg.calibrate(recordings[0]).sigma["soft_iron"]
+    assert (batch.calibrations[0].sigma["soft_iron"] < 0.7 * alone).all()
+    assert batch.jumps == []
+
+
+def test_a_log_that_fails_stays_a_row() -> None:
+    good = [mg.simulate("wide", 120, 10, seed=seed).recording for seed in range(3)]
+    blind = mg.Recording(good[0].time, good[0].magnetic_field)
+    history = mg.calibrate_many([good[0], blind, *good[1:]])
+    assert history.groups == ((0, 2, 3),)
+    (contradiction,) = history.contradictions
+    assert contradiction.index == 1
+    assert "not calibrated" in contradiction.sentence
+    assert len(history.calibrations) == 4
+    off = (history.hard_iron[1] - history.hard_iron[0]) / np.sqrt(np.diag(history.hard_iron_covariance[1]))
+    assert np.abs(off).max() < 3
+    with pytest.raises(mg.MagycError, match="none of the 1 logs has a calibration"):
+        mg.calibrate_many([blind])
+    with pytest.raises(mg.MagycError, match="no recordings"):
+        mg.calibrate_many([])
+    with pytest.raises(mg.MagycError, match="give one for each"):
+        mg.calibrate_many(good, times=[0.0])
+
+
+def test_two_instruments_are_told_apart(dives: tuple[LogFactor, ...]) -> None:
+    plan = SeasonPlan(dives=8, jumps=0, wrecks=0, wrong_units=0)
+    right = 0
+    for seed in range(10):
+        one, other = (draw_season(100 * s + seed, dives, plan) for s in (1, 2))
+        mixed = [each for pair in zip(one.factors, other.factors, strict=True) for each in pair]
+        right += History(mixed).groups == (tuple(range(0, 16, 2)), tuple(range(1, 16, 2)))
+    assert right >= 9
+
+
+def test_damaged_files_are_refused(tmp_path: Path, dives: tuple[LogFactor, ...]) -> None:
+    history = History(draw_season(0, dives, SeasonPlan(dives=8)).factors)
+    history.save(tmp_path / "history.yaml")
+    text = (tmp_path / "history.yaml").read_text()
+    for damage, says in (
+        (text.replace("magyc-gtsam history 1", "another"), "not a history"),
+        (text.replace("covariance:", "variance:"), "damaged entry of a log"),
+        ("a: [", "not readable as YAML"),
+        (text.replace("walk: 0.3", "wolk: 0.3"), "a damaged history"),
+    ):
+        assert damage != text
+        (tmp_path / "damaged.yaml").write_text(damage)
+        with pytest.raises(mg.MagycError, match=says):
+            History.load(tmp_path / "damaged.yaml")
+
+
+@pytest.mark.real
+def test_broad_is_several_instruments(shared_data: Path) -> None:
+    """Trials 1, 4, 6 are one unit; 2, 5, 28 another; 32, 33, 35 a third whose hard iron magnets moved."""
+    recordings = {}
+    for file in sorted((shared_data / "real").glob("broad_*.npz")):
+        data = np.load(file)
+        rows = np.flatnonzero(data["move"])
+        recordings[int(file.name[6:8])] = mg.Recording.from_streams(
+            (data["tm"][rows], data["m"][rows].astype(float)), (data["tm"][rows], data["w"][rows].astype(float))
+        )
+    for number, name in ((1, "broad_01_slow_rotation"), (6, "broad_06_fast_rotation")):
+        recordings[number] = mg.read(shared_data / f"{name}.mcap")
+    recordings[32] = mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
+    trials = sorted(recordings)
+    history = mg.calibrate_many([recordings[t] for t in trials])
+    groups = {frozenset(trials[i] for i in group) for group in history.groups}
+    calibrated = frozenset().union(*groups)
+    assert calibrated >= {1, 2, 4, 5, 6, 32, 35}
+    units = [frozenset(unit) for unit in ({1, 4, 6}, {2, 5, 28}, {32, 33, 35})]
+    assert {unit & calibrated for unit in units} <= groups
+    moved = [trials[index] for index, _, _ in history.jumps]
+    assert moved == [trial for trial in (33, 35) if trial in calibrated]
+    between = history.hard_iron[trials.index(35)] - history.hard_iron[trials.index(32)]
+    assert between * 1e6 == pytest.approx([6.8, 1.3, -66.8], abs=2)
+    contradicting = {trials[each.index] for each in history.contradictions}
+    assert contradicting >= {10, 15, 16}
+    assert contradicting.isdisjoint(calibrated - {15, 16})

@@ -1,0 +1,143 @@
+"""An earlier calibration as prior, and the field at the place."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magyc_gtsam import Calibration, MagycError, calibrate, simulate
+from magyc_gtsam.factors.chain.rotations import exponential_matrices
+from magyc_gtsam.simulation.sensor import HARD_IRON, SOFT_IRON
+from magyc_gtsam.study.efficiency import error
+
+ANYTHING = 100e-6  # T, a hard iron that may have changed by as much as one has
+
+
+@pytest.fixture(scope="module")
+def earlier():
+    return calibrate(simulate("wide", seed=999).recording, misalignment=0)
+
+
+@pytest.fixture(scope="module")
+def strength():
+    return simulate("wide", duration=10).truth.field_strength
+
+
+def hard_iron_error(motion, seeds, duration=600, **options):
+    """Root mean square error of an axis in T; mean of its squared ratio to the stated sigma."""
+    square, ratio = [], []
+    for seed in seeds:
+        simulation = simulate(motion, duration, seed=seed)
+        calibration = calibrate(simulation.recording, misalignment=0, **options)
+        away = error(calibration, simulation.truth)[6:9]
+        square.append(np.mean(away**2))
+        ratio.append(away @ np.linalg.solve(calibration.covariance[6:9, 6:9], away) / 3)
+        assert calibration.trusted, calibration.message
+    return np.sqrt(np.mean(square)), np.mean(ratio)
+
+
+@pytest.mark.parametrize(("motion", "duration"), [("tiny", 60), ("level", 600), ("ship", 600)])
+def test_the_matrix_and_the_strength_make_little_motion_enough(earlier, strength, motion, duration):
+    seeds = range(6)
+    alone, _ = hard_iron_error(motion, seeds, duration)
+    matrix, its = hard_iron_error(motion, seeds, duration, prior=earlier, hard_iron_walk=ANYTHING)
+    both, theirs = hard_iron_error(
+        motion, seeds, duration, prior=earlier, hard_iron_walk=ANYTHING, field=(strength, None)
+    )
+    assert matrix < 0.6 * alone
+    assert both < 0.25 * alone
+    assert max(its, theirs) < 2.6  # χ² of 18 over 18, 99.9 %
+
+
+def test_a_prior_that_did_not_walk_is_hardly_moved_by_little_data(earlier):
+    simulation = simulate("tiny", duration=60, seed=5)
+    calibration = calibrate(simulation.recording, prior=earlier, misalignment=0)
+    assert (np.abs(calibration.hard_iron - earlier.hard_iron) < 0.5 * earlier.sigma["hard_iron"]).all()
+    assert (calibration.sigma["hard_iron"] < 1.01 * earlier.sigma["hard_iron"]).all()
+
+
+def test_the_walk_widens_the_prior(earlier):
+    recording = simulate("tiny", duration=60, seed=5).recording
+    sigmas = [
+        calibrate(recording, prior=earlier, hard_iron_walk=walk, misalignment=0).sigma["hard_iron"].max()
+        for walk in (0.0, 0.2e-6, 5e-6)
+    ]
+    assert sigmas == sorted(sigmas)
+    assert sigmas[2] > 2 * sigmas[0]
+
+
+def test_a_hard_iron_that_moved_contradicts_the_prior_and_says_so(earlier):
+    moved = simulate("wide", seed=7, hard_iron=HARD_IRON + np.array([0, 8e-6, 0])).recording
+    calibration = calibrate(moved, prior=earlier, misalignment=0)
+    assert not calibration.trusted
+    assert "the data contradict the earlier calibration: hard iron y by +8" in calibration.message
+    assert "(hard_iron_walk)" in calibration.message
+    allowed = calibrate(moved, prior=earlier, hard_iron_walk=10e-6, misalignment=0)
+    assert allowed.trusted, allowed.message
+
+
+@pytest.mark.parametrize("percent", [0.5, 1.0])
+def test_a_matrix_that_is_off_is_noticed_on_wide_motion(earlier, percent):
+    stretched = SOFT_IRON + percent / 100 * np.diag([1.0, 0.0, -1.0])
+    recording = simulate("wide", seed=8, soft_iron=stretched).recording
+    calibration = calibrate(recording, prior=earlier, misalignment=0)
+    assert not calibration.trusted
+    assert "the data contradict the earlier calibration: soft iron" in calibration.message
+    assert calibrate(recording, prior=earlier, soft_iron_walk=0.01, misalignment=0).trusted
+
+
+def test_the_strength_sets_the_scale_with_its_sigma(strength):
+    recording = simulate("wide", seed=3).recording
+    calibration = calibrate(recording, field=((40e-6, 400e-9), None))
+    assert calibration.field_strength == 40e-6
+    assert np.cbrt(np.linalg.det(calibration.soft_iron)) == pytest.approx(strength / 40e-6, rel=2e-3)
+    plain = calibrate(recording)
+    np.testing.assert_allclose(calibration.hard_iron, plain.hard_iron, atol=1e-9)
+    # One percent of each element.
+    assert calibration.sigma["soft_iron"][2, 2] == pytest.approx(0.01 * calibration.soft_iron[2, 2], rel=0.1)
+
+
+def test_a_prior_with_a_skew_hands_it_on():
+    angle = np.radians([0.5, -0.4, 0.6])
+    turn = exponential_matrices(angle[:, None])[:, :, 0]
+    cal0 = calibrate(simulate("wide", seed=11, soft_iron=SOFT_IRON @ turn).recording)
+    assert cal0.terms
+    recording = simulate("level", seed=12, soft_iron=SOFT_IRON @ turn).recording
+    calibration = calibrate(recording, prior=cal0, hard_iron_walk=5e-6)
+    np.testing.assert_allclose(-calibration.terms[0].value, angle, atol=np.radians(0.2))
+    assert calibration.trusted, calibration.message
+
+
+def test_the_configuration_is_enough_to_run_again(earlier, tmp_path):
+    recording = simulate("tiny", duration=60, seed=5).recording
+    first = calibrate(recording, prior=earlier, hard_iron_walk=5e-6, field=(50e-6, 1.05))
+    first.save(tmp_path / "cal.yaml")
+    again = calibrate(recording, **Calibration.load(tmp_path / "cal.yaml").configuration)
+    np.testing.assert_array_equal(again.covariance, first.covariance)
+
+
+def test_what_makes_no_sense_is_refused(earlier):
+    recording = simulate("wide", duration=60).recording
+    without = replace(earlier, covariance=None)
+    for options, said in (
+        ({"prior": without}, "has no covariance"),
+        ({"prior": 3}, "an earlier Calibration is needed, got int"),
+        ({"hard_iron_walk": 1e-6}, "give it .prior=."),
+        ({"prior": earlier, "hard_iron_walk": -1}, "hard_iron_walk must be between 0 and 1 T, got -1"),
+        ({"field": 50e-6}, "is neither .strength T, dip rad. nor"),
+        ({"field": (50e-6, 3.0)}, "the dip must be between"),
+        ({"field": (50e-6, 1.0), "field_strength": 50e-6}, "give one of them"),
+    ):
+        with pytest.raises(MagycError, match=said):
+            calibrate(recording, **options)
+
+
+def test_where_the_motion_is_too_little_the_cheapest_fact_is_named(earlier, strength):
+    recording = simulate("level", duration=60, seed=1).recording
+    alone = calibrate(recording)
+    assert not alone.trusted
+    assert "or give an earlier calibration and the strength of the field at the place" in alone.message
+    told = calibrate(recording, prior=earlier, hard_iron_walk=ANYTHING, field=(strength, None))
+    assert told.trusted, told.message
+    stated = float(alone.message.split("place (--prior, --location, --date): hard iron ±")[1].split()[0])
+    assert told.sigma["hard_iron"].max() * 1e6 == pytest.approx(stated, rel=0.5)

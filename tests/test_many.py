@@ -1,0 +1,167 @@
+"""Many logs and many units of work: found, read lazily, calibrated each by itself, on processes or a cluster."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import engine_work
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.cli import main
+from magyc_gtsam.cli.many import unique_names
+from magyc_gtsam.engine import DIED, run_many
+from magyc_gtsam.io.many import find_logs
+
+DIVE = Path(__file__).parents[1] / "datasets" / "calibration_dive.mcap"
+
+
+@pytest.fixture(scope="module")
+def season(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tree with two dives, a file that is no log, and one that cannot be read."""
+    from magyc_gtsam.io import write_mcap
+
+    folder = tmp_path_factory.mktemp("season")
+    (folder / "june").mkdir()
+    for seed, name in ((1, "a.mcap"), (2, "june/a.mcap")):
+        write_mcap(folder / name, mg.simulate("wide", 120, 10, seed=seed).recording)
+    (folder / "june" / "broken.csv").write_text("time,nothing\n")
+    (folder / "notes.md").write_text("no log")
+    (folder / ".hidden.csv").write_text("no log")
+    return folder
+
+
+def test_logs_are_found(season: Path) -> None:
+    all_of_them = (season / "a.mcap", season / "june/a.mcap", season / "june/broken.csv")
+    assert find_logs(season) == all_of_them
+    assert find_logs([season / "june/a.mcap", season]) == (all_of_them[1], all_of_them[0], all_of_them[2])
+    assert find_logs(str(season / "**" / "*.mcap")) == all_of_them[:2]
+    assert find_logs(season / "notes.md") == (season / "notes.md",)  # what is named is meant
+    for wrong, says in (
+        (season / "july", "no such file or folder"),
+        (season / "*.bin", "no logs match"),
+    ):
+        with pytest.raises(mg.MagycError, match=says):
+            find_logs(wrong)
+    (season / "empty").mkdir(exist_ok=True)
+    with pytest.raises(mg.MagycError, match="no logs in this folder"):
+        find_logs(season / "empty")
+
+
+def test_read_many_reads_when_asked(season: Path) -> None:
+    logs = mg.read_many(season)
+    assert len(logs) == 3
+    np.testing.assert_array_equal(logs[1].magnetic_field, mg.read(season / "june/a.mcap").magnetic_field)
+    assert [log.duration for log in logs[:2]] == pytest.approx([119.9, 119.9])
+    with pytest.raises(mg.MagycError, match="broken"):
+        logs[2]
+    history = mg.calibrate_many(logs)
+    assert history.groups == ((0, 1),)
+    assert history.contradictions[0].index == 2
+
+
+def test_names_of_folders_are_unique() -> None:
+    assert unique_names([Path("a.mcap"), Path("b.mcap")]) == ["a", "b"]
+    assert unique_names([Path("x/a.mcap"), Path("y/a.mcap")]) == ["x-a", "y-a"]
+    assert unique_names([Path("a.mcap"), Path("a.csv")]) == ["a", "a-2"]
+
+
+def test_calibrate_a_folder(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "results"
+    assert main(["calibrate", str(season), "--output", str(folder)]) == 2  # the worst
+    output, errors = capsys.readouterr()
+    assert output.count("✔") == 2
+    assert "1 of 3 logs have no calibration to be trusted" in errors
+    assert "broken.csv" in errors
+    with open(folder / "calibrations.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["exit_code"] for row in rows] == ["0", "0", "2"]
+    for row in rows[:2]:
+        calibration = mg.Calibration.load((folder / row["page"]).with_name("calibration.yaml"))
+        assert float(row["hard_iron_y_uT"]) == calibration.hard_iron[1] * 1e6
+        assert row["page"] in (folder / "index.html").read_text(encoding="utf-8")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(folder / "calibrations.parquet").to_pylist()
+    assert [row["hard_iron_x_uT"] for row in table[:2]] == [float(row["hard_iron_x_uT"]) for row in rows[:2]]
+
+    # Run again, it goes on where it was: what is there is not made again.
+    before = (folder / rows[0]["page"]).stat().st_mtime_ns
+    assert main(["calibrate", str(season), "--output", str(folder), "--json"]) == 2
+    again = json.loads(capsys.readouterr().out)["logs"]
+    assert [row["hard_iron_x_uT"] for row in again] == [row["hard_iron_x_uT"] for row in table]
+    assert (folder / rows[0]["page"]).stat().st_mtime_ns == before
+
+
+def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "history"
+    assert main(["history", str(season / "a.mcap"), str(season / "june"), "-o", str(folder), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["groups"] == [[0, 1]]
+    assert shown["contradictions"][0][0] == 2
+    following = mg.Calibration.load(folder / "next.yaml")
+    assert shown["next"]["hard_iron"] == following.hard_iron.tolist()
+    assert {"history.yaml", "report.html", "px4.params", "next.yaml"} <= {file.name for file in folder.iterdir()}
+
+    added = tmp_path / "added"
+    shutil.copy(DIVE, tmp_path / "third.mcap")
+    command = ["history", str(tmp_path / "third.mcap"), "--add", str(folder / "history.yaml"), "-o", str(added)]
+    assert main(command) in (0, 1)  # simulated alike, but another instrument may be seen in it
+    assert "third.mcap" in capsys.readouterr().out
+    assert len(mg.History.load(added / "history.yaml")) == 4
+    assert main(["history", str(season / "a.mcap"), "--add", str(folder / "history.yaml")]) == 2
+    assert "is in the history already" in capsys.readouterr().err
+
+
+def units(count: int) -> dict[str, Any]:
+    return {f"unit-{seed}": (seed, 40) for seed in range(count)}
+
+
+def test_processes_give_the_same_bits_and_go_on_where_they_were(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    here = run_many(engine_work.spectrum, units(6), workers=1)
+    assert list(here) == list(units(6))
+    assert run_many(engine_work.spectrum, units(6), workers=2) == here
+
+    shares: list[float] = []
+    first = run_many(engine_work.spectrum, units(3), workers=1, parts=tmp_path, progress=shares.append)
+    assert shares == pytest.approx([1 / 3, 2 / 3, 1])
+    assert len(list(tmp_path.glob("*.parquet"))) == 3
+    both = run_many(engine_work.spectrum, units(6), workers=1, parts=tmp_path, progress=shares.append)
+    assert len(shares) == 6
+    assert both == here
+    assert first == {name: here[name] for name in units(3)}
+
+
+def test_a_process_that_dies_costs_its_unit(tmp_path: Path) -> None:
+    once = {str(seed): (seed, str(tmp_path / "marker")) for seed in range(6)}
+    rows = run_many(engine_work.kill_once, once, workers=2)
+    assert rows == {str(seed): engine_work.spectrum((seed, 30)) for seed in range(6)}
+    always = run_many(engine_work.kill_always, {str(i): i for i in range(4)}, workers=2)
+    assert always == {"0": {"unit": 0}, "1": {"error": DIED}, "2": {"unit": 2}, "3": {"unit": 3}}
+
+
+def test_engines_that_cannot_be_had() -> None:
+    with pytest.raises(mg.MagycError, match="must be 'local' or the address"):
+        run_many(engine_work.spectrum, units(1), engine="cluster")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="kills a process by a signal")
+def test_a_cluster_with_a_worker_killed_gives_the_same_bits(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    once = {str(seed): (seed, str(tmp_path / "marker")) for seed in range(12)}
+    tests = str(Path(__file__).parent)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        with distributed.Client(cluster) as client:
+            client.run(lambda: __import__("sys").path.insert(0, tests))
+            client.register_worker_callbacks(lambda: __import__("sys").path.insert(0, tests))
+        rows = run_many(engine_work.kill_once, once, engine=cluster.scheduler_address)
+    assert (tmp_path / "marker").exists()  # it was killed
+    assert rows == {str(seed): engine_work.spectrum((seed, 30)) for seed in range(12)}

@@ -1,0 +1,67 @@
+"""Stamps that are far ahead: wrong ones are dropped, those after a pause are taken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.online.intake import Intake
+
+
+def taken(time: np.ndarray, cut: int) -> tuple[list[float], int]:
+    """Stamps of the magnetometer's samples taken, so many in a call, and how many were left out."""
+    intake, stamps = Intake(), []
+    field = 1e-5 + 1e-8 * np.arange(len(time))[:, None] * np.ones(3)
+    for i in range(0, len(time), cut):
+        magnetometer, _ = intake.take(time[i : i + cut], field[i : i + cut], None)
+        stamps += magnetometer.time.tolist()
+    counts = intake.state()["count"]
+    return stamps, int(counts[1])
+
+
+@pytest.mark.parametrize("cut", [1, 3, 1000])
+@pytest.mark.parametrize("seed", range(4))
+def test_wrong_stamps_ahead_are_dropped_and_pauses_kept(seed: int, cut: int) -> None:
+    random = np.random.default_rng(seed)
+    time = 0.1 * np.arange(400) + random.uniform(0, 0.02, 400)
+    time[200:] += 3600.0  # a pause
+    wrong = np.sort(random.choice(np.r_[10:190, 215:390], 6, replace=False))
+    given = time.copy()
+    given[wrong] += 10 ** random.uniform(0.5, 9, 6)
+    stamps, left_out = taken(given, cut)
+    assert stamps == np.delete(time, wrong).tolist()
+    assert left_out == 6
+
+
+@pytest.mark.parametrize("step", [0.01, 0.1, 2.0, 30.0])
+def test_regular_stamps_are_all_taken(step: float) -> None:
+    time = step * np.arange(100)
+    assert taken(time, 7) == (time.tolist(), 0)
+
+
+def test_a_clock_that_was_set_ahead_is_believed_after_five_more_stamps() -> None:
+    time = np.append(0.1 * np.arange(100), 5000 + 0.1 * np.arange(6))
+    assert taken(time[:-1], 1)[0] == time[:100].tolist()
+    assert taken(time, 1) == (time.tolist(), 0)
+
+
+def test_the_calibration_goes_on(tmp_path: Path) -> None:
+    """One stamp of the magnetometer, one of the gyroscope, and a file written while one waits."""
+    recording = mg.simulate("wide", 200, seed=3).recording
+    without = mg.OnlineCalibrator()
+    online = mg.OnlineCalibrator()
+    for i, row in enumerate(zip(recording.time, recording.magnetic_field, recording.angular_rate, strict=True)):
+        time, field, rate = row
+        if i == 500:
+            online.update(1e9, field)
+            online.save(tmp_path / "state.npz")
+            online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
+        if i == 900:
+            online.update(time + 40.0, angular_rate=rate)
+        online.update(time, field, rate)
+        without.update(time, field, rate)
+    assert online.progress.left_out == 2
+    assert online.calibration.to_dict() == without.calibration.to_dict()

@@ -1,0 +1,32 @@
+"""Online, what the model does not explain enters the covariance as in the batch, and is kept with the state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import magyc_gtsam as mg
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.signals import record
+
+
+def test_online_states_the_same_model_error(tmp_path: Path) -> None:
+    """At the end, in the middle of a log that is too long to be fitted as a whole, and after a kill."""
+    fault = FAULTS["turned-gyroscope"]
+    recording = record("wide", 0, fault, fault.strong, "turned-gyroscope").recording("turned")
+    batch, online = mg.calibrate(recording, misalignment=0), mg.OnlineCalibrator(horizon=400.0)
+    for i in range(0, 6000, 50):
+        rows = slice(i, i + 50)
+        online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
+        if i == 5500:
+            online.save(tmp_path / "state.npz")
+            again = mg.OnlineCalibrator.load(tmp_path / "state.npz")
+            assert again.calibration.to_dict() == online.calibration.to_dict()
+            online = again
+    result = online.calibration
+    assert batch.diagnostics["model_error"]["components"] != []
+    assert result.diagnostics["model_error"]["components"] != []
+    whole, noise = (np.trace(c[6:9, 6:9]) for c in (result.covariance, result.noise_covariance))
+    assert whole > 4 * noise
+    np.testing.assert_allclose(whole, np.trace(batch.covariance[6:9, 6:9]), rtol=0.75)

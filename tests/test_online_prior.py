@@ -1,0 +1,71 @@
+"""An earlier calibration, online as in the batch: on motions too small to do without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.recording import Recording
+
+
+def fed(recording: Recording, **options: object) -> mg.OnlineCalibrator:
+    """Every row, five seconds at a time."""
+    online = mg.OnlineCalibrator(**options)
+    for i in range(0, len(recording.time), 50):
+        rows = slice(i, i + 50)
+        online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
+    return online
+
+
+@pytest.fixture(scope="module")
+def earlier() -> mg.Calibration:
+    return mg.calibrate(mg.simulate("wide", 600, seed=11).recording)
+
+
+@pytest.mark.parametrize("options", [{}, {"prior_walk": 0.3e-6}, {"horizon": 200.0}, {"hard_iron_walk": 0.1e-6}])
+def test_it_ends_as_in_the_batch(earlier: mg.Calibration, options: dict[str, float]) -> None:
+    simulation = mg.simulate("tiny", 300, seed=12)
+    online = fed(simulation.recording, prior=earlier, **options).calibration
+    walk = options.get("prior_walk", 0.0)
+    batch = mg.calibrate(simulation.recording, prior=earlier, hard_iron_walk=walk, misalignment=0)
+    alone = mg.calibrate(simulation.recording, misalignment=0)
+    off = (online.hard_iron - batch.hard_iron) / batch.sigma["hard_iron"]
+    exact = set(options) <= {"prior_walk"}
+    assert np.abs(off).max() < (0.05 if exact else 1.0)
+    np.testing.assert_allclose(online.sigma["hard_iron"], batch.sigma["hard_iron"], rtol=0.05 if exact else 0.6)
+    assert online.sigma["hard_iron"][2] < 0.7 * alone.sigma["hard_iron"][2]
+    error = (online.hard_iron - simulation.truth.hard_iron) / online.sigma["hard_iron"]
+    assert np.abs(error).max() < 4
+
+
+def test_it_is_kept_with_the_state(earlier: mg.Calibration, tmp_path: Path) -> None:
+    recording = mg.simulate("low", 120, seed=3).recording
+    online = fed(recording, prior=earlier)
+    online.save(tmp_path / "state.npz")
+    again = mg.OnlineCalibrator.load(tmp_path / "state.npz")
+    assert again.calibration.to_dict() == online.calibration.to_dict()
+    assert again.options == online.options
+    assert mg.Calibration.from_dict(again.options["prior"]).to_dict() == earlier.to_dict()
+
+
+def test_after_a_step_it_holds_no_more(earlier: mg.Calibration) -> None:
+    simulation = mg.simulate("wide", 500, seed=4)
+    recording, step = simulation.recording, np.array([8e-6, -6e-6, 5e-6])
+    field = recording.magnetic_field + np.outer(recording.time > 250, step)
+    online = fed(Recording(recording.time, field, recording.angular_rate), prior=earlier)
+    (change,) = online.changes
+    np.testing.assert_allclose(change.step, step, atol=1e-6)
+    error = (online.calibration.hard_iron - simulation.truth.hard_iron - step) / online.calibration.sigma[
+        "hard_iron"
+    ]
+    assert np.abs(error).max() < 4
+
+
+def test_what_is_no_prior_is_refused() -> None:
+    with pytest.raises(mg.MagycError, match="prior_walk: must be a finite number of at least 0, got -1"):
+        mg.OnlineCalibrator(prior_walk=-1)
+    with pytest.raises(mg.MagycError, match="prior: an earlier Calibration is needed, got float"):
+        mg.OnlineCalibrator(prior=1.0)

@@ -1,0 +1,117 @@
+"""A skew between the two chips: decided by the data, taken out, or carried into the covariance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam import Calibration, MagycError, calibrate, simulate
+from magyc_gtsam.factors.chain.rotations import exponential_matrices
+from magyc_gtsam.simulation.sensor import SOFT_IRON
+from magyc_gtsam.study.efficiency import error, nees
+
+DEGREE = np.pi / 180
+
+
+def skewed(motion, degrees, seed, **options):
+    """A simulation of chips that are askew in a random direction: recording, truth (soft iron symmetric), ε."""
+    axis = np.random.default_rng(1000 + seed).normal(size=3)
+    angle = degrees * DEGREE * axis / np.linalg.norm(axis)
+    turn = exponential_matrices(angle[:, None])[:, :, 0]
+    simulation = simulate(motion, seed=seed, soft_iron=SOFT_IRON @ turn, **options)
+    truth = replace(simulation.truth, soft_iron=SOFT_IRON / np.cbrt(np.linalg.det(SOFT_IRON)))
+    return simulation, truth, angle
+
+
+@pytest.mark.parametrize(("motion", "degrees"), [("wide", 0.7), ("low", 0.7), ("moderate", 1.5), ("tiny", 1.5)])
+def test_a_skew_is_found_and_taken_out(motion, degrees):
+    scores, distances = [], []
+    for seed in range(8):
+        simulation, truth, angle = skewed(motion, degrees, seed)
+        calibration = calibrate(simulation.recording)
+        (term,) = calibration.terms
+        assert term.name == "misalignment"
+        assert calibration.trusted, calibration.message
+        away = -term.value - angle
+        distances.append(away @ np.linalg.solve(term.covariance, away))
+        scores.append(nees(error(calibration, truth), calibration.covariance))
+    assert np.mean(scores) == pytest.approx(11, abs=2.58 * np.sqrt(22 / len(scores)))
+    assert np.mean(distances) == pytest.approx(3, abs=3.3 * np.sqrt(6 / len(distances)))
+
+
+def test_apply_brings_the_field_to_the_gyroscopes_axes(tmp_path):
+    simulation, _, _ = skewed("wide", 1.5, 3)
+    calibration = calibrate(simulation.recording)
+    calibration.save(tmp_path / "cal.yaml")
+    body = Rotation.from_quat(simulation.recording.attitude).inv().apply(simulation.field)
+    strength = np.linalg.norm(simulation.field) / calibration.field_strength
+    for each in (calibration, Calibration.load(tmp_path / "cal.yaml")):
+        left = each.apply(simulation.recording) * strength - body
+        assert np.abs(left.mean(axis=0)).max() < 0.1e-6
+        assert np.sqrt(np.mean(left**2)) < 1.1e-6  # the noise; 12 parameters leave more
+
+
+@pytest.mark.parametrize("motion", ["wide", "moderate", "tiny", "level"])
+def test_without_a_skew_none_is_reported_and_the_sigmas_leave_room_for_one(motion):
+    scores, found = [], 0
+    for seed in range(10):
+        simulation = simulate(motion, seed=100 + seed)
+        calibration = calibrate(simulation.recording)
+        plain = calibrate(simulation.recording, misalignment=0)
+        scores.append(nees(error(calibration, simulation.truth), calibration.covariance))
+        if calibration.terms:
+            found += 1
+            continue
+        np.testing.assert_array_equal(calibration.hard_iron, plain.hard_iron)
+        assert (np.diag(calibration.covariance - plain.covariance) > -1e-30).all()
+        assert calibration.observability.heading_sigma >= plain.observability.heading_sigma
+    assert found <= 1  # by linear simulation, 1 in 100 at most
+    assert 11 - 2 - 2.58 * np.sqrt(22 / len(scores)) < np.mean(scores) < 11 + 1.96 * np.sqrt(22 / len(scores))
+
+
+@pytest.mark.parametrize("motion", ["moderate", "level"])
+def test_where_the_motion_shows_no_skew_the_sigmas_hold_for_one_nevertheless(motion):
+    """With twelve parameters alone the mean NEES is above 300."""
+    scores = []
+    for seed in range(8):
+        simulation, truth, _ = skewed(motion, 0.7, seed)
+        calibration = calibrate(simulation.recording)
+        scores.append(nees(error(calibration, truth), calibration.covariance))
+    assert np.mean(scores) < 22
+
+
+def test_a_number_is_the_deviation_of_the_prior():
+    simulation, _, angle = skewed("moderate", 0.7, 0)
+    loose, tight = (calibrate(simulation.recording, misalignment=s * DEGREE).terms[0] for s in (2.0, 0.05))
+    assert np.linalg.norm(tight.value) < 0.4 * np.linalg.norm(loose.value)
+    assert (tight.sigma < 0.051 * DEGREE).all()
+    assert np.linalg.norm(-loose.value - angle) < 3 * np.linalg.norm(loose.sigma)
+
+
+def test_more_than_two_degrees_is_a_field_that_varies_unless_the_user_says_so():
+    simulation, _, angle = skewed("wide", 4.0, 1)
+    calibration = calibrate(simulation.recording)
+    assert not calibration.trusted
+    assert calibration.terms == ()
+    assert calibration.message.startswith("the field varies along the way")
+    told = calibrate(simulation.recording, misalignment=4 * DEGREE)
+    assert told.trusted, told.message
+    np.testing.assert_allclose(-told.terms[0].value, angle, atol=0.3 * DEGREE)
+
+
+def test_a_skew_in_a_part_only_is_a_field_that_varies():
+    first, _, _ = skewed("wide", 1.8, 2)
+    rest, _, _ = skewed("wide", 0.0, 2)
+    recording = first.recording
+    half = recording.time > recording.time.mean()
+    field = np.where(half[:, None], recording.magnetic_field, rest.recording.magnetic_field)
+    calibration = calibrate(replace(recording, magnetic_field=field))
+    assert calibration.terms == ()
+    assert calibration.message.startswith("the field varies along the way: the first half")
+
+
+@pytest.mark.parametrize("value", [-0.1, 2.0, "yes", True, None])
+def test_what_is_no_misalignment_is_refused(value):
+    with pytest.raises(MagycError, match="misalignment must be between 0 and 0.785398 rad, or 'auto'"):
+        calibrate(simulate("wide", duration=60).recording, misalignment=value)

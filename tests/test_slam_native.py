@@ -1,0 +1,151 @@
+"""Blocks in a graph as it runs: wrong starts, disturbances, steps, a wrong mounting, robust kernels, recipes."""
+
+import sys
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import A, H, X
+
+from magyc_gtsam.factors import (
+    KeyframeField,
+    MagycError,
+    NativeFactors,
+    keyframe_field_factor,
+)
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from slam_health import Drive
+
+ISOTROPIC = gtsam.noiseModel.Isotropic.Sigma
+DISTURBED = 75.0  # s, when something happens
+
+
+@pytest.mark.parametrize(("heading", "seed"), [(0, 11), (60, 12), (120, 13), (150, 14), (172, 15), (180, 16)])
+def test_a_wrong_start_ends_where_a_right_one_does(heading, seed):
+    """Without position fixes: what turns the graph is the field alone."""
+    drive = Drive(seed, heading, fixes=False).run()
+    assert drive.heading_error < 0.5
+    assert drive.nees < 27.9  # χ² of 9, 99.9 %
+    assert drive.native.health.word == "consistent"
+
+
+def test_python_factors_wait_for_the_heading_too():
+    drive = Drive(17, 172, duration=40.05).run(quadratic=False)
+    assert drive.native.replaced == 0
+    assert drive.heading_error < 0.6
+    assert drive.nees < 27.9
+
+
+def test_a_prior_that_is_sure_and_wrong_is_overruled():
+    """Blocks enter at once, contradict each other, leave again, and the graph is turned."""
+    drive = Drive(18, 172, prior=0.1).run()
+    waiting = [count > 0 for count in drive.waiting]
+    assert waiting[1:6] != [True] * 5  # they entered ...
+    assert True in waiting[waiting.index(False, 2) :]  # ... and left again
+    assert drive.heading_error < 0.6
+
+
+def test_a_disturbance_is_named_and_leaves_the_graph():
+    clean, drive = Drive(21, duration=110.05), Drive(21, duration=110.05)
+    time = drive.vehicle.recording.time
+    drive.field[(time > DISTURBED) & (time <= DISTURBED + 15)] += [3e-6, -3e-6, 2.6e-6]
+    drive.run()
+    assert drive.words[int(DISTURBED) - 2].word == "consistent"
+    assert drive.words[int(DISTURBED) + 5].word == "suspect"
+    health = drive.native.health
+    assert health.word == "inconsistent"
+    assert health.by.startswith("disturbance of")
+    assert health.since == pytest.approx(DISTURBED, abs=3)
+    assert drive.native.withdrawn >= 6
+    assert drive.heading_error < 2 * clean.run().heading_error + 0.2
+    assert {health.word for health in clean.words} == {"waiting", "consistent"}
+
+
+def test_a_step_of_the_hard_iron_is_named_with_its_size():
+    drive = Drive(22, duration=110.05)
+    drive.field[drive.vehicle.recording.time > DISTURBED] += [3e-6, -3e-6, 2.6e-6]
+    health = drive.run().native.health
+    assert health.word == "inconsistent"
+    assert health.by.startswith("step of the hard iron")
+    assert 3.0 < float(health.by.split()[-2]) < 6.5
+
+
+def test_a_mounting_that_is_a_variable_is_found_and_named():
+    drive = Drive(23, duration=130.05, mounting=np.radians(0.5))
+    truth = drive.vehicle.simulation.truth
+    turned = gtsam.Rot3.Expmap(np.radians([2.0, -1.5, 1.7])).matrix()
+    iron = truth.soft_iron @ turned.T @ np.linalg.inv(truth.soft_iron)
+    drive.field = (drive.field - truth.hard_iron) @ iron.T + truth.hard_iron
+    health = drive.run().native.health
+    assert health.word == "inconsistent"
+    assert health.by.startswith("mounting")
+    assert "from its prior" in health.by
+
+
+@pytest.mark.parametrize("kernel", ["cauchy", "geman-mcclure"])
+def test_a_robust_kernel_warms_up_by_itself(kernel):
+    """From no calibration at all, a fifth of the samples off by 30 µT: as near as without outliers."""
+    drive = Drive(24, duration=90.05, robust=kernel)
+    rows = drive.random.random(len(drive.field)) < 0.2
+    drive.field[rows] += 3e-5 * drive.random.normal(size=(rows.sum(), 3))
+    drive.run(health=None)
+    assert np.linalg.norm(drive.error[6:]) * 50 < 0.8  # µT
+    assert drive.heading_error < 0.6
+
+
+def test_graduated_non_convexity_keeps_the_blocks_as_inliers():
+    """GNC finds a wrong loop closure beside native blocks; it needs `setAllowNonNoiseModelFactors`."""
+    drive = Drive(25, duration=40.05)
+    graph, values = drive.start()
+    settings = gtsam.ISAM2()
+    settings.update(graph, values)
+    for k in range(1, 40):
+        more, new = drive.step(settings, k)
+        settings.update(more, new)
+        graph.push_back(more)
+        values.insert(new)
+    wrong = graph.size()
+    graph.push_back(
+        gtsam.BetweenFactorPose3(
+            X(3), X(30), gtsam.Pose3(gtsam.Rot3.Rz(2.0), np.array([30.0, 5, 1])), ISOTROPIC(6, 0.05)
+        )
+    )
+    found = []
+
+    def optimize(whole, start):
+        parameters = gtsam.GncLMParams()
+        parameters.setAllowNonNoiseModelFactors(True)
+        closure = next(i for i in range(whole.size()) if whole.at(i).keys() == [X(3), X(30)])
+        parameters.setKnownInliers([i for i in range(whole.size()) if i != closure])
+        optimizer = gtsam.GncLMOptimizer(whole, start, parameters)
+        result = optimizer.optimize()
+        found.append(optimizer.getWeights()[closure])
+        return result
+
+    assert wrong == graph.size() - 1
+    _, solution = NativeFactors().solve(graph, values, optimize)
+    assert found[-1] < 1e-3
+    assert drive.vehicle.heading_error(solution, 15) < 1.0
+
+
+def test_options_of_the_manager_are_checked():
+    with pytest.raises(MagycError, match="tolerance 0"):
+        NativeFactors(0.0)
+    with pytest.raises(MagycError, match="recent 0"):
+        NativeFactors(recent=0)
+
+
+def test_a_noise_model_for_a_block_is_refused_with_the_remedy():
+    drive = Drive(26, duration=10.05)
+    isam = gtsam.ISAM2()
+    isam.update(*drive.start())
+    recording = drive.vehicle.recording
+    block = KeyframeField.from_samples(
+        (recording.time[:20], recording.magnetic_field[:20]),
+        (recording.time[:21], recording.angular_rate[:21]),
+        0.5,
+    )
+    with pytest.raises(MagycError, match="`noise` is a noise model; give the standard deviation"):
+        keyframe_field_factor(X(0), A(0), H(0), block, ISOTROPIC(3, 1e-6), field=drive.vehicle.field)

@@ -1,0 +1,161 @@
+"""The parts that `NativeFactors` is made of, each against its definition."""
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import A, H, X
+from scipy.spatial.transform import Rotation
+
+from magyc_gtsam.factors import GyroscopeTrack, HealthLimits, KeyframeField, MagycError
+from magyc_gtsam.factors.chain.heading_profile import block_rows, heading_profile, in_world
+from magyc_gtsam.factors.health import BlockFit, Monitor, block_fit
+from magyc_gtsam.factors.kernels import narrowed
+from magyc_gtsam.factors.solver import View, update_solver
+
+FIELD = np.array([20.0, 5.0, 43.0])  # µT
+
+
+def test_nis_is_the_innovations():
+    """A linear Gaussian problem: from the posterior residual, and from its definition νᵀS⁻¹ν before the block."""
+    random = np.random.default_rng(0)
+    before = np.linalg.inv(random.normal(size=(12, 12)) @ random.normal(size=(12, 12)).T + 3 * np.eye(12))
+    before = before @ before.T + 0.1 * np.eye(12)
+    for _ in range(5):
+        jacobian, innovation = random.normal(size=(30, 12)), 2 * random.normal(size=30)
+        spread = jacobian @ before @ jacobian.T + np.eye(30)
+        expected = innovation @ np.linalg.solve(spread, innovation)
+        after = np.linalg.inv(np.linalg.inv(before) + jacobian.T @ jacobian)
+        residual = innovation - jacobian @ (after @ jacobian.T @ innovation)
+        nis, freedom, scatter, _, _ = block_fit(
+            jacobian.T @ jacobian, -jacobian.T @ residual, residual @ residual, after, 30, slice(6, 9)
+        )
+        seen = np.linalg.eigvalsh(np.eye(12) - np.linalg.cholesky(jacobian.T @ jacobian).T @ after
+                                  @ np.linalg.cholesky(jacobian.T @ jacobian))  # fmt: skip
+        if seen[0] > 0.02:
+            assert freedom == 12
+            assert nis + (30 - freedom) * scatter**2 == pytest.approx(expected)
+        else:
+            assert freedom == (seen > 0.02).sum() < 12
+
+
+def test_the_offset_of_a_block_is_what_the_others_do_not_know():
+    """One block among many of a known model, its readings off by a constant."""
+    random = np.random.default_rng(1)
+    design = random.normal(size=(40, 6, 9))
+    truth, offset = random.normal(size=9), np.array([0.8, -0.5, 0.3])
+    readings = design @ truth
+    readings[-1] += design[-1][:, 6:] @ offset
+    stacked = design.reshape(-1, 9)
+    after = np.linalg.inv(stacked.T @ stacked)
+    residual = design[-1] @ (after @ stacked.T @ readings.ravel()) - readings[-1]
+    information = design[-1].T @ design[-1]
+    *_, found, spread = block_fit(
+        information, -design[-1].T @ residual, residual @ residual, after, 6, slice(6, 9)
+    )
+    np.testing.assert_allclose(found, offset, atol=0.2)
+    assert (np.linalg.eigvalsh(spread) > 0).all()
+
+
+def fit(time, offset=0.0, nis=3.0):
+    shift = np.array([offset, 0.0, 0.0])
+    seen = np.array([2e-5, 1e-5, -3e-5])
+    return BlockFit(time, nis, 3, 1.0, shift, 1e-7, np.eye(3), np.zeros(3), seen, seen + shift)
+
+
+def test_the_words_of_a_disturbance_a_step_and_noise():
+    monitor = Monitor(HealthLimits())
+    for k in range(10):
+        monitor.add(fit(2.0 * k))
+    assert str(monitor.health) == "consistent"
+    monitor.add(fit(20.0, 5e-6, 300.0))
+    assert str(monitor.health) == "suspect: disturbance or step of 5.0 µT since 20.0 s"
+    monitor.add(fit(22.0, 5e-6, 100.0))
+    monitor.add(fit(24.0))
+    assert monitor.health.by == "disturbance of 5.0 µT for 4 s"
+    assert monitor.over == [(20.0, 24.0)]
+    for k in range(200):
+        monitor.add(fit(26.0 + 2 * k))
+    assert monitor.health.word == "consistent"
+    for k in range(20):
+        monitor.add(fit(500.0 + 2 * k, 5e-6, 100.0))
+    assert str(monitor.health) == "inconsistent: step of the hard iron of 5.0 µT since 500.0 s"
+    noisy = Monitor(HealthLimits())
+    for k in range(10):
+        each = fit(2.0 * k)
+        noisy.add(
+            BlockFit(*[getattr(each, name) if name != "scatter" else 2.0 for name in BlockFit.__annotations__])
+        )
+    assert noisy.health.by == "noise 2.0 times as stated"
+
+
+@pytest.mark.parametrize("off", [0.0, 1.0, -2.5, np.pi])
+def test_the_profile_finds_how_far_the_heading_is_off(off):
+    random = np.random.default_rng(2)
+    soft_iron, hard_iron = np.eye(3) + np.diag([0.1, -0.05, 0.02]), np.array([12.0, -20, 8])
+    rows = []
+    for _ in range(15):
+        rotation = Rotation.from_euler("zyx", random.uniform(-1, 1, 3) * [3.0, 0.4, 0.4]).as_matrix()
+        design = np.stack([Rotation.from_rotvec(0.05 * random.normal(size=3)).as_matrix() for _ in range(30)])
+        field = design @ rotation.T @ FIELD @ soft_iron + hard_iron + 0.5 * random.normal(size=(30, 3))
+        turned = Rotation.from_euler("z", -off).as_matrix() @ rotation
+        compressed = block_rows(design, np.ones(30), field)
+        assert compressed.shape == (13, 13)
+        rows.append(in_world(compressed, turned))
+    prior = np.diag(np.r_[np.full(6, 1 / 0.3**2), np.full(3, 1 / 50**2)])
+    profile = heading_profile(np.vstack(rows), FIELD, 0.5, 450, 15, np.r_[1, 0, 0, 1, 0, 1, 0, 0, 0.0], prior)
+    assert abs((profile.best - off + np.pi) % (2 * np.pi) - np.pi) < np.radians(4)
+    assert profile.within(np.radians(20), off) > 0.95
+
+
+def test_a_kernel_is_as_wide_as_the_blocks_misfit():
+    assert narrowed([]) == narrowed([0.8, 1.1, np.nan]) == 1.0
+    assert narrowed([40.0, 50.0, 60.0, np.nan]) == 50.0
+    assert narrowed([1.0, 0.9, 1.1, 80.0]) == pytest.approx(1.05)
+
+
+@pytest.mark.parametrize("interval_mean", [False, True])
+def test_a_track_between_stamps_is_the_track_with_more_stamps(interval_mean):
+    time = np.linspace(0, 5, 251)
+    rate = np.stack([np.sin(time), 0.5 * np.cos(2 * time), 0.3 + 0 * time], axis=1)
+    bias, when = np.array([0.01, -0.02, 0.03]), np.array([0.011, 1.2345, 4.87])
+    track = GyroscopeTrack.integrate(time, rate, bias, interval_mean=interval_mean)
+    finer = GyroscopeTrack.integrate(
+        time, rate, bias, interval_mean=interval_mean, stamps=np.unique(np.r_[time, when])
+    )
+    (p, q), _ = track.rotation_at(when)
+    rows = np.searchsorted(finer.time, when)
+    np.testing.assert_allclose(p, finer.rotation[0][rows], atol=2e-6)
+    np.testing.assert_allclose(q, finer.rotation[1][rows], atol=2e-6)
+    np.testing.assert_allclose(track.lever_at(when), finer.lever[:, rows], atol=2e-4)
+    exact = Rotation.from_matrix(track.matrices[:, -1].reshape(3, 3))
+    turned = Rotation.identity()
+    for step in np.diff(time)[:, None] * (rate[1:] - bias) if interval_mean else track.increment:
+        turned = turned * Rotation.from_rotvec(step)
+    assert (turned.inv() * exact).magnitude() < 1e-9
+
+
+def test_a_view_puts_new_values_on_top():
+    graph, values, new = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.Values()
+    for key in (A(0), H(0)):
+        graph.addPriorVector(key, np.ones(3), gtsam.noiseModel.Isotropic.Sigma(3, 0.5))
+        values.insert(key, np.zeros(3))
+    new.insert(X(0), gtsam.Rot3())
+    isam = gtsam.ISAM2()
+    _, slots = update_solver(isam, graph, values, None, [])
+    assert slots == [0, 1]
+    view = View(isam, new)
+    assert view.exists(X(0))
+    assert view.exists(A(0))
+    assert not view.exists(X(1))
+    np.testing.assert_allclose(view.values([A(0), X(0)]).atPoint3(A(0)), 1.0)
+    np.testing.assert_allclose(view.covariance([H(0), A(0)]), 0.25 * np.eye(6))
+
+
+def test_a_block_knows_its_time():
+    time = np.linspace(0, 1, 11)
+    block = KeyframeField.from_samples(
+        (time, np.full((11, 3), 3e-5)), (time - 0.5, np.zeros((11, 3))), 0.0, delay=0.5
+    )
+    assert block.time == pytest.approx(0.0)
+    with pytest.raises(MagycError, match="likely unit: deg/s"):
+        KeyframeField.from_samples((time, np.full((11, 3), 3e-5)), (time, np.full((11, 3), 90.0)), 0.5)

@@ -1,0 +1,150 @@
+"""The study of faults: what it puts in, how it judges, and that it goes on where it was."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam.cli import main
+from magyc_gtsam.recording import Recording
+from magyc_gtsam.simulation import GYRO_BIAS, HARD_IRON, SOFT_IRON
+from magyc_gtsam.study.faults import running
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.scoring import score
+from magyc_gtsam.study.faults.signals import record
+
+TRUE_IRON = SOFT_IRON / np.cbrt(np.linalg.det(SOFT_IRON))
+
+
+def result(hard_iron: np.ndarray, sigma: float, soft_iron: np.ndarray = TRUE_IRON) -> mg.Calibration:
+    """A trusted calibration whose hard iron is known to `sigma` T."""
+    variance = np.repeat([1e-4, sigma, 1e-4], [6, 3, 3]) ** 2
+    return mg.Calibration(soft_iron, hard_iron, GYRO_BIAS, covariance=np.diag(variance), method="test")
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_fault_changes_the_log_more_the_stronger_it_is(name: str) -> None:
+    fault = FAULTS[name]
+    logs = [record("wide", 1, replace(fault, place="none"), 0.0, name, 120.0)]
+    logs += [record("wide", 1, fault, size, name, 120.0) for size in (fault.weak, fault.strong)]
+    for log in logs:
+        assert isinstance(log.recording(name), Recording)
+    same = [
+        all(
+            a.shape == b.shape and (a == b).all()
+            for a, b in zip(vars(logs[0]).values(), vars(log).values(), strict=True)
+        )
+        for log in logs[1:]
+    ]
+    assert same == [name == "clean"] * 2
+    if logs[0].field.shape == logs[1].field.shape == logs[2].field.shape:
+        weak, strong = (
+            np.linalg.norm(log.field - logs[0].field) / 1e-6
+            + np.linalg.norm(log.rate - logs[0].rate) / 5e-3
+            + np.linalg.norm(log.field_time - logs[0].field_time)
+            for log in logs[1:]
+        )
+        assert strong > weak or name in ("clean", "swell-at-1-hz")
+
+
+def test_there_are_as_many_as_promised() -> None:
+    assert len(FAULTS) > 60
+    assert all(fault.weak != fault.strong for name, fault in FAULTS.items() if name != "clean")
+
+
+def test_right_wrong_and_refused() -> None:
+    off = np.array([3e-6, 0, 0])
+    assert score(result(HARD_IRON, 1e-7)).outcome == "right and trusted"
+    assert score(result(HARD_IRON + off, 2e-6)).outcome == "right and trusted"  # within its sigmas
+    assert score(result(HARD_IRON + off, 2e-7)).outcome == "wrong and trusted"
+    assert score(result(HARD_IRON + 0.05 * off, 2e-8)).outcome == "right and trusted"  # too small to matter
+    assert score(replace(result(HARD_IRON + off, 2e-7), converged=False)).outcome == "refused"
+    assert score(None).outcome == "refused"
+    tilted = TRUE_IRON @ (np.eye(3) + 0.05 * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]]))
+    wrong = score(result(HARD_IRON, 1e-8, tilted))
+    assert wrong.outcome == "wrong and trusted"
+    assert wrong.heading == pytest.approx(np.degrees(0.05), rel=0.1)
+
+
+def test_the_stated_heading_is_that_of_a_draw() -> None:
+    """Hard iron drawn from its sigma: the heading is off by its own stated sigma, in the mean."""
+    random, squares = np.random.default_rng(0), []
+    for _ in range(200):
+        got = score(result(HARD_IRON + 1e-7 * random.standard_normal(3), 1e-7))
+        squares.append((got.hard_iron_sigmas, got.heading_sigmas))
+    assert np.mean(np.array(squares) < 3, axis=0).min() > 0.97
+    assert np.median(squares, axis=0).min() > 0.5
+
+
+def seen(recording: Recording) -> mg.Calibration:
+    """A method for worker processes: always the truth."""
+    if "lost" in recording.name:
+        raise mg.MagycError("too little is left")
+    if recording.name == "clean-weak-wide-1":
+        raise ValueError("a defect")
+    return result(HARD_IRON, 1e-7)
+
+
+def wrong(recording: Recording) -> mg.Calibration:
+    """A method for worker processes: always 9 µT off."""
+    return result(HARD_IRON + 9e-6, 1e-7)
+
+
+def test_it_runs_in_processes_and_goes_on_where_it_was(tmp_path: Path) -> None:
+    every = running.cases(["clean", "lost-samples"], ["wide"], 2)
+    assert len(every) == 2 + 4
+    shares: list[float] = []
+    rows = running.run(tmp_path, every, {"a": seen, "b": wrong}, 2, shares.append)
+    assert shares[-1] == 1.0
+    assert len(rows) == 12
+    parts = sorted((tmp_path / "parts").iterdir())
+    written = [part.stat().st_mtime_ns for part in parts]
+    parts[0].unlink()
+    assert running.run(tmp_path, every, {"a": seen, "b": wrong}, 1) == rows
+    assert [part.stat().st_mtime_ns for part in parts][1:] == written[1:]
+    worst, *_, best = running.cells(rows)
+    assert worst.counts == {"wrong and trusted": 2, "right and trusted": 0, "refused": 0, "crashed": 0}
+    assert (worst.method, worst.hard_iron) == ("b", pytest.approx(9e-6))
+    assert best.method == "a"
+    assert [row["message"] for row in rows if row["outcome"] == "crashed"] == ["ValueError: a defect"]
+    refused = [row for row in rows if row["fault"] == "lost-samples" and row["method"] == "a"]
+    assert [row["message"] for row in refused] == ["too little is left"] * 4
+    table = running.write(tmp_path, rows)
+    if table.suffix == ".csv":
+        with table.open(encoding="utf-8") as file:
+            assert len(list(csv.DictReader(file))) == 12
+    else:
+        from pyarrow import parquet
+
+        assert parquet.read_table(table).num_rows == 12
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(mg.MagycError, match="fault: 'nothing' is none of clean, one-sided-spikes, "):
+        running.cases(["nothing"], ["wide"], 1)
+
+
+def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = [
+        "study",
+        "faults",
+        "--runs",
+        "1",
+        "--motion",
+        "wide",
+        "--by",
+        "batch",
+        "--workers",
+        "1",
+        "-o",
+        str(tmp_path),
+    ]
+    assert main([*run, "--fault", "clean"]) == 0
+    assert "1 results: 0 wrong and trusted, 1 right and trusted, 0 refused, 0 crashed" in capsys.readouterr().out
+    assert main([*run, "--fault", "none"]) == 2
+    assert "fault: 'none' is none of" in capsys.readouterr().err
