@@ -1,0 +1,1 @@
+"""magyc-gtsam as a ROS 2 node."""
