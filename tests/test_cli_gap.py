@@ -17,12 +17,14 @@ from test_report import HOSTILE, drawn_figures
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
+from magyc_gtsam.gap.doubt import Doubt, with_doubt
 from magyc_gtsam.gap.isolability import isolability
 from magyc_gtsam.gap.result import Assumption, Gap, Isolability, Manoeuvre, Untested
 from magyc_gtsam.gap.validation import agreement
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.report.gap_page import render_gap
-from magyc_gtsam.report.gap_words import Validation, plan_rows
+from magyc_gtsam.report.gap_verdict import Validation
+from magyc_gtsam.report.gap_words import plan_rows
 from magyc_gtsam.simulation import simulate
 from magyc_gtsam.simulation.environment import CHANNELS
 
@@ -101,12 +103,15 @@ def test_a_gap_left_open_is_exit_code_one(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    unknown = replace(
-        late[1],
-        verdict="unknown",
-        effects=(),
-        sentence="something is missing that lives in pitch",
-        after=late[1].before,
+    unknown = with_doubt(
+        replace(
+            late[1],
+            verdict="unknown",
+            effects=(),
+            sentence="something that lives in pitch is missing, and it is not in the catalogue; nothing was changed",
+            after=late[1].before,
+        ),
+        Doubt("something that lives in pitch is missing", "log more"),
     )
     monkeypatch.setattr("magyc_gtsam.gap.find.find_gap", lambda *_, **__: unknown)
     monkeypatch.setattr("magyc_gtsam.find_gap", lambda *_, **__: unknown, raising=False)
@@ -114,8 +119,25 @@ def test_a_gap_left_open_is_exit_code_one(
     assert cli.main(["gap", str(logs / "late.mcap"), "-q", "-o", "here"]) == 1
     output, errors = capsys.readouterr()
     assert output == ""
-    assert errors == "magyc-gtsam: the gap is left open: something is missing that lives in pitch\n"
+    reason = "something that lives in pitch is missing: log more"
+    assert errors == (
+        f"magyc-gtsam: the result must not be trusted: something is missing, and it has no name: {reason}\n"
+    )
     assert {file.name for file in Path("here").iterdir()} == FILES
+    assert json.loads(Path("here/gap.json").read_text())["judgement"]["cause"] == unknown.doubt.cause
+    for command in (
+        "export here/calibration.yaml px4",
+        f"apply here/calibration.yaml {logs}/late.mcap -o out.csv",
+    ):
+        assert cli.main(command.split()) == 1
+        output, errors = capsys.readouterr()
+        assert output == ""
+        assert reason in errors
+        assert not Path("out.csv").exists()
+    assert cli.main(["export", "here/calibration.yaml", "px4", "--force"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"# DO NOT USE: {reason}")
+    assert all(line.startswith("#") for line in lines)
 
 
 @pytest.mark.usefixtures("quiet_terminal")
@@ -178,7 +200,7 @@ def test_a_still_log_is_refused_with_the_reason(
     monkeypatch.chdir(tmp_path)
     assert cli.main(["gap", str(shared_data / "ardusub_still.BIN"), "-o", "here"]) == 1
     output, errors = capsys.readouterr()
-    assert errors.startswith("magyc-gtsam: not enough information: too little motion: hard iron along ")
+    assert "nothing could be tested: too little motion to determine the hard iron along " in errors
     assert "turn through all headings" in errors
     assert "Nothing could be tested" in output
     assert {file.name for file in Path("here").iterdir()} == FILES
@@ -203,10 +225,11 @@ def test_a_log_of_another_instrument(
     capsys.readouterr()
     assert cli.main([*command, str(logs / "other.mcap")]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("magyc-gtsam: the result does not hold on other.mcap: its 20 s prediction is off by ")
+    assert "the result does not hold on other.mcap: its 20 s prediction is off by " in line
+    assert not mg.Calibration.load("here/calibration.yaml").trusted
     assert cli.main([*command, str(logs / "brief.mcap")]) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("magyc-gtsam: the result could not be judged on brief.mcap: 2 windows")
+    assert "the result could not be judged on the other log: brief.mcap: 2 windows" in line
     assert (tmp_path / "here" / "report.html").exists()  # what was found is kept
     # Of another instrument too, but it cannot show.
     write_mcap(tmp_path / "short.mcap", simulate("wide", 15, hard_iron=[3e-5, 0, 0], seed=4).recording)
@@ -365,6 +388,7 @@ def test_page_of_an_unknown_gap_with_hostile_names(
         next_manoeuvre=Manoeuvre(
             ("timing", "hysteresis"), "turn faster", "turn faster, to tell timing from hysteresis"
         ),
+        doubt=Doubt(f"something is missing {HOSTILE}", "record again"),
     )
     target = tmp_path / "report.html"
     target.write_text(render_gap(replace(recording, name=HOSTILE, notes=(HOSTILE,)), hostile))

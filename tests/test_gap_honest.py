@@ -16,7 +16,7 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.gap.noiseless import noiseless
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.io import write_mcap
-from magyc_gtsam.report import gap_words
+from magyc_gtsam.report import gap_verdict
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_silence_says_what_it_could_not_have_heard() -> None:
     blind = {h.name: h.label for h in gap.hypotheses if h.status == "not enough information"}
     assert "g-sensitivity" in blind
     assert any(label in gap.sentence for label in blind.values())
-    assert gap_words.title(gap) == "Nothing was found missing"
+    assert gap_verdict.title(gap) == "Nothing was found missing"
 
 
 def test_a_calibration_that_is_given_is_tested(clean: mg.Recording, nothing: Gap) -> None:

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.gap.result import Gap, GapMap, Metrics, OpenLoop
-from magyc_gtsam.report.gap_words import Validation, judged_gap
+from magyc_gtsam.gap.doubt import left_open
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.result import Effect, Gap, GapMap, Manoeuvre, Metrics, OpenLoop
+from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
+from magyc_gtsam.report.verdict import MOST_WORDS
 
 CALIBRATION = Calibration(np.eye(3), np.zeros(3), np.zeros(3), np.eye(12) * 1e-14, field_strength=50e-6)
 
@@ -40,11 +47,41 @@ def test_a_correction_that_does_not_help_is_the_banner() -> None:
     assert verdict.sentence.startswith("✘ The result does not hold on other.mcap: ")
     assert not [detail for detail in verdict.details if "noise level" in detail]
     assert any("Gap found and closed" in detail for detail in verdict.details)
+    judged = as_judged(closed(), verdict)
+    assert not judged.calibration.trusted
+    with pytest.raises(mg.MagycError, match=r"does not hold on other\.mcap"):
+        judged.calibration.export("px4")
+
+
+def test_cause_and_action_are_thirty_words_at_most() -> None:
+    """Whatever was named, and whatever is left beside it."""
+    places = ["the rate of turn, on the gyroscope", "pitch and roll"]
+    effects = {name: effect(name) for name in TERMS}
+    for name, one in effects.items():
+        motion = Manoeuvre((name,), TERMS[name].motion, "")
+        doubts = [left_open((one,), [0], "", motion), left_open((one, one), [0, 1], "", motion)]
+        doubts += [
+            left_open((one, one), (), f"something that lives in {place} is missing", motion) for place in places
+        ]
+        doubts += [left_open((one,), (), f"something like “{LABELS[name]}, times the reading” is missing", motion)]
+        for doubt in doubts:
+            assert len(doubt.sentence.split()) <= MOST_WORDS, doubt.sentence
+        for some in ([one], [one] * 3, list(effects.values())):
+            gap = replace(closed(), effects=tuple(some))
+            assert len(judged_gap(gap).reason.split()) <= MOST_WORDS
+
+
+def effect(name: str) -> Effect:
+    setting = {"time": 41.0, "time_sigma": 1.0}
+    value = np.array([0.5, 0.25, 0.125])
+    return Effect(
+        name, LABELS[name], value, value / 9, ("x", "y", "z"), "µT", setting, (), 9.0, 5.0, True, "word " * 40
+    )
 
 
 def test_without_another_log_the_gap_speaks_for_itself() -> None:
     verdict = judged_gap(closed())
     assert verdict.sentence == "✔ Gap found and closed: the magnetometer is late"
-    unjudged = judged_gap(closed(), None, ["the result could not be judged on brief.mcap: 2 windows"])
+    unjudged = judged_gap(closed(), None, "brief.mcap: 2 windows")
     assert not unjudged.trusted
     assert unjudged.title == "The result could not be judged on the other log"

@@ -14,13 +14,12 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
-from magyc_gtsam.cli.terminal import Progress, show, show_page, show_table, stages
-from magyc_gtsam.foreign_text import printable
+from magyc_gtsam.cli.terminal import Progress, concluded, show, show_details, show_page, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Gap
     from magyc_gtsam.recording import Recording
-    from magyc_gtsam.report.gap_words import Validation
+    from magyc_gtsam.report.gap_verdict import Validation
     from magyc_gtsam.report.verdict import Verdict
 
 _SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
@@ -78,6 +77,7 @@ def run(
         typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-gap-<date>-<time>."),
     ] = None,
     open_page: given.Open = False,
+    verbose: given.Verbose = False,
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
@@ -96,7 +96,7 @@ def run(
         return _plan(plan, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
     from magyc_gtsam.report.gap_page import render_gap
-    from magyc_gtsam.report.gap_words import closed, contradicted, judged_gap, said
+    from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
 
     start = None if calibration is None else Calibration.load(calibration)
     names = None if candidates is None else [name.strip() for name in candidates.split(",")]
@@ -109,13 +109,14 @@ def run(
         gap = find_gap(
             recording, calibration=start, simulated=other, candidates=names, progress=stage("searching")
         )
-        validation, unjudged = None, []
+        validation, unjudged = None, ""
         if validate is not None and held_out is not None:
             try:
                 validation = _validation(validate, held_out, gap, stage("validating"))
             except MagycError as problem:  # what was found on LOG is kept
-                unjudged = [f"the result could not be judged on {validate.name}: {problem}"]
+                unjudged = f"{validate.name}: {problem}"
         verdict = judged_gap(gap, validation, unjudged)
+        gap = as_judged(gap, verdict)
         page = stage("drawing the page")
         (part / "gap.json").write_text(_json(_values(gap, validation, verdict)), encoding="utf-8")
         gap.calibration.save(part / "calibration.yaml")
@@ -135,7 +136,7 @@ def run(
         typer.echo(_json(_values(gap, validation, verdict) | {"folder": str(folder)}), nl=False)
     elif not quiet:
         show(verdict.sentence, f"{reading.log.name}: {recording.duration:.1f} s", "")
-        show(*map(said, verdict.details))
+        show_details(verdict, verbose)
         _show(gap, validation)
         show(
             *(f"left out: {fault}" for fault in gap.diagnostics["left_out"]),
@@ -144,16 +145,7 @@ def run(
             f"results: {folder}",
             f"page: {folder / 'report.html'}",
         )
-    doubts = [] if closed(gap) else [gap.sentence]
-    if gap.verdict in ("unknown", "open"):
-        doubts = [f"the gap is left open: {gap.sentence}"]
-    if validation is not None:
-        doubts += contradicted(gap, validation)
-    doubts = [*unjudged, *doubts]
-    if not doubts:
-        return 0
-    typer.echo(f"magyc-gtsam: {printable('; '.join(doubts))}", err=True)
-    return 1
+    return concluded(verdict)
 
 
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
@@ -205,7 +197,7 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
     from magyc_gtsam.gap.validation import agreement, differences, swept
-    from magyc_gtsam.report.gap_words import Validation
+    from magyc_gtsam.report.gap_verdict import Validation
 
     before = after = agreement(recording, gap.base)
     progress(0.3)
@@ -223,8 +215,7 @@ def _values(gap: Gap, validation: Validation | None, judged: Verdict) -> dict[st
     from magyc_gtsam.json_types import json_types
 
     values: dict[str, Any] = json_types(gap)
-    judgement = {"trusted": judged.trusted, "sentence": judged.sentence, "details": list(judged.details)}
-    return values | {"judgement": judgement, "validation": json_types(validation)}
+    return values | {"judgement": judged.to_dict(), "validation": json_types(validation)}
 
 
 def _json(values: dict[str, Any]) -> str:

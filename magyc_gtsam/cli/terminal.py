@@ -68,7 +68,8 @@ def concluded(verdict: Verdict) -> int:
     """The exit code of a verdict; says on standard error why a result must not be trusted."""
     if verdict.trusted:
         return 0
-    print(f"magyc-gtsam: the result must not be trusted: {printable(verdict.reason)}", file=sys.stderr)
+    called = f"{verdict.called[:1].lower()}{verdict.called[1:]}: " if verdict.called else ""
+    print(f"magyc-gtsam: the result must not be trusted: {printable(called + verdict.reason)}", file=sys.stderr)
     return 1
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.gap.doubt import Doubt, doubted, with_doubt
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 
@@ -21,18 +21,12 @@ def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
     why = "which the search did not name" if not named else "and something else is missing"
     if clipped.share > MOST:
         why = f"at most {MOST:.0%} can be modelled"
-    sentence = (
-        f"{clipped.where}, {why}: choose a larger full scale, or move what is magnetic away from the sensor; "
-        f"{gap.sentence}"
-    )
-    return replace(
+    remedy = "choose a larger full scale, or move what is magnetic away from the sensor"
+    doubt = Doubt(f"axis {clipped.axes} of the magnetometer is cut off, {why}", remedy)
+    doubted_gap = replace(
         gap,
         verdict=gap.verdict if gap.verdict == "not enough information" else "open",
-        sentence=sentence,
-        calibration=_doubted(gap.calibration, clipped),
-        base=_doubted(gap.base, clipped),
+        sentence=f"{clipped.where}, {why}: {remedy}; {gap.sentence}",
+        base=doubted(gap.base, doubt),
     )
-
-
-def _doubted(calibration: Calibration, clipped: ClippedField) -> Calibration:
-    return replace(calibration, converged=False, message=f"{clipped.where}; {calibration.message}")
+    return with_doubt(doubted_gap, doubt)

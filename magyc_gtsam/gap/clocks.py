@@ -5,10 +5,14 @@ from __future__ import annotations
 from magyc_gtsam.estimators.smoother.clock_drift import speaks
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.gap.doubt import Doubt
 from magyc_gtsam.gap.refit import Refit
 
 CLOCK_DRIFT = "clock-drift"
 APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"
+APART_IN_BRIEF = Doubt(
+    "the clocks of the two sensors drift apart", "run `magyc-gtsam calibrate`, which follows the drift"
+)
 
 
 def drift_apart(current: Refit) -> bool:

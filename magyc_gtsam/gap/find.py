@@ -15,6 +15,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.clipped import with_clipped
 from magyc_gtsam.gap.discrete import moving, settled
+from magyc_gtsam.gap.doubt import Doubt
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
 from magyc_gtsam.gap.outcome import gap_of, nothing_tested
@@ -106,11 +107,14 @@ def _looked(
     base = base_model(recording, calibration, short_term)
     report(0.2)
     motion = _determined(recording, base, short_term)
-    reasons: tuple[str, str] | None = None
+    reasons: tuple[str, Doubt] | None = None
     if not motion.observable:
-        reasons = f"too little motion: {motion.weak[0].sentence}", motion.weak[0].remedy
+        weakest = motion.weak[0]
+        doubt = Doubt(f"too little motion to determine the {weakest.what}", weakest.remedy)
+        reasons = f"too little motion: {weakest.sentence}", doubt
     elif noiseless(recording):
-        reasons = f"the magnetometer has no measurable noise (under {LEAST * 1e9:.2g} nT): {_SILENT}", _ADD_NOISE
+        silence = f"the magnetometer has no measurable noise (under {LEAST * 1e9:.2g} nT)"
+        reasons = f"{silence}: {_SILENT}", Doubt(silence, _ADD_NOISE)
     if reasons is not None:
         gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
         gap = with_clipped(gap, usable.clipped)

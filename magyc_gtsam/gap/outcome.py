@@ -10,6 +10,8 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.field_chain import SensorNoise
 from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.gap.clocks import APART_IN_BRIEF, CLOCK_DRIFT
+from magyc_gtsam.gap.doubt import Doubt, doubted, left_open, with_doubt
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.field_variation import field_variation
 from magyc_gtsam.gap.fine import Fine, fine_innovations
@@ -27,18 +29,18 @@ from magyc_gtsam.gap.refit import (
     widened,
     without_term,
 )
-from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, unseen, verdict
+from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, place_of, unseen, verdict
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
 from magyc_gtsam.gap.search import Search
 from magyc_gtsam.gap.worth import pays
 
 
-def nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibration | None, seconds: float) -> Gap:
-    """The verdict "not enough information", for a reason, with what would help."""
+def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibration | None, seconds: float) -> Gap:
+    """The verdict "not enough information", for a reason at length, and in few words with what would help."""
     fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
     sentence = f"not enough information: {reason}; nothing was tested"
-    fitted = replace(fitted, converged=False, message=sentence)
+    fitted = doubted(replace(fitted, message=sentence), doubt)
     metrics = measure(base.twin, fitted)
     return Gap(
         verdict="not enough information",
@@ -52,7 +54,8 @@ def nothing_tested(base: Refit, reason: str, remedy: str, calibration: Calibrati
         moved=(),
         calibration=fitted,
         base=fitted,
-        next_manoeuvre=Manoeuvre((), remedy, f"to learn anything: {remedy}"),
+        next_manoeuvre=Manoeuvre((), doubt.action, f"to learn anything: {doubt.action}"),
+        doubt=doubt,
         diagnostics={"windows": base.twin.n, "draws": 0, "seconds": seconds, "leftover": []},
     )
 
@@ -114,7 +117,8 @@ def gap_of(
     shifted = moved(started, final) if applied else ()
     if contradicted and word == "none":
         word = "closed"  # by the fit: the calibration was the model, and it does not hold
-    return Gap(
+    wanted = manoeuvre(first, found, word, open_places)
+    gap = Gap(
         verdict=word,
         sentence=contradiction(contradicted) + sentence,
         effects=effects,
@@ -127,7 +131,7 @@ def gap_of(
         + tuple(row for row in shifted if row.name not in {known.name for known in contradicted}),
         calibration=final if applied else started,
         base=started,
-        next_manoeuvre=manoeuvre(first, found, word, open_places),
+        next_manoeuvre=wanted,
         diagnostics={
             "windows": first.refit.twin.n,
             "draws": DRAWS,
@@ -135,6 +139,12 @@ def gap_of(
             "leftover": list(result.leftover),
         },
     )
+    if word in ("none", "closed"):
+        return gap
+    if CLOCK_DRIFT in result.leftover:
+        return with_doubt(gap, APART_IN_BRIEF)
+    missing = place_of(result.leftover, last) if result.leftover else ""
+    return with_doubt(gap, left_open(effects, open_places, missing, wanted))
 
 
 def _unpaid(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:

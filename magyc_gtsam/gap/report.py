@@ -72,18 +72,26 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
     return "; ".join(parts) or "whatever of the effects tested matters would have been seen"
 
 
-def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
+def place_of(left: Sequence[str], last: Look) -> str:
     """Where the strongest of what is left lives, in words."""
     names = set(left)
-    if CLOCK_DRIFT in names:
-        return APART
     for score in last.scores:
         if score.name in names and score.generic:
-            return f"something that lives in {score.place} is missing, and it is not {catalogue}"
+            return f"something that lives in {score.place} is missing"
     label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
-    if not label:
-        return f"something is missing, and it is not {catalogue}"
-    return f"something like “{label}” is missing, but not quite of its form"
+    return f"something like “{label}” is missing" if label else "something is missing"
+
+
+def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
+    """The same, with why it has no name."""
+    if CLOCK_DRIFT in left:
+        return APART
+    where = place_of(left, last)
+    return (
+        f"{where}, but not quite of its form"
+        if "something like" in where
+        else f"{where}, and it is not {catalogue}"
+    )
 
 
 def _setting(refitted: Refit, index: int) -> dict[str, float]:

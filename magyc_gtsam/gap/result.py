@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.gap.doubt import Doubt
 from magyc_gtsam.recording import Array
 
 Verdict = Literal["none", "closed", "unknown", "open", "not enough information"]
@@ -257,11 +258,13 @@ class Gap:
         before, after: metrics of the base model and of the final one (the same object where nothing was added).
         moved: parameters of the base model that the effects moved, most first; of a calibration that was given,
             those which the data contradict.
-        calibration: with the effects as `terms`; the base calibration where nothing was added.
+        calibration: with the effects as `terms`; the base calibration where nothing was added. Where `doubt` says
+            that it must not be used, it is not `trusted`, and is not exported.
         base: the twelve-parameter calibration the search began with (and the order of the axes, where that was
             settled before).
         assumptions: of the user's simulator, where one was given.
         next_manoeuvre: None where there is nothing to tell apart.
+        doubt: why the calibration must not be used, and what to do; None where the verdict is "none" or "closed".
         diagnostics: about the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …
     """
 
@@ -278,6 +281,7 @@ class Gap:
     base: Calibration
     assumptions: tuple[Assumption, ...] = ()
     next_manoeuvre: Manoeuvre | None = None
+    doubt: Doubt | None = None
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
 
     @property

@@ -8,6 +8,7 @@ from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.json_types import json_types
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import gap_charts, gap_words, words
+from magyc_gtsam.report.gap_verdict import Validation, judged_gap, said
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict
 
@@ -15,7 +16,7 @@ from magyc_gtsam.report.verdict import Verdict
 def render_gap(
     recording: Recording,
     gap: Gap,
-    validation: gap_words.Validation | None = None,
+    validation: Validation | None = None,
     verdict: Verdict | None = None,
 ) -> str:
     """The page as HTML text, self-contained.
@@ -26,7 +27,7 @@ def render_gap(
         validation: both models on another recording.
         verdict: on the gap, where it is known already.
     """
-    verdict = verdict or gap_words.judged_gap(gap, validation)
+    verdict = verdict or judged_gap(gap, validation)
     return rendered(
         "gap_template.html",
         recording,
@@ -35,7 +36,7 @@ def render_gap(
         headline=verdict.title,
         good=verdict.trusted,
         verdict=verdict,
-        said=gap_words.said,
+        said=said,
         numbers=gap_words.key_numbers(gap),
         story=[*gap_charts.shrinking(recording, gap), *gap_charts.heading_shrinking(recording, gap)],
         maps=gap_charts.maps(recording, gap.before, gap.after),
@@ -45,7 +46,7 @@ def render_gap(
         hypothesis_header=(*gap_words.HYPOTHESES, "in words"),
         significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant], explained=True),
         other_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if not h.significant], explained=True),
-        effect_sentences=[effect.sentence for effect in gap.effects],
+        effect_sentences=[said(effect.sentence) for effect in gap.effects],
         confusions=gap_words.confusion_sentences(gap),
         metric_header=gap_words.METRICS,
         metric_rows=gap_words.metric_rows(gap.before, gap.after),
@@ -64,29 +65,22 @@ def render_gap(
 
 
 def _advice(gap: Gap, verdict: Verdict) -> list[str]:
-    if gap.verdict in ("none", "closed") and not verdict.trusted:  # by another recording
-        return [
-            "Do not use the correction elsewhere before it holds on another log of the same instrument and mounting.",
-            "Give a log in which nothing was moved or mounted anew, or calibrate the other log by itself.",
-        ]
-    lines = {
-        "none": ["Use the calibration as it is: in all that this motion shows, the data agree with it."],
-        "closed": [
-            "Use the calibration with its terms; the parameters of other autopilots cannot hold them.",
+    if not verdict.trusted:
+        lines = [f"Do not use this calibration: {verdict.action}."]
+        if gap.verdict in ("none", "closed"):  # by another recording
+            lines.append("Do not use the correction elsewhere before it holds on another log.")
+        elif gap.verdict == "unknown":
+            lines.append("Nothing was changed. The evidence below says what goes with the misfit.")
+    elif gap.verdict == "none":
+        lines = ["Use the calibration as it is: in all that this motion shows, the data agree with it."]
+    else:
+        lines = [
+            "Use the calibration with its terms: `magyc-gtsam apply` takes out all of them.",
             "Record again and give the new log with --validate: the gap should stay closed.",
-        ],
-        "unknown": [
-            "Nothing was changed. Look at the maps above for what goes with the misfit.",
-            "Record more channels beside the sensors (current, temperature, depth, position), and search again.",
-        ],
-        "open": [
-            "The named effect is not, or not wholly, corrected: remove its cause, or treat the data with care.",
-        ],
-        "not enough information": ["Do not use this calibration. Record again with more motion, and search then."],
-    }[gap.verdict]
+        ]
     if gap.untested:
         names = ", ".join(candidate.label for candidate in gap.untested)
         lines = [*lines, f"Not tested for want of a channel: {names}."]
-    if gap.next_manoeuvre is not None:
+    if gap.next_manoeuvre is not None and gap.next_manoeuvre.motion != verdict.action:
         lines = [*lines, gap.next_manoeuvre.sentence]
     return lines

@@ -3,148 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolability, Metrics, Moved
-from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
-_WORSE = 0.005  # nats per window, by which what was found may make another recording worse
-_BETTER = 0.98  # prediction with the correction over that without, below which the correction helps there
-_NOISIER = 1.25  # times the noise of the log, from which another log's differs
-_FOREIGN = 0.1  # of the field; a prediction beyond it is no matter of effects that were not found
-_SWEPT = 0.5  # of the field, by which another recording must turn it to be one to judge by
-_TITLES = {
-    "none": "Nothing was found missing",
-    "closed": "Gap found and closed",
-    "unknown": "Something is missing, and it has no name",
-    "open": "Gap found, not closed",
-    "not enough information": "Nothing could be tested",
-}
 HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "by sigmas")
 DIFFERS = ("what differs there", "here", "there", "by sigmas")
 ASSUMPTIONS = ("assumption", "simulated", "measured", "")
 PLAN = ("effect", "found from", "matters from", "what matters is found", "left", "named as")
-
-
-@dataclass(frozen=True, eq=False)
-class Validation:
-    """Both models on another recording.
-
-    Attributes:
-        name: of the recording.
-        swept: T, by its field.
-        before, after: how well the twelve parameters, and the model with what was found, agree with it.
-        differences: what it says otherwise when it is fitted by itself, and matters.
-    """
-
-    name: str
-    swept: float
-    before: Metrics
-    after: Metrics
-    differences: tuple[Moved, ...] = ()
-
-
-def closed(gap: Gap) -> bool:
-    """Whether nothing was missing, or what was missing is in the model now."""
-    return gap.verdict in ("none", "closed")
-
-
-def contradicted(gap: Gap, validation: Validation) -> list[str]:
-    """Why the result does not hold on the other recording; empty where it does."""
-    loop, strength = validation.after.open_loop, gap.calibration.field_strength
-    assert strength is not None
-    if not len(loop.time):
-        return [
-            f"{validation.name} is too short to judge by: it holds no stretch of more than {loop.horizon:g} s to "
-            "predict; give a log of a minute or more"
-        ]
-    if validation.swept < _SWEPT * strength:
-        return [
-            f"{validation.name} cannot be judged by: its field swept {validation.swept * 1e6:.1f} µT, at least "
-            f"{_SWEPT * strength * 1e6:.0f} are needed for iron and gyroscope to show; give a log that turns"
-        ]
-    fails = f"the result does not hold on {validation.name}"
-    if loop.rms > max(_FOREIGN * strength, 3 * loop.floor, 2 * gap.after.open_loop.rms):
-        return [
-            f"{fails}: its {loop.horizon:g} s prediction is off by {loop.rms * 1e6:.1f} µT, at most {_FOREIGN:.0%} of "
-            "the field is tolerated: another instrument, another mounting or changed iron; give a log of the same"
-        ]
-    if validation.differences:
-        worst, more = validation.differences[0], len(validation.differences) - 1
-        return [
-            f"{fails}: there {worst.name} is {worst.after:.3g} {worst.unit}, not {worst.before:.3g} "
-            f"({abs(worst.sigmas):.0f} sigmas)"
-            + (f", and {more} more differ" if more else "")
-            + ": changed iron, "
-            "another mounting or another delay; give a log of the same, or calibrate again"
-        ]
-    before, after = validation.before.held_out, validation.after.held_out
-    # A likelihood falls where the noise is another, too: the prediction says whether the correction helps.
-    if after > before - _WORSE or loop.rms < _BETTER * validation.before.open_loop.rms:
-        return []
-    return [
-        f"{fails}: with it the log-likelihood per window falls from {before:.3f} to {after:.3f}: what was found is "
-        "not there, or is no property of the instrument"
-    ]
-
-
-def noise_there(validation: Validation) -> str:
-    """Where the noise of the other recording is another: how much; else ""."""
-    over_time = next((m for m in validation.after.maps if m.over == "time"), None)
-    if over_time is None or not over_time.share.sum() > 0:
-        return ""
-    ratio = float(np.sqrt(over_time.share @ over_time.level**2 / over_time.share.sum()))
-    if 1 / _NOISIER < ratio < _NOISIER:
-        return ""
-    return f"The noise level differs on {validation.name}: {ratio:.1f} times that of this log."
-
-
-def judged_gap(gap: Gap, validation: Validation | None = None, unjudged: Sequence[str] = ()) -> Verdict:
-    """The verdict on a gap, which terminal, page and exit code share.
-
-    Args:
-        gap: the result.
-        validation: of it on another recording.
-        unjudged: why it could not be judged there.
-    """
-    doubts = [*unjudged, *(contradicted(gap, validation) if validation is not None else [])]
-    details = [effect.sentence for effect in gap.effects if effect.sentence not in gap.sentence]
-    noise = "" if validation is None else noise_there(validation)
-    if doubts:
-        holds = any("does not hold" in doubt for doubt in doubts)
-        cause, _, action = doubts[0].partition(": ")
-        return Verdict(
-            False,
-            action,
-            details=(
-                said(f"{title(gap)}: {gap.sentence}"),
-                *map(said, doubts),
-                *details,
-                *([noise] if noise else []),
-            ),
-            called=said(cause).removesuffix(".") if holds else "The result could not be judged on the other log",
-        )
-    if validation is not None and gap.effects:
-        details.append(f"the correction holds on {validation.name}")
-    details += [noise] if noise else []
-    return Verdict(closed(gap), gap.sentence, worth=gap.sentence, details=tuple(details), called=title(gap))
-
-
-def title(gap: Gap) -> str:
-    """The verdict as a heading."""
-    return _TITLES[gap.verdict]
-
-
-def said(sentence: str) -> str:
-    """With a capital and a full stop."""
-    return sentence[:1].upper() + sentence[1:].removesuffix(".") + "."
 
 
 def key_numbers(gap: Gap) -> list[Number]:
@@ -175,18 +47,16 @@ def key_numbers(gap: Gap) -> list[Number]:
 
 
 def effect_value(effect: Effect) -> str:
-    """Its parameters with their deviations and what was searched over."""
+    """Its parameters with their deviations, and its time; "" of what has no unit."""
     values = [uncertain(v, s) for v, s in zip(np.ravel(effect.value), np.ravel(effect.sigma), strict=True)]
     if len(values) > 1:
         values = [f"{name} {value}" for name, value in zip(effect.parameters, values, strict=True)]
-    text = f"{', '.join(values)} {effect.unit}".strip()
-    sigmas = {key: effect.setting.get(f"{key}_sigma") for key in effect.setting if not key.endswith("_sigma")}
-    return text + "".join(
-        f", {key} {effect.setting[key]:.4g}"
-        if sigma is None
-        else f", {key} {uncertain(effect.setting[key], sigma)} s"
-        for key, sigma in sigmas.items()
-    )
+    times = [
+        f", {key} {uncertain(effect.setting[key], effect.setting[f'{key}_sigma'])} s"
+        for key in effect.setting
+        if f"{key}_sigma" in effect.setting
+    ]
+    return f"{', '.join(values)} {effect.unit}{''.join(times)}" if effect.unit else ""
 
 
 def hypothesis_label(hypothesis: Hypothesis) -> str:

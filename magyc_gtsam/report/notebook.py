@@ -18,7 +18,8 @@ from magyc_gtsam.level_turn import turn_of
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import words
 from magyc_gtsam.report.analysis import field_history
-from magyc_gtsam.report.gap_words import effect_value, judged_gap
+from magyc_gtsam.report.gap_verdict import judged_gap
+from magyc_gtsam.report.gap_words import effect_value
 from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.study.comparison import Comparison
 

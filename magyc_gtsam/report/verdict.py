@@ -157,8 +157,8 @@ def _shortened(message: str) -> tuple[str, str]:
     if len(f"{cause} {action}".split()) > MOST_WORDS:
         cause = _without_brackets(cause)
     if len(f"{cause} {action}".split()) > MOST_WORDS:
-        action = _clause(action, MOST_WORDS - min(len(cause.split()), MOST_WORDS))
-    return _clause(cause, MOST_WORDS), action
+        action = cut_to_words(action, MOST_WORDS - min(len(cause.split()), MOST_WORDS))
+    return cut_to_words(cause, MOST_WORDS), action
 
 
 def _without_brackets(text: str) -> str:
@@ -168,7 +168,7 @@ def _without_brackets(text: str) -> str:
     return text
 
 
-def _clause(text: str, words: int) -> str:
+def cut_to_words(text: str, words: int) -> str:
     """As many whole clauses as fit, or as many words where not even one does."""
     kept = ""
     for clause in text.replace("; ", ", ").split(", "):

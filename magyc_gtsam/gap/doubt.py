@@ -1,0 +1,66 @@
+"""Why a gap's calibration must not be used, and what to do: in few words, the same for every output."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from magyc_gtsam.calibration import Calibration
+
+if TYPE_CHECKING:
+    from magyc_gtsam.gap.result import Effect, Gap, Manoeuvre
+
+_LOG_MORE = "log current, temperature and depth too"
+_WITHOUT = "choose an interval without the jumps (--start, --end)"
+_SPELLED = 3  # jumps named one by one
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """One cause and one action, together of at most 30 words."""
+
+    cause: str
+    action: str
+
+    @property
+    def sentence(self) -> str:
+        """Both."""
+        return f"{self.cause}: {self.action}"
+
+
+def with_doubt(gap: Gap, doubt: Doubt) -> Gap:
+    """The gap with its calibration marked as one that must not be used."""
+    return replace(gap, doubt=doubt, calibration=doubted(gap.calibration, doubt))
+
+
+def doubted(calibration: Calibration, doubt: Doubt) -> Calibration:
+    """A calibration that says why it must not be used, and is refused by `export` and `apply`."""
+    message = "; ".join(part for part in (doubt.sentence, calibration.message) if part)
+    return replace(calibration, converged=False, message=message)
+
+
+def left_open(
+    effects: Sequence[Effect], uncorrected: Collection[int], missing: str, manoeuvre: Manoeuvre | None
+) -> Doubt:
+    """Of a gap that is open or unknown.
+
+    Args:
+        effects: what was named.
+        uncorrected: places of those that are named only.
+        missing: what is left beside them, in words; "" where nothing is.
+        manoeuvre: what would help.
+    """
+    if missing:
+        jumps = [f"{e.setting['time']:.0f} s" for e in effects if e.name == "hard-iron-step"][:_SPELLED]
+        if jumps:
+            return Doubt(f"beside jumps at {' and '.join(jumps)}, {missing}", _WITHOUT)
+        beside = "" if not effects else f"beside {_named([effect.label for effect in effects])}, "
+        return Doubt(f"{beside}{missing}", _LOG_MORE)
+    verb = "is" if len(uncorrected) == 1 else "are"
+    cause = f"{_named([effects[place].label for place in sorted(uncorrected)])} {verb} not corrected"
+    return Doubt(cause, _LOG_MORE if manoeuvre is None else manoeuvre.motion)
+
+
+def _named(labels: Sequence[str]) -> str:
+    return f"“{labels[0]}”" + (f" and {len(labels) - 1} more" if len(labels) > 1 else "")

@@ -1,0 +1,186 @@
+"""The verdict on a gap, by itself and on another recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.gap.doubt import Doubt, with_doubt
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.result import Effect, Gap, Metrics, Moved
+from magyc_gtsam.report.verdict import MOST_WORDS, Verdict, clauses
+
+_WORSE = 0.005  # nats per window, by which what was found may make another recording worse
+_BETTER = 0.98  # prediction with the correction over that without, below which the correction helps there
+_NOISIER = 1.25  # times the noise of the log, from which another log's differs
+_FOREIGN = 0.1  # of the field; a prediction beyond it is no matter of effects that were not found
+_SWEPT = 0.5  # of the field, by which another recording must turn it to be one to judge by
+MOST_EFFECTS = 3  # named one by one in the verdict
+_TITLES = {
+    "none": "Nothing was found missing",
+    "closed": "Gap found and closed",
+    "unknown": "Something is missing, and it has no name",
+    "open": "Gap found, not closed",
+    "not enough information": "Nothing could be tested",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """Both models on another recording.
+
+    Attributes:
+        name: of the recording.
+        swept: T, by its field.
+        before, after: how well the twelve parameters, and the model with what was found, agree with it.
+        differences: what it says otherwise when it is fitted by itself, and matters.
+    """
+
+    name: str
+    swept: float
+    before: Metrics
+    after: Metrics
+    differences: tuple[Moved, ...] = ()
+
+
+def closed(gap: Gap) -> bool:
+    """Whether nothing was missing, or what was missing is in the model now."""
+    return gap.verdict in ("none", "closed")
+
+
+def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | None:
+    """Why the result does not hold on the other recording: a title, the doubt, and all of it; None where it holds."""
+    loop, strength = validation.after.open_loop, gap.calibration.field_strength
+    assert strength is not None
+    name = validation.name
+    if not len(loop.time):
+        return (
+            f"{name} is too short to judge by",
+            Doubt(
+                f"it holds no stretch of more than {loop.horizon:g} s to predict", "give a log of a minute or more"
+            ),
+            "",
+        )
+    if validation.swept < _SWEPT * strength:
+        return (
+            f"{name} cannot be judged by",
+            Doubt(
+                f"its field swept {validation.swept * 1e6:.1f} µT", "give a log that turns through all headings"
+            ),
+            f"at least {_SWEPT * strength * 1e6:.0f} µT are needed for iron and gyroscope to show",
+        )
+    fails = f"The result does not hold on {name}"
+    if loop.rms > max(_FOREIGN * strength, 3 * loop.floor, 2 * gap.after.open_loop.rms):
+        off = f"its {loop.horizon:g} s prediction is off by {loop.rms * 1e6:.1f} µT"
+        return (
+            fails,
+            Doubt(off, "give a log of the same instrument and mounting"),
+            f"at most {_FOREIGN:.0%} of the field is tolerated: another instrument, another mounting or changed iron",
+        )
+    if validation.differences:
+        worst, more = validation.differences[0], len(validation.differences) - 1
+        differs = f"there {worst.name} is {worst.after:.3g} {worst.unit}, not {worst.before:.3g}"
+        others = f", and {more} more differ" if more else ""
+        return (
+            fails,
+            Doubt(differs, "give a log of the same iron and mounting, or calibrate again"),
+            f"{worst.name} differs by {abs(worst.sigmas):.0f} sigmas{others}: changed iron, another mounting or "
+            "another delay",
+        )
+    before, after = validation.before.held_out, validation.after.held_out
+    # A likelihood falls where the noise is another, too: the prediction says whether the correction helps.
+    if after > before - _WORSE or loop.rms < _BETTER * validation.before.open_loop.rms:
+        return None
+    return (
+        fails,
+        Doubt("the correction makes its prediction no better", "use the correction on this log only"),
+        f"the log-likelihood per window falls from {before:.3f} to {after:.3f} there: what was found is not there, or "
+        "is no property of the instrument",
+    )
+
+
+def noise_there(validation: Validation) -> str:
+    """Where the noise of the other recording is another: how much; else ""."""
+    over_time = next((m for m in validation.after.maps if m.over == "time"), None)
+    if over_time is None or not over_time.share.sum() > 0:
+        return ""
+    ratio = float(np.sqrt(over_time.share @ over_time.level**2 / over_time.share.sum()))
+    if 1 / _NOISIER < ratio < _NOISIER:
+        return ""
+    return f"The noise level differs on {validation.name}: {ratio:.1f} times that of this log."
+
+
+def judged_gap(gap: Gap, validation: Validation | None = None, unjudged: str = "") -> Verdict:
+    """The verdict on a gap, which terminal, page, files and exit code share.
+
+    Args:
+        gap: the result.
+        validation: of it on another recording.
+        unjudged: why it could not be judged there.
+    """
+    whole = (*clauses(gap.sentence), *(effect.sentence for effect in gap.effects))
+    noise = "" if validation is None else noise_there(validation)
+    contradiction = None if validation is None else contradicted(gap, validation)
+    if unjudged:
+        contradiction = "The result could not be judged on the other log", Doubt(unjudged, "give another log"), ""
+    if not closed(gap):
+        assert gap.doubt is not None  # whatever is left open says why
+        doubts = [] if contradiction is None else [f"{contradiction[0]}: {contradiction[1].cause}"]
+        return _refused(title(gap), gap.doubt, (*doubts, *whole, noise))
+    if contradiction is not None:
+        called, doubt, more = contradiction
+        return _refused(called, doubt, (more, f"On its own log: {title(gap)}", *whole, noise))
+    holds = f"The correction holds on {validation.name}" if validation is not None and gap.effects else ""
+    worth = _found(gap)
+    return Verdict(True, worth=worth, details=_details((holds, *whole, noise), worth), called=title(gap))
+
+
+def _refused(called: str, doubt: Doubt, details: Sequence[str]) -> Verdict:
+    return Verdict(
+        False, doubt.cause, doubt.action, details=_details(details, doubt.cause, called), called=said(called)[:-1]
+    )
+
+
+def _found(gap: Gap) -> str:
+    """What was found, in few words."""
+    effects = sorted(gap.effects, key=lambda effect: effect.name not in TERMS)
+    if not effects:
+        return clauses(gap.sentence)[0]
+    if len(effects) == 1 and len(effects[0].sentence.split()) <= MOST_WORDS:
+        return effects[0].sentence
+    named = [f"{effect.label}{_size(effect)}" for effect in effects]
+    most = MOST_EFFECTS if len(named) > MOST_EFFECTS + 1 else len(named)
+    rest = [f"{len(named) - most} more"] if len(named) > most else []
+    return ", ".join(named[:most] + rest)
+
+
+def _size(effect: Effect) -> str:
+    """The length of its value in brackets, where it has a unit."""
+    if not effect.unit:
+        return ""
+    return f" ({float(np.linalg.norm(effect.value)):.2g} {effect.unit})"
+
+
+def _details(sentences: Sequence[str], *told: str) -> tuple[str, ...]:
+    """Each once, without what was told already."""
+    return tuple(dict.fromkeys(said(each) for each in sentences if each and said(each) not in map(said, told)))
+
+
+def as_judged(gap: Gap, verdict: Verdict) -> Gap:
+    """The gap with a calibration that is refused wherever the verdict is against it."""
+    if verdict.trusted or not closed(gap):
+        return gap
+    title = f"{verdict.title[:1].lower()}{verdict.title[1:]}"
+    return with_doubt(gap, Doubt(f"{title}, {verdict.cause}", verdict.action))
+
+
+def title(gap: Gap) -> str:
+    """The verdict as a heading."""
+    return _TITLES[gap.verdict]
+
+
+def said(sentence: str) -> str:
+    """With a capital and a full stop."""
+    return sentence[:1].upper() + sentence[1:].removesuffix(".") + "."
