@@ -414,24 +414,39 @@ def test_export(result: tuple[Finished, Path], tmp_path: Path) -> None:
 def test_info(logs: Path, tmp_path: Path) -> None:
     finished = run("info", logs / "dive.mcap", cwd=tmp_path)
     assert (finished.returncode, finished.stderr) == (0, "")
-    for text in ("/imu/mag", "sensor_msgs/msg/Imu", "10.0", "can be calibrated: yes", "motion: turned by about"):
+    for text in ("/imu/mag", "sensor_msgs/msg/Imu", "10.0", "can be read: yes;", "motion: turned by about"):
         assert text in finished.stdout
     answer = json.loads(run("info", logs / "still.mcap", "--json", cwd=tmp_path).stdout)
-    assert not answer["calibration"]["possible"]
-    assert answer["calibration"]["weak"]
+    assert answer["readable"]
+    assert answer["turned"] < 0.5
     assert {s["name"]: s["count"] for s in answer["sources"]}["/imu/mag"] == 300
     finished = run("info", logs / "field.mcap", cwd=tmp_path)
     assert finished.returncode == 0
-    assert "can be calibrated: no" in finished.stdout
+    assert "can be read: yes, without a gyroscope" in finished.stdout
+    finished = run("info", logs / "dive.mcap", "--magnetic-field", "/absent", cwd=tmp_path)
+    assert finished.returncode == 0
+    assert "can be read: no, " in finished.stdout
+    assert "'/absent'" in finished.stdout
 
 
-@pytest.mark.parametrize(
-    ("name", "possible"), [("ardusub_still.BIN", False), ("nexus5_calibration_d1.mcap", True)]
-)
-def test_info_of_real_logs(name: str, possible: bool, shared_data: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("name", "turned"), [("ardusub_still.BIN", False), ("nexus5_calibration_d1.mcap", True)])
+def test_info_of_real_logs(name: str, turned: bool, shared_data: Path, tmp_path: Path) -> None:
     finished = run("info", shared_data / name, "--json", cwd=tmp_path)
     assert finished.returncode == 0
-    assert json.loads(finished.stdout)["calibration"]["possible"] is possible
+    assert (json.loads(finished.stdout)["turned"] > 2 * np.pi) is turned
+
+
+def test_info_does_not_calibrate() -> None:
+    """Nor imports what only a calibration needs."""
+    script = (
+        "import sys; from magyc_gtsam.cli import main; main(sys.argv[1:]); "
+        "print(*(m for m in ('magyc_gtsam.estimators', 'scipy', 'gtsam', 'matplotlib') if m in sys.modules), "
+        "file=sys.stderr)"
+    )
+    dive = Path(__file__).parent.parent / "datasets" / "calibration_dive.mcap"
+    for arguments in (("info", str(dive)), ("--help",)):
+        finished = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True)
+        assert (finished.returncode, finished.stderr.strip()) == (0, "")
 
 
 def test_axes_that_differ(tmp_path: Path) -> None:

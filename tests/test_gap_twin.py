@@ -62,6 +62,25 @@ def test_the_slow_form_of_a_rate_error_is_close_to_the_exact_one(twin: Twin) -> 
     assert np.linalg.norm(exact - slow) < 0.05 * np.linalg.norm(exact)
 
 
+@pytest.mark.parametrize(
+    "name", [k for k, form in FORMS.items() if form.side == "gyroscope" and "rate" in form.needs]
+)
+@pytest.mark.parametrize("size", [0.01, 0.9, -3.0, 100.0])
+def test_a_gyroscope_term_of_any_size_has_a_finite_twin_or_is_refused(name: str, size: float) -> None:
+    """A step of a fit may go anywhere; beyond what can be undone the rate ran away to values that are no numbers."""
+    recording = mg.simulate("wide", duration=60, seed=5).recording
+    base = base_model(recording, None, short_term_noise(recording)).twin
+    columns = FORMS[name].columns(base.gyroscope, {})
+    model = replace(base.model, terms=(Active(name, {}, np.full(len(columns), size)),))
+    try:
+        twin = Twin.of(base.problem, model)
+    except mg.MagycError as refused:
+        assert name in str(refused)  # noqa: PT017 - both ways are right
+        return
+    assert np.isfinite(twin.residual()).all()
+    assert np.isfinite(twin.gyroscope.need("rate")).all()
+
+
 def test_eliminating_the_candidate_last_in_gtsam_gives_the_same_statistic(twin: Twin) -> None:
     """The whole linear graph, every direction a variable; the candidate's conditional is [R, d]."""
     chain, reduced, n = twin.chain, twin.reduced, twin.n

@@ -244,6 +244,7 @@ def test_a_hard_iron_that_walks_is_followed():
 def test_samples_that_cannot_be_used_are_left_out_and_counted():
     online = OnlineCalibrator()
     field, rate = np.full((4, 3), 3e-5), np.zeros((4, 3))
+    online.update(np.arange(-0.8, 0.0, 0.1), np.tile(field, (2, 1)), np.tile(rate, (2, 1)))
     online.update([0.0, 0.1, 0.1, 0.05], field + np.arange(12).reshape(4, 3) * 1e-9, rate)
     assert online.progress.left_out == 4  # two stamps of two sensors
     online.update(0.2, [np.nan, 3e-5, 3e-5], [0.0, np.inf, 0.0])
@@ -264,10 +265,10 @@ def test_samples_that_cannot_be_used_are_left_out_and_counted():
 )
 def test_refused_samples_change_nothing(arguments, words):
     online = OnlineCalibrator()
-    online.update([0.0], [[3e-5, 0, 4e-5]], [[0, 0, 0]])
+    online.update(np.arange(-1.0, 0.01, 0.1), [[3e-5, 0, 4e-5]] * 11, [[0, 0, 0]] * 11)
     with pytest.raises(MagycError, match=words):
         online.update(*arguments)
-    assert online.progress.time == 0.0
+    assert online.progress.time == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,28 @@ def test_a_clock_that_was_set_ahead_is_believed_after_five_more_stamps() -> None
     assert taken(time, 1) == (time.tolist(), 0)
 
 
+@pytest.mark.parametrize("cut", [1, 3, 1000])
+@pytest.mark.parametrize("wrong", [1, 2, 5])
+@pytest.mark.parametrize("by", [2.0, 3600.0, 1e9, -1e9])
+def test_wrong_stamps_at_the_very_start_are_dropped(wrong: int, by: float, cut: int) -> None:
+    """A clock that is set right just after the start, forward or back, and single stamps among the first."""
+    time = 1000 + 0.1 * np.arange(100)
+    given = time.copy()
+    given[:wrong] += by
+    assert taken(given, cut) == (time[wrong:].tolist(), wrong)
+    given = time.copy()
+    given[1:wrong] += abs(by) * 10.0 ** np.arange(wrong - 1)
+    assert taken(given, cut) == (np.delete(time, np.s_[1:wrong]).tolist(), wrong - 1)
+
+
+def test_few_stamps_between_pauses_are_taken_all_the_same() -> None:
+    time = (30.0 * np.arange(20)[:, None] + 0.1 * np.arange(3)).ravel()
+    stamps, left_out = taken(time, 1)
+    assert left_out <= 5
+    assert stamps == time[left_out : left_out + len(stamps)].tolist()
+    assert len(stamps) >= len(time) - 10
+
+
 def test_the_calibration_goes_on(tmp_path: Path) -> None:
     """One stamp of the magnetometer, one of the gyroscope, and a file written while one waits."""
     recording = mg.simulate("wide", 200, seed=3).recording

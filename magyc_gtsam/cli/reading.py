@@ -50,15 +50,9 @@ class Reading:
         """
         from magyc_gtsam import MagycError, read
 
-        arguments = asdict(self)
-        for own in ("log", "angular_rate_is", "gyroscope_axes", "read"):
-            del arguments[own]
-        for unit in ("magnetic_unit", "angular_unit", "acceleration_unit"):
-            arguments[unit] = parse_unit(arguments[unit])
-        if self.start is not None and self.end is not None and not self.start < self.end:
-            raise MagycError(f"--start {self.start:g} s is not before --end {self.end:g} s")
+        arguments = self.arguments()
         axes = None if self.gyroscope_axes is None else parse_axes(self.gyroscope_axes)
-        recording: Recording = read(self.log, **arguments, **parse_pairs("--read", self.read), progress=progress)
+        recording: Recording = read(self.log, **arguments, progress=progress)
         if recording.magnetic_field_unit == "counts" and not counts:
             raise MagycError(
                 "--magnetic-unit counts: a calibration needs the field in tesla; give tesla per count, or see "
@@ -67,6 +61,23 @@ class Reading:
         if axes is not None:
             recording = _turned(recording, axes)
         return recording if self.angular_rate_is is None else _restated(recording, self.angular_rate_is)
+
+    def arguments(self) -> dict[str, Any]:
+        """For `magyc_gtsam.read`.
+
+        Raises:
+            MagycError: an interval or options that mean nothing.
+        """
+        from magyc_gtsam.factors.errors import MagycError
+
+        arguments = asdict(self)
+        for own in ("log", "angular_rate_is", "gyroscope_axes", "read"):
+            del arguments[own]
+        for unit in ("magnetic_unit", "angular_unit", "acceleration_unit"):
+            arguments[unit] = parse_unit(arguments[unit])
+        if self.start is not None and self.end is not None and not self.start < self.end:
+            raise MagycError(f"--start {self.start:g} s is not before --end {self.end:g} s")
+        return arguments | parse_pairs("--read", self.read)
 
     def to_dict(self) -> dict[str, Any]:
         """What was asked beyond the defaults, JSON types."""

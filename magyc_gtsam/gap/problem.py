@@ -19,11 +19,13 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS, Setting
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
 _STILL = 1e-9  # of a channel's largest value: less is rounding
 _PASSES = 20  # for gyroscope terms that read the true rate; most need three
 _CLOSE = 1e-7  # rad/s
+_RUNAWAY = 10.0  # times the first change, beyond which the passes do not come to an end
 _BENT = 5  # passes for magnetometer terms that bend the reading
 _NEARBY = 1e-8  # T
 
@@ -122,19 +124,28 @@ def _others(recording: Recording, at: Array) -> Signals:
 
 
 def prepare(problem: Problem, model: Model) -> tuple[Preintegration, Array]:
-    """The samples with the gyroscope's terms taken out, and the true rate (3, G) rad/s."""
+    """The samples with the gyroscope's terms taken out, and the true rate (3, G) rad/s.
+
+    Raises:
+        MagycError: terms so large that a reading belongs to no one rate, so that the passes run away.
+    """
     samples = problem.samples
     bias = model.parameters[9:12]
     measured = samples.angular_rate.T - bias[:, None]
     terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope"]
     if not terms:
         return samples, measured
-    true = measured
+    true, changes = measured, [np.inf]
     for _ in range(_PASSES):
         signals, before = replace(problem.gyroscope, rate=true), true
         true = measured - sum(FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms)
-        if np.abs(true - before).max() < _CLOSE:
+        changes.append(float(np.abs(true - before).max()))
+        if changes[-1] < _CLOSE:
             break
+        if not changes[-1] < _RUNAWAY * changes[1]:
+            raise MagycError(
+                f"{' and '.join(t.name for t in terms)}: as large as this, a reading belongs to more than one rate"
+            )
     return samples.with_rate((true + bias[:, None]).T), true
 
 

@@ -8,13 +8,16 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.log_info import LogInfo, Source
-from magyc_gtsam.io.mcap_writer import write_mcap
+from magyc_gtsam.factors.lazy import attribute
+from magyc_gtsam.io.log_info import LogInfo, Source, turned
 from magyc_gtsam.io.request import Request, Selection
 from magyc_gtsam.recording import Recording
+
+if TYPE_CHECKING:
+    from magyc_gtsam.io.mcap_writer import write_mcap
 
 __all__ = ["LogInfo", "Source", "info", "read", "same_format", "write_mcap"]
 
@@ -101,19 +104,24 @@ def read(
     return recording
 
 
-def info(path: str | PathLike[str]) -> LogInfo:
-    """What a log holds, and whether `read` makes a recording of it as it is.
+def info(path: str | PathLike[str], **arguments: Any) -> LogInfo:
+    """What a log holds, and whether `read` makes a recording of it; nothing is calibrated.
+
+    Args:
+        path: of the log.
+        arguments: of `read`.
 
     Raises:
         MagycError: no such file, or not a log.
     """
     described: LogInfo = _reader(Path(path)).info(Path(path))
     try:
-        recording = read(path)
+        recording = read(path, **arguments)
     except MagycError as error:
         return replace(described, problem=str(error))
     notes = tuple(n for n in recording.notes if n not in described.warnings)
-    return replace(described, warnings=(*described.warnings, *notes))
+    way = None if recording.angular_rate is None else turned(*recording.gyroscope)
+    return replace(described, warnings=(*described.warnings, *notes), turned=way)
 
 
 def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:
@@ -145,3 +153,7 @@ def _reader(path: Path) -> ModuleType:
     if by_content is None and name not in _WITHOUT_MAGIC:
         raise MagycError(f"{path}: is called {path.suffix} but does not begin like one; is the file damaged?")
     return importlib.import_module(f"magyc_gtsam.io.{name}")
+
+
+def __getattr__(name: str) -> Any:
+    return attribute(__name__, {"write_mcap": "mcap_writer"}, name)

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from magyc_gtsam.recording import Array
+
 
 @dataclass(frozen=True)
 class Source:
@@ -42,7 +46,8 @@ class LogInfo:
         duration: s.
         sources: all topics, messages or columns.
         warnings: what had to be done to read it, and what is wrong with it.
-        problem: why it cannot be calibrated as it is, None where it can.
+        problem: why `read` makes no recording of it, None where it does.
+        turned: rad, the path that the attitude went; None without a gyroscope, or where there is a problem.
     """
 
     path: str
@@ -51,8 +56,18 @@ class LogInfo:
     sources: tuple[Source, ...]
     warnings: tuple[str, ...] = ()
     problem: str | None = None
+    turned: float | None = None
 
     @property
     def readable(self) -> bool:
-        """Whether `read` makes a recording of it without further arguments."""
+        """Whether `read` makes a recording of it."""
         return self.problem is None
+
+
+def turned(time: Array, rate: Array) -> float:
+    """rad; in steps of a second, so that the noise of the samples does not add up, nor the usual bias."""
+    angle = np.zeros_like(rate)
+    np.cumsum((rate - np.median(rate, axis=0))[1:] * np.diff(time)[:, None], axis=0, out=angle[1:])
+    seconds = np.arange(time[0], time[-1], 1.0)
+    steps = np.diff([np.interp(seconds, time, column) for column in angle.T])
+    return float(np.linalg.norm(steps, axis=0).sum())

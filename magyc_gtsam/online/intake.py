@@ -65,7 +65,8 @@ class Intake:
             left_out += int((~good & ~absent).sum())
             when, value = stamps[good], value[good]
             beyond = np.abs(value).max(axis=1, initial=0.0) > limit
-            if beyond.sum() > 0.5 * len(beyond) and not np.isfinite(last[name][0]):  # a unit; later it is a spike
+            first = not np.isfinite(last[name][0]) and not len(quarantine[name])
+            if first and beyond.sum() > 0.5 * len(beyond):  # a unit; later it is a spike
                 row = int(beyond.argmax())
                 raise MagycError(
                     f"{name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} "
@@ -147,29 +148,55 @@ def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
     """The rows (n, 4) of time and value that are admitted, and those still in quarantine.
 
     A stamp far ahead of the last one is a pause, or wrong. After a pause the following stamps are later still; after a
-    wrong one they fall back behind it, and it is dropped.
+    wrong one they fall back behind it, and it is dropped. Before the first sample every stamp is far ahead.
     """
+    if not np.isfinite(last):
+        return _begun(rows)
     time = rows[:, 0]
     before = np.maximum.accumulate(np.concatenate([[last], time]))
-    steps = np.concatenate([[step], np.diff(before)])[:-1] if np.isfinite(last) else np.zeros(len(time))
-    known = np.isfinite(before[:-1])
-    if not (time[known] - before[:-1][known] > np.maximum(_LATE, _LEAP * np.nan_to_num(steps[known]))).any():
+    steps = np.concatenate([[step], np.diff(before)])[:-1]
+    if not (time - before[:-1] > np.maximum(_LATE, _LEAP * steps)).any():
         return rows, rows[:0]
     admitted: list[int] = []
     waiting: list[int] = []
     for i, stamp in enumerate(time):  # only where a stamp leaps ahead
-        while waiting and time[waiting[-1]] >= stamp:
-            waiting.pop()
-        waiting.append(i)
+        _wait(waiting, time, i)
         while waiting:
             leap = time[waiting[0]] - last
-            if np.isfinite(last) and leap > max(_LATE, _LEAP * step) and len(waiting) <= _CONFIRMED_BY:
+            if leap > max(_LATE, _LEAP * step) and len(waiting) <= _CONFIRMED_BY:
                 break
             first = waiting.pop(0)
             admitted.append(first)
             if time[first] > last:
-                last, step = float(time[first]), float(leap) if np.isfinite(leap) else 0.0
+                last, step = float(time[first]), float(leap)
     return rows[admitted], rows[waiting]
+
+
+def _begun(rows: Array) -> tuple[Array, Array]:
+    """As `_confirmed`, before the first sample: all wait until five later stamps confirm the first.
+
+    What lies before a leap among these few is left out as well: a clock that was set right after the start.
+    """
+    time = rows[:, 0]
+    waiting: list[int] = []
+    for i in range(len(time)):
+        _wait(waiting, time, i)
+        if len(waiting) <= _CONFIRMED_BY:
+            continue
+        steps = np.diff(time[waiting])
+        leaps = np.flatnonzero(steps > max(_LATE, _LEAP * float(np.median(steps))))
+        begun = waiting[leaps[-1] + 1 :] if len(leaps) else waiting
+        step = float(time[begun[-1]] - time[begun[-2]]) if len(begun) > 1 else 0.0
+        admitted, quarantine = _confirmed(rows[i + 1 :], float(time[i]), step)
+        return np.vstack([rows[begun], admitted]), quarantine
+    return rows[:0], rows[waiting]
+
+
+def _wait(waiting: list[int], time: Array, i: int) -> None:
+    """Row i joins those that wait, and puts out the ones that it shows to be ahead of their time."""
+    while waiting and time[waiting[-1]] >= time[i]:
+        waiting.pop()
+    waiting.append(i)
 
 
 def vector(name: str, value: ArrayLike | None) -> Array:
