@@ -159,7 +159,7 @@ def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
         return rows, rows[:0]
     admitted: list[int] = []
     waiting: list[int] = []
-    for i, stamp in enumerate(time):  # only where a stamp leaps ahead
+    for i in range(len(time)):  # only where a stamp leaps ahead
         _wait(waiting, time, i)
         while waiting:
             leap = time[waiting[0]] - last
