@@ -418,7 +418,7 @@ def test_info(logs: Path, tmp_path: Path) -> None:
         assert text in finished.stdout
     answer = json.loads(run("info", logs / "still.mcap", "--json", cwd=tmp_path).stdout)
     assert answer["readable"]
-    assert answer["turned"] < 0.5
+    assert answer["turned"] < 1.0  # rad, the noise of 30 s
     assert {s["name"]: s["count"] for s in answer["sources"]}["/imu/mag"] == 300
     finished = run("info", logs / "field.mcap", cwd=tmp_path)
     assert finished.returncode == 0
