@@ -197,9 +197,11 @@ def _shown(table: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
 
 def _write(folder: Path, table: Sequence[Row]) -> None:
     """calibrations.csv, calibrations.parquet where pyarrow is installed, and index.html."""
+    import numpy as np
+
     from magyc_gtsam.engine import write_rows
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.report.summary_page import Link, Section, summary_page
+    from magyc_gtsam.report.summary_page import Link, Section, by_log, summary_page
 
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS)
@@ -213,12 +215,21 @@ def _write(folder: Path, table: Sequence[Row]) -> None:
         (folder / "calibrations.parquet").unlink(missing_ok=True)
     header, shown = _shown(table)
     linked = [
-        [Link(row[0], each["page"]) if each["page"] else row[0], *row[1:]]
+        [Link(Path(row[0]).name, each["page"]) if each["page"] else row[0], *row[1:]]
         for row, each in zip(shown, table, strict=True)
     ]
     good = sum(row["exit_code"] == 0 for row in table)
     headline = f"{good} of {len(table)} logs calibrated"
     sections = [Section("Logs", header, linked)]
+    known = [row for row in table if row["hard_iron_x_uT"] is not None]
+    if known:
+        iron, sigma = (
+            np.array([[row[f"hard_iron_{axis}_{what}"] for axis in _AXES] for row in known], dtype=np.float64)
+            for what in ("uT", "sigma_uT")
+        )
+        trusted = [row["exit_code"] == 0 for row in known]
+        figures = by_log([Path(row["log"]).name for row in known], iron, sigma, trusted)
+        sections.append(Section("Hard iron, each log by itself", figures=figures))
     page = summary_page("Calibrations of many logs", headline, good == len(table), [], sections)
     with replacing(folder / "index.html") as part:
         part.write_text(page, encoding="utf-8")

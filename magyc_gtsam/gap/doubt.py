@@ -11,7 +11,7 @@ from magyc_gtsam.calibration import Calibration
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Effect, Gap, Manoeuvre
 
-_LOG_MORE = "log current, temperature and depth too"
+_LOG_MORE = "log current, temperature and depth"
 _WITHOUT = "choose an interval without the jumps (--start, --end)"
 _SPELLED = 3  # jumps named one by one
 

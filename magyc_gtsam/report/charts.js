@@ -12,6 +12,7 @@ function numbers(packed) {
 }
 
 const orNull = (values) => Array.from(values, (v) => (Number.isNaN(v) ? null : v));
+const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
 const MINUTES = [60, 120, 300, 600, 1200, 1800, 3600, 7200, 14400, 36000];
 
 function rounded(value, span) {
@@ -22,7 +23,7 @@ function rounded(value, span) {
 
 /** uPlot's columns: x, then for each series its values and, where it has them, the lowest and highest. */
 function columns(spec) {
-  const data = [orNull(numbers(spec.x))];
+  const data = [orNull(numbers(spec.x)).map((x) => x + (spec.dates || 0))];
   const series = [{}];
   const bands = [];
   const groups = [];
@@ -33,6 +34,7 @@ function columns(spec) {
       dashed: { stroke, width: 1.5, dash: [6, 4], points: { show: false } },
       dots: { stroke, paths: () => null, points: { show: true, size: 4, width: 0, fill: () => faded(colourOf(each.colour), 0.6) } },
       bars: { stroke, fill: () => faded(colourOf(each.colour), 0.5), width: 1, paths: uPlot.paths.bars({ size: [1] }), points: { show: false } },
+      errors: { stroke, paths: () => null, points: { show: true, size: 6, width: 0, fill: stroke } },
       marked: { stroke, width: 1.5, points: { show: true, size: 5, width: 0, fill: stroke } },
     }[each.style || "line"];
     const group = [series.length];
@@ -46,12 +48,37 @@ function columns(spec) {
       const first = series.length;
       data.push(orNull(numbers(each.high)), orNull(numbers(each.low)));
       series.push({ width: 0, points: { show: false } }, { width: 0, points: { show: false } });
-      bands.push({ series: [first, first + 1], fill: () => faded(colourOf(each.colour), each.y ? 0.25 : 0.18) });
+      const share = each.style === "errors" ? 0 : each.y ? 0.25 : 0.18;
+      bands.push({ series: [first, first + 1], fill: () => faded(colourOf(each.colour), share) });
       group.push(first, first + 1);
     }
     groups.push(group);
   }
   return { data, series, bands, groups };
+}
+
+/** A bar from the lowest to the highest at each point. */
+function errorBars(u, spec, groups) {
+  const { ctx, bbox } = u;
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.clip();
+  ctx.lineWidth = 1.5 * devicePixelRatio;
+  spec.series.forEach((each, i) => {
+    if (each.style !== "errors" || !each.low || !u.series[groups[i][0]].show) return;
+    const [, high, low] = groups[i].map((row) => u.data[row]);
+    ctx.strokeStyle = colourOf(each.colour);
+    u.data[0].forEach((x, k) => {
+      if (high[k] === null || high[k] === undefined) return;
+      const left = u.valToPos(x, "x", true);
+      ctx.beginPath();
+      ctx.moveTo(left, u.valToPos(high[k], "y", true));
+      ctx.lineTo(left, u.valToPos(low[k], "y", true));
+      ctx.stroke();
+    });
+  });
+  ctx.restore();
 }
 
 function axis(label, extra) {
@@ -78,8 +105,16 @@ function decorations(spec) {
         ctx.fillStyle = faded(colourOf("disturbed"), 0.25);
         ctx.fillRect(left, bbox.top, Math.max(u.valToPos(end, "x", true) - left, 1), bbox.height);
       }
-      ctx.strokeStyle = colourOf("soft");
       ctx.setLineDash([6, 4]);
+      ctx.strokeStyle = colourOf("disturbed");
+      for (const mark of spec.marks || []) {
+        const left = u.valToPos(mark + (spec.dates || 0), "x", true);
+        ctx.beginPath();
+        ctx.moveTo(left, bbox.top);
+        ctx.lineTo(left, bbox.top + bbox.height);
+        ctx.stroke();
+      }
+      ctx.strokeStyle = colourOf("soft");
       for (const level of spec.levels || []) {
         const y = u.valToPos(level, "y", true);
         ctx.beginPath();
@@ -103,19 +138,20 @@ function drawLines(figure, spec) {
   const range = spec.ylim ? { range: () => spec.ylim } : spec.log ? { distr: 3 } : {};
   const options = {
     width: place.clientWidth, height: spec.height || 230, legend: { show: false }, series, bands,
-    scales: { x: { time: false, distr: spec.logx ? 3 : 1, ...(spec.xlim ? { range: (u, a, b) => (u.zoomed ? [a, b] : spec.xlim) } : {}) }, y: range },
+    scales: { x: { time: spec.dates !== undefined, distr: spec.logx ? 3 : 1, ...(spec.xlim ? { range: (u, a, b) => (u.zoomed ? [a, b] : spec.xlim) } : {}) }, y: range },
     axes: [
-      axis(spec.xlabel, { divide, axis: divide > 1 ? { incrs: MINUTES } : {} }),
+      axis(spec.xlabel, { divide, axis: spec.dates !== undefined ? { values: undefined } : spec.names ? { incrs: WHOLE } : divide > 1 ? { incrs: MINUTES } : {} }),
       axis(spec.ylabel, { axis: { size: 58 } }),
     ],
     cursor: { y: false, points: { size: 6 }, drag: { x: true, y: false, setScale: !spec.strip } },
     hooks: {
       ...decorations(spec),
+      draw: [(u) => errorBars(u, spec, groups)],
       setScale: [(u, key) => { if (key === "x") u.zoomed = true; }],
       setCursor: [(u) => {
         const at = u.cursor.idx;
         if (at === null || at === undefined || u.cursor.left < 0) { readout.textContent = ""; return; }
-        const parts = [`${spec.xname || spec.xlabel.split(" (")[0]} ${rounded(xs[at] / divide, (xs[xs.length - 1] - xs[0]) / divide / 10)}`];
+        const parts = [spec.names ? spec.names[at] : `${spec.xname || spec.xlabel.split(" (")[0]} ${rounded(xs[at] / divide, (xs[xs.length - 1] - xs[0]) / divide / 10)}`];
         groups.forEach((group, i) => {
           if (!u.series[group[0]].show || !spec.series[i].y || !spec.series[i].label) return;
           parts.push(`${spec.series[i].label} ${rounded(data[group[0]][at], u.scales.y.max - u.scales.y.min)}`);

@@ -54,7 +54,7 @@ class Series:
         label: "" for what needs no key.
         colour: a name of style.css: raw, calibrated, disturbed, ink, soft.
         y, low, high: (n,), NaN where there is nothing.
-        style: "line", "dashed", "dots", "marked" or "bars".
+        style: "line", "dashed", "dots", "marked", "bars", or "errors": large dots, with bars from low to high.
     """
 
     label: str
@@ -78,7 +78,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Frame:
-    """What surrounds the lines of a chart: labels, dashed levels, shaded stretches, limits."""
+    """What surrounds the lines of a chart: labels, dashed levels, shaded stretches, limits.
+
+    `more` may hold "names" (n,), shown instead of x; "marks", dashed upright lines; "dates", s since 1970 of x = 0.
+    """
 
     xlabel: str
     ylabel: str

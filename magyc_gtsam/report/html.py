@@ -19,12 +19,12 @@ _STYLES = ("uplot/uPlot.min.css", "style.css")
 _HYPHEN = re.compile(r"(?<![\w.)\]-])-(?=\.?\d)")
 
 
-def rendered(template: str, recording: Recording, **values: Any) -> str:
+def rendered(template: str, recording: Recording | None = None, **values: Any) -> str:
     """A page as HTML text, self-contained.
 
     Args:
         template: file name; extends base.html, which says what it needs of `values`.
-        recording: what the page is about.
+        recording: what the page is about; None where it is about many.
         values: for the template.
     """
     environment = Environment(

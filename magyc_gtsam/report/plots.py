@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Callable
-from functools import wraps
-from typing import Concatenate, ParamSpec
-
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure, FigureBase
+from matplotlib.figure import FigureBase
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.level_turn import LevelTurn
@@ -38,40 +31,6 @@ STYLE = {
 } | dict.fromkeys(
     ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "grid.color"), INK
 )
-
-Parameters = ParamSpec("Parameters")
-
-
-def drawn(
-    width: float, height: float
-) -> Callable[[Callable[Concatenate[Figure, Parameters], None]], Callable[Parameters, str]]:
-    """Turn a function that draws into a figure into one that returns SVG, `width` × `height` inches."""
-
-    def decorate(draw: Callable[Concatenate[Figure, Parameters], None]) -> Callable[Parameters, str]:
-        @wraps(draw)
-        def run(*args: Parameters.args, **kwargs: Parameters.kwargs) -> str:
-            with matplotlib.rc_context(STYLE):
-                figure = Figure(figsize=(width, height), layout="constrained")
-                draw(figure, *args, **kwargs)
-                return _svg(figure)
-
-        return run
-
-    return decorate
-
-
-def _svg(figure: Figure) -> str:
-    """SVG to stand inside a page: no prolog, no size, no ids or styles of its own, the page's text colour."""
-    text = io.StringIO()
-    no_metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
-    figure.savefig(text, format="svg", dpi=150, transparent=True, metadata=no_metadata)
-    svg = text.getvalue()
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<style.*?</style>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
-    svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
-    svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
-    return svg.replace(INK, "currentColor")
 
 
 def field_projection(

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime, timezone
-from importlib import resources
-from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
-from matplotlib.figure import Figure as Canvas
 
 from magyc_gtsam.history import History
-from magyc_gtsam.report.plots import drawn
+from magyc_gtsam.history.log_factor import HARD_IRON
+from magyc_gtsam.recording import Array
+from magyc_gtsam.report.charts import Figure, Frame, Series, chart
+from magyc_gtsam.report.html import rendered
 
-_PACKAGE = "magyc_gtsam.report"
 _DAY = 86400.0
 _AXES = ("x", "y", "z")
+_BAND = 1.96  # sigmas
 
 
 @dataclass(frozen=True)
@@ -30,14 +28,6 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Figure:
-    """A figure with its caption."""
-
-    svg: Markup
-    caption: str
-
-
-@dataclass(frozen=True)
 class Section:
     """A part of a page."""
 
@@ -45,27 +35,34 @@ class Section:
     header: Sequence[str] = ()
     rows: Sequence[Sequence[str | Link]] = ()
     sentences: Sequence[str] = ()
-    figures: Sequence[Figure] = field(default_factory=tuple)
+    figures: Sequence[Figure] = ()
 
 
 def summary_page(title: str, headline: str, good: bool, lead: Sequence[str], sections: Sequence[Section]) -> str:
     """A page as HTML text; works without a network."""
-    environment = Environment(
-        loader=PackageLoader(_PACKAGE, "."),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    style = (resources.files(_PACKAGE) / "style.css").read_text(encoding="utf-8")
-    values: dict[str, Any] = {
-        "title": title,
-        "headline": headline,
-        "good": good,
-        "lead": lead,
-        "sections": sections,
-    }
-    return environment.get_template("summary.html").render(style=Markup(style), **values)
+    return rendered("summary.html", about=title, headline=headline, good=good, lead=lead, sections=sections)
+
+
+def by_log(names: Sequence[str], hard_iron: Array, sigma: Array, trusted: Sequence[bool]) -> list[Figure]:
+    """Hard iron of each log by itself, an axis each.
+
+    Args:
+        names: (k,) of the logs.
+        hard_iron, sigma: (k, 3) µT, NaN where a log has none.
+        trusted: (k,) whether a log's is.
+    """
+    good = np.array(trusted, dtype=bool)
+    at = np.arange(1, len(names) + 1, dtype=np.float64)
+    figures = []
+    for axis, value, deviation in zip(_AXES, hard_iron.T, _BAND * sigma.T, strict=True):
+        series = []
+        for label, colour, rows in (("trusted", "calibrated", good), ("not to be trusted", "disturbed", ~good)):
+            if rows.any():
+                shown = np.where(rows, value, np.nan)
+                series.append(Series(label, colour, shown, shown - deviation, shown + deviation, style="errors"))
+        frame = Frame("Log", f"{axis} (µT)", xlim=(0.5, len(names) + 0.5), more={"names": list(names)})
+        figures.append(chart(f"Hard iron along {axis}", f"Bars: ±{_BAND} sigma.", at, series, frame))
+    return figures
 
 
 def history_page(history: History, title: str = "History of an instrument") -> str:
@@ -76,17 +73,13 @@ def history_page(history: History, title: str = "History of an instrument") -> s
     sigma = following.sigma["hard_iron"] * 1e6
     cells = [f"{value:.2f} ± {deviation:.2f} µT" for value, deviation in zip(values, sigma, strict=True)]
     sections = [
+        Section("Hard iron from log to log", figures=_hard_iron(history)),
         Section(
-            "Hard iron from log to log",
-            figures=[
-                Figure(
-                    Markup(_hard_iron(history)),
-                    "Lines: the hard iron at each log by all logs; bands: ±1.96 sigma. Dashed: jumps. "
-                    "Crosses: logs that contradict the rest.",
-                )
-            ],
+            "Jumps",
+            ("before log", "x", "y", "z"),
+            jumps,
+            [] if jumps else ["The hard iron did not jump."],
         ),
-        Section("Jumps", ("log", "x", "y", "z"), jumps, [] if jumps else ["The hard iron did not jump."]),
         Section(
             "Logs that contradict the rest",
             sentences=[f"{each.name}: {each.sentence}" for each in history.contradictions] or ["None."],
@@ -125,27 +118,41 @@ def _dated(history: History) -> bool:
     return all(factor.time is not None for factor in history.factors)
 
 
-@drawn(11, 5)
-def _hard_iron(canvas: Canvas, history: History) -> None:
-    """Hard iron over the largest group's logs, an axis each."""
-    rows = sorted({*history.groups[0], *(i for i, f in enumerate(history.factors) if f.mean is None)})
-    value = history.hard_iron[rows] * 1e6
-    sigma = np.sqrt(np.diagonal(history.hard_iron_covariance[rows], axis1=1, axis2=2)) * 1e6
+def _hard_iron(history: History) -> list[Figure]:
+    """Hard iron over the largest group's logs, an axis each, and what each log says by itself."""
+    rows = sorted({*history.groups[0], *(each.index for each in history.contradictions)})
     dated = _dated(history)
-    times = [history.factors[i].time for i in rows]
-    at: Any = np.array(rows) + 1
-    if dated:
-        at = [datetime.fromtimestamp(time, timezone.utc) for time in times if time is not None]
-    where = dict(zip(rows, at, strict=True))
-    wrong = [where[each.index] for each in history.contradictions if each.index in where]
-    all_axes = canvas.subplots(3, 1, sharex=True)
-    for axis, (axes, name) in enumerate(zip(all_axes, _AXES, strict=True)):
-        low, high = value[:, axis] - 1.96 * sigma[:, axis], value[:, axis] + 1.96 * sigma[:, axis]
-        axes.fill_between(at, low, high, alpha=0.25)
-        axes.plot(at, value[:, axis], marker=".", markersize=4)
-        axes.plot(wrong, [float(value[:, axis].mean())] * len(wrong), "x", color="#b04a9b")
-        for index, _, _ in history.jumps:
-            if index in where:
-                axes.axvline(where[index], linestyle="--", linewidth=0.8, color="#d9730d")
-        axes.set_ylabel(f"{name} (µT)")
-    all_axes[-1].set_xlabel("date" if dated else "log")
+    at = np.array([history.factors[i].time if dated else i + 1 for i in rows], dtype=np.float64)
+    order = np.argsort(at, kind="stable")
+    rows, at = [rows[k] for k in order], at[order]
+    member = np.isin(rows, history.groups[0])
+    alone = np.full((len(rows), 3), np.nan)
+    for k, i in enumerate(rows):
+        mean = history.factors[i].mean
+        if mean is not None:
+            alone[k] = mean[HARD_IRON]
+    value = np.where(member[:, None], history.hard_iron[rows] * 1e6, np.nan)
+    band = _BAND * np.sqrt(np.diagonal(history.hard_iron_covariance[rows], axis1=1, axis2=2)) * 1e6
+    first = float(at[0]) if dated else 0.0
+    where = dict(zip(rows, (at - first).tolist(), strict=True))
+    more = {
+        "names": [history.names[i] for i in rows],
+        "marks": [where[index] for index, _, _ in history.jumps if index in where],
+        **({"dates": first} if dated else {}),
+    }
+    figures = []
+    for k, axis in enumerate(_AXES):
+        series = [
+            Series("by all logs", "calibrated", value[:, k], value[:, k] - band[:, k], value[:, k] + band[:, k]),
+            Series("the log alone", "raw", np.where(member, alone[:, k], np.nan), style="errors"),
+        ]
+        if not member.all():
+            series.append(
+                Series("contradicts", "disturbed", np.where(member, np.nan, alone[:, k]), style="errors")
+            )
+        frame = Frame("Date" if dated else "Log", f"{axis} (µT)", more=more)
+        dashed = " Dashed: jumps." if more["marks"] else ""
+        figures.append(
+            chart(f"Hard iron along {axis}", f"Band: ±{_BAND} sigma.{dashed}", at - first, series, frame)
+        )
+    return figures
