@@ -50,7 +50,7 @@ def test_a_step_is_found_timed_and_estimated(motion, at, step):
         assert (np.abs(calibration.hard_iron - expected) < 5 * calibration.sigma["hard_iron"]).all()
     assert online.converged
     # What was known before the step of all else still helps.
-    alone = calibrate(recording.between(at, None), misalignment=0)
+    alone = calibrate(recording.between(at, None))
     assert (online.calibration.sigma["hard_iron"] < alone.sigma["hard_iron"]).all()
 
 
@@ -171,8 +171,8 @@ def test_a_magnet_attached_by_hand_and_taken_off(shared_data):
     assert (np.abs(attached.step / MICROTESLA - [-6, -1, 58]) < 3 * attached.step_sigma / MICROTESLA).all()
     np.testing.assert_allclose(removed.step / MICROTESLA, [6, 1, -58], atol=3)
     with_magnet, without = (
-        calibrate(recording.between(41.5, 92), misalignment=0),
-        calibrate(recording.between(95, None), misalignment=0),
+        calibrate(recording.between(41.5, 92)),
+        calibrate(recording.between(95, None)),
     )
     np.testing.assert_allclose(removed.before.hard_iron, with_magnet.hard_iron, atol=1e-6)
     np.testing.assert_allclose(online.calibration.hard_iron, without.hard_iron, atol=1e-6)

@@ -45,7 +45,7 @@ def test_a_drift_is_named_as_by_the_batch_and_taken_out(motion: str, rate: float
     """Unnoticed, 0.1 % put the hard iron of `moderate` 9 µT off, 9 of its sigmas, in a converged result."""
     simulation = mg.simulate(motion, 400, seed=1)
     recording = drifting(simulation.recording, rate)
-    online, batch = feed(mg.OnlineCalibrator(), recording), mg.calibrate(recording, misalignment=0)
+    online, batch = feed(mg.OnlineCalibrator(), recording), mg.calibrate(recording)
     calibration = online.calibration
     assert not online.converged
     assert not online.progress.converged

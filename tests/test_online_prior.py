@@ -30,8 +30,8 @@ def test_it_ends_as_in_the_batch(earlier: mg.Calibration, options: dict[str, flo
     simulation = mg.simulate("tiny", 300, seed=12)
     online = fed(simulation.recording, prior=earlier, **options).calibration
     walk = options.get("prior_walk", 0.0)
-    batch = mg.calibrate(simulation.recording, prior=earlier, hard_iron_walk=walk, misalignment=0)
-    alone = mg.calibrate(simulation.recording, misalignment=0)
+    batch = mg.calibrate(simulation.recording, prior=earlier, hard_iron_walk=walk)
+    alone = mg.calibrate(simulation.recording)
     off = (online.hard_iron - batch.hard_iron) / batch.sigma["hard_iron"]
     exact = set(options) <= {"prior_walk"}
     assert np.abs(off).max() < (0.05 if exact else 1.0)

@@ -75,7 +75,7 @@ def test_a_long_log_is_read_from_its_end(motion, monkeypatch):
     assert ending.to_dict() != whole.to_dict()
     assert ending.diagnostics["windows"] == pytest.approx(whole.diagnostics["windows"], abs=1)
     # 0.05 where it applies, beyond six times as many windows.
-    assert distance(ending, calibrate(recording, misalignment=0)) < 0.15
+    assert distance(ending, calibrate(recording)) < 0.15
     np.testing.assert_allclose(np.diag(ending.covariance), np.diag(whole.covariance), rtol=0.25)
 
 

@@ -20,7 +20,7 @@ numpy-only cyclic reduction was several times slower.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -147,6 +147,11 @@ class FieldChain:
         """(n − 1,) rad, standard deviation of a link; infinite across a hole."""
         with np.errstate(divide="ignore"):
             return 1 / self.link_scale
+
+    def part(self, first: int, stop: int) -> FieldChain:
+        """The windows from `first` up to `stop`, with the same facts."""
+        answer = None if self.answer is None else self.answer[:, first:stop]
+        return replace(self, windows=self.windows.part(first, stop), answer=answer)
 
     def unweighted(self) -> Weights:
         """All weights one."""

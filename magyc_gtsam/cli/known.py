@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.scale import Scale
 
 
@@ -16,19 +17,8 @@ from magyc_gtsam.cli.scale import Scale
 class Known:
     """What the smoother is told beforehand."""
 
-    misalignment: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DEGREES",
-            help="Of the two chips: 'auto' (default) asks the data; a number is the prior's deviation; 0 is none.",
-        ),
-    ] = None
-    prior: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="CALIBRATION", help="calibration.yaml of the same instrument from earlier, as a prior."
-        ),
-    ] = None
+    misalignment: given.Misalignment = None
+    prior: given.Prior = None
     hard_iron_walk: Annotated[
         float | None,
         typer.Option(metavar="µT", help="By which the hard iron may have changed since --prior. Default: 0."),
@@ -44,29 +34,40 @@ class Known:
         Raises:
             MagycError: what is no number, no calibration, or contradicts.
         """
-        from magyc_gtsam.factors.errors import MagycError
-
         result: dict[str, Any] = {}
         place = scale.place() if method == "smoother" else None
         if place is not None:
             result["field"] = place
         else:
             result["field_strength"] = scale.tesla()
-        if self.misalignment is not None:
-            result["misalignment"] = self.misalignment
-            if self.misalignment != "auto":
-                try:
-                    result["misalignment"] = math.radians(float(self.misalignment))
-                except ValueError:
-                    raise MagycError(
-                        f"--misalignment: {self.misalignment!r} is neither a number of degrees nor 'auto'"
-                    ) from None
-        if self.prior is not None:
-            from magyc_gtsam.calibration import Calibration
-
-            result["prior"] = Calibration.load(self.prior).to_dict()
+        result |= beforehand(self.misalignment, self.prior)
         if self.hard_iron_walk is not None:
             result["hard_iron_walk"] = self.hard_iron_walk * 1e-6
         if self.soft_iron_walk is not None:
             result["soft_iron_walk"] = self.soft_iron_walk * 1e-2
         return result
+
+
+def beforehand(misalignment: str | None, prior: Path | None) -> dict[str, Any]:
+    """Both as the smoother takes them, batch and online, in JSON types; nothing for what was not said.
+
+    Raises:
+        MagycError: what is no number, or no calibration.
+    """
+    from magyc_gtsam.factors.errors import MagycError
+
+    result: dict[str, Any] = {}
+    if misalignment is not None:
+        result["misalignment"] = misalignment
+        if misalignment != "auto":
+            try:
+                result["misalignment"] = math.radians(float(misalignment))
+            except ValueError:
+                raise MagycError(
+                    f"--misalignment: {misalignment!r} is neither a number of degrees nor 'auto'"
+                ) from None
+    if prior is not None:
+        from magyc_gtsam.calibration import Calibration
+
+        result["prior"] = Calibration.load(prior).to_dict()
+    return result

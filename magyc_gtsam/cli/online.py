@@ -62,6 +62,12 @@ def run(
     stamps: given.Stamps = "header",
     angular_rate_is: given.AngularRateIs = None,
     gyroscope_axes: given.GyroscopeAxes = None,
+    misalignment: given.Misalignment = None,
+    prior: given.Prior = None,
+    prior_walk: Annotated[
+        float | None,
+        typer.Option(metavar="µT", help="By which the hard iron may have changed since --prior. Default: 0."),
+    ] = None,
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
@@ -75,6 +81,7 @@ def run(
     is written then and on the way. Exit code 0: it has converged; 1: it must not be trusted yet, the reason is
     printed; 130: interrupted before there was one.
     """
+    from magyc_gtsam.cli.known import beforehand
     from magyc_gtsam.cli.online_session import Session
     from magyc_gtsam.cli.online_view import view
     from magyc_gtsam.io.request import Request
@@ -88,7 +95,9 @@ def run(
         stamps=stamps,
     )
     options = {"field_strength": scale.tesla(), "angular_rate_is": angular_rate_is}
+    options |= {"prior_walk": None if prior_walk is None else prior_walk * 1e-6}
     options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
+    options |= beforehand(misalignment, prior)
     online = _calibrator(state, method, options)
     source = _source(log, request)
     if idle is None and log != "-":
@@ -112,7 +121,8 @@ def _calibrator(state: Path | None, method: str | None, options: dict[str, Any])
             raise MagycError(f"--option: the method cannot use it ({error})") from None
     online = OnlineCalibrator.load(state)
     if method not in (None, online.method) or any(online.options.get(k) != v for k, v in options.items()):
-        made = " ".join(f"--option {k}={v}" for k, v in online.options.items())
+        short = {k: "…" if k == "prior" else v for k, v in online.options.items()}
+        made = " ".join(f"--option {k}={v}" for k, v in short.items())
         raise MagycError(
             f"--state {state}: continues a run with --method {online.method} {made}".rstrip()
             + "; leave method and options out, or name another file"

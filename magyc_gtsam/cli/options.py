@@ -73,6 +73,17 @@ Read = Annotated[
     typer.Option(metavar="KEY=VALUE", help="Of text tables: time, time_unit, rate, columns. May be repeated."),
 ]
 
+Misalignment = Annotated[
+    str | None,
+    typer.Option(
+        metavar="DEGREES",
+        help="Of the two chips: 'auto' (default) asks the data; a number is the prior's deviation; 0 is none.",
+    ),
+]
+Prior = Annotated[
+    Path | None,
+    typer.Option(metavar="CALIBRATION", help="calibration.yaml of the same instrument from earlier, as a prior."),
+]
 Force = Annotated[
     bool,
     typer.Option("--force", help="Write also what must not be trusted: parameters as comments under DO NOT USE."),

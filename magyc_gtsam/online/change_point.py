@@ -28,7 +28,7 @@ from magyc_gtsam.factors.chain.field_chain import State, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.online.likelihood_ratio import change_time, step_profile
-from magyc_gtsam.online.marginal import HARD_IRON, ContinuedChain, Marginal, take
+from magyc_gtsam.online.marginal import HARD_IRON, ContinuedChain, Marginal
 
 LIMIT = 40.0  # of λ; benchmarks/online.py counts the false alarms
 MARGIN = 20.0  # by which λ tells a step in the sensor from one in the world
@@ -111,11 +111,11 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Sear
     if _cost(fit) - _cost(corrected) < limit or np.linalg.norm(found.value) < smallest:
         return Search(None, undecided=True)
     held = found.window
-    before = _fitted(fit, replace(chain, windows=take(chain.windows, 0, held)), state.parameters)
+    before = _fitted(fit, replace(chain, windows=chain.windows.part(0, held)), state.parameters)
     past = _until(chain, before).forget(HARD_IRON)
     parameters = before.state.parameters.copy()
     parameters[HARD_IRON] += found.value
-    rest = replace(chain, windows=take(chain.windows, held, len(chain.windows)), past=past, facts=())
+    rest = replace(chain, windows=chain.windows.part(held, len(chain.windows)), past=past, facts=())
     after = _fitted(fit, rest, parameters)
     sigma = np.sqrt(np.diag(found.covariance))
     found_step = Step(held + 1, found.time, found.time_sigma, found.value, sigma, before, past, after)
@@ -125,7 +125,7 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Sear
 def _until(chain: ContinuedChain, before: Fit) -> Marginal:
     """What is known from `before` at the window that follows it, whose own field is left out."""
     held = len(before.chain.windows)
-    windows = take(chain.windows, 0, held + 1)
+    windows = chain.windows.part(0, held + 1)
     count = windows.count.copy()
     count[held] = _NOTHING
     parameters, direction = before.state

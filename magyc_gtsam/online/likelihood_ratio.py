@@ -22,10 +22,10 @@ class StepProfile:
     """A step Δ in all windows from n on, for n from 0 to one beyond the last.
 
     Attributes:
-        own (n + 1, 3, 3), cross (n + 1, 13, 3), border (n + 1, 2n, 3), gradient (n + 1, 3): Δ's information, that
+        own (n + 1, 3, 3), cross (n + 1, p, 3), border (n + 1, 2n, 3), gradient (n + 1, 3): Δ's information, that
             with θ, that with the directions times L⁻¹, and its gradient, before any is eliminated. The last three
             are linear in what Δ adds to each window.
-        reduced: the linearisation, directions eliminated; known (13, 13): its covariance of θ.
+        reduced: the linearisation, directions eliminated; known (p, p): its covariance of θ.
     """
 
     own: Array
@@ -54,7 +54,7 @@ class StepProfile:
 
     def _solved(self, own: Array, cross: Array, border: Array, gradient: Array) -> tuple[Array, Array, Array]:
         # The directions eliminated, then θ.
-        half, pull = self.reduced.half[:, :PARAMETERS], self.reduced.half[:, PARAMETERS]
+        half, pull = self.reduced.half[:, :-1], self.reduced.half[:, -1]
         information = own - np.einsum("nri,nrj->nij", border, border)
         cross = cross - np.einsum("nri,rp->npi", border, half)
         gradient = gradient - np.einsum("nri,r->ni", border, pull)
@@ -86,13 +86,15 @@ def step_profile(
     border[every, :, every] = np.einsum("kan,kin->nai", reduced.on_direction, column)
     border = np.cumsum(border[:, :, ::-1], axis=2)[:, :, ::-1]
     half, _ = dtbtrs(reduced.factor, border.reshape(2 * n, 3 * n), uplo="L")
+    free = np.diag(reduced.information) > 0
+    free[PARAMETERS:] = False  # a skew is held
     return StepProfile(
         own=_from(np.einsum("kin,kjn->nij", column, column)),
         cross=_from(np.einsum("pkn,kin->npi", reduced.on_parameters, column)),
         border=np.concatenate([half.reshape(2 * n, n, 3).swapaxes(0, 1), np.zeros((1, 2 * n, 3))]),
         gradient=_from(np.einsum("kn,kin->ni", residual, column)),
         reduced=reduced,
-        known=Fit(chain, state, weights, reduced, np.diag(reduced.information) > 0).covariance,
+        known=Fit(chain, state, weights, reduced, free).covariance,
     )
 
 

@@ -1,7 +1,8 @@
-"""The past marginalised: a chain of windows, eliminated but for θ and its last direction; fifteen numbers and their
+"""The past marginalised: a chain of windows, eliminated but for θ and its last direction; eighteen numbers and their
 information.
 
-A `Marginal` is a quadratic cost on θ (13) and the tangent (2) of the last window's direction. The direction is kept as
+A `Marginal` is a quadratic cost on θ (16, a skew with it whether or not the chain carries one, so that it can be asked
+for at any time) and the tangent (2) of the last window's direction. The direction is kept as
 that window's mean field direction in the sensor frame, M g, which does not depend on the world frame in which the
 gyroscope was integrated; so the chain continues from it in a frame of its own.
 """
@@ -13,11 +14,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.directions import Known
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain, State, Weights
-from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.factors.chain.field_chain import (
+    PARAMETERS,
+    SKEW,
+    WITH_SKEW,
+    FieldChain,
+    State,
+    Weights,
+    iron_matrix,
+)
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import unvech
 
 _UNMEASURED = 1e-3  # scale of the first window's field, which the marginal holds already
 HARD_IRON = slice(6, 9)
@@ -27,8 +35,8 @@ BIAS = slice(9, 12)
 class Marginal(NamedTuple):
     """½ xᵀ information x + gradientᵀ x, x = (θ − parameters, tangent of the last direction).
 
-    parameters (13,); body (3,) and tangent (3, 2): the last window's M g and M times its tangent basis;
-    information (15, 15); gradient (15,).
+    parameters (16,); body (3,) and tangent (3, 2): the last window's M g and M times its tangent basis;
+    information (18, 18); gradient (18,).
     """
 
     parameters: Array
@@ -39,11 +47,15 @@ class Marginal(NamedTuple):
 
     @property
     def minimum(self) -> Array:
-        """θ (13,) of least cost."""
-        scale = 1 / np.sqrt(np.maximum(np.diag(self.information), 1e-300))
-        scaled = self.information * scale * scale[:, None]
-        away = -scale * np.linalg.solve(scaled + 1e-12 * np.eye(len(scale)), scale * self.gradient)
-        return self.parameters + away[:PARAMETERS]
+        """θ of least cost, the skew held where it is: (13,) where that is 0, else (16,)."""
+        rows = np.r_[:PARAMETERS, WITH_SKEW : WITH_SKEW + 2]
+        information = self.information[np.ix_(rows, rows)]
+        scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        scaled = information * scale * scale[:, None]
+        away = -scale * np.linalg.solve(scaled + 1e-12 * np.eye(len(scale)), scale * self.gradient[rows])
+        result = self.parameters.copy()
+        result[:PARAMETERS] += away[:PARAMETERS]
+        return result if result[SKEW].any() else result[:PARAMETERS]
 
     def forget(self, rows: slice) -> Marginal:
         """Nothing is known of these parameters any more; what they say of the others is marginalised."""
@@ -97,19 +109,21 @@ class ContinuedChain(FieldChain):
         """The past, on θ and on the first direction as this chain sees it."""
         if self.past is None:
             return None
-        away = self._away(state)
-        slope = self.past.information @ away
-        onto = np.eye(PARAMETERS + 2)
-        onto[PARAMETERS:, PARAMETERS:] = self.origin[1].T @ basis[:, :, 0]
-        return Known(
-            self.past_cost(state),
-            _symmetric(onto.T @ self.past.information @ onto),
-            onto.T @ (self.past.gradient + slope),
-        )
+        size = len(state.parameters)
+        rows = np.r_[:size, WITH_SKEW : WITH_SKEW + 2]
+        slope = self.past.gradient + self.past.information @ self._away(state)
+        onto = np.eye(size + 2)
+        onto[size:, size:] = self.origin[1].T @ basis[:, :, 0]
+        information = self.past.information[np.ix_(rows, rows)]
+        return Known(self.past_cost(state), _symmetric(onto.T @ information @ onto), onto.T @ slope[rows])
+
+    def part(self, first: int, stop: int) -> ContinuedChain:
+        """See `FieldChain`; what is before `first` is in none but the first part."""
+        return replace(self, windows=self.windows.part(first, stop), past=None if first else self.past)
 
     def seen(self, parameters: Array) -> Array:
         """(3, 3, n) T, what the windows read per unit of a field fixed in the world."""
-        return np.einsum("ij,jkn->ikn", unvech(parameters[:6]), self._rotation(parameters))
+        return np.einsum("ij,jkn->ikn", iron_matrix(parameters), self._rotation(parameters))
 
     def past_cost(self, state: State) -> float:
         """The past's share of the cost at `state`, relative to the point of its marginal."""
@@ -120,45 +134,28 @@ class ContinuedChain(FieldChain):
 
     def marginalise(self, state: State, weights: Weights, last: int) -> Marginal:
         """The windows up to `last` (and the past) as the past of those that follow."""
-        part = replace(self, windows=take(self.windows, 0, last + 1))
-        state = State(state.parameters, state.direction[:, : last + 1])
+        part = self.part(0, last + 1)
+        state = State(with_angles(state.parameters), state.direction[:, : last + 1])
         state, reduced = part.settle(state, Weights(weights.window[: last + 1], weights.link[:last]))
         # The last direction comes last in the elimination: its corner of the factor is its Schur complement.
         corner = np.array([[reduced.factor[0, -2], 0.0], [reduced.factor[1, -2], reduced.factor[0, -1]]])
-        last_rows = np.concatenate([reduced.half[-2:, :PARAMETERS], corner.T], axis=1)  # (2, 15)
-        pull = reduced.half[-2:, PARAMETERS]
+        last_rows = np.concatenate([reduced.half[-2:, :WITH_SKEW], corner.T], axis=1)  # (2, 18)
+        pull = reduced.half[-2:, WITH_SKEW]
         information, gradient = last_rows.T @ last_rows, last_rows.T @ pull
-        information[:13, :13] += reduced.information
-        gradient[:13] += reduced.gradient
+        information[:WITH_SKEW, :WITH_SKEW] += reduced.information
+        gradient[:WITH_SKEW] += reduced.gradient
         mean = part._rotation(state.parameters)[:, :, -1]
         return Marginal(
             state.parameters, mean @ state.direction[:, -1], mean @ reduced.basis[:, :, -1], information, gradient
         )
 
     def _away(self, state: State) -> Array:
-        """x of `state` (15,), seen from the marginal's point."""
+        """x of `state` (18,), seen from the marginal's point."""
         assert self.past is not None
         direction, tangent = self.origin
         return np.concatenate(
-            [state.parameters - self.past.parameters, tangent.T @ (state.direction[:, 0] - direction)]
+            [with_angles(state.parameters) - self.past.parameters, tangent.T @ (state.direction[:, 0] - direction)]
         )
-
-
-def take(windows: FieldWindows, first: int, stop: int) -> FieldWindows:
-    """The windows from `first` up to `stop`, in the same world frame."""
-    rows, links = slice(first, stop), slice(first, stop - 1)
-    return replace(
-        windows,
-        time=windows.time[rows],
-        count=windows.count[rows],
-        field=windows.field[:, rows],
-        rotation=windows.rotation[:, :, rows],
-        rotation_bias=windows.rotation_bias[:, :, :, rows],
-        rotation_rate=windows.rotation_rate[:, :, rows],
-        lever=windows.lever[:, :, links],
-        link_time=windows.link_time[links],
-        linked=windows.linked[links],
-    )
 
 
 def _symmetric(matrix: Array) -> Array:

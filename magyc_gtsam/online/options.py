@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON
+from magyc_gtsam.recording import Array
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class OnlineOptions:
     horizon: float
     prior: Calibration | Mapping[str, Any] | None
     prior_walk: float
+    misalignment: float | Literal["auto"]
 
     def __post_init__(self) -> None:
         _ = self.options
@@ -56,14 +58,15 @@ class OnlineOptions:
         own: dict[str, Any] = {
             "field_strength": self.field_strength,
             "clock_drift": self.clock_drift,
-            "misalignment": 0,
         }
         return SmootherOptions(**self.fit, **own, **self.known)
 
     @property
     def fit(self) -> dict[str, Any]:
         """The options of the batch method."""
-        return {name: getattr(self, name) for name in ("noise", "robust", "delay", "window", "turn")}
+        return {
+            name: getattr(self, name) for name in ("noise", "robust", "delay", "window", "turn", "misalignment")
+        }
 
     @property
     def known(self) -> dict[str, Any]:
@@ -75,10 +78,9 @@ class OnlineOptions:
         """Whether disturbed windows are weighed down."""
         return self.robust is not False
 
-    @property
-    def free(self) -> np.ndarray:
-        """(13,) bool, the parameters that are estimated."""
-        free = np.ones(PARAMETERS, dtype=bool)
+    def free(self, parameters: Array) -> np.ndarray:
+        """(p,) bool, of θ (p,) the parameters that are estimated; a skew is held between two refits."""
+        free = np.arange(len(parameters)) < PARAMETERS
         free[DELAY] = self.delay is None
         return free
 

@@ -14,10 +14,10 @@ from itertools import pairwise
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, colour_of, descend, weigh
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain, SensorNoise, State, Weights
+from magyc_gtsam.factors.chain.field_chain import FieldChain, SensorNoise, State, Weights
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, take, widened
+from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, widened
 from magyc_gtsam.online.state import SmootherState
 
 _SHORTEST, _LONGEST = 2, 6  # windows of a block, in which the parameters are taken to stand still
@@ -38,9 +38,9 @@ def filter_walk(online: SmootherState) -> None:
         if online.settings.noise is None:
             noise, colour, freedom = _local_noise(windows, online.last.noise, parameters)
             m.estimate = last._replace(noise=noise, colour=colour, noise_freedom=freedom)
-        chain = ContinuedChain(windows, online.last.noise, m.past, facts=online.facts)
-        m.head = _filtered(online, replace(chain, windows=take(windows, 0, tail + 1)), parameters)
-        rest = replace(chain, windows=take(windows, tail, stop + 1), past=m.head, facts=())
+        chain = ContinuedChain(windows, online.last.noise, m.past, facts=online.facts(len(parameters)))
+        m.head = _filtered(online, replace(chain, windows=windows.part(0, tail + 1)), parameters)
+        rest = replace(chain, windows=windows.part(tail, stop + 1), past=m.head, facts=())
         m.front, m.front_at = _filtered(online, rest, parameters), int(numbers[stop])
         parameters = m.front.minimum
     m.estimate = online.last._replace(parameters=parameters)
@@ -48,7 +48,7 @@ def filter_walk(online: SmootherState) -> None:
 
 def fit_random_walk(online: SmootherState, stop: int) -> Fit:
     """Up to window `stop`: θ and its information are those of the last block, all else is of the whole tail."""
-    fit, last = online.fit_tail(stop), _filtered_end(online, stop)[0]
+    fit, last = online.asked(online.fit_tail(stop)), _filtered_end(online, stop)[0]
     information, time = last.reduced.information, last.chain.windows.time
     for rows, walk in online.settings.walks:
         # The end of a walk of length T is T/3 (in variance) away from its mean, which the block estimates.
@@ -75,8 +75,8 @@ def _filtered_end(online: SmootherState, stop: int) -> tuple[Fit, Marginal, int]
     while True:
         final = len(windows) - first <= 2 * length
         end = len(windows) if final else first + length + 1
-        block = replace(chain, windows=take(windows, first, end), past=past)
-        begun = begin(block, parameters, online.settings.free)
+        block = replace(chain, windows=windows.part(first, end), past=past)
+        begun = begin(block, parameters, online.settings.free(parameters))
         fit = adapt(descend(begun, NEAR), online.settings.reject, None)
         if final:
             return fit, past, first
@@ -92,12 +92,12 @@ def _block_length(online: SmootherState) -> int:
 
 
 def _filtered(online: SmootherState, chain: ContinuedChain, parameters: Array) -> Marginal:
-    """All of a chain as the past of its last window, the parameters walked until then; linearised at θ (13,)."""
+    """All of a chain as the past of its last window, the parameters walked until then; linearised at θ."""
     count, past = len(chain.windows), chain.past
     edges = np.linspace(0, count - 1, max((count - 1) // _block_length(online), 1) + 1).astype(int)
     for first, last in pairwise(edges):  # neighbours share a window
         facts = () if first else chain.facts  # they are in the marginal then
-        block = replace(chain, windows=take(chain.windows, int(first), int(last) + 1), past=past, facts=facts)
+        block = replace(chain, windows=chain.windows.part(int(first), int(last) + 1), past=past, facts=facts)
         fit = weigh(block, parameters, 1)
         weights = fit.weights if online.settings.reject else block.unweighted()
         past = _widened(online, block, fit.state, weights)
@@ -123,8 +123,8 @@ def _local_noise(windows: FieldWindows, noise: SensorNoise, parameters: Array) -
         The noise, the residuals' colour, and the links' redundancy.
     """
     edges = np.linspace(0, len(windows), max(len(windows) // _SEGMENT, 1) + 1).astype(int)
-    parts = [take(windows, int(a), int(b)) for a, b in pairwise(edges)]
-    free = np.zeros(PARAMETERS, dtype=bool)
+    parts = [windows.part(int(a), int(b)) for a, b in pairwise(edges)]
+    free = np.zeros(len(parameters), dtype=bool)
     free[HARD_IRON] = True
     for _ in range(_NOISE_ROUNDS):
         starts = (begin(FieldChain(part, noise), parameters, free) for part in parts)

@@ -17,8 +17,9 @@ from magyc_gtsam.estimators.smoother.search import (
     refit_field_chain,
     short_term_noise,
     shortened,
+    with_skew,
 )
-from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.change_point import Step, find_earlier_change, find_step
@@ -171,6 +172,7 @@ def refit(online: SmootherState) -> None:
     estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
     if settings.walks:  # what a walk leaves of them hangs together
         estimate = estimate._replace(colour=1.0)
+    m.doubt = "" if fit.skew is None else fit.skew.doubt
     if not settings.walks:
         found = model_error(fit, recording)
         if m.past is None or m.unexplained is None or _hard_iron(found) > _hard_iron(m.unexplained):
@@ -200,7 +202,8 @@ def refit(online: SmootherState) -> None:
     m.refitted = np.array([m.estimate.parameters, np.sqrt(np.diag(m.estimate.covariance))])
     if settings.detect_changes and m.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
         # Steps before the estimate was good enough to see them.
-        step, _ = find_step(replace(fit, chain=chain), m.estimate.colour)
+        held = settings.free(fit.state.parameters)
+        step, _ = find_step(replace(fit, chain=chain, free=held), m.estimate.colour)
         if step is not None:
             restart(online, numbers, step)
 
@@ -213,13 +216,18 @@ def fit_samples(
     if m.past is None:
         start = None if search or m.estimate is None else m.estimate.parameters
         return fit_batch(recording, start, settings.fit | online.known)
-    parameters, noise = online.last.parameters, online.last.noise
+    parameters, noise = online.last.parameters[:PARAMETERS], online.last.noise
     samples = online.buffer.windows(int(online.buffer.numbers[0]), m.done, online.delay)
     fewer = len(samples.starts) < _NOISE_WINDOWS or settings.noise is not None
     short_term = None if fewer else short_term_noise(recording)
     windows = samples.integrate(parameters[BIAS], online.delay)
-    fit = begin(ContinuedChain(windows, short_term or noise, m.past), parameters, settings.free)
-    return refit_field_chain(samples, fit, settings.reject, short_term), None, samples
+    begun = begin(ContinuedChain(windows, short_term or noise, m.past), parameters, settings.free(parameters))
+
+    def refitted(fit: Fit) -> Fit:
+        return refit_field_chain(samples, fit, settings.reject, short_term)
+
+    fit, (prior, known) = refitted(begun), online.skew
+    return fit if prior is None else with_skew(fit, refitted, prior, known), None, samples
 
 
 def _hard_iron(error: ModelError) -> float:
@@ -248,4 +256,5 @@ def _is_stable(online: SmootherState) -> bool:
     hours = (online.buffer.magnetometer.time[-1] - online.buffer.magnetometer.time[0]) / 3600
     for rows, walk in online.settings.walks:
         variance[rows] += walk**2 * hours
-    return bool((np.abs(estimate.parameters - m.refitted[0]) <= factor * _STILL * np.sqrt(variance))[:DELAY].all())
+    moved = np.abs(estimate.parameters[:DELAY] - m.refitted[0][:DELAY])
+    return bool((moved <= factor * _STILL * np.sqrt(variance[:DELAY])).all())

@@ -7,8 +7,8 @@ from dataclasses import replace
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.clock_drift import speaks, with_drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
-from magyc_gtsam.estimators.smoother.search import disturbed, moved, short_term_noise, suitable_turn
-from magyc_gtsam.factors.chain.field_chain import FieldChain
+from magyc_gtsam.estimators.smoother.search import disturbed, moved, short_term_noise, suitable_turn, with_skew
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.coverage import coverage
@@ -54,15 +54,17 @@ def _with_clocks(online: SmootherState, calibration: Calibration, fit: Fit) -> C
 def _refit_all(online: SmootherState, windows: FieldWindows) -> Fit | None:
     """All windows at their minimum, with their own noise levels and weights; None where they must be cut or integrated
     anew."""
-    settings, last = online.settings, online.last
+    settings, parameters = online.settings, online.last.parameters[:PARAMETERS]
     short_term = short_term_noise(online.buffer) if settings.noise is None else None
     # From the sensors' short-term noise, as the batch method: what its tolerances leave is then the same.
-    begun = begin(
-        FieldChain(windows, short_term or last.noise, facts=online.facts), last.parameters, settings.free
-    )
+    chain = FieldChain(windows, short_term or online.last.noise, facts=online.facts())
+    begun = begin(chain, parameters, settings.free(parameters))
     fit = adapt(descend(begun, NEAR), settings.reject, short_term)
     # Once more: a start so near leaves the directions where their own windows saw them.
     fit = descend(replace(fit, reduced=fit.chain.eliminate(fit.state, fit.weights)))
+    prior, known = online.skew
+    if prior is not None:
+        fit = with_skew(fit, lambda wide: adapt(wide, settings.reject, short_term), prior, known)
     newly_disturbed = online.buffer.length == settings.window and disturbed(fit)
     return None if moved(fit) or (settings.reject and newly_disturbed) else fit
 

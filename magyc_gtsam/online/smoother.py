@@ -51,6 +51,7 @@ class OnlineSmoother:
         prior: an earlier calibration of the same instrument, with covariance (or what its `to_dict` gives); it holds
             until a step in hard iron is found.
         prior_walk: T, by which each axis of the hard iron may have changed since.
+        misalignment: as there; asked at every refit, and whenever something is read.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class OnlineSmoother:
         horizon: float = 3600.0,
         prior: Calibration | Mapping[str, Any] | None = None,
         prior_walk: float = 0.0,
+        misalignment: float | Literal["auto"] = "auto",
     ) -> None:
         self._online = SmootherState(
             OnlineOptions(
@@ -87,6 +89,7 @@ class OnlineSmoother:
                 horizon=horizon,
                 prior=prior,
                 prior_walk=prior_walk,
+                misalignment=misalignment,
             )
         )
         self._integrated = IntegratedWindows()

@@ -14,9 +14,11 @@ from magyc_gtsam.estimators.model_error.model_error import Component, ModelError
 from magyc_gtsam.estimators.smoother.clock_drift import Drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
 from magyc_gtsam.estimators.smoother.known import known_of
+from magyc_gtsam.estimators.smoother.search import skew_prior
+from magyc_gtsam.estimators.smoother.skew import HeldSkew, SkewPrior, skew_of, widened
 from magyc_gtsam.estimators.smoother.smoother import calibration_of
-from magyc_gtsam.factors.chain.facts import Fact
-from magyc_gtsam.factors.chain.field_chain import DELAY, SensorNoise
+from magyc_gtsam.factors.chain.facts import Fact, LinearFact
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SensorNoise
 from magyc_gtsam.online.buffers import SampleBuffer
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import BIAS, ContinuedChain, Marginal
@@ -28,8 +30,8 @@ _COUNTS = ("front_at", "tail", "done", "given_up", "next_refit", "next_search", 
 
 
 class Estimate(NamedTuple):
-    """θ (13,), its covariance (13, 13) without colour; of the last refit the noise levels, the colour of the residuals,
-    and the degrees of freedom from which the gyroscope's noise was estimated."""
+    """θ (p,), p = 16 where a skew was decided, its covariance (p, p) without colour; of the last refit the noise
+    levels, the colour of the residuals, and the degrees of freedom from which the gyroscope's noise was estimated."""
 
     parameters: Array
     covariance: Array
@@ -50,12 +52,13 @@ class Belief:
         next_refit, next_search: windows kept at which everything is fitted afresh, from several starts.
         estimate: what the last fit said; None before the motion determined anything.
         origin: (4,) bias and delay at which the gyroscope was integrated in the last refit.
-        refitted: θ and its sigmas (2, 13) at the last refit.
+        refitted: θ and its sigmas (2, p) at the last refit.
         report: the result of the last refit.
         settled: the head joins the past as it grows.
         stable: converged.
         undecided: something happened in the tail that may yet turn out to be a step.
         problem: why there is no estimate.
+        doubt: why the last refit did not believe a skew that the data ask for.
         unexplained: what the model does not explain, by the last refit; None before, and where parameters walk.
         changes: steps found; their `after` is left open.
         drift: what the clocks did until the last refit.
@@ -79,6 +82,7 @@ class Belief:
     stable: bool = False
     undecided: bool = False
     problem: str = ""
+    doubt: str = ""
     unexplained: ModelError | None = None
     changes: list[Change] = field(default_factory=list)
     drift: Drift | None = None
@@ -88,7 +92,8 @@ class Belief:
         """Everything, for `from_arrays`."""
         result: dict[str, Array] = {"counts": np.array([int(getattr(self, name)) for name in _COUNTS])}
         result["origin"] = self.origin
-        result["words"] = np.array(json.dumps([self.problem, _data(self.report), _of_error(self.unexplained)]))
+        words = [self.problem, self.doubt, _data(self.report), _of_error(self.unexplained)]
+        result["words"] = np.array(json.dumps(words))
         for name, marginal in (("past", self.past), ("head", self.head), ("front", self.front)):
             if marginal is not None:
                 result |= {f"{name}/{k}": v for k, v in marginal._asdict().items()}
@@ -110,10 +115,11 @@ class Belief:
     def from_arrays(cls, state: Mapping[str, Array]) -> Belief:
         """The inverse of `to_arrays`, bit for bit."""
         counts = dict(zip(_COUNTS, (int(v) for v in state["counts"]), strict=True))
-        problem, report, unexplained = json.loads(str(state["words"]))
+        problem, doubt, report, unexplained = json.loads(str(state["words"]))
         result = cls(
             **counts | {name: bool(counts[name]) for name in ("settled", "stable", "undecided")},  # type: ignore[arg-type]
             problem=problem,
+            doubt=doubt,
             report=_calibration(report),
             unexplained=_error(unexplained),
             origin=state["origin"],
@@ -192,10 +198,31 @@ class SmootherState:
         given = self.belief.past is None and not self.belief.changes
         return self.settings.known if given else {}
 
+    def facts(self, size: int = PARAMETERS) -> tuple[Fact, ...]:
+        """The same as facts about θ (size,)."""
+        if not self.known:
+            return ()
+        known = known_of(self.settings.options)
+        return known.facts if known.skew is None or size == PARAMETERS else (*known.facts, known.skew)
+
     @property
-    def facts(self) -> tuple[Fact, ...]:
-        """The same as facts about θ."""
-        return known_of(self.settings.options).facts if self.known else ()
+    def skew(self) -> tuple[SkewPrior | None, LinearFact | None]:
+        """What is believed of a skew, None where there is none; and what an earlier calibration says of it, as long as
+        that is in nothing that was marginalised."""
+        known = known_of(self.settings.options)
+        return skew_prior(self.settings.options, known), known.skew if self.known else None
+
+    def asked(self, fit: Fit) -> Fit:
+        """A fit of the tail, with what all windows say of a skew."""
+        prior, _ = self.skew
+        if prior is None or fit.skew is not None:
+            return fit
+        wide = widened(fit, prior)
+        widening = replace(fit, noise_freedom=self.last.noise_freedom).widening
+        skew = skew_of(wide, prior, self.last.colour * widening)
+        if skew.decided and self.belief.doubt:
+            skew = replace(skew.undecided(), doubt=self.belief.doubt)
+        return replace(fit, skew=skew)
 
     def numbers(self, first: int = 0) -> Array:
         """Ascending, of the windows kept and taken, from `first` on."""
@@ -213,7 +240,7 @@ class SmootherState:
         samples = self.buffer.windows(self.belief.tail, stop, self.delay)
         windows = samples.integrate(estimate.parameters[BIAS], self.delay)
         chain = ContinuedChain(windows, estimate.noise, self.belief.head)
-        fit = begin(chain, estimate.parameters, self.settings.free)
+        fit = begin(chain, estimate.parameters, self.settings.free(estimate.parameters))
         return adapt(descend(fit, NEAR), self.settings.reject, None)
 
     def close(self) -> None:
@@ -233,6 +260,7 @@ class SmootherState:
         m.past = m.head = m.front = m.estimate = m.refitted = m.report = m.drift = m.unexplained = None
         m.next_refit = m.next_search = FIRST
         m.stable = m.settled = m.undecided = False
+        m.doubt = ""
 
     def result(
         self,
@@ -249,7 +277,7 @@ class SmootherState:
         if self.settings.walks and refitted is not None:  # the walk stands for what the model does not explain
             unexplained = ModelError(np.zeros_like(refitted.covariance))
         if refitted is not None:
-            fit = replace(fit, noise_freedom=refitted.noise_freedom)
+            fit = replace(self.asked(fit), noise_freedom=refitted.noise_freedom)
         result = calibration_of(
             recording, fit, rival, self.settings.options, colour, unexplained=unexplained, samples=self.buffer
         )
@@ -258,13 +286,12 @@ class SmootherState:
 
 
 def continued(fit: Fit) -> ContinuedChain:
-    """The chain of a fit, as one that may have a past."""
+    """The chain of a fit, as one that may have a past; without the prior of a skew, which is no fact."""
     chain = fit.chain
-    return (
-        chain
-        if isinstance(chain, ContinuedChain)
-        else ContinuedChain(chain.windows, chain.noise, facts=chain.facts)
-    )
+    facts = tuple(fact for fact in chain.facts if not isinstance(fact, HeldSkew))
+    if isinstance(chain, ContinuedChain):
+        return replace(chain, facts=facts)
+    return ContinuedChain(chain.windows, chain.noise, facts=facts)
 
 
 def observable(calibration: Calibration) -> bool:

@@ -18,7 +18,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array
 
-_FORMAT = "magyc-gtsam online state 7"
+_FORMAT = "magyc-gtsam online state 8"
 
 
 def write(

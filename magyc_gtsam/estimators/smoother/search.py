@@ -69,10 +69,12 @@ def fit_field_chain(
     short_term = short_term_noise(recording) if noise is None else None
     level = short_term or SensorNoise(*noise)  # type: ignore[misc]
     chain = FieldChain(windows, level, facts=known.facts)
-    skew = _skew_prior(options, known)
+    skew = skew_prior(options, known)
 
     def skewed(fit: Fit) -> Fit:
-        return with_skew(samples, fit, reject, short_term, skew, known.skew) if skew is not None else fit
+        if skew is None:
+            return fit
+        return with_skew(fit, lambda wide: _adapted(samples, wide, reject, short_term), skew, known.skew)
 
     progress(0.2)
     if start is None:
@@ -118,7 +120,7 @@ def fit_field_chain(
     return best, rival
 
 
-def _skew_prior(options: SmootherOptions, known: Known) -> SkewPrior | None:
+def skew_prior(options: SmootherOptions, known: Known) -> SkewPrior | None:
     """What is believed of a skew; None where it is held at none."""
     if options.misalignment == 0:
         return None
@@ -127,23 +129,22 @@ def _skew_prior(options: SmootherOptions, known: Known) -> SkewPrior | None:
     return AUTOMATIC if options.misalignment == "auto" else given(float(options.misalignment))
 
 
-def with_skew(
-    samples: Preintegration,
-    fit: Fit,
-    reject: bool,
-    short_term: SensorNoise | None,
-    prior: SkewPrior,
-    known: LinearFact | None = None,
-) -> Fit:
-    """A fit of thirteen parameters that says what the data say of a skew; fitted with it where that is decided."""
+def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: LinearFact | None = None) -> Fit:
+    """A fit of thirteen parameters that says what the data say of a skew; fitted with it where that is decided.
+
+    Args:
+        fit: at its minimum.
+        adapted: a fit of sixteen parameters at its own, with its noise levels and weights.
+        prior, known: what is believed of a skew, and what an earlier calibration says of it.
+    """
     wide = widened(fit, prior, known)
-    skew = skew_of(wide, prior, whiten=False)
+    skew = skew_of(wide, prior, 1.0)
     if skew.evidence > prior.tested:
         try:
-            wide = _adapted(samples, descend(wide), reject, short_term)
+            wide = adapted(descend(wide))
         except MagycError:  # it ran away, as where the field jumps
             return replace(fit, skew=skew.undecided())
-        skew = skew_of(wide, prior)
+        skew = skew_of(wide, prior, wide.colour * wide.widening)
         if skew.decided and wide.converged and positive(wide):
             return replace(wide, skew=skew)
     return replace(fit, skew=skew.undecided())

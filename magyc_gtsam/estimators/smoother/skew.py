@@ -22,7 +22,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, State, Weights
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, State, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 
 _LEAST_SPLIT = 40  # windows, of a recording whose halves are compared
@@ -114,17 +114,27 @@ class _Profile(NamedTuple):
 
 
 def widened(fit: Fit, prior: SkewPrior, known: LinearFact | None = None) -> Fit:
-    """A fit of thirteen parameters, linearised with a skew of 0; `known` is what an earlier calibration says of it."""
+    """A fit linearised with a free skew, at 0 where it has thirteen parameters; `known` is what an earlier calibration
+    says of it."""
     facts = fit.chain.facts if known is None else (*fit.chain.facts, known)
     chain = replace(fit.chain, facts=(*facts, held(prior.widest)))
-    state = State(np.append(fit.state.parameters, np.zeros(3)), fit.state.direction)
-    free = np.append(fit.free, np.ones(3, dtype=bool))
+    state = State(with_angles(fit.state.parameters), fit.state.direction)
+    free = np.append(fit.free[:PARAMETERS], np.ones(3, dtype=bool))
     return replace(fit, chain=chain, state=state, free=free, reduced=chain.eliminate(state, fit.weights))
 
 
-def held(deviation: float) -> LinearFact:
+def with_angles(parameters: Array) -> Array:
+    """θ (16,): a skew that is not carried is 0."""
+    return np.append(parameters, np.zeros(WITH_SKEW - len(parameters)))
+
+
+class HeldSkew(LinearFact):
+    """The prior of a skew that is asked for: no fact about the instrument."""
+
+
+def held(deviation: float) -> HeldSkew:
     """ε ~ N(0, deviation²)."""
-    return LinearFact(np.arange(SKEW.start, SKEW.stop), np.zeros(3), np.eye(3) / deviation)
+    return HeldSkew(np.arange(SKEW.start, SKEW.stop), np.zeros(3), np.eye(3) / deviation)
 
 
 def on_skew(fact: Fact) -> bool:
@@ -132,15 +142,16 @@ def on_skew(fact: Fact) -> bool:
     return isinstance(fact, LinearFact) and int(fact.rows[0]) == SKEW.start
 
 
-def skew_of(fit: Fit, prior: SkewPrior, whiten: bool = True) -> Skew:
+def skew_of(fit: Fit, prior: SkewPrior, factor: float) -> Skew:
     """What a fit of sixteen parameters, at its minimum or near it, says of a skew.
 
     Args:
         fit: with `held(prior.widest)` as the last fact of its chain.
         prior: what is believed of it.
-        whiten: divide the data's information by the residual's colour, which a skew that is not fitted raises.
+        factor: by which the data's information is divided: the residual's colour, which a skew that is not fitted
+            raises, and its widening.
     """
-    profile = _profile(fit, fit.colour * fit.widening if whiten else 1.0)
+    profile = _profile(fit, factor)
     angle: list[Array] = []
     covariance: list[Array] = []
     evidence: list[float] = []
@@ -163,7 +174,7 @@ def skew_of(fit: Fit, prior: SkewPrior, whiten: bool = True) -> Skew:
     mean = share @ np.array(angle)
     doubt = ""
     if best > prior.evidence:
-        doubt = _doubt(fit, mean, prior)
+        doubt = _doubt(fit, mean, prior, factor)
     value = mean if best > prior.evidence and not doubt else np.zeros(3)
     away = np.array(angle) - value
     second = np.tensordot(share, np.array(covariance), axes=1) + (share * away.T) @ away
@@ -192,7 +203,7 @@ def _profile(fit: Fit, factor: float) -> _Profile:
     return _Profile(curvature, pull, gain, shift)
 
 
-def _doubt(fit: Fit, angle: Array, prior: SkewPrior) -> str:
+def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
     """Why a skew that the data ask for is none of the chips: too large for one, or not there all the time."""
     size = float(np.degrees(np.linalg.norm(angle)))
     most = float(np.degrees(prior.most))
@@ -205,7 +216,7 @@ def _doubt(fit: Fit, angle: Array, prior: SkewPrior) -> str:
     count = len(fit.chain.windows)
     if count < _LEAST_SPLIT:
         return ""
-    first, second = (_of_part(fit, rows) for rows in (slice(0, count // 2), slice(count // 2, count)))
+    first, second = (_of_part(fit, rows, factor) for rows in (slice(0, count // 2), slice(count // 2, count)))
     apart = first.value - second.value
     if float(apart @ np.linalg.solve(first.covariance + second.covariance, apart)) < prior.apart:
         return ""
@@ -223,16 +234,15 @@ class _Angle(NamedTuple):
     covariance: Array
 
 
-def _of_part(fit: Fit, rows: slice) -> _Angle:
+def _of_part(fit: Fit, rows: slice, factor: float) -> _Angle:
     """ε of some of the windows alone, held by the widest prior."""
     links = slice(rows.start, rows.stop - 1)
-    answer = None if fit.chain.answer is None else fit.chain.answer[:, rows]
-    chain = replace(fit.chain, windows=fit.chain.windows.part(rows.start, rows.stop), answer=answer)
+    chain = fit.chain.part(rows.start, rows.stop)
     state = State(fit.state.parameters, fit.state.direction[:, rows])
     weights = Weights(fit.weights.window[rows], fit.weights.link[links])
     _, reduced = chain.settle(state, weights)
     part = replace(fit, chain=chain, state=state, weights=weights, reduced=reduced)
-    profile = _profile(part, fit.colour * fit.widening)
+    profile = _profile(part, factor)
     held_by = quadratic(chain.facts[-1:], state.parameters)[2][SKEW, SKEW]
     covariance = np.linalg.inv(profile.information + held_by).astype(np.float64)
     return _Angle(covariance @ profile.pull, covariance)
