@@ -1,4 +1,4 @@
-"""The field chain as ONE GTSAM factor on soft iron, hard iron, gyroscope bias and delay.
+"""The field chain as ONE GTSAM factor on soft iron, hard iron, gyroscope bias[, mounting][, delay].
 
 As GTSAM's smart factors eliminate landmarks, the factor eliminates every window's field direction: its
 error is the cost at the best directions for the values at hand, its linearisation the Schur complement
@@ -14,11 +14,21 @@ import gtsam
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain, SensorNoise, State, Weights
+from magyc_gtsam.factors.chain.field_chain import (
+    DELAY,
+    PARAMETERS,
+    SKEW,
+    WITH_SKEW,
+    FieldChain,
+    SensorNoise,
+    State,
+    Weights,
+)
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import custom_factor
-from magyc_gtsam.factors.variables import Array, gyro_bias, scalar, vector
+from magyc_gtsam.factors.pose import given_keys
+from magyc_gtsam.factors.variables import Array, Variable, gyro_bias, scalar, skew_angles, vector
 
 _MOVED = 2e-3  # rad by which a bias or delay may turn a window before the gyroscope is integrated again
 
@@ -30,6 +40,7 @@ def field_chain_factor(
     samples: Preintegration,
     noise: SensorNoise,
     *,
+    mounting_key: int | None = None,
     delay_key: int | None = None,
     delay: float = 0.0,
     weights: Weights | None = None,
@@ -45,6 +56,8 @@ def field_chain_factor(
         gyro_bias_key: Point3, 3-vector or imuBias.ConstantBias, rad/s.
         samples: both sensors' samples in windows.
         noise: standard deviations per sample.
+        mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`), from the magnetometer's axes to the gyroscope's: the
+            skew between the chips, Exp(ε) = ᵇRₛᵀ; below 180°. Without it the axes are the same.
         delay_key: double or 1-vector, s; None fixes the delay at `delay`.
         weights: robust weights of windows and links; None is all one.
         soft_iron_unit, field_unit: T per unit of the keys; they keep a graph's variables of order one.
@@ -54,23 +67,35 @@ def field_chain_factor(
     """
     if not (soft_iron_unit > 0 and field_unit > 0):
         raise MagycError(f"soft_iron_unit {soft_iron_unit} and field_unit {field_unit} must be above 0")
-    unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(4)])
+    size = PARAMETERS if mounting_key is None else WITH_SKEW
+    unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(size - 9)])
     marginal = _Marginal(samples, noise, weights, delay)
-    keys = [soft_iron_key, hard_iron_key, gyro_bias_key] + ([] if delay_key is None else [delay_key])
-    used = PARAMETERS if delay_key is not None else DELAY
+    optional, rows = optional_keys(mounting_key, delay_key)
+    sizes = [6, 3, 3] + [3] * (mounting_key is not None) + [1] * (delay_key is not None)
 
     def error(*values: Array | bool) -> tuple[Array, Sequence[Array]]:
-        *parts, _ = values
-        parameters = np.concatenate([*parts, [delay]] if delay_key is None else parts) * unit
-        cost, information, gradient = marginal.at(parameters)
-        root = np.linalg.cholesky((information * unit * unit[:, None])[:used, :used]).T
-        pull = solve_triangular(root, (gradient * unit)[:used], trans="T")
+        parameters = np.full(size, delay)
+        parameters[rows] = np.concatenate(values[:-1])
+        cost, information, gradient = marginal.at(parameters * unit)
+        root = np.linalg.cholesky((information * unit * unit[:, None])[np.ix_(rows, rows)]).T
+        pull = solve_triangular(root, (gradient * unit)[rows], trans="T")
         rest = np.sqrt(max(2 * cost - float(pull @ pull), 0.0))
-        jacobian = np.vstack([root, np.zeros((1, used))])
-        return np.append(pull, rest), np.split(jacobian, [6, 9, 12][: len(keys) - 1], axis=1)
+        jacobian = np.vstack([root, np.zeros((1, len(rows)))])
+        return np.append(pull, rest), np.split(jacobian, np.cumsum(sizes)[:-1], axis=1)
 
-    variables = [vector(6), vector(3), gyro_bias] + ([] if delay_key is None else [scalar])
-    return custom_factor("field chain", 1.0, keys, variables, used + 1, error)
+    keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *(key for key, _ in optional)]
+    variables = [vector(6), vector(3), gyro_bias, *(variable for _, variable in optional)]
+    return custom_factor("field chain", 1.0, keys, variables, len(rows) + 1, error)
+
+
+def optional_keys(
+    mounting_key: int | None, delay_key: int | None
+) -> tuple[list[tuple[int, Variable]], np.ndarray]:
+    """The optional keys of a chain that were given, with how they are read; and the rows of θ that all its keys hold,
+    in their order."""
+    optional = given_keys((mounting_key, skew_angles), (delay_key, scalar))
+    rows = np.r_[:DELAY, [] if mounting_key is None else SKEW, [] if delay_key is None else DELAY]
+    return optional, rows.astype(int)
 
 
 class _Marginal:
@@ -86,7 +111,7 @@ class _Marginal:
         self._direction: Array | None = None
 
     def at(self, parameters: Array) -> tuple[float, Array, Array]:
-        """Cost, information (13, 13) and gradient (13,) at the best directions for θ."""
+        """Cost, information (p, p) and gradient (p,) at the best directions for θ (p,)."""
         windows = self._chain.windows
         turned = (
             np.abs(windows.lever[:, :, windows.linked]).max(initial=0.0)

@@ -59,6 +59,12 @@ def _at_heading(angle: float, column: int, columns: int) -> tuple[Array, Array]:
     return rotation.ravel(), tangent
 
 
+def _at_angles(rotation: gtsam.Rot3) -> tuple[Array, Array]:
+    # Log(R Exp(φ)) = Log(R) + J⁻¹ φ, J the right Jacobian of SO(3) at Log(R).
+    angles = gtsam.Rot3.Logmap(rotation)
+    return -angles, -np.linalg.inv(gtsam.Rot3.ExpmapDerivative(angles)).astype(np.float64)
+
+
 direction: Variable = MappingProxyType({"Unit3": _at_unit})
 """A direction, read as a unit vector (3,)."""
 
@@ -83,6 +89,9 @@ attitude: Variable = MappingProxyType(
 
 mounting: Variable = MappingProxyType({"Rot3": attitude["Rot3"]})
 """The rotation sensor→body, read as the matrix row by row (9,)."""
+
+skew_angles: Variable = MappingProxyType({"Rot3": lambda values, key: _at_angles(values.atRot3(key))})
+"""The rotation sensor→body ᵇRₛ, read as the angles ε (3,) rad of its inverse: Exp(ε) = ᵇRₛᵀ. Below 180°."""
 
 scalar: Variable = MappingProxyType(
     {

@@ -18,17 +18,27 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dtbtrs
 
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain, Reduced, SensorNoise, State
+from magyc_gtsam.factors.chain.field_chain import (
+    DELAY,
+    PARAMETERS,
+    WITH_SKEW,
+    FieldChain,
+    Reduced,
+    SensorNoise,
+    State,
+    iron_matrix,
+)
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import attitude as attitudes
 from magyc_gtsam.factors.chain.rate_columns import rate_columns
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.field_chain import optional_keys
 from magyc_gtsam.factors.guard import Residual, custom_factor, measured
 from magyc_gtsam.factors.pose import MICROTESLA, body_field, check_unit, in_unit, sensor_rotation
 from magyc_gtsam.factors.units import check_field
-from magyc_gtsam.factors.variables import Array, attitude, gyro_bias, scalar, vector
+from magyc_gtsam.factors.variables import Array, attitude, gyro_bias, vector
 
 Side = Literal["magnetometer", "gyroscope"]
 
@@ -47,6 +57,7 @@ def effect_chain_factor(
     noise: SensorNoise,
     *,
     side: Side | Sequence[Side] = "magnetometer",
+    mounting_key: int | None = None,
     delay_key: int | None = None,
     delay: float = 0.0,
     part: tuple[int, int] | None = None,
@@ -67,8 +78,9 @@ def effect_chain_factor(
             (k, 3, G) rad/s, at its samples. With a sequence of keys, as many arrays.
         noise: standard deviations per sample.
         side: the sensor that the effect adds to; of all, or one per effect.
+        mounting_key: as in `field_chain_factor`.
         delay_key: 1-vector, s; None fixes the delay at `delay`. The factor's keys are soft iron, hard iron, gyroscope
-            bias, delay if any, values.
+            bias, mounting if any, delay if any, values.
         delay: s, fixed.
         part: (first, last) windows that the factor is of, the last excluded; None is all. `columns` are still of all
             samples, so that an effect that remembers is the same in every stretch.
@@ -97,17 +109,18 @@ def effect_chain_factor(
 
     on_field = np.concatenate([np.empty((0, 3, len(samples.starts))), *of("magnetometer", windows_of)])
     on_rate = np.concatenate([np.empty((0, 3, len(samples.gyroscope_time))), *of("gyroscope", rates_of)])
-    unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(4 + sum(counts))])
-    kept = np.ones(len(unit), dtype=bool)
-    kept[DELAY] = delay_key is not None
-    keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *([] if delay_key is None else [delay_key]), *value_keys]
-    sizes = [6, 3, 3, *([] if delay_key is None else [1]), *counts]
+    size = PARAMETERS if mounting_key is None else WITH_SKEW
+    unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(size - 9 + sum(counts))])
+    optional, rows = optional_keys(mounting_key, delay_key)
+    rows = np.r_[rows, size : len(unit)]
+    keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *(key for key, _ in optional), *value_keys]
+    sizes = [6, 3, 3] + [3] * (mounting_key is not None) + [1] * (delay_key is not None) + counts
 
     def error(*arguments: Array | bool) -> tuple[Array, Sequence[Array]]:
         full = np.full(len(unit), delay)
-        full[kept] = np.concatenate(arguments[:-1])
+        full[rows] = np.concatenate(arguments[:-1])
         full *= unit
-        parameters, value = full[:PARAMETERS], full[PARAMETERS:]
+        parameters, value = full[:size], full[size:]
         turning = np.tensordot(value[rated], on_rate, axes=1)
         corrected = samples.with_rate(samples.angular_rate - turning.T) if rated.any() else samples
         windows = corrected.integrate(parameters[9:12], parameters[DELAY])
@@ -119,18 +132,17 @@ def effect_chain_factor(
         window[~rated] = on_field
         if rated.any():
             turn = attitudes(corrected, corrected.angular_rate.T - parameters[9:12, None])
-            soft = unvech(parameters[:6])
+            soft = iron_matrix(parameters)
             window[rated], link[rated] = rate_columns(corrected, windows, soft, state.direction, turn, on_rate)
         information, gradient, alone = bordered(chain, state, reduced, window, link)
         root, pull = semidefinite_root(
-            (information * unit * unit[:, None])[np.ix_(kept, kept)], (gradient * unit)[kept], (alone * unit)[kept]
+            (information * unit * unit[:, None])[np.ix_(rows, rows)], (gradient * unit)[rows], (alone * unit)[rows]
         )
         rest = np.sqrt(max(2 * reduced.cost - float(pull @ pull), 0.0))
         jacobian = np.vstack([root, np.zeros((1, len(root)))])
         return np.append(pull, rest), np.split(jacobian, np.cumsum(sizes)[:-1], axis=1)
 
-    late = [] if delay_key is None else [scalar]
-    variables = [vector(6), vector(3), gyro_bias, *late, *map(vector, counts)]
+    variables = [vector(6), vector(3), gyro_bias, *(variable for _, variable in optional), *map(vector, counts)]
     return custom_factor("effect chain", 1.0, keys, variables, sum(sizes) + 1, error)
 
 
@@ -184,9 +196,9 @@ def semidefinite_root(information: Array, gradient: Array, alone: Array) -> tupl
 def bordered(
     chain: FieldChain, state: State, reduced: Reduced, window: Array, link: Array
 ) -> tuple[Array, Array, Array]:
-    """Information (13 + k, 13 + k) and gradient on θ and k more parameters, the directions eliminated.
+    """Information (p + k, p + k) and gradient on θ (p,) and k more parameters, the directions eliminated.
 
-    The third are roots (13 + k,) of the information's diagonal with the directions held.
+    The third are roots (p + k,) of the information's diagonal with the directions held.
 
     Args:
         chain, state, reduced: the chain at its best directions.
@@ -194,12 +206,12 @@ def bordered(
         link: (k, 3, n − 1) rad per unit, of the links' residuals.
     """
     window, link = window * chain.window_scale, link * chain.link_scale
-    count, _, n = window.shape
+    (count, _, n), theirs = window.shape, len(reduced.gradient)
     border = np.einsum("ian,pin->pna", reduced.on_direction, window)
     border[:, 1:] += np.einsum("ian,pin->pna", reduced.basis[:, :, 1:] * chain.link_scale, link)
     border[:, :-1] -= np.einsum("ian,pin->pna", reduced.basis[:, :, :-1] * chain.link_scale, link)
     half, _ = dtbtrs(reduced.factor, border.reshape(count, 2 * n).T, uplo="L")
-    on_bias = np.zeros((PARAMETERS, 3, n - 1))
+    on_bias = np.zeros((theirs, 3, n - 1))
     on_bias[9:12] = -cross(state.direction[:, None, :-1], chain.windows.lever).swapaxes(0, 1)
     residuals = chain.residuals(state)
 
@@ -209,14 +221,9 @@ def bordered(
     own = stacked(window, link)
     theta = stacked(reduced.on_parameters, on_bias * chain.link_scale)
     left = stacked(residuals.window[None] * chain.window_scale, residuals.link[None] * chain.link_scale)[0]
-    inside = reduced.half[:, :PARAMETERS]
-    size = PARAMETERS + count
-    information = np.empty((size, size))
-    information[:PARAMETERS, :PARAMETERS] = reduced.information
-    information[PARAMETERS:, PARAMETERS:] = own @ own.T - half.T @ half
-    information[:PARAMETERS, PARAMETERS:] = theta @ own.T - inside.T @ half
-    information[PARAMETERS:, :PARAMETERS] = information[:PARAMETERS, PARAMETERS:].T
-    gradient = np.append(reduced.gradient, own @ left - half.T @ reduced.half[:, PARAMETERS])
+    across = theta @ own.T - reduced.half[:, :-1].T @ half
+    information = np.block([[reduced.information, across], [across.T, own @ own.T - half.T @ half]])
+    gradient = np.append(reduced.gradient, own @ left - half.T @ reduced.half[:, -1])
     alone = np.append(np.linalg.norm(theta, axis=1), np.linalg.norm(own, axis=1))
     return information, gradient, alone
 
