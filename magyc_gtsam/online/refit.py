@@ -19,7 +19,8 @@ from magyc_gtsam.estimators.smoother.search import (
     shortened,
     with_skew,
 )
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
+from magyc_gtsam.estimators.smoother.skew import with_angles
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.change_point import Step, find_earlier_change, find_step
@@ -198,7 +199,7 @@ def refit(online: SmootherState) -> None:
     if settings.walks and count >= _LEAST_STABLE:
         _walk(online)
         return
-    was_stable, m.stable = m.stable, m.report.converged and count >= _LEAST_STABLE and _is_stable(online)
+    was_stable, m.stable = m.stable, m.report.converged and count >= _LEAST_STABLE and _is_stable(online, fit)
     m.refitted = np.array([m.estimate.parameters, np.sqrt(np.diag(m.estimate.covariance))])
     if settings.detect_changes and m.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
         # Steps before the estimate was good enough to see them.
@@ -242,12 +243,15 @@ def _walk(online: SmootherState) -> None:
     fit = fit_random_walk(online, m.done)
     m.estimate = online.last._replace(parameters=fit.state.parameters, covariance=fit.covariance)
     m.report = online.result(online.recording(m.done, m.tail), fit, None, m.tail, online.last)
-    m.stable = m.report.converged and _is_stable(online)
+    m.stable = m.report.converged and _is_stable(online, fit)
     m.refitted = np.array([m.estimate.parameters, np.sqrt(np.diag(m.estimate.covariance))])
 
 
-def _is_stable(online: SmootherState) -> bool:
-    """Whether no parameter moved by more than sigmas of the refit before, and what it may walk."""
+def _is_stable(online: SmootherState, fit: Fit) -> bool:
+    """Whether no parameter moved by more than sigmas of the refit before, and what it may walk.
+
+    Seen with the skew of the refit before: what one that is decided otherwise moves is in the covariance of both.
+    """
     m, estimate = online.belief, online.last
     if m.refitted is None:
         return False
@@ -256,5 +260,8 @@ def _is_stable(online: SmootherState) -> bool:
     hours = (online.buffer.magnetometer.time[-1] - online.buffer.magnetometer.time[0]) / 3600
     for rows, walk in online.settings.walks:
         variance[rows] += walk**2 * hours
-    moved = np.abs(estimate.parameters[:DELAY] - m.refitted[0][:DELAY])
-    return bool((moved <= factor * _STILL * np.sqrt(variance[:DELAY])).all())
+    moved = estimate.parameters[:DELAY] - m.refitted[0][:DELAY]
+    if fit.skew is not None:
+        angles = [with_angles(parameters)[SKEW] for parameters in (m.refitted[0], estimate.parameters)]
+        moved += fit.skew.gain[:DELAY] @ (angles[0] - angles[1])
+    return bool((np.abs(moved) <= factor * _STILL * np.sqrt(variance[:DELAY])).all())

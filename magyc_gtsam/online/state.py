@@ -213,9 +213,9 @@ class SmootherState:
         return skew_prior(self.settings.options, known), known.skew if self.known else None
 
     def asked(self, fit: Fit) -> Fit:
-        """A fit of the tail, with what all windows say of a skew."""
+        """A continued fit, with what all windows say of a skew."""
         prior, _ = self.skew
-        if prior is None or fit.skew is not None:
+        if prior is None or fit.skew is not None or not isinstance(fit.chain, ContinuedChain):
             return fit
         wide = widened(fit, prior)
         widening = replace(fit, noise_freedom=self.last.noise_freedom).widening
