@@ -121,6 +121,7 @@ def _px4(c: Correction) -> list[str]:
         values |= dict(zip(("CAL_MAG0_ROLL", "CAL_MAG0_PITCH", "CAL_MAG0_YAW"), _angles(rotation), strict=True))
         notes.append(f"CAL_MAG0_ROT 100, with ROLL, PITCH, YAW in degrees, turns by {_degrees(rotation):.2f} deg.")
         notes.append("It is for an external compass that had CAL_MAG0_ROT 0 as the log was recorded.")
+        notes.append(_INTERNAL)
     if c.motor is not None:
         whole["CAL_MAG_COMP_TYP"] = 2
         values |= _axes("CAL_MAG0_{}COMP", -c.motor * _GAUSS * 1e3)
@@ -161,6 +162,7 @@ def _ardupilot(c: Correction) -> list[str]:
             f"COMPASS_ORIENT 101 turns by CUST_ROT1_*, degrees, {_degrees(rotation):.2f} deg in all. It is"
         )
         notes.append("for an external compass that had COMPASS_ORIENT 0 as the log was recorded.")
+        notes.append(_INTERNAL)
     diagonal, off_diagonal = np.diag(scale), scale[(0, 0, 1), (1, 2, 2)]
     values |= _axes("COMPASS_OFS_{}", added) | _axes("COMPASS_DIA_{}", diagonal)
     values |= _axes("COMPASS_ODI_{}", off_diagonal) | {"COMPASS_SCALE": 1.0}
@@ -238,6 +240,10 @@ TARGETS: dict[str, Callable[[Correction], list[str]]] = {
 
 _WITH_MOTOR = ("px4", "ardupilot")
 _WITH_TEMPERATURE = ("px4",)
+_INTERNAL = (
+    "LIMIT: a compass inside the autopilot is turned with its board only: there this rotation is not applied, and the "
+    "heading stays off by it; `magyc-gtsam apply` takes it out."
+)
 _TURNED = 1e-6  # rad, below which a rotation is rounding
 
 

@@ -9,11 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from magyc_gtsam import calibrate
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.export import TARGETS, export
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
+from magyc_gtsam.study.known import skewed
 
 PRECISION = 1e-8  # printed decimals, in gauss for a field of one gauss
 
@@ -238,6 +240,24 @@ def test_terms_are_exported_where_the_target_has_them(terms: tuple[Term, ...]) -
         expected = calibration.apply(FIELD, time=np.arange(40.0), channels=CHANNELS)
     by_ardupilot, _ = ardupilot(text, FIELD, RATE, CURRENT)
     np.testing.assert_allclose(by_ardupilot, expected, atol=2e-11)
+
+
+@pytest.mark.parametrize("target", TARGETS)
+def test_a_skew_that_was_found_is_in_every_target(target: str) -> None:
+    """From a log to what is pasted, corrected by the target's own formula."""
+    simulation = skewed("wide", 1.0, 2)
+    recording = simulation.recording.between(0, 200)
+    calibration = calibrate(recording)
+    assert [term.name for term in calibration.terms] == ["misalignment"]
+    text = calibration.export(target)
+    field, _ = CORRECTED_BY[target](text, recording.magnetic_field, recording.angular_rate)
+    np.testing.assert_allclose(field, calibration.apply(recording), atol=2e-11)
+    turned_by = np.degrees(np.linalg.norm(calibration.terms[0].value))
+    if target in ("px4", "ardupilot"):
+        assert f"{turned_by:.2f} deg" in text
+        assert "# LIMIT: a compass inside the autopilot" in text
+    else:
+        assert "LIMIT" not in text
 
 
 @pytest.mark.parametrize("target", ["vectornav", "ros"])
