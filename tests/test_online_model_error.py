@@ -15,7 +15,8 @@ def test_online_states_the_same_model_error(tmp_path: Path) -> None:
     """At the end, in the middle of a log that is too long to be fitted as a whole, and after a kill."""
     fault = FAULTS["turned-gyroscope"]
     recording = record("wide", 0, fault, fault.strong, "turned-gyroscope").recording("turned")
-    batch, online = mg.calibrate(recording), mg.OnlineCalibrator(horizon=400.0)
+    batch = mg.calibrate(recording, misalignment=0)
+    online = mg.OnlineCalibrator(horizon=400.0, misalignment=0)
     for i in range(0, 6000, 50):
         rows = slice(i, i + 50)
         online.update(recording.time[rows], recording.magnetic_field[rows], recording.angular_rate[rows])
