@@ -480,11 +480,16 @@ def test_page(compared: Comparison, two_more: None, tmp_path: Path, opened: Any)
         page = opened(file, width, scheme)
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert drawn_figures(page) == 3 * 3
+    page = opened(file)
+    assert page.locator("details.method[open]").count() == 1
+    page.locator("#results a", has_text="doubt").click()
+    assert page.locator("#method-doubt").get_attribute("open") is not None
+    drawn_figures(page)
     good = len(page_of.trusted)
     assert page.locator("#verdict h1").inner_text() == "Use smoother"
     assert f"{good} of 4 methods gave a result to trust" in page.inner_text("#verdict")
     assert page.title().startswith("Comparison on <script>")
-    assert page.locator("section.method").count() == 3
+    assert page.locator("details.method").count() == 3
     assert page.locator("#overview .dots i").count() == 3 * 3
     assert "crash failed: ZeroDivisionError: a defect of the method" in page.inner_text("main")
     assert "No luck" in page.inner_text("#method-doubt")

@@ -27,6 +27,13 @@ for (const figure of figures) {
 for (const details of document.querySelectorAll("details")) {
   details.addEventListener("toggle", () => details.querySelectorAll("figure.chart").forEach(draw));
 }
+/** What a link leads to is opened. */
+function openTarget() {
+  const target = location.hash && document.getElementById(location.hash.slice(1));
+  if (target && target.tagName === "DETAILS") { target.open = true; target.scrollIntoView(); }
+}
+addEventListener("hashchange", openTarget);
+openTarget();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((each) => each.redraw()));
 
 addEventListener("beforeprint", () => {
