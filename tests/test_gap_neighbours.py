@@ -7,8 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 import magyc_gtsam as mg
-from magyc_gtsam.blindtest.generator import generate
-from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.smoother.search import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.find import base_model
@@ -51,27 +49,6 @@ def test_neighbours_are_products(twin: Twin) -> None:
     assert neighbours(twin, "tone", {"frequency": 1.0}) == []
     assert product_of("timing×speed") == "timing"
     assert product_of("rate×field") is product_of("timing") is None
-
-
-@pytest.mark.parametrize(
-    ("motion", "hidden", "verdict", "names"),
-    [
-        ("moderate", "sensitivity-temperature", "unknown", ()),
-        ("moderate", "temperature-hard-iron", "closed", ("temperature-hard-iron",)),
-        ("wide", "deadband-lag", "unknown", ()),
-        ("wide", "eddy-plane", "closed", ("eddy-plane",)),
-    ],
-)
-def test_relatives_are_told_apart(motion: str, hidden: str, verdict: str, names: tuple[str, ...]) -> None:
-    gap = mg.find_gap(mg.simulate(motion, seed=5, effects=[(hidden, 2.0)], channels=CHANNELS).recording)
-    assert (gap.verdict, gap.names) == (verdict, names), gap.sentence
-
-
-@pytest.mark.parametrize("seed", [183379146192936, 263119161951020])
-def test_a_plate_may_be_a_little_behind_its_next_order(seed: int) -> None:
-    """Its currents take 30 ms to die, so that they lag more in fast turns: the product with the speed is as good."""
-    gap = mg.find_gap(generate(Scenario("x", "single", "moderate", seed, (("eddy-plane", 1.0),))).recording)
-    assert (gap.verdict, gap.names) == ("closed", ("eddy-plane",)), gap.sentence
 
 
 def test_largest_of_many_is_that_of_each() -> None:

@@ -7,8 +7,6 @@ import pytest
 from scipy.signal import lfilter
 
 import magyc_gtsam as mg
-from magyc_gtsam.blindtest.generator import generate
-from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.smoother.search import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.find import base_model
@@ -70,10 +68,3 @@ def test_draws_explain_as_much_as_the_colour_would(twin: Twin) -> None:
         for each in chosen:
             expected = ((each.unit @ truth.reshape(len(truth), -1).T) ** 2).sum(axis=0).mean()
             assert ((each.unit @ drawn) ** 2).sum(axis=0).mean() == pytest.approx(expected, rel=0.25), name
-
-
-@pytest.mark.parametrize("seed", [198474044164808, 95345730806333, 139172621666751])
-def test_colour_on_level_turns_is_nothing_else(seed: int) -> None:
-    """Once a field gradient, a gyroscope's scale that grows, something in pitch and roll."""
-    gap = mg.find_gap(generate(Scenario("x", "single", "moderate", seed, (("coloured-noise", 1.0),))).recording)
-    assert (gap.verdict, gap.names) == ("closed", ("coloured-noise",)), gap.sentence
