@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Recording, calibrate, simulate
 from magyc_gtsam.estimators.model_error import model_error
+from magyc_gtsam.estimators.model_error.beside import Beside, Columns
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES, Motion
-from magyc_gtsam.estimators.model_error.innovations import Columns, Innovations
 from magyc_gtsam.estimators.model_error.samples import too_slow
 from magyc_gtsam.estimators.smoother.fit import descend, explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
@@ -38,7 +38,7 @@ def with_field(recording: Recording, world: np.ndarray) -> Recording:
 
 def test_a_column_moves_the_parameters_as_a_new_fit_does(fit) -> None:
     """S is what happens to θ when a little of the column is put into the reading (and out of the fit's weights)."""
-    motion, innovations = Motion.of(fit), Innovations(fit)
+    motion, beside = Motion.of(fit), Beside(fit)
     random = np.random.default_rng(1)
     columns = FAMILIES[0].columns(motion)
     beta = 1e-4 * random.normal(size=len(columns.window))
@@ -50,31 +50,46 @@ def test_a_column_moves_the_parameters_as_a_new_fit_does(fit) -> None:
     before = descend(fit, settled=1e-10)
     moved = again.state.parameters - before.state.parameters
     sigma = np.sqrt(np.diag(fit.covariance))
-    expected = innovations.of(columns).move @ beta
+    expected = beside.of(columns).move @ beta
     np.testing.assert_allclose((moved / sigma)[fit.free], (expected / sigma)[fit.free], atol=0.02)
     assert np.abs(expected / sigma)[fit.free].max() > 0.05
 
 
-def test_innovations_have_the_products_that_elimination_leaves(fit) -> None:
-    """A column of the windows: W Wᵀ is its square less what directions and θ explain of it (fit.explained)."""
-    motion, innovations = Motion.of(fit), Innovations(fit)
+def test_columns_have_the_products_that_elimination_leaves(fit) -> None:
+    """A column of the windows: G is its square less what directions and θ explain of it (fit.explained)."""
+    motion, beside = Motion.of(fit), Beside(fit)
     for name in ("attitude", "second", "drift:slow"):
         family = next(f for f in FAMILIES if f.name == name)
         columns = family.columns(motion)
-        rows = innovations.of(columns).rows
-        for k in (0, len(rows) - 1):
+        normal = beside.of(columns).normal
+        for k in (0, len(normal) - 1):
             whitened = columns.window[k] * fit.chain.window_scale * np.sqrt(fit.weights.window)
             left = float(np.vdot(whitened, whitened)) - explained(fit, whitened, fit.covariance)
-            assert float(rows[k] @ rows[k]) == pytest.approx(
-                left, rel=1e-2, abs=1e-5 * np.vdot(whitened, whitened)
-            )
+            assert normal[k, k] == pytest.approx(left, rel=1e-6, abs=1e-10 * np.vdot(whitened, whitened))
+
+
+def test_products_of_all_families_have_no_negative_direction(fit) -> None:
+    """Of all columns together, on a motion that shows little of many of them."""
+    weak = fit_field_chain(simulate("tiny", duration=120, seed=5).recording)[0]
+    for each in (fit, weak):
+        motion, beside = Motion.of(each), Beside(each)
+        new = [beside.of(family.columns(motion)) for family in FAMILIES]
+        normal = np.block(
+            [[one.across(other) if one is not other else one.normal for other in new] for one in new]
+        )
+        square = np.concatenate(
+            [np.square(part).sum(axis=1) for one in new for part in (one.window, one.link) if part is not None]
+        )
+        scaled = normal / np.sqrt(square * square[:, None])
+        np.testing.assert_allclose(scaled, scaled.T, atol=1e-12)
+        assert np.linalg.eigvalsh(scaled).min() > -1e-12
 
 
 def test_what_the_parameters_explain_is_not_new(fit) -> None:
-    innovations = Innovations(fit)
+    beside = Beside(fit)
     hard_iron = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(fit.chain.windows)))
-    new = innovations.of(Columns(1e-6 * hard_iron, None))
-    assert np.abs(new.rows).max() < 1e-6
+    new = beside.of(Columns(1e-6 * hard_iron, None))
+    assert np.abs(new.normal).max() < 1e-9 * np.square(new.window).sum(axis=1).max()
     np.testing.assert_allclose(new.move[6:9], 1e-6 * np.eye(3), atol=1e-9)
 
 
@@ -86,7 +101,8 @@ def test_amplitudes_come_back() -> None:
         rows = random.normal(size=(30, 600))
         beta = np.concatenate([0.5 * random.normal(size=20), 2.0 * random.normal(size=10)])
         residual = beta @ rows + 3.0 * random.normal(size=600)
-        fitted = fit_components(rows, residual, [slice(0, 20), slice(20, 30)], [10.0, 10.0], 600.0)
+        products = rows @ rows.T, rows @ residual, float(residual @ residual)
+        fitted = fit_components(*products, [slice(0, 20), slice(20, 30)], [10.0, 10.0], 600.0)
         found.append(fitted.amplitude)
         level.append(np.sqrt(fitted.level))
         error = beta - fitted.mean

@@ -82,7 +82,8 @@ class Reduced(NamedTuple):
 
     cost: half the weighted sum of squares at the state; information (p, p): Schur complement on θ;
     gradient (p,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
-    on_parameters (p, 3, n): whitened window Jacobians; band and factor (4, 2n): the directions' matrix and
+    on_parameters (p, 3, n): whitened window Jacobians; before, after (3, 2, n − 1) and on_bias (3, 3, n − 1), the
+    bias along the second axis: those of the links; band and factor (4, 2n): the directions' matrix and
     its Cholesky factor L; right (p + 1, 2n): its border with θ, and the directions' gradient; half (2n, p + 1):
     L⁻¹ of it.
     """
@@ -92,7 +93,10 @@ class Reduced(NamedTuple):
     gradient: Array
     basis: Array
     on_direction: Array
+    before: Array
+    after: Array
     on_parameters: Array
+    on_bias: Array
     band: Array
     factor: Array
     right: Array
@@ -227,7 +231,19 @@ class FieldChain:
         information -= reduction[:size, :size]
         gradient -= reduction[:size, size]
         return Reduced(
-            cost, information, gradient, linear.basis, on_direction, on_parameters, band.T, factor, border, half
+            cost,
+            information,
+            gradient,
+            linear.basis,
+            on_direction,
+            linear.before,
+            linear.after,
+            on_parameters,
+            on_bias,
+            band.T,
+            factor,
+            border,
+            half,
         )
 
     def _on_parameters(self, parameters: Array, g: Array, rotation: Array, scale: Array) -> Array:

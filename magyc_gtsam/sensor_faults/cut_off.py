@@ -13,7 +13,7 @@ from magyc_gtsam.recording import Array, Samples
 
 MOST = 0.5  # share of the recording that may be left out
 _BAND = 30  # steps of the sensor below the largest value, in which the values near it are counted
-_LEAST = 5  # samples at exactly the largest value, of which some follow each other
+LEAST = 5  # samples at exactly the largest value, of which some follow each other
 _STEEP = 3.0  # steps of the sensor between the largest value and a neighbour: no turn levels off so
 _CHANCE = 1e-7  # that so many fall on the largest value where all in the band are as likely
 _EVEN = 0.9  # share of repeats from which the whole recording is at even rates: a simulation
@@ -269,7 +269,7 @@ class _Side:
         counts = counts - np.where(number > 0, (counts - kinds)[:, begin], -self._counts[:, None])
         others, repeats = self._away[:, None] + np.cumsum([away, away & (change == 0)], axis=1)
         count, pairs, edges, steep, _ = counts
-        possible = allowed & (at | was) & (count >= _LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)
+        possible = allowed & (at | was) & (count >= LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)
         possible &= (others == 0) | (repeats < _EVEN * others)
         asked = begin[possible & (number > 0)]
         for row in np.unique(np.append(asked, begin[-1]) if number[-1] else asked):  # how many came near it before
@@ -325,6 +325,8 @@ def inside(spans: Array, time: Array) -> np.ndarray:
 
 def _merged(spans: Array) -> Array:
     """Ascending (m, 2), without overlaps."""
+    if not len(spans):
+        return spans
     spans = spans[np.argsort(spans[:, 0], kind="stable")]
     end = np.maximum.accumulate(spans[:, 1])
     first = np.concatenate([[True], spans[1:, 0] > end[:-1]])

@@ -17,7 +17,7 @@ from magyc_gtsam.recording import Array
 from magyc_gtsam.sensor_faults.stuck import resolution
 
 MOST = 0.005  # share of the samples; so few moved the hard iron by up to half a sigma in an hour
-_LEAST = 20  # samples at the extreme; a handful comes together by chance
+LEAST = 20  # samples at the extreme; a handful comes together by chance
 _RUNS = 5  # separate ones: an axis that is stuck has one
 _NOISY = (0.5, 1.0)  # steps of the sensor, of noise on the axis and on another: at rest it repeats without it
 _OFTEN = (3.0, 1.5)  # times as often as a value next to it, at so much noise; a turn that levels off reaches 2.4
@@ -148,7 +148,7 @@ def _cut_off(side: Array, others: Array, step: float) -> bool:
     """
     away = side.max() - side
     top = away == 0
-    if top.sum() <= max(_LEAST, MOST * len(top)):
+    if top.sum() <= max(LEAST, MOST * len(top)):
         return False
     edges = np.flatnonzero(top[1:] != top[:-1])
     bounds = np.concatenate([[0], edges + 1, [len(top)]])

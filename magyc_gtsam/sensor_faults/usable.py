@@ -12,6 +12,7 @@ from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.cut_off import Clipped, inside
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
+from magyc_gtsam.sensor_faults.screen import may_be_faulty
 from magyc_gtsam.sensor_faults.stuck import MOST, SMALL, Stuck
 from magyc_gtsam.sensor_faults.zeros import NoValues
 
@@ -46,6 +47,8 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     Raises:
         MagycError: an axis stood still for half of the recording, or too many turns were cut off.
     """
+    if not may_be_faulty(recording, sensors):
+        return Usable(recording, (), None, None, None)
     faults, time = SensorFaults.of(recording, sensors), recording.time
     hole = inside(faults.cut_off.spans, time)
     cut_off = faults.cut_off.finding(float(hole.mean()))

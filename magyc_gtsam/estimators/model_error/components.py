@@ -1,7 +1,7 @@
 """Amplitudes of groups of columns by restricted maximum likelihood (Patterson and Thompson 1971).
 
-Each group f has coefficients β_f ~ N(0, φ v_f I) beside white innovations of variance φ. With W and y of `innovations`,
-G = W Wᵀ, s = W y, ν degrees of freedom and φ profiled, twice the log-likelihood is, V = diag(v),
+Each group f has coefficients β_f ~ N(0, φ v_f I) beside white innovations of variance φ. With G, s and
+yᵀy = rᵀ P r of `beside`, ν degrees of freedom and φ profiled, twice the log-likelihood is, V = diag(v),
 
     −ν ln(yᵀy − sᵀ (G + V⁻¹)⁻¹ s) − ln det(I + V G).
 
@@ -56,16 +56,15 @@ class Components(NamedTuple):
 
 
 def fit_components(
-    rows: Array, residual: Array, groups: Sequence[slice], most: Sequence[float], freedom: float
+    normal: Array, score: Array, square: float, groups: Sequence[slice], most: Sequence[float], freedom: float
 ) -> Components:
     """All groups' amplitudes by coordinate ascent, in the order given, and what is then known of β.
 
     Args:
-        rows, residual: W (K, m) and y (m,).
+        normal, score, square: G (K, K), s (K,) and yᵀy of all.
         groups: each group's columns; most: its largest amplitude, in its columns' unit.
         freedom: ν.
     """
-    normal, score, square = rows @ rows.T, rows @ residual, float(residual @ residual)
     variance, prior, level = np.zeros(len(groups)), np.zeros(len(score)), square / freedom
     for _ in range(_SWEEPS):
         before = variance.copy()

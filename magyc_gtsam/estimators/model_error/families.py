@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.innovations import Columns
+from magyc_gtsam.estimators.model_error.beside import Columns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array, cross

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.beside import Beside, New
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES, Family, Motion
-from magyc_gtsam.estimators.model_error.innovations import Innovations, New
 from magyc_gtsam.estimators.model_error.samples import one_sided
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.search import Streams
@@ -105,22 +105,25 @@ def _of_windows(fit: Fit) -> ModelError:
     nothing = ModelError(np.zeros_like(fit.reduced.information))
     if len(fit.chain.windows) < _LEAST_WINDOWS:
         return nothing
-    innovations, motion = Innovations(fit), Motion.of(fit)
+    beside, motion = Beside(fit), Motion.of(fit)
     # A skew that the fit was asked for is in its own covariance.
     families = [family for family in FAMILIES if fit.skew is None or family.name != "skew"]
-    tested = _tested(innovations, motion, (family for family in families if family.first))
+    tested = _tested(beside, motion, (family for family in families if family.first))
     if max(found.gain for found in tested) < _SUSPECT:
         return nothing
-    tested += _tested(innovations, motion, (family for family in families if not family.first))
+    tested += _tested(beside, motion, (family for family in families if not family.first))
     found = sorted((each for each in tested if each.gain > _SIGNIFICANT), key=lambda each: -each.gain)
     if not found:
         return nothing
-    rows = np.concatenate([each.new.rows for each in found])
+    normal = np.block([[one.new.across(other.new) for other in found] for one in found])
     move = np.concatenate([each.new.move for each in found], axis=1)
-    edges = np.cumsum([0, *(len(each.new.rows) for each in found)]).tolist()
+    edges = np.cumsum([0, *(len(each.new.score) for each in found)]).tolist()
     groups = [slice(*pair) for pair in pairwise(edges)]
+    for each, own in zip(found, groups, strict=True):
+        normal[own, own] = each.new.normal
+    score = np.concatenate([each.new.score for each in found])
     most = [each.family.most for each in found]
-    fitted = fit_components(rows, innovations.residual, groups, most, innovations.freedom)
+    fitted = fit_components(normal, score, beside.square, groups, most, beside.freedom)
     components, varying = [], np.zeros_like(nothing.covariance)
     for each, own, amplitude in zip(found, groups, fitted.amplitude, strict=True):
         if amplitude > 0:
@@ -135,14 +138,12 @@ def _of_windows(fit: Fit) -> ModelError:
     return ModelError(move @ fitted.second @ move.T + varying, tuple(components))
 
 
-def _tested(innovations: Innovations, motion: Motion, families: Iterable[Family]) -> list[_Found]:
+def _tested(beside: Beside, motion: Motion, families: Iterable[Family]) -> list[_Found]:
     """Each family by itself."""
-    residual, freedom = innovations.residual, innovations.freedom
-    square = float(residual @ residual)
+    square, freedom = beside.square, beside.freedom
     result = []
     for family in families:
-        new = innovations.of(family.columns(motion))
+        new = beside.of(family.columns(motion))
         most = family.most**2 * freedom / square
-        gain = likeliest(new.rows @ new.rows.T, new.rows @ residual, square, freedom, most).gain
-        result.append(_Found(family, new, gain))
+        result.append(_Found(family, new, likeliest(new.normal, new.score, square, freedom, most).gain))
     return result

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrs
 
 from magyc_gtsam.factors.chain.facts import quadratic
-from magyc_gtsam.factors.chain.field_chain import FieldChain, Reduced, SensorNoise, State, Weights
+from magyc_gtsam.factors.chain.field_chain import FieldChain, Reduced, Residuals, SensorNoise, State, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
@@ -80,9 +80,14 @@ class Fit:
         return max(colour_of(residual) for residual in self.whitened)
 
     @cached_property
+    def residuals(self) -> Residuals:
+        """Of windows and links."""
+        return self.chain.residuals(self.state)
+
+    @cached_property
     def whitened(self) -> tuple[Array, Array]:
         """(3, n) twice: the windows' residuals over their sigmas, in the sensor's and in the world's axes."""
-        whitened = self.chain.residuals(self.state).window * np.sqrt(self.weights.window) / self.chain.window_sigma
+        whitened = self.residuals.window * np.sqrt(self.weights.window) / self.chain.window_sigma
         return whitened, np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
 
 
@@ -172,7 +177,7 @@ def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
 def misfit(fit: Fit, noise: SensorNoise) -> float:
     """Sum of squares at `noise`, each window and link counting up to its rejection threshold."""
     chain = replace(fit.chain, noise=noise)
-    window, link = chain.squares(chain.residuals(fit.state))
+    window, link = chain.squares(fit.residuals)
     return float(np.minimum(window, _WINDOW_OUTLIER).sum() + np.minimum(link, _LINK_OUTLIER).sum())
 
 
@@ -207,7 +212,7 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
 
 def _reweigh(fit: Fit) -> Weights:
     """Weights min(1, (c²/χ²)²): one for all that the noise explains, then redescending."""
-    window, link = fit.chain.squares(fit.chain.residuals(fit.state))
+    window, link = fit.chain.squares(fit.residuals)
     return Weights(
         np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-100)) ** 2),
         np.minimum(1.0, (_LINK_OUTLIER / np.maximum(link, 1e-100)) ** 2),
@@ -231,7 +236,7 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
         The noise, the step's squared length in its own sigmas, and the links' redundancy D.
     """
     chain, weights, reduced = fit.chain, fit.weights, fit.reduced
-    residuals = chain.residuals(fit.state)
+    residuals = fit.residuals
     window, link = chain.squares(residuals)
     covariance = fit.covariance
     absorbed = float(chain.leverage(reduced, covariance).sum())
