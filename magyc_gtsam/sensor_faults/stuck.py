@@ -171,7 +171,8 @@ class StuckAxes:
                 self._held, self._examined = self._held[:0], 0
                 i = int(first)
                 continue
-            need = max(LEAST_SAMPLES, 2 * self._examined) - len(self._held)
+            # One more at least: two seconds may be less than two by rounding.
+            need = max(max(LEAST_SAMPLES, 2 * self._examined) - len(self._held), 1)
             since = self._held[0, 0] if len(self._held) else time[i]
             stop = max(i + need, int(np.searchsorted(time, since + LEAST_DURATION)) + 1)
             stop = min(stop, int(end))
