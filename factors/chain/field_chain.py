@@ -358,6 +358,12 @@ def _turn_of(parameters: Array) -> Array:
     return exponential_matrices(parameters[SKEW, None])[:, :, 0]
 
 
+def direction_slopes(reduced: Reduced) -> Array:
+    """(p, 3, n) dg/dθ, every direction at its best for θ: −T H⁻¹ C."""
+    slopes: Array = -np.einsum("ian,pan->pin", reduced.basis, _solve(reduced))
+    return slopes
+
+
 def _solve(reduced: Reduced) -> Array:
     """H⁻¹ C: (p, 2, n)."""
     solved, _ = dtbtrs(reduced.factor, reduced.half[:, :-1], uplo="L", trans="T")

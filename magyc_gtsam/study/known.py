@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
+from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.level_turn import turn_of
-from magyc_gtsam.recording import Array
+from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import Simulation, simulate
 from magyc_gtsam.simulation.sensor import SOFT_IRON
 from magyc_gtsam.study.efficiency import FREEDOMS, error, nees
@@ -26,6 +27,7 @@ MOTIONS = ("wide", "moderate", "low", "tiny", "level")
 WAYS: Mapping[str, float | str] = {"asked": "auto", "never": 0, "always": np.radians(10.0)}
 LIMITED = (("tiny", 60.0), ("level", 600.0), ("ship", 600.0))
 _EARLIER = 990_001  # seed of the earlier calibration
+_OFFSET, _ROUGH = 0.1, 0.3  # m/s², of an accelerometer's axis all the time, and from sample to sample
 _MOVED = 100e-6  # T, by which its hard iron may have changed
 
 
@@ -59,6 +61,31 @@ def skewed(motion: str, degrees: float, seed: int) -> Simulation:
     simulation = simulate(motion, seed=seed, soft_iron=SOFT_IRON @ turn)
     symmetric = SOFT_IRON / np.cbrt(np.linalg.det(SOFT_IRON))
     return replace(simulation, truth=replace(simulation.truth, soft_iron=symmetric))
+
+
+class Placed(NamedTuple):
+    """A simulation with what its operator knows of the place: recording (its accelerometer off by `_OFFSET` an axis),
+    truth, the true dip rad, and `field` as `calibrate` takes it, off by the sigmas of the world's model."""
+
+    recording: Recording
+    truth: Calibration
+    dip: float
+    field: tuple[float, float]
+
+
+def placed(motion: str, duration: float, seed: int) -> Placed:
+    """Errors drawn by the seed."""
+    simulation = simulate(motion, duration, seed=seed)
+    random = np.random.default_rng([seed, 17])
+    north, east, down = simulation.field
+    dip = float(np.arctan2(down, np.hypot(north, east)))
+    force = simulation.recording.acceleration
+    assert force is not None
+    force = force + _OFFSET * random.normal(size=3) + _ROUGH * random.normal(size=force.shape)
+    strength = simulation.truth.field_strength
+    assert strength is not None
+    field = strength + FIELD_SIGMA * random.normal(), dip + DIP_SIGMA * random.normal()
+    return Placed(replace(simulation.recording, acceleration=force), simulation.truth, dip, field)
 
 
 def heading_error(simulation: Simulation, degrees: float, seed: int, calibration: Calibration) -> float:
@@ -119,22 +146,23 @@ def fact_cells(
     """{what was known: what came out}; the chips are known to be aligned."""
     earlier = calibrate(simulate("wide", seed=_EARLIER).recording, misalignment=0)
     matrix = {"prior": earlier, "hard_iron_walk": _MOVED}
-    strength = simulate(motion, 10.0).truth.field_strength
-    ways: Mapping[str, Mapping[str, Any]] = {
-        "alone": {},
-        "+ matrix": matrix,
-        "+ strength": matrix | {"field": (strength, None)},
-    }
-    found: dict[str, list[tuple[float, ...]]] = {way: [] for way in ways}
+    found: dict[str, list[tuple[float, ...]]] = {}
     for seed in range(runs):
-        simulation = simulate(motion, duration, seed=seed)
+        run = placed(motion, duration, seed)
+        recording = replace(run.recording, attitude=None)
+        ways: Mapping[str, Mapping[str, Any]] = {
+            "alone": {},
+            "+ matrix": matrix,
+            "+ strength": matrix | {"field": (run.field[0], None)},
+            "+ dip": matrix | {"field": run.field},
+        }
         for way, options in ways.items():
-            calibration = calibrate(simulation.recording, misalignment=0, **options)
-            away = error(calibration, simulation.truth)[6:9]
+            calibration = calibrate(recording, misalignment=0, **options)
+            away = error(calibration, run.truth)[6:9]
             assert calibration.covariance is not None
             block = calibration.covariance[6:9, 6:9]
             ratio = float(away @ np.linalg.solve(block, away)) / 3
-            found[way].append(
+            found.setdefault(way, []).append(
                 (float(np.mean(away**2)), float(np.trace(block)) / 3, ratio, float(not calibration.trusted))
             )
         progress((seed + 1) / runs)

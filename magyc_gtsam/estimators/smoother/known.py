@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.dip import dip_of, known_dip
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
 from magyc_gtsam.factors.chain.facts import Fact, IronFact, LinearFact, StrengthFact, field_strength, quadratic
@@ -16,6 +17,7 @@ from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Recording
 
 _FLOOR = np.r_[np.full(6, 1e-5), np.full(3, 1e-9)]  # sigmas, 1 and T, below which no calibration is known
 _CONTRADICTS = 31.8  # squared difference in its covariance: the 99.99 % point of χ² of eight degrees of freedom
@@ -161,7 +163,9 @@ _MATRIX = 2e-3  # of each element, by which a matrix from an earlier calibration
 _OPEN = 1e-3  # T, a hard iron of which nothing is known
 
 
-def remedies(fit: Fit, factor: float, enough: Callable[[Array], bool], options: SmootherOptions) -> list[str]:
+def remedies(
+    fit: Fit, factor: float, enough: Callable[[Array], bool], options: SmootherOptions, recording: Recording
+) -> list[str]:
     """Which facts would be enough where the motion was not, the cheapest first, with the sigma each would give.
 
     Args:
@@ -169,6 +173,7 @@ def remedies(fit: Fit, factor: float, enough: Callable[[Array], bool], options: 
         factor: by which the data's information is divided.
         enough: whether a covariance (13, 13) of θ is.
         options: with what is known already.
+        recording: says whether there is something that knows which way is up.
     """
     if options.prior is not None:
         return []
@@ -176,7 +181,9 @@ def remedies(fit: Fit, factor: float, enough: Callable[[Array], bool], options: 
     strength, _ = field_strength(parameters[:6])
     sigma = np.concatenate([np.full(6, _MATRIX), np.full(3, _OPEN)])
     matrix = IronFact(parameters[:6] / strength, parameters[6:9], np.diag(1 / sigma))
-    ways = (
+    dip = () if dip_of(fit) is not None else known_dip(recording, fit)
+    ways: tuple[tuple[str, tuple[Fact, ...]], ...] = (
+        ("the place (--location, --date), whose dip this log can use", dip),
         ("an earlier calibration of this instrument (--prior)", (matrix,)),
         (
             "an earlier calibration and the strength of the field at the place (--prior, --location, --date)",
@@ -184,10 +191,13 @@ def remedies(fit: Fit, factor: float, enough: Callable[[Array], bool], options: 
         ),
     )
     data = fit.reduced.information[:PARAMETERS, :PARAMETERS] / factor
+    found = []
     for name, facts in ways:
+        if not facts:
+            continue
         information = data + quadratic(facts, parameters)[2]
         covariance = inverse_information(information, fit.free[:PARAMETERS])
         if enough(covariance):
             worst = 1e6 * np.sqrt(max(float(np.linalg.eigvalsh(covariance[6:9, 6:9])[-1]), 0.0))
-            return [f"or give {name}: hard iron ±{worst:.2g} µT without another motion"]
-    return []
+            found.append(f"{name}: hard iron ±{worst:.2g} µT")
+    return [f"or give, without another motion, {' or '.join(found)}"] if found else []

@@ -49,7 +49,8 @@ class SmootherOptions:
         hard_iron_walk: T, by which each axis of the hard iron may have changed since.
         soft_iron_walk: by which each element of the soft iron (determinant 1) may have changed since.
         field: (strength T, dip rad) at the place, or ((strength, sigma), (dip, sigma)); the dip may be None. The
-            strength sets the scale of the soft iron and, with a prior, informs the fit; the dip is only recorded.
+            strength sets the scale of the soft iron and, with a prior, informs the fit; the dip does where there is an
+            accelerometer or an attitude.
 
     Raises:
         MagycError: an option that is out of range.

@@ -10,6 +10,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.smoother import axes, starts
+from magyc_gtsam.estimators.smoother.dip import dip_fact, relinearised
 from magyc_gtsam.estimators.smoother.fit import NEAR, ROUNDS, Fit, adapt, begin, descend, misfit, weigh
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
@@ -33,6 +34,7 @@ _APART = 0.05  # distance of two minima's hard irons, in field strengths, from w
 _UNDISTURBED = 0.97  # share of the windows' weight from which their length stays as it is
 _SHORT_WINDOW = 0.5  # s, where stretches are disturbed
 _LEAST_WINDOWS = 8
+_AGAIN = 6  # fits at the most until gyroscope and dip are close to the minimum
 _ROUNDS_JUMPED = 9  # of weights and noise levels, where the field jumps
 _LEAST_EVEN = 0.5  # share of the windows' weight from which a field that jumps is even but for some stretches
 
@@ -68,7 +70,7 @@ def fit_field_chain(
         )
     short_term = short_term_noise(recording) if noise is None else None
     level = short_term or SensorNoise(*noise)  # type: ignore[misc]
-    chain = FieldChain(windows, level, facts=known.facts)
+    chain = FieldChain(windows, level, facts=(*known.facts, *dip_fact(recording, options.place)))
     skew = skew_prior(options, known)
 
     def skewed(fit: Fit) -> Fit:
@@ -178,7 +180,8 @@ def refit_field_chain(samples: Preintegration, fit: Fit, reject: bool, short_ter
 def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
     """The same minimum with other windows, each weighed as the one it lies in."""
     parameters = fit.state.parameters
-    chain = FieldChain(samples.integrate(parameters[9:12], parameters[DELAY]), fit.chain.noise)
+    windows = samples.integrate(parameters[9:12], parameters[DELAY])
+    chain = FieldChain(windows, fit.chain.noise, facts=fit.chain.facts)
     before = fit.chain.windows.time
     nearest = np.searchsorted(0.5 * (before[1:] + before[:-1]), chain.windows.time)
     weights = Weights(fit.weights.window[nearest], chain.unweighted().link)
@@ -212,13 +215,14 @@ def _close(fit: Fit, best: Fit) -> bool:
 def _adapted(
     samples: Preintegration, fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS
 ) -> Fit:
-    """At the minimum with its own noise and weights, the gyroscope integrated close to it."""
-    for _ in range(4):
+    """At the minimum with its own noise and weights, the gyroscope integrated, and a dip linearised, close to it."""
+    for _ in range(_AGAIN):
         fit = adapt(fit, reject, short_term, rounds)
         if rounds < ROUNDS:
             return _upright(fit)
-        if not moved(fit):
-            return _upright(fit)
+        fit, settled = relinearised(_upright(fit))
+        if settled and not moved(fit):
+            return fit
         fit = _descended(samples, fit)
     return replace(_upright(fit), converged=False)
 

@@ -20,6 +20,7 @@ from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.model_error.samples import too_slow
 from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
+from magyc_gtsam.estimators.smoother.dip import dip_of
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
@@ -146,11 +147,13 @@ def calibration_of(
             given = fix_scale(soft, covariance[:12, :12], *scale)[2]
             return assess(given, soft_iron, unit, recording, parameters[6:9]).observable
 
-        reasons += remedies(fit, colour * fit.widening, enough, options)
+        reasons += remedies(fit, colour * fit.widening, enough, options, recording)
     reasons += filter(None, (too_slow(samples), reason(unexplained, whole, observability)))
+    dip = dip_of(fit)
     told = [
         f"converged in {fit.iterations} iterations",
         known_of(options).note,
+        "" if dip is None else dip.sentence,
         remark(unexplained, of_sensors, reported),
     ]
     noise = fit.chain.noise
@@ -183,7 +186,8 @@ def calibration_of(
             "disturbed": _disturbed(fit),
             "model_error": diagnostics(unexplained),
         }
-        | _said_of(skew, askew),
+        | _said_of(skew, askew)
+        | ({} if dip is None else dip.diagnostics),
         configuration=dict(options.configuration),
     )
 
