@@ -22,6 +22,7 @@ from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
+from magyc_gtsam.given_data import columns_of
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.stored import dump_yaml, load_mapping
@@ -375,7 +376,12 @@ def _filled(time: Array, row: Array) -> Array:
 
 
 def _vectors(name: str, value: ArrayLike) -> Array:
-    array = np.asarray(value, dtype=np.float64)
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MagycError(f"{name}: {value!r:.40} is no (N, 3) or (3,) of numbers; mg.read reads a log") from None
     if array.ndim not in (1, 2) or array.shape[-1] != 3:
-        raise MagycError(f"{name}: shape {array.shape}, expected (N, 3) or (3,)")
+        columns = columns_of(value)
+        pick = f"; it is a table with the columns {columns}: name three" if columns else ""
+        raise MagycError(f"{name}: shape {array.shape}, expected (N, 3) or (3,){pick}")
     return array

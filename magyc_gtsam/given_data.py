@@ -84,6 +84,13 @@ def check_seconds(name: str, time: NDArray[np.float64]) -> None:
         )
 
 
+def columns_of(value: Any) -> str:
+    """The columns of a data frame, in words; "" of anything else."""
+    if not (hasattr(value, "columns") and hasattr(value, "iloc")):
+        return ""
+    return ", ".join(map(str, list(value.columns)[:20]))
+
+
 def expect_recording(function: str, value: Any) -> None:
     """Say what to do where something else than a recording was handed over.
 
@@ -98,10 +105,9 @@ def expect_recording(function: str, value: Any) -> None:
         raise MagycError(
             f"{function}: {os.fspath(value)!r} is a file; read it first: {function}(mg.read({os.fspath(value)!r}))"
         )
-    if hasattr(value, "columns") and hasattr(value, "iloc"):
-        listed = ", ".join(map(str, list(value.columns)[:20]))
+    if columns := columns_of(value):
         raise MagycError(
-            f"{function}: a table with the columns {listed}; say which are which: mg.Recording(table['time'], "
+            f"{function}: a table with the columns {columns}; say which are which: mg.Recording(table['time'], "
             "table[['mx', 'my', 'mz']], table[['gx', 'gy', 'gz']]), in s, T and rad/s"
         )
     raise MagycError(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.given_data import columns_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -38,7 +39,9 @@ def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = Fals
     ):
         text = ", ".join("N" if s is None else "k" if s is ... else str(s) for s in shape)
         turned = " (transpose it?)" if array.ndim == 2 and array.shape[::-1] == want else ""
-        raise MagycError(f"{name}: shape {array.shape}, expected ({text}){turned}")
+        columns = columns_of(value)
+        pick = f"; it is a table with the columns {columns}: name those of this argument" if columns else ""
+        raise MagycError(f"{name}: shape {array.shape}, expected ({text}){turned}{pick}")
     bad = ~np.isfinite(array)
     if not nan and bad.any():
         row = int(np.argwhere(bad)[0][0])

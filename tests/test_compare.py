@@ -483,7 +483,7 @@ def test_page(compared: Comparison, two_more: None, tmp_path: Path, opened: Any)
     page = opened(file)
     assert page.locator("details.method[open]").count() == 1
     page.locator("#results a", has_text="doubt").click()
-    assert page.locator("#method-doubt").get_attribute("open") is not None
+    page.wait_for_selector("#method-doubt[open]")
     drawn_figures(page)
     good = len(page_of.trusted)
     assert page.locator("#verdict h1").inner_text() == "Use smoother"

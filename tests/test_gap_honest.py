@@ -138,9 +138,9 @@ def test_restricted_candidates_are_not_called_a_catalogue() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"recording": "x.mcap"}, "recording: a Recording is needed, got str"),
+        ({"recording": "x.mcap"}, r"mg\.find_gap: 'x\.mcap' is a file; read it first"),
         ({"calibration": "x.yaml"}, "calibration: a Calibration is needed, got str"),
-        ({"simulated": 3}, "simulated: a Recording is needed, got int"),
+        ({"simulated": 3}, "simulated: a int, a Recording is expected"),
         ({"candidates": "timing"}, "a list of names is needed"),
         ({"candidates": []}, "a list of names is needed"),
         ({"candidates": 5}, "a list of names is needed"),

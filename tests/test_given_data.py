@@ -51,10 +51,26 @@ def test_pandas_stamps_and_tables() -> None:
         mg.calibrate(table)  # type: ignore[arg-type]
 
 
+def test_a_table_of_all_columns_says_which_it_has() -> None:
+    pandas = pytest.importorskip("pandas")
+    table = pandas.DataFrame(np.c_[STEPS / 1e9, FIELD], columns=["t", "mx", "my", "mz"])
+    calibration = mg.Calibration(np.eye(3), np.zeros(3))
+    for call in (
+        lambda: mg.Recording(table["t"], table, RATE),
+        lambda: mg.find_gap(table),
+        lambda: mg.compare(table),
+        lambda: calibration.apply(table),
+    ):
+        with pytest.raises(MagycError, match="a table with the columns t, mx, my, mz"):
+            call()
+
+
 @pytest.mark.parametrize(("scale", "unit"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns")])
 def test_numbers_of_another_unit_are_refused_with_its_name(scale: float, unit: str) -> None:
     with pytest.raises(MagycError, match=f"likely unit: {unit}; divide by"):
         mg.Recording(np.arange(N) * 0.1 * scale, FIELD, RATE)
+    with pytest.raises(MagycError, match=f"likely unit: {unit}; divide by"):
+        mg.OnlineCalibrator().update(np.arange(N) * 0.1 * scale, FIELD, RATE)
 
 
 def test_missing_stamps() -> None:
@@ -67,6 +83,13 @@ def test_missing_stamps() -> None:
 def test_a_file_or_an_array_in_place_of_a_recording() -> None:
     with pytest.raises(MagycError, match=r"'log\.mcap' is a file; read it first: mg\.calibrate\(mg\.read\('log"):
         mg.calibrate("log.mcap")  # type: ignore[arg-type]
+    for function in (mg.find_gap, mg.compare):
+        with pytest.raises(MagycError, match=r"is a file; read it first"):
+            function("log.mcap")  # type: ignore[arg-type]
+    with pytest.raises(MagycError, match=r"read_many\('season'\)"):
+        mg.calibrate_many("season")  # type: ignore[arg-type]
+    with pytest.raises(MagycError, match=r"mg\.read reads a log"):
+        mg.Calibration(np.eye(3), np.zeros(3)).apply("log.mcap")
     with pytest.raises(MagycError, match=r"a ndarray, a Recording is expected"):
         mg.calibrate(FIELD)  # type: ignore[arg-type]
 

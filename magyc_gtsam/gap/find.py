@@ -25,6 +25,7 @@ from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.search import Search, search
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
+from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
@@ -140,13 +141,13 @@ def needs_gyroscope(recording: Recording) -> None:
 
 
 def _check_types(recording: object, calibration: object, simulated: object) -> None:
-    for name, value, kind, made in (
-        ("recording", recording, Recording, "mg.read"),
-        ("calibration", calibration, Calibration, "mg.Calibration.load"),
-        ("simulated", simulated, Recording, "mg.read"),
-    ):
-        if not isinstance(value, kind) and (value is not None or name == "recording"):
-            raise MagycError(f"{name}: a {kind.__name__} is needed, got {type(value).__name__}; {made} gives one")
+    expect_recording("mg.find_gap", recording)
+    if simulated is not None:
+        expect_recording("simulated", simulated)
+    if calibration is not None and not isinstance(calibration, Calibration):
+        raise MagycError(
+            f"calibration: a Calibration is needed, got {type(calibration).__name__}; mg.Calibration.load gives one"
+        )
 
 
 def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:

@@ -227,6 +227,10 @@ def calibrate_many(
     Raises:
         MagycError: no log, times that do not fit, or no log with a calibration to be trusted.
     """
+    if isinstance(recordings, str | os.PathLike):
+        raise MagycError(
+            f"calibrate_many: {os.fspath(recordings)!r} is a path; give mg.read_many({os.fspath(recordings)!r})"
+        )
     logs = recordings if isinstance(recordings, Sequence) else list(recordings)
     if not len(logs):
         raise MagycError("calibrate_many: no recordings")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.given_data import check_seconds
 from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 
@@ -66,6 +67,8 @@ class Intake:
             when, value = stamps[good], value[good]
             beyond = np.abs(value).max(axis=1, initial=0.0) > limit
             first = not np.isfinite(last[name][0]) and not len(quarantine[name])
+            if first:
+                check_seconds("time", when)
             if first and beyond.sum() > 0.5 * len(beyond):  # a unit; later it is a spike
                 row = int(beyond.argmax())
                 raise MagycError(

@@ -14,6 +14,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import Method, calibrate, methods
 from magyc_gtsam.estimators.autocal.autocal import inliers
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Mask, Recording
 from magyc_gtsam.runners.status import Status as Ended
@@ -170,6 +171,7 @@ def compare(
         MagycError: a name that is no method, or is given twice.
         KeyboardInterrupt: interrupted before the first method was done.
     """
+    expect_recording("mg.compare", recording)
     asked = checked_methods(names)
     return judge(recording, asked, run_methods(recording, asked, field_strength, progress))
 
