@@ -326,16 +326,20 @@ def test_interrupted(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -
     with subprocess.Popen(
         arguments, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        end = None
-        while process.poll() is None and end is None:
-            time.sleep(0.01)
-            with contextlib.suppress(OSError):  # nobody reads yet
-                end = os.open(log, os.O_WRONLY | os.O_NONBLOCK)
-        assert (tmp_path / "here").is_dir()
-        process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=300)
-        assert end is not None
-        os.close(end)
+        try:
+            end = None
+            while process.poll() is None and end is None:
+                time.sleep(0.01)
+                with contextlib.suppress(OSError):  # nobody reads yet
+                    end = os.open(log, os.O_WRONLY | os.O_NONBLOCK)
+            assert (tmp_path / "here").is_dir()
+            time.sleep(0.5)  # until it waits in the read: a signal between open and read is seen after the read
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=120)
+            assert end is not None
+            os.close(end)
+        finally:
+            process.kill()
     assert process.returncode == 130
     assert errors == "magyc-gtsam: interrupted; no file is left half written\n"
     assert list(tmp_path.iterdir()) == []

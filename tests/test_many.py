@@ -152,10 +152,15 @@ def test_engines_that_cannot_be_had() -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="kills a process by a signal")
-def test_a_cluster_with_a_worker_killed_gives_the_same_bits(tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
+def test_a_cluster_with_a_worker_killed_gives_the_same_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed, dask = pytest.importorskip("distributed"), pytest.importorskip("dask")
     once = {str(seed): (seed, str(tmp_path / "marker")) for seed in range(12)}
     tests = str(Path(__file__).parent)
+    # Half a minute otherwise, where a result is asked of the worker that was killed.
+    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT", "3s")
+    dask.config.refresh()
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
     ) as cluster:

@@ -14,18 +14,18 @@ from magyc_gtsam.study.table_one import PUBLISHED, table_one
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
 def test_the_smoother_is_at_the_bound_and_honest(motion):
-    result = efficiency(motion, 30, method=partial(calibrate, misalignment=0))
-    for block in BLOCKS:  # 1.10, and two standard deviations of 30 runs of a block of three or more
-        assert result.ratio[block] < 1.10 + 2 / np.sqrt(2 * 30 * 3)
-    half = 2.6 * np.sqrt(2 * 11 / 30)
+    result = efficiency(motion, 16, method=partial(calibrate, misalignment=0))
+    for block in BLOCKS:  # 1.10, and two standard deviations of 16 runs of a block of three or more
+        assert result.ratio[block] < 1.10 + 2 / np.sqrt(2 * 16 * 3)
+    half = 2.6 * np.sqrt(2 * 11 / 16)
     assert 11 - half < result.nees < 11 + half
     assert result.refused == 0
 
 
 def test_a_fifth_of_the_data_disturbed():
-    result = efficiency("low", 12, disturbed=0.2)
+    result = efficiency("low", 6, disturbed=0.2)
     for block in BLOCKS:
-        assert result.ratio[block] < 1.3 + 2 / np.sqrt(2 * 12 * 3)
+        assert result.ratio[block] < 1.3 + 2 / np.sqrt(2 * 6 * 3)
 
 
 def test_the_bound_shrinks_with_the_noise():
