@@ -16,6 +16,7 @@ from magyc_gtsam.cli.reading import Reading, epoch
 from magyc_gtsam.cli.terminal import concluded, refused, show, stages
 
 if TYPE_CHECKING:
+    from magyc_gtsam.cli.terminal import Progress
     from magyc_gtsam.recording import Recording
 
 
@@ -33,10 +34,11 @@ def run(
 ) -> int:
     """Apply a calibration to a log.
 
-    Time stamps and all other data stay as they are. The gyroscope's bias is subtracted where the method estimated
-    one, and what `magyc-gtsam gap` found is taken out: a late field is read later. Read the log as it was read for
-    the calibration (units, axes); an effect of a current or a temperature needs that channel. A calibration that must
-    not be trusted is refused with exit code 1.
+    Time stamps and all other data stay as they are. From MCAP to MCAP every message of every other topic is copied
+    byte for byte, and in the sensors' own messages only the vector is replaced (ROS 2, without --gyroscope-axes).
+    The gyroscope's bias is subtracted where the method estimated one, and what `magyc-gtsam gap` found is taken out:
+    a late field is read later. Read the log as it was read for the calibration (units, axes); an effect of a current
+    or a temperature needs that channel. A calibration that must not be trusted is refused with exit code 1.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.factors.errors import MagycError
@@ -56,16 +58,40 @@ def run(
             rate = calibration.apply_gyroscope(recording)
         calibrated = replace(recording, magnetic_field=calibration.apply(recording), angular_rate=rate)
         writing = stage("writing")
+        copied = ""
         if output.suffix.lower() == ".mcap":
-            from magyc_gtsam.io import write_mcap
-
-            write_mcap(part, calibrated, epoch=epoch(recording))
+            copied = _write_mcap(part, reading, calibrated, writing)
         else:
             _write_csv(part, calibrated, epoch(recording))
         writing(1.0)
     if not quiet:
-        show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field")
+        show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field{copied}")
     return concluded(judged(calibration))
+
+
+def _write_mcap(path: Path, reading: Reading, calibrated: Recording, progress: Progress) -> str:
+    """The log with the two sensors' vectors replaced, where it is MCAP; else the recording. Says what was copied."""
+    from magyc_gtsam.io import write_mcap
+    from magyc_gtsam.io.mcap_copy import copy_mcap
+
+    with open(reading.log, "rb") as file:
+        is_mcap = file.read(5) == b"\x89MCAP"
+    named = reading.magnetic_field, reading.angular_rate
+    if is_mcap and reading.gyroscope_axes is None:
+        count = copy_mcap(
+            reading.log,
+            path,
+            calibrated,
+            epoch(calibrated),
+            dict(zip(("magnetic_field", "angular_rate"), named, strict=True)),
+            reading.stamps == "log",
+            progress,
+        )
+        if count is not None:
+            left_out = f", {count.left_out} without a sample left out" if count.left_out else ""
+            return f"; {count.unchanged} messages of other topics copied unchanged{left_out}"
+    write_mcap(path, calibrated, epoch=epoch(calibrated))
+    return "; other topics are not in it" if is_mcap else ""
 
 
 def _write_csv(path: Path, recording: Recording, origin: int) -> None:

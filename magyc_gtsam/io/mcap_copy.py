@@ -1,0 +1,179 @@
+"""A log copied message by message, the field and the angular rate in it replaced by calibrated ones."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE
+from magyc_gtsam.io.ros_fields import NANOSECONDS, Array, short_type
+from magyc_gtsam.recording import Recording
+
+# Bytes from the first number of a message to the vector of each sensor; the numbers are float64.
+_PLACES = {
+    ("sensor_msgs/MagneticField", "magnetic_field"): 0,
+    ("geometry_msgs/Vector3Stamped", "magnetic_field"): 0,
+    ("geometry_msgs/Vector3Stamped", "angular_rate"): 0,
+    ("sensor_msgs/Imu", "angular_rate"): 8 * (4 + 9),
+}
+_CDR = b"\x00\x01"  # little-endian, as all ROS 2 machines write it
+_VECTOR = struct.Struct("<3d")
+
+
+@dataclass
+class Copied:
+    """How many messages of which kind are in the copy.
+
+    Attributes:
+        unchanged: byte for byte as they were.
+        calibrated: with the sensor's vector replaced, and all else as it was.
+        left_out: of the sensors, without a sample of their own in the recording (outside the interval, or faulty).
+    """
+
+    unchanged: int = 0
+    calibrated: int = 0
+    left_out: int = 0
+
+
+@dataclass
+class _Copy:
+    """The writer, and what the ids of the source are called in it."""
+
+    writer: Writer
+    replaced: Mapping[str, Mapping[int, bytes]]  # by sensor, the vector at each stamp
+    named: Mapping[str, str | None]
+    by_log_time: bool
+    schemas: dict[int, int] = field(default_factory=dict)
+    kinds: dict[int, str] = field(default_factory=dict)
+    channels: dict[int, int] = field(default_factory=dict)
+    sensors: dict[int, tuple[str, int]] = field(default_factory=dict)  # by channel: which sensor, and its place
+    count: Copied = field(default_factory=Copied)
+
+    def take(self, record: object) -> None:
+        if isinstance(record, Schema):
+            self.schemas[record.id] = self.writer.register_schema(record.name, record.encoding, record.data)
+            self.kinds[record.id] = short_type(record.name)
+        elif isinstance(record, Channel):
+            if record.id in self.channels:
+                return
+            schema = self.schemas.get(record.schema_id, 0)
+            self.channels[record.id] = self.writer.register_channel(
+                record.topic, record.message_encoding, schema, record.metadata
+            )
+            sensor = self._sensor(record)
+            if sensor is not None:
+                self.sensors[record.id] = sensor
+        elif isinstance(record, Message):
+            self._message(record)
+        elif isinstance(record, Metadata):
+            self.writer.add_metadata(record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            self.writer.add_attachment(
+                record.create_time, record.log_time, record.name, record.media_type, record.data
+            )
+
+    def _sensor(self, channel: Channel) -> tuple[str, int] | None:
+        kind = self.kinds.get(channel.schema_id, "")
+        for sensor in self.replaced:
+            name = self.named[sensor]
+            meant = (
+                kind == FOUND_BY_TYPE[sensor] if name is None else channel.topic.lstrip("/") == name.lstrip("/")
+            )
+            if meant and (kind, sensor) in _PLACES and channel.message_encoding == "cdr":
+                return sensor, _PLACES[kind, sensor]
+        return None
+
+    def _message(self, message: Message) -> None:
+        data, sensor = message.data, self.sensors.get(message.channel_id)
+        if sensor is None:
+            self.count.unchanged += 1
+        else:
+            name, place = sensor
+            stamp, numbers = _stamp_and_numbers(data)
+            vector = self.replaced[name].get(message.log_time if self.by_log_time else stamp)
+            if vector is None:
+                self.count.left_out += 1
+                return
+            first = numbers + place
+            data = data[:first] + vector + data[first + _VECTOR.size :]
+            self.count.calibrated += 1
+        self.writer.add_message(
+            self.channels[message.channel_id], message.log_time, data, message.publish_time, message.sequence
+        )
+
+
+def copy_mcap(
+    source: Path,
+    target: Path,
+    calibrated: Recording,
+    epoch: int,
+    named: Mapping[str, str | None],
+    by_log_time: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Copied | None:
+    """Copy a log; schemas, channels, times, sequence numbers, metadata, attachments and all other messages stay.
+
+    Args:
+        source, target: the files.
+        calibrated: the recording of `source` with its field, and its angular rate where it is to be replaced.
+        epoch: ns of the log's clock at the recording's time 0.
+        named: the topic of "magnetic_field" and "angular_rate", None where it is the only one of its type.
+        by_log_time: whether the recording's stamps are those of the recorder.
+        progress: called with the share done.
+
+    Returns:
+        What was copied; None, and no file, where a sensor is in messages of another type than MagneticField,
+        Vector3Stamped and Imu of ROS 2, whose vector cannot be replaced in its place.
+
+    Raises:
+        MagycError: the file is damaged.
+    """
+    replaced = {"magnetic_field": _vectors(*calibrated.magnetometer, epoch)}
+    if calibrated.angular_rate is not None:
+        replaced["angular_rate"] = _vectors(*calibrated.gyroscope, epoch)
+    size = max(source.stat().st_size, 1)
+    with open(source, "rb") as read, open(target, "wb") as written:
+        copy = _Copy(Writer(written), replaced, named, by_log_time)
+        try:
+            for k, record in enumerate(StreamReader(read).records):
+                if isinstance(record, Header):
+                    copy.writer.start(record.profile, record.library)
+                copy.take(record)
+                if k % 4096 == 0:
+                    progress(read.tell() / size)
+        except (McapError, EOFError, struct.error) as error:
+            raise MagycError(
+                f"{source}: is damaged ({type(error).__name__}), and only a whole MCAP file can be copied; mend it "
+                "with `mcap recover`, or write a table (--output OUT.csv)"
+            ) from None
+        copy.writer.finish()
+    if {sensor for sensor, _ in copy.sensors.values()} != set(replaced):
+        target.unlink()
+        return None
+    return copy.count
+
+
+def _vectors(time: Array, value: Array, epoch: int) -> dict[int, bytes]:
+    stamps = np.round(time * NANOSECONDS).astype(np.int64) + epoch
+    rows = np.ascontiguousarray(value, dtype="<f8").tobytes()
+    return {stamp: rows[24 * k : 24 * (k + 1)] for k, stamp in enumerate(stamps.tolist())}
+
+
+def _stamp_and_numbers(data: bytes) -> tuple[int, int]:
+    """The header's stamp in ns, and where its numbers begin: behind the frame's name, aligned to 8 bytes."""
+    if data[:2] != _CDR:
+        raise MagycError(
+            "a message of the magnetometer or gyroscope is not little-endian CDR, which cannot be copied"
+        )
+    seconds, nanoseconds, length = struct.unpack_from("<iII", data, 4)
+    end = 4 + 12 + length
+    return seconds * NANOSECONDS + nanoseconds, 4 + -(-(end - 4) // 8) * 8

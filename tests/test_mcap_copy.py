@@ -1,0 +1,127 @@
+"""`apply` on MCAP: only the vectors of the two sensors change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+import magyc_gtsam as mg
+from magyc_gtsam import cli
+from magyc_gtsam.io import write_mcap
+from magyc_gtsam.io.ros2 import definition
+
+CALIBRATION = mg.Calibration(
+    np.diag([1.1, 0.9, 1.0]), np.array([1e-5, 2e-6, -3e-6]), np.array([1e-3, -2e-3, 5e-4])
+)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording among foreign topics, metadata and an attachment."""
+    folder = tmp_path_factory.mktemp("log")
+    plain, path = folder / "plain.mcap", folder / "log.mcap"
+    write_mcap(plain, mg.simulate("wide", 30, seed=1).recording, epoch=10**18)
+    with open(plain, "rb") as source, open(path, "wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4)
+        writer.start("ros2", "another tool")
+        text = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        foreign = writer.register_channel("/chatter", "cdr", text, {"offered_qos_profiles": "- depth: 1"})
+        unlike = writer.register_channel("/blob", "unknown-encoding", 0)
+        ids: dict[str, int] = {}
+        for k, (schema, channel, message) in enumerate(make_reader(source).iter_messages()):
+            if schema is None:
+                continue
+            if channel.topic not in ids:
+                own = writer.register_schema(
+                    schema.name, schema.encoding, definition(schema.name.replace("/msg", "")).encode()
+                )
+                ids[channel.topic] = writer.register_channel(channel.topic, "cdr", own)
+            at = message.log_time
+            writer.add_message(ids[channel.topic], at + 7, message.data, at + 3, 1000 + k)
+            if k % 10 == 0:
+                writer.add_message(foreign, at, bytes(range(k % 200)), at + 1, k)
+                writer.add_message(unlike, at, b"\x00\xff" * (k % 50), at + 2, k)
+        writer.add_metadata("who", {"vehicle": "AUV"})
+        writer.add_attachment(1, 2, "notes.txt", "text/plain", b"by hand")
+        writer.finish()
+    return path
+
+
+def contents(path: Path) -> tuple[list[tuple[object, ...]], list[object], list[object]]:
+    with open(path, "rb") as file:
+        reader = make_reader(file)
+        messages = [
+            (
+                channel.topic,
+                channel.message_encoding,
+                dict(channel.metadata),
+                None if schema is None else (schema.name, schema.encoding, schema.data),
+                message.log_time,
+                message.publish_time,
+                message.sequence,
+                message.data,
+            )
+            for schema, channel, message in reader.iter_messages(log_time_order=False)
+        ]
+        metadata = [(each.name, each.metadata) for each in reader.iter_metadata()]
+        attachments = [(each.name, each.media_type, each.data) for each in reader.iter_attachments()]
+    return messages, metadata, attachments
+
+
+def test_every_other_message_is_the_same(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    CALIBRATION.save(tmp_path / "cal.yaml")
+    out = tmp_path / "out.mcap"
+    assert cli.main(["apply", str(tmp_path / "cal.yaml"), str(log), "-o", str(out)]) == 0
+    assert "messages of other topics copied unchanged" in capsys.readouterr().out
+    (before, *rest), (after, *rest_after) = contents(log), contents(out)
+    assert rest == rest_after
+    assert [m[:-1] for m in before] == [m[:-1] for m in after]  # topics, schemas, times, sequence numbers
+    sensors = ("/imu/mag", "/imu/data_raw")
+    assert [m for m in before if m[0] not in sensors] == [m for m in after if m[0] not in sensors]
+    changed = [(a[-1], b[-1]) for a, b in zip(before, after, strict=True) if a[0] in sensors]
+    assert len(changed) == 600
+    for a, b in changed:
+        assert isinstance(a, bytes)
+        assert isinstance(b, bytes)
+        assert len(a) == len(b)
+        differing = np.flatnonzero(np.frombuffer(a, np.uint8) != np.frombuffer(b, np.uint8))
+        assert np.ptp(differing) < 24
+    raw, calibrated = mg.read(log), mg.read(out)
+    np.testing.assert_array_equal(calibrated.magnetometer.value, CALIBRATION.apply(raw.magnetometer.value))
+    np.testing.assert_array_equal(calibrated.gyroscope.value, CALIBRATION.apply_gyroscope(raw.gyroscope.value))
+    np.testing.assert_array_equal(calibrated.time, raw.time)
+
+
+def test_an_interval_keeps_the_other_topics_whole(log: Path, tmp_path: Path) -> None:
+    CALIBRATION.save(tmp_path / "cal.yaml")
+    out = tmp_path / "out.mcap"
+    asked = [
+        "--start",
+        "10",
+        "--end",
+        "20",
+        "--stamps",
+        "log",
+        "--magnetic-field",
+        "/imu/mag",
+        "-q",
+        "-o",
+        str(out),
+    ]
+    assert cli.main(["apply", str(tmp_path / "cal.yaml"), str(log), *asked]) == 0
+    before, after = contents(log)[0], contents(out)[0]
+    assert [m for m in after if m[0] == "/chatter"] == [m for m in before if m[0] == "/chatter"]
+    assert sum(m[0] == "/imu/mag" for m in after) == len(mg.read(log, start=10, end=20).magnetometer.time)
+
+
+def test_a_damaged_log_is_refused(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    CALIBRATION.save(tmp_path / "cal.yaml")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[:-3000])
+    assert cli.main(["apply", str(tmp_path / "cal.yaml"), str(cut), "-q", "-o", str(tmp_path / "out.mcap")]) == 2
+    assert "is damaged" in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
