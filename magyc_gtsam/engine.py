@@ -7,10 +7,14 @@ parts, each row is a Parquet file, written once and in one step; a run that was 
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -81,7 +85,7 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterato
     try:
         while waiting:
             running: dict[Future[Row], str] = {}
-            with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+            with ProcessPoolExecutor(workers, get_context("spawn"), as_worker) as pool:
                 try:
                     while waiting or running:
                         while waiting and len(running) < workers:
@@ -105,7 +109,7 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterato
 
 def _alone(work: Work, unit: Any) -> Row:
     """In a process of its own."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(1, get_context("spawn"), as_worker) as pool:
         try:
             return pool.submit(work, unit).result()
         except BrokenProcessPool:
@@ -166,6 +170,34 @@ def write_rows(file: Path, rows: Sequence[Row]) -> None:
         MagycError: the extra `parquet` is not installed.
     """
     arrow = _parquet()
+    with whole(file) as part:
+        arrow.parquet.write_table(arrow.Table.from_pylist(list(rows)), part)
+
+
+@contextmanager
+def whole(file: Path) -> Iterator[Path]:
+    """A file to write to, which takes the place of `file` if the block ends well and is removed otherwise.
+
+    What a kill leaves of it is overwritten by the next run, which has the same unit to do.
+    """
     part = file.with_name(file.name + ".part")
-    arrow.parquet.write_table(arrow.Table.from_pylist(list(rows)), part)
-    os.replace(part, file)
+    try:
+        yield part
+        os.replace(part, file)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def as_worker() -> None:
+    """Of a process that works for another: it ends when that is gone, and leaves requests to end to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+
+        def follow() -> None:
+            parent.join()
+            os._exit(1)
+
+        threading.Thread(target=follow, daemon=True).start()

@@ -8,7 +8,6 @@ import os
 import shutil
 import signal
 import tempfile
-import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +20,6 @@ except ImportError:  # Windows: without locks, directories of killed runs stay, 
 
 _PREFIX = ".magyc-gtsam-"
 _LOCK = "lock"
-_UNLOCKED = 3600.0  # s after which a directory without a lock is nobody's
 
 
 @contextmanager
@@ -37,7 +35,9 @@ def replacing(path: Path) -> Iterator[Path]:
 def replacing_folder(path: Path) -> Iterator[Path]:
     """Likewise a folder; where `path` exists, the new files take their places in it one by one."""
     _refuse_files((path,))
-    _remove_orphans(path.parent)  # from before the folder was there
+    if path.parent.is_dir():
+        with _one_at_a_time(path.parent):
+            _remove_orphans(path.parent)  # from before the folder was there
     with _temporary(path if path.exists() else path.parent) as directory:
         part = directory / "folder"
         part.mkdir()
@@ -60,7 +60,7 @@ def refuse_unwritable(file: Path) -> None:
         raise IsADirectoryError(errno.EISDIR, "is a folder, a file is expected", str(file))
     _refuse_files(file.parents)
     file.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(prefix=".magyc-gtsam-", dir=file.parent):
+    with tempfile.TemporaryFile(dir=file.parent):  # without a name, where the system can: nothing to leave behind
         pass
 
 
@@ -70,15 +70,19 @@ def _temporary(place: Path) -> Iterator[Path]:
     missing = [p for p in (place, *place.parents) if not p.exists()]
     _refuse_files((place, *place.parents))
     place.mkdir(parents=True, exist_ok=True)
-    _remove_orphans(place)
-    directory = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=place))
-    with open(directory / _LOCK, "wb") as lock:
-        _lock(lock)
+    directory: Path | None = None
+    with contextlib.ExitStack() as open_files:
         try:
+            # Whoever looks for orphans sees the directory with its lock, or not at all.
+            with _one_at_a_time(place), _unstoppable():
+                _remove_orphans(place)
+                directory = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=place))
+                _lock(open_files.enter_context(open(directory / _LOCK, "wb")))
             yield directory
         except BaseException:
             with _unstoppable():
-                shutil.rmtree(directory, ignore_errors=True)
+                if directory is not None:
+                    shutil.rmtree(directory, ignore_errors=True)
                 for folder in missing:
                     if folder.exists() and not any(folder.iterdir()):
                         folder.rmdir()
@@ -93,14 +97,13 @@ def _lock(file: IO[bytes]) -> None:
 
 
 def _remove_orphans(place: Path) -> None:
-    """Remove what runs left behind that were killed: nobody holds the lock of their directories."""
+    """Remove what killed runs left behind, of which nobody holds the lock; the caller has the place to himself."""
     for directory in place.glob(f"{_PREFIX}*") if fcntl is not None else ():
         with contextlib.suppress(OSError):
             if not directory.is_dir() or directory.is_symlink():
                 continue
-            if not (directory / _LOCK).exists():
-                if time.time() - directory.stat().st_mtime > _UNLOCKED:
-                    shutil.rmtree(directory, ignore_errors=True)
+            if not (directory / _LOCK).exists():  # killed before it had one
+                shutil.rmtree(directory, ignore_errors=True)
                 continue
             with open(directory / _LOCK, "rb") as lock:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # BlockingIOError: it is at work

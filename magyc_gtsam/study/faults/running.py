@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.engine import as_worker, whole
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.study.faults.catalogue import FAULTS
@@ -92,7 +92,7 @@ def run(
     parts.mkdir(parents=True, exist_ok=True)
     jobs = [(case, name) for case in every for name in methods]
     pending = [(case, name) for case, name in jobs if not _part(parts, case, name).exists()]
-    with ProcessPoolExecutor(max_workers=workers) as pool:
+    with ProcessPoolExecutor(workers, initializer=as_worker) as pool:
         futures = [pool.submit(_work, parts, case, name, methods[name]) for case, name in pending]
         try:
             for done, future in enumerate(as_completed(futures), len(jobs) - len(pending) + 1):
@@ -122,10 +122,8 @@ def _work(parts: Path, case: Case, name: str, method: Method) -> None:
     row = {
         key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in row.items()
     }
-    path = _part(parts, case, name)
-    unfinished = path.with_suffix(f".{os.getpid()}")
-    unfinished.write_text(json.dumps(row), "utf-8")
-    os.replace(unfinished, path)
+    with whole(_part(parts, case, name)) as file:
+        file.write_text(json.dumps(row), "utf-8")
 
 
 def cells(rows: Iterable[Mapping[str, Any]]) -> list[Cell]:
@@ -152,10 +150,11 @@ def write(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
         from pyarrow import parquet
 
         path = folder / "faults.parquet"
-        parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), path)
+        with whole(path) as part:
+            parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), part)
         return path
     path = folder / "faults.csv"
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
