@@ -117,3 +117,48 @@ def test_time_to_interrupt(log: Path, tmp_path: Path) -> None:
     returned, _ = stopped(log, tmp_path, signal.SIGTERM, 0.8)
     assert returned in (0, 1, 143, -signal.SIGTERM)
     assert time.monotonic() - began < 60
+
+
+def test_a_directory_of_a_run_killed_before_it_had_its_lock_is_removed(tmp_path: Path) -> None:
+    (tmp_path / ".magyc-gtsam-killed" / "folder").mkdir(parents=True)
+    with replacing_folder(tmp_path / "out") as part:
+        (part / "whole").write_text("y")
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("start", ["fork", "spawn"])
+def test_worker_processes_end_with_a_parent_that_is_killed(start: str) -> None:
+    script = (
+        "import os, sys, time; from concurrent.futures import ProcessPoolExecutor\n"
+        "from multiprocessing import get_context; from magyc_gtsam.engine import as_worker\n"
+        "if __name__ == '__main__':\n"
+        "    pool = ProcessPoolExecutor(1, get_context(sys.argv[1]), as_worker)\n"
+        "    print(pool.submit(os.getpid).result(), flush=True); time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", script, start], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    worker = int(process.stdout.readline())
+    process.kill()
+    process.communicate()
+    until = time.monotonic() + 30
+    while time.monotonic() < until:
+        try:
+            os.kill(worker, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.05)
+    os.kill(worker, signal.SIGKILL)
+    pytest.fail("the worker goes on")
+
+
+def test_a_part_of_a_table_is_removed_where_its_writing_fails(tmp_path: Path) -> None:
+    from magyc_gtsam.engine import whole
+
+    def write() -> None:
+        with whole(tmp_path / "table") as part:
+            part.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write()
+    assert list(tmp_path.iterdir()) == []
