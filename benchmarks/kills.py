@@ -188,6 +188,7 @@ def undisturbed(name: str, log: Path) -> tuple[set[str], float]:
 def main(count: int, names: list[str]) -> int:
     """The exit code."""
     failed = 0
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has its background jobs ignore it
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log.mcap"
         write_mcap(log, mg.simulate("wide", duration=60, rate=10, seed=0).recording)
