@@ -164,13 +164,13 @@ class FieldChain:
     def start(self, parameters: Array) -> State:
         """A state at θ: each direction read off its own window's field."""
         body = np.linalg.solve(iron_matrix(parameters), self.windows.field - parameters[6:9, None])
-        g = np.einsum("ijn,in->jn", self._rotation(parameters), body)
+        g = np.einsum("ijn,in->jn", self.rotation(parameters), body)
         return State(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
 
     def residuals(self, state: State) -> Residuals:
         """Unwhitened residuals of both groups."""
         parameters, g = state
-        body = np.einsum("ijn,jn->in", self._rotation(parameters), g)
+        body = np.einsum("ijn,jn->in", self.rotation(parameters), g)
         window = iron_matrix(parameters) @ body + parameters[6:9, None] - self.windows.field
         turn = self.turn(parameters)
         return Residuals(window, g[:, 1:] - np.einsum("ijn,jn->in", turn, g[:, :-1]))
@@ -191,7 +191,7 @@ class FieldChain:
         parameters, g = state
         size, n = len(parameters), g.shape[1]
         scale = self.window_scale * np.sqrt(weights.window)
-        rotation = self._rotation(parameters)
+        rotation = self.rotation(parameters)
         sight = self._sight(state, weights, rotation)
         linear = sight.at(g)
         on_direction, residual, link = linear.on_direction, linear.window, linear.link
@@ -276,7 +276,7 @@ class FieldChain:
 
     def settle(self, state: State, weights: Weights) -> tuple[State, Reduced]:
         """The directions at their best for the state's θ, and the linearisation there."""
-        sight = self._sight(state, weights, self._rotation(state.parameters))
+        sight = self._sight(state, weights, self.rotation(state.parameters))
         for _ in range(_SETTLING):
             linear = sight.at(state.direction)
             band, pull = linear.normal_equations()
@@ -332,7 +332,8 @@ class FieldChain:
         result: Array = factor
         return result
 
-    def _rotation(self, parameters: Array) -> Array:
+    def rotation(self, parameters: Array) -> Array:
+        """M at θ, (3, 3, n): the integrated world as the windows see it."""
         late = parameters[DELAY] - self.windows.delay
         moved = parameters[9:12] - self.windows.bias
         return (

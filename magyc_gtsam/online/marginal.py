@@ -93,7 +93,7 @@ class ContinuedChain(FieldChain):
         super().__post_init__()
         if self.past is not None:
             self.window_scale[0] *= _UNMEASURED
-            mean = self._rotation(self.past.parameters)[:, :, 0]
+            mean = self.rotation(self.past.parameters)[:, :, 0]
             solved = np.linalg.solve(mean, np.column_stack([self.past.body, self.past.tangent]))
             object.__setattr__(self, "origin", (solved[:, 0], solved[:, 1:]))
 
@@ -123,7 +123,7 @@ class ContinuedChain(FieldChain):
 
     def seen(self, parameters: Array) -> Array:
         """(3, 3, n) T, what the windows read per unit of a field fixed in the world."""
-        return np.einsum("ij,jkn->ikn", iron_matrix(parameters), self._rotation(parameters))
+        return np.einsum("ij,jkn->ikn", iron_matrix(parameters), self.rotation(parameters))
 
     def past_cost(self, state: State) -> float:
         """The past's share of the cost at `state`, relative to the point of its marginal."""
@@ -144,7 +144,7 @@ class ContinuedChain(FieldChain):
         information, gradient = last_rows.T @ last_rows, last_rows.T @ pull
         information[:WITH_SKEW, :WITH_SKEW] += reduced.information
         gradient[:WITH_SKEW] += reduced.gradient
-        mean = part._rotation(state.parameters)[:, :, -1]
+        mean = part.rotation(state.parameters)[:, :, -1]
         return Marginal(
             state.parameters, mean @ state.direction[:, -1], mean @ reduced.basis[:, :, -1], information, gradient
         )

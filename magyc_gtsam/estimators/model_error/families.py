@@ -13,9 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.beside import Columns
+from magyc_gtsam.estimators.smoother.beside import Columns
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.vech import unvech
 
@@ -52,9 +51,7 @@ class Motion:
         """Of a fit at its minimum."""
         windows, parameters = fit.chain.windows, fit.state.parameters
         soft = unvech(parameters[:6])
-        late, moved = parameters[DELAY] - windows.delay, parameters[9:12] - windows.bias
-        rotation = windows.rotation + late * windows.rotation_rate
-        rotation = rotation + np.einsum("ijkn,k->ijn", windows.rotation_bias, moved)
+        rotation = fit.chain.rotation(parameters)
         turning = np.einsum("ijn,kjn->ikn", windows.rotation_rate, rotation)  # [ω]×
         rate = 0.5 * np.array(
             [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]

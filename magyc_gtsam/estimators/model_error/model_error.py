@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.beside import Beside, New
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES, Family, Motion
 from magyc_gtsam.estimators.model_error.samples import one_sided
+from magyc_gtsam.estimators.smoother.beside import Beside, New
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.search import Streams
 from magyc_gtsam.factors.chain.rotations import Array

@@ -43,10 +43,10 @@ def one_sided(recording: Streams) -> Outliers | None:
     time, field = _stretch(*recording.magnetometer)
     if len(time) < _LEAST:
         return None
-    about = np.stack([field[k : len(field) - 4 + k] for k in range(5)])
-    standing = field[2:-2] - np.partition(about, 2, axis=0)[2]
-    shift = standing.mean(axis=0)
-    sigma = np.maximum(standing.std(axis=0), 1e-12) / np.sqrt(len(standing))
+    axes = np.ascontiguousarray(field.T)
+    standing = axes[:, 2:-2] - _median_of_five(axes)
+    shift = standing.mean(axis=1)
+    sigma = np.maximum(standing.std(axis=1), 1e-12) / np.sqrt(standing.shape[1])
     return Outliers(shift, sigma) if np.abs(shift / sigma).max() > _CERTAIN else None
 
 
@@ -59,8 +59,9 @@ def too_slow(recording: Streams) -> str:
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
         return ""
-    rough = float(np.square(np.diff(rate, 2, axis=0)).mean(axis=0).sum())
-    if rough < _ROUGH * float(rate.var(axis=0).sum()):
+    axes = np.ascontiguousarray(rate.T)
+    second = axes[:, 2:] - 2 * axes[:, 1:-1] + axes[:, :-2]
+    if float(np.vdot(second, second)) / second.shape[1] < _ROUGH * float(axes.var(axis=1).sum()):
         return ""
     step = float(np.median(np.diff(time)))
     from scipy.signal import welch  # which takes longer to import than a calibration
@@ -75,6 +76,15 @@ def too_slow(recording: Streams) -> str:
         f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({beyond:.0%} of its turn rate "
         f"lies beyond {_EDGE / step:.2g} Hz): record faster"
     )
+
+
+def _median_of_five(values: Array) -> Array:
+    """(3, n − 4) medians of each five neighbours of (3, n), by comparisons of two pairs and the fifth."""
+    a, b, c, d, e = (values[:, k : values.shape[1] - 4 + k] for k in range(5))
+    low = np.maximum(np.minimum(a, b), np.minimum(c, d))
+    high = np.minimum(np.maximum(a, b), np.maximum(c, d))
+    result: Array = np.maximum(np.minimum(low, high), np.minimum(np.maximum(low, high), e))
+    return result
 
 
 def _stretch(time: Array, value: Array) -> tuple[Array, Array]:

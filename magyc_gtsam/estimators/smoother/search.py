@@ -14,7 +14,7 @@ from magyc_gtsam.estimators.smoother.dip import dip_fact, relinearised
 from magyc_gtsam.estimators.smoother.fit import NEAR, ROUNDS, Fit, adapt, begin, descend, misfit, weigh
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, given, on_skew, skew_of, widened
+from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, asked, given, on_skew, skew_of, widened
 from magyc_gtsam.factors.chain.facts import LinearFact
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain, SensorNoise, State, Weights
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -139,6 +139,10 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
         adapted: a fit of sixteen parameters at its own, with its noise levels and weights.
         prior, known: what is believed of a skew, and what an earlier calibration says of it.
     """
+    if known is None and len(fit.state.parameters) == PARAMETERS:
+        skew = asked(fit, prior)
+        if skew.evidence <= prior.tested:
+            return replace(fit, skew=skew)
     wide = widened(fit, prior, known)
     skew = skew_of(wide, prior, 1.0)
     if skew.evidence > prior.tested:

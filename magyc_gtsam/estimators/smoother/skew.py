@@ -20,10 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.estimators.smoother.beside import Beside, Columns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, State, Weights
-from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, State, Weights, iron_matrix
+from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _LEAST_SPLIT = 40  # windows, of a recording whose halves are compared
 
@@ -152,33 +153,56 @@ def skew_of(fit: Fit, prior: SkewPrior, factor: float) -> Skew:
             raises, and its widening.
     """
     profile = _profile(fit, factor)
-    angle: list[Array] = []
-    covariance: list[Array] = []
-    evidence: list[float] = []
-    weight: list[float] = []
-    for deviation, believed in zip(prior.deviations, prior.weights, strict=True):
-        if deviation == 0:
-            mean, spread, nats = np.zeros(3), np.zeros((3, 3)), 0.0
-        else:
-            spread = np.linalg.inv(profile.information + np.eye(3) / deviation**2).astype(np.float64)
-            mean = spread @ profile.pull
-            occam = np.linalg.slogdet(np.eye(3) + deviation**2 * profile.information)[1]
-            nats = 0.5 * float(profile.pull @ mean) - 0.5 * float(occam)
-        angle.append(mean)
-        covariance.append(spread)
-        evidence.append(nats)
-        weight.append(believed)
-    best = max(evidence)
-    share = np.array(weight) * np.exp(np.array(evidence) - best)
-    share /= share.sum()
-    mean = share @ np.array(angle)
-    doubt = ""
-    if best > prior.evidence:
-        doubt = _doubt(fit, mean, prior, factor)
-    value = mean if best > prior.evidence and not doubt else np.zeros(3)
-    away = np.array(angle) - value
-    second = np.tensordot(share, np.array(covariance), axes=1) + (share * away.T) @ away
-    return Skew(value, second, best, profile.gain, profile.shift + profile.gain @ value, doubt)
+    believed = _believed(profile, prior)
+    if believed.best <= prior.evidence:
+        return believed.around(np.zeros(3), profile)
+    doubt = _doubt(fit, believed.mean, prior, factor)
+    return believed.around(np.zeros(3) if doubt else believed.mean, profile, doubt)
+
+
+def asked(fit: Fit, prior: SkewPrior) -> Skew:
+    """What a fit of thirteen parameters at its minimum says of a skew, as undecided: one more group of columns."""
+    chain, parameters = fit.chain, fit.state.parameters
+    body = np.einsum("ijn,jn->in", chain.rotation(parameters), fit.state.direction)
+    columns = np.einsum(
+        "ij,kjn->kin", iron_matrix(parameters), cross(np.eye(3)[:, :, None], body[:, None]).swapaxes(0, 1)
+    )
+    new = Beside(fit).of(Columns(columns, None))
+    profile = _Profile(new.normal, new.score, -new.move, np.zeros(PARAMETERS))
+    return _believed(profile, prior).around(np.zeros(3), profile)
+
+
+class _Believed(NamedTuple):
+    """ε under each deviation of a prior: how far that is believed (k,), mean (k, 3), covariance (k, 3, 3); and the
+    nats of the likeliest against none."""
+
+    share: Array
+    angle: Array
+    covariance: Array
+    best: float
+
+    @property
+    def mean(self) -> Array:
+        """(3,) over all deviations."""
+        result: Array = self.share @ self.angle
+        return result
+
+    def around(self, value: Array, profile: _Profile, doubt: str = "") -> Skew:
+        """With its second moment about `value`."""
+        away = self.angle - value
+        second = np.tensordot(self.share, self.covariance, axes=1) + (self.share * away.T) @ away
+        return Skew(value, second, self.best, profile.gain, profile.shift + profile.gain @ value, doubt)
+
+
+def _believed(profile: _Profile, prior: SkewPrior) -> _Believed:
+    variance = np.square(prior.deviations)[:, None, None]
+    widened = np.eye(3) + variance * profile.information
+    covariance = variance * np.linalg.inv(widened)
+    angle = covariance @ profile.pull
+    evidence = 0.5 * angle @ profile.pull - 0.5 * np.linalg.slogdet(widened)[1]
+    best = float(evidence.max())
+    share = np.array(prior.weights) * np.exp(evidence - best)
+    return _Believed(share / share.sum(), angle, covariance, best)
 
 
 def _profile(fit: Fit, factor: float) -> _Profile:
