@@ -1,11 +1,28 @@
-"""The inverse of a block-tridiagonal matrix of 2×2 blocks, where only its diagonal blocks are wanted."""
+"""Banded factors: many columns at a time, and the diagonal blocks of an inverse."""
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf
+from scipy.linalg.lapack import dpbtrf, ztbtrs
 
 from magyc_gtsam.factors.chain.rotations import Array
+
+
+def solved(factor: Array, columns: Array, transposed: bool = False) -> Array:
+    """L⁻¹ c, or L⁻ᵀ c, of columns c (k, m), a row each.
+
+    Two at a time, as real and imaginary part: LAPACK takes one column after the other through a short loop of calls,
+    so that a complex one costs little more than a real one.
+
+    Args:
+        factor: (4, m) Cholesky factor L, lower form, diagonal first.
+    """
+    pairs = -(-len(columns) // 2)
+    both = np.zeros((pairs, columns.shape[1]), complex)
+    both.real, both.imag[: len(columns) - pairs] = columns[:pairs], columns[pairs:]
+    ztbtrs(factor.astype(complex), both.T, uplo="L", trans="T" if transposed else "N", overwrite_b=1)
+    result: Array = np.concatenate([both.real, both.imag[: len(columns) - pairs]])
+    return result
 
 
 def inverse_blocks(band: Array, factor: Array) -> tuple[Array, Array, Array]:

@@ -24,9 +24,9 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
+from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from magyc_gtsam.factors.chain.banded import inverse_blocks
+from magyc_gtsam.factors.chain.banded import inverse_blocks, solved
 from magyc_gtsam.factors.chain.directions import Known, Sight, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
@@ -226,7 +226,7 @@ class FieldChain:
 
         border = right.reshape(size + 1, 2 * n)
         factor = self._factor(band)
-        half, _ = dtbtrs(factor, border.T, uplo="L")  # L⁻¹ [C, gradient]
+        half = solved(factor, border).T  # L⁻¹ [C, gradient]
         reduction = half.T @ half
         information -= reduction[:size, :size]
         gradient -= reduction[:size, size]
@@ -367,5 +367,5 @@ def direction_slopes(reduced: Reduced) -> Array:
 
 def _solve(reduced: Reduced) -> Array:
     """H⁻¹ C: (p, 2, n)."""
-    solved, _ = dtbtrs(reduced.factor, reduced.half[:, :-1], uplo="L", trans="T")
-    return np.ascontiguousarray(solved.T.reshape(solved.shape[1], -1, 2).swapaxes(1, 2))
+    columns = solved(reduced.factor, reduced.half[:, :-1].T, transposed=True)
+    return np.ascontiguousarray(columns.reshape(len(columns), -1, 2).swapaxes(1, 2))

@@ -19,9 +19,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs, dtrtrs
+from scipy.linalg.lapack import dtrtrs
 
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.banded import solved
 from magyc_gtsam.factors.chain.rotations import Array
 
 _ROUNDING = (
@@ -115,15 +116,14 @@ class Beside:
         reduced = self.fit.reduced
         one = window if window is not None else link
         assert one is not None
-        border: Array = np.zeros((len(one), reduced.basis.shape[2], 2))
+        border = np.zeros((len(one), reduced.basis.shape[2], 2))
         for a in (0, 1):
             if window is not None:
                 border[:, :, a] = _along(reduced.on_direction[:, a], window)
             if link is not None:
                 border[:, 1:, a] += _along(reduced.after[:, a], link)
                 border[:, :-1, a] += _along(reduced.before[:, a], link)
-        result: Array = dtbtrs(reduced.factor, border.reshape(len(one), -1).T, uplo="L", overwrite_b=1)[0]
-        return result
+        return solved(reduced.factor, border.reshape(len(one), -1)).T
 
     def _explained(self, pull: Array) -> Array:
         """The root of what the free parameters explain, of products (P, k) with all."""
