@@ -5,10 +5,12 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from scipy.linalg.lapack import dpbtrf
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.estimators.smoother.smoother import calibrate_smoother
 from magyc_gtsam.factors import MagycError, unvech, vech
+from magyc_gtsam.factors.chain.banded import solved
 from magyc_gtsam.factors.chain.field_chain import (
     DELAY,
     PARAMETERS,
@@ -520,3 +522,15 @@ def test_the_soft_iron_may_be_dimensionless(wide):
     one = field_chain_factor(SOFT, HARD, BIAS, samples, NOISE, **options)
     two = field_chain_factor(SOFT, HARD, BIAS, samples, NOISE, soft_iron_unit=strength, **options)
     assert two.error(ratio) == pytest.approx(one.error(tesla), rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_columns_through_a_banded_factor(count: int) -> None:
+    """Two at a time give what one at a time do, forward and back."""
+    random = np.random.default_rng(count)
+    band = np.concatenate([np.full((1, 40), 6.0), random.normal(size=(3, 40))])
+    factor = dpbtrf(band, lower=1)[0]
+    dense = sum(np.diag(factor[k, : 40 - k], -k) for k in range(4))
+    columns = random.normal(size=(count, 40))
+    np.testing.assert_allclose(solved(factor, columns) @ dense.T, columns, atol=1e-13)
+    np.testing.assert_allclose(solved(factor, columns, transposed=True) @ dense, columns, atol=1e-13)
