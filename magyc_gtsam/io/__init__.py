@@ -29,6 +29,7 @@ _MAGIC = {
     b"#ROSBAG V2.0": "ros_bag",
     b"SQLite format 3\0": "ros_bag",
     b"PK\x03\x04": "phone_archive",
+    b"H Product:Blackbox": "blackbox",
 }
 _SUFFIXES = {
     **dict.fromkeys((".csv", ".txt", ".tsv", ".dat", ".log"), "csv_log"),
@@ -39,9 +40,13 @@ _SUFFIXES = {
     ".db3": "ros_bag",
     ".zip": "phone_archive",
     ".tlog": "tlog",
+    ".bbl": "blackbox",
+    ".bfl": "blackbox",
 }
 _WITHOUT_MAGIC = ("csv_log", "tlog")
-_KNOWN = "MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag and .db3, MAVLink .tlog, a phone app's .zip"
+_KNOWN = (
+    "MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag and .db3, MAVLink .tlog, Blackbox, a phone app's .zip"
+)
 
 
 def read(
@@ -64,7 +69,8 @@ def read(
     """A `Recording` from a log. Time 0 is the log's first row; the notes say what had to be done.
 
     Args:
-        path: MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag or .db3, MAVLink .tlog, or the .zip of a phone app.
+        path: MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag or .db3, MAVLink .tlog, Blackbox
+            (Betaflight, INAV), or the .zip of a phone app.
         magnetic_field, angular_rate, acceleration, attitude: the topic (MCAP), the columns or the beginning
             they share (text), or the message (PX4, ArduPilot) of each sensor; not needed where one only
             could be meant.
@@ -76,7 +82,7 @@ def read(
         stamps: "header" (of the sensor) or "log" (of the recorder; MCAP only).
         channels: which of the other numbers in the log to read; None for all (MCAP, text) or the usual ones.
         progress: called with the fraction done, 0 to 1.
-        options: of one format only: `time`, `time_unit`, `rate`, `columns` of text tables.
+        options: of one format only: `time`, `time_unit`, `rate`, `columns` of text tables, `log` of Blackbox.
 
     Raises:
         MagycError: no such file, not a log, or nothing that makes a recording; the message says what to do.
