@@ -351,7 +351,7 @@ def test_a_set_counts_where_it_holds_what_was_put_in_and_did_not_without() -> No
 
 def test_a_small_blind_test_from_end_to_end(tmp_path: Path) -> None:
     """Two diagnosing processes on four recordings; a second run finds everything done."""
-    every = scenarios("wide", 2, 7, ["none", "single", "foreign"], duration=300.0)
+    every = scenarios("wide", 2, 7, ["none", "single", "foreign"], duration=200.0)
     wanted = {
         "none-wide-000": {"silent"},
         "single-wide-axis-order-x1-00": {"right"},

@@ -34,10 +34,9 @@ def spread(calibration: mg.Calibration, recording: mg.Recording) -> float:
     return float(np.sqrt(world.var(axis=0).sum()))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("delay", [0.0, 0.09])
-@pytest.mark.parametrize(("every", "rate"), [(2, 10), (3, 10), (5, 10), (5, 100)])
-def test_a_clock_in_step_with_the_rows_makes_no_delay(every: int, rate: int, delay: float, seed: int) -> None:
+@pytest.mark.parametrize(("every", "rate", "seed"), [(2, 10, 1), (3, 10, 2), (5, 10, 3), (5, 100, 1)])
+def test_a_clock_in_step_with_the_rows_makes_no_delay(every: int, rate: int, seed: int, delay: float) -> None:
     """Half a row would be 50 ms at 10 Hz."""
     recording = in_step(every, rate, delay, seed)
     gap = mg.find_gap(recording)
