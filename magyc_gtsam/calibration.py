@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.calibration_file import check
-from magyc_gtsam.export import do_not_use, export
+from magyc_gtsam.export import do_not_use, export, motors_of
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate, shifted
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
@@ -209,12 +209,14 @@ class Calibration:
         sigma = {"soft_iron": soft_iron, "hard_iron": deviation[6:9]}
         return sigma if self.gyro_bias is None else sigma | {"gyro_bias": deviation[9:]}
 
-    def export(self, target: str, *, force: bool = False) -> str:
+    def export(self, target: str, *, force: bool = False, per_motor: bool = False) -> str:
         """Parameters to paste into "px4", "ardupilot", "vectornav" or "ros"; see `magyc_gtsam.export`.
 
         Args:
             target: whose parameters.
             force: of a result that must not be trusted, give the values as comments, under DO NOT USE and the reason.
+            per_motor: the channels of a current were the outputs, 0 to 1, of motors 1 to 4, by the order of their
+                names; ArduPilot compensates for these motor by motor.
 
         Raises:
             MagycError: the result must not be trusted (without `force`), or the target cannot hold it.
@@ -225,21 +227,23 @@ class Calibration:
                     f"the result must not be trusted, so nothing is exported: {self.message or 'not observable'}; "
                     "record again, or see the values as comments (force=True)"
                 )
-            return do_not_use(
-                self.message or "not observable", replace(self, converged=True, observability=None).export(target)
-            )
+            trusted = replace(self, converged=True, observability=None)
+            return do_not_use(self.message or "not observable", trusted.export(target, per_motor=per_motor))
         if self.configuration.get("magnetic_field_unit") == "counts":
             raise MagycError("the calibration is of raw counts, which no instrument takes; calibrate in tesla")
         bias, offset, missing = self.gyro_bias, self.hard_iron, []
-        motor, thermal, reference = None, None, 0.0
+        motor, motors, thermal, reference = None, None, None, 0.0
         rotating = any(term.name in _TURNING for term in self.terms)
         for term in self.terms:
             exchanged = term.name == "axis-order"
             if exchanged and bias is not None:
                 bias = term.value.reshape(3, 3).T @ bias  # from the magnetometer's axes to the gyroscope's
-            if term.name == "motor-current" and len(term.value) == 3 and motor is None:
+            if term.name == "motor-current" and per_motor and motors is None and target == "ardupilot":
+                motors, at_rest = motors_of(term.value, term.setting)
+                offset = offset - at_rest
+            elif term.name == "motor-current" and len(term.value) == 3 and not per_motor and motor is None:
                 motor = term.value
-                offset = offset - motor * term.setting.get("reference_0", 0.0)
+                offset = offset - motor * sum(term.setting.values())  # the one circuit's reference, if it has one
             elif term.name == "temperature-hard-iron" and len(term.value) == 3 and not term.setting.get("lag"):
                 thermal, reference = term.value, term.setting.get("reference_0", 0.0)
             elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
@@ -254,6 +258,7 @@ class Calibration:
             missing,
             rotation=self._to_gyroscope() if rotating else None,
             motor=motor,
+            motors=motors,
             thermal=thermal,
             reference=reference,
         )

@@ -6,12 +6,13 @@ strength that `soft_iron` implies is kept. A rotation to the gyroscope's axes go
 motors' current and the temperature into the target's own terms where it has them:
 
     PX4        R S (raw + power · COMP − TC(temperature) − OFF), R from ROT, ROLL, PITCH, YAW, power in kA
-    ArduPilot  M (R raw + OFS) + current · MOT, R from COMPASS_ORIENT and CUST_ROT1, current in A
+    ArduPilot  M (R raw + OFS) + current · MOT, R from COMPASS_ORIENT and CUST_ROT1, current in A,
+               or + Σ output · PMOT over four motors
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,7 @@ _PX4_SCALE = (0.1, 3.0)  # range of CAL_MAG0_*SCALE
 _ARDUPILOT_OFFSET = 1800.0  # milligauss, default of COMPASS_OFFS_MAX
 _ARDUPILOT_DIAGONAL = (0.2, 5.0)  # what ArduPilot's own calibration accepts
 _ARDUPILOT_OFF_DIAGONAL = 1.0
+MOTORS = 4  # that ArduPilot compensates for, each by itself
 
 
 def export(
@@ -38,6 +40,7 @@ def export(
     *,
     rotation: ArrayLike | None = None,
     motor: ArrayLike | None = None,
+    motors: ArrayLike | None = None,
     thermal: ArrayLike | None = None,
     reference: float = 0.0,
 ) -> str:
@@ -51,6 +54,7 @@ def export(
         terms: effects of the calibration beyond these; no target holds them, and the text says so.
         rotation: (3, 3) that brings the calibrated field to the gyroscope's axes; it goes into the mounting.
         motor: (3,) T/A that the motors' current adds to the reading.
+        motors: (4, 3) T that motors 1 to 4 add at full output, each by itself; ArduPilot's only.
         thermal: (3,) T/°C that warming above `reference` (°C) adds to it.
 
     Raises:
@@ -68,6 +72,7 @@ def export(
         None if motor is None else np.asarray(motor, dtype=np.float64),
         None if thermal is None else np.asarray(thermal, dtype=np.float64),
         reference,
+        None if motors is None else np.asarray(motors, dtype=np.float64),
     )
     lines = TARGETS[target](correction)
     missing = [*terms]
@@ -89,6 +94,7 @@ class Correction:
         rotation: (3, 3), or None.
         motor, thermal: (3,) T/A, (3,) T/°C, or None.
         reference: °C.
+        motors: (4, 3) T, subtracted in proportion to each motor's output; or None.
     """
 
     matrix: Array
@@ -98,6 +104,24 @@ class Correction:
     motor: Array | None = None
     thermal: Array | None = None
     reference: float = 0.0
+    motors: Array | None = None
+
+
+def motors_of(value: Array, setting: Mapping[str, float]) -> tuple[Array, Array]:
+    """Of a term of several circuits: (4, 3) T of motors 1 to 4 at full output, and (3,) T of all at their references.
+
+    Raises:
+        MagycError: there are more than four.
+    """
+    references = {int(name.rpartition("_")[2]): each for name, each in setting.items()}
+    rows = sorted(references) or list(range(len(value) // 3))
+    if rows[-1] >= MOTORS:
+        raise MagycError(
+            f"per motor: channel {rows[-1] + 1} of a current, and ArduPilot compensates for {MOTORS} motors"
+        )
+    motors = np.zeros((MOTORS, 3))
+    motors[rows] = value.reshape(-1, 3)
+    return motors, np.array([references.get(row, 0.0) for row in range(MOTORS)]) @ motors
 
 
 def do_not_use(reason: str, text: str) -> str:
@@ -182,6 +206,17 @@ def _ardupilot(c: Correction) -> list[str]:
         values |= {"COMPASS_MOTCT": 2} | _axes("COMPASS_MOT_{}", -turn @ plain @ c.motor * _MILLIGAUSS)
         notes.append("COMPASS_MOT: milligauss per ampere of battery 1's current, ADDED after the matrix.")
         notes.append("Where the channel was a throttle of 0 to 1: COMPASS_MOTCT 1, with the same COMPASS_MOT.")
+    if c.motors is not None:
+        turn = np.eye(3) if rotation is None else rotation
+        values |= {"COMPASS_PMOT_EN": 1, "COMPASS_PMOT_EXP": 1.0}
+        for k, each in enumerate(c.motors, start=1):
+            values |= _axes(f"COMPASS_PMOT{k}_{{}}", -turn @ plain @ each * _MILLIGAUSS)
+        notes.append(
+            "COMPASS_PMOT: milligauss at full output of motors 1 to 4, ADDED after the matrix, for the first"
+        )
+        notes.append(
+            "compass. It is for channels that were the motors' outputs, 0 to 1, by the order of their names."
+        )
     if c.gyro_bias is not None:
         values |= _axes("INS_GYROFFS_{}", c.gyro_bias)
         notes.append("INS_GYROFFS is measured anew at every start unless INS_GYR_CAL is 0.")

@@ -53,8 +53,10 @@ def px4(
     return (raw - offset) @ scale.T @ rotation.T * 1e-4, w - bias
 
 
-def ardupilot(text: str, m: Array, w: Array, current: Array | None = None) -> tuple[Array, Array]:
-    """AP_Compass_Backend::rotate_field and correct_field; milligauss, rad/s."""
+def ardupilot(
+    text: str, m: Array, w: Array, current: Array | None = None, outputs: Array | None = None
+) -> tuple[Array, Array]:
+    """AP_Compass_Backend::rotate_field and correct_field, Compass_PerMotor::compensate; milligauss, rad/s."""
     rows = parameters(text, ",", 0, 1)
     rotation = turned(rows, "CUST_ROT1_") if rows.get("COMPASS_ORIENT") == 101 else np.eye(3)
     field = m @ rotation.T * 1e7 + np.array([rows[f"COMPASS_OFS_{axis}"] for axis in "XYZ"])
@@ -65,6 +67,9 @@ def ardupilot(text: str, m: Array, w: Array, current: Array | None = None) -> tu
     field = field @ scale.T
     if current is not None and rows.get("COMPASS_MOTCT") == 2:
         field = field + current[:, None] * np.array([rows[f"COMPASS_MOT_{axis}"] for axis in "XYZ"])
+    if outputs is not None and rows.get("COMPASS_PMOT_EN"):
+        motors = np.array([[rows[f"COMPASS_PMOT{k}_{axis}"] for axis in "XYZ"] for k in range(1, 5)])
+        field = field + outputs ** rows["COMPASS_PMOT_EXP"] @ motors
     bias = np.array([rows.get(f"INS_GYROFFS_{axis}", np.nan) for axis in "XYZ"])
     return field * 1e-7, w - bias
 
@@ -240,6 +245,33 @@ def test_terms_are_exported_where_the_target_has_them(terms: tuple[Term, ...]) -
         expected = calibration.apply(FIELD, time=np.arange(40.0), channels=CHANNELS)
     by_ardupilot, _ = ardupilot(text, FIELD, RATE, CURRENT)
     np.testing.assert_allclose(by_ardupilot, expected, atol=2e-11)
+
+
+@pytest.mark.parametrize("moving", [(0, 1, 2, 3), (1, 3)])
+def test_ardupilot_compensates_motor_by_motor(moving: tuple[int, ...]) -> None:
+    """Of the four outputs those that moved, about references of their own."""
+    outputs = np.abs(np.random.default_rng(1).normal(0.5, 0.2, (len(FIELD), 4)))
+    value = np.random.default_rng(2).normal(0, 1e-6, 3 * len(moving))
+    setting = {f"reference_{i}": 0.3 + 0.1 * i for i in moving}
+    term = Term("motor-current", value, np.eye(len(value)) * 1e-18, setting)
+    calibration = Calibration(SOFT_IRON, HARD_IRON, terms=(MOUNTING, term))
+    channels = {f"motor_{k + 1}": outputs[:, k] for k in range(4)}
+    expected = calibration.apply(FIELD, time=np.arange(40.0), channels=channels)
+    field, _ = ardupilot(calibration.export("ardupilot", per_motor=True), FIELD, RATE, outputs=outputs)
+    np.testing.assert_allclose(field, expected, atol=2e-11)
+    assert "not in here: motor-current" in calibration.export("ardupilot")
+    assert "not in here: motor-current" in calibration.export("px4", per_motor=True)
+    five = Term("motor-current", np.ones(15) * 1e-8, np.eye(15))
+    with pytest.raises(MagycError, match="compensates for 4 motors"):
+        Calibration(SOFT_IRON, HARD_IRON, terms=(five,)).export("ardupilot", per_motor=True)
+
+
+def test_the_one_current_that_moved_has_its_own_reference() -> None:
+    second = Term("motor-current", MOTOR.value, MOTOR.covariance, {"reference_1": 7.0})
+    calibration = Calibration(SOFT_IRON, HARD_IRON, terms=(second,))
+    both = {"current_a": 0 * CURRENT, "current_b": CURRENT}
+    field, _ = ardupilot(calibration.export("ardupilot"), FIELD, RATE, CURRENT)
+    np.testing.assert_allclose(field, calibration.apply(FIELD, time=np.arange(40.0), channels=both), atol=2e-11)
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -21,6 +21,12 @@ def run(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Default: standard output.")
     ] = None,
+    per_motor: Annotated[
+        bool,
+        typer.Option(
+            "--per-motor", help="The currents' channels were the outputs, 0 to 1, of motors 1 to 4 (ArduPilot)."
+        ),
+    ] = False,
     force: given.Force = False,
 ) -> int:
     """Write a calibration as parameters to paste.
@@ -33,7 +39,7 @@ def run(
     calibration = Calibration.load(calibration_file)
     if not calibration.trusted and not force:
         return refused(calibration)
-    text = calibration.export(target, force=force)
+    text = calibration.export(target, force=force, per_motor=per_motor)
     if output is None:
         typer.echo(text, nl=False)
     else:
