@@ -47,22 +47,29 @@ FRESH = 10  # one run in so many is a process of its own
 def start(words: list[str], folder: Path, fresh: bool) -> int:
     """The process id of a command in `folder`; it leads a group of its own."""
     sys.stdout.flush()
+    asked = {signal.SIGINT, signal.SIGTERM}
+    said = os.open(folder.parent / "said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    signal.pthread_sigmask(signal.SIG_BLOCK, asked)  # until the command can be
     if (process := os.fork()) == 0:
-        os.setpgid(0, 0)
-        os.chdir(folder)
-        said = os.open(folder.parent / "said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(said, 1)
-        os.dup2(said, 2)
-        os.environ["TMPDIR"] = str(folder.parent / "tmp")
-        tempfile.tempdir = None
-        if fresh:
-            script = "import sys; from magyc_gtsam.cli import main; sys.exit(main())"
-            os.execv(sys.executable, [sys.executable, "-c", script, *words])
         code = 70
         try:
+            os.setpgid(0, 0)
+            os.chdir(folder)
+            os.dup2(said, 1)
+            os.dup2(said, 2)
+            os.environ["TMPDIR"] = str(folder.parent / "tmp")
+            tempfile.tempdir = None
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, asked)
+            if fresh:
+                script = "import sys; from magyc_gtsam.cli import main; sys.exit(main())"
+                os.execv(sys.executable, [sys.executable, "-c", script, *words])
             code = command_line(words)
+        except KeyboardInterrupt:  # before its first line
+            code = 128 + signal.SIGINT
         finally:
             os._exit(code)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, asked)
+    os.close(said)
     with contextlib.suppress(OSError):
         os.setpgid(process, process)
     return process
@@ -163,7 +170,7 @@ def series(name: str, number: signal.Signals, count: int, log: Path, whole: set[
                 found.append("a worker process goes on")
             codes[code if code is not None else 999] += 1
             said = (place / "said").read_text("utf-8", errors="replace")
-            stopped_early = fresh and code == -number  # Python itself was still starting
+            stopped_early = code == -number  # before the command's first line, as where Python is still starting
             if not kill and not stopped_early and (code not in CODES or "Traceback" in said):
                 found.append(f"exit code {code}: {said[-300:]}")
             found += violations(place, whole, leftovers=not kill or k == count)
