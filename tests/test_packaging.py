@@ -151,3 +151,19 @@ def test_readme_marks_the_commands_of_the_integration_run() -> None:
 
 def _readme() -> str:
     return (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_oldest_dependencies_tested_are_the_lower_bounds() -> None:
+    """And the container's list names every one of them."""
+    text = (ROOT / "pyproject.toml").read_text("utf-8")
+    listed = text.split("\ndependencies = [")[1].split("\n]")[0]
+    bounds = dict(re.findall(r'^ *"([\w-]+)>=([\d.]+)', listed, re.MULTILINE))
+    pins = {
+        name: dict(re.findall(r"^([\w.-]+)==(\S+)$", (ROOT / ".ci" / name).read_text("utf-8"), re.MULTILINE))
+        for name in ("oldest.txt", "container.txt")
+    }
+    assert len(bounds) > 10
+    assert pins["oldest.txt"].keys() == bounds.keys()
+    for name, bound in bounds.items():
+        assert pins["oldest.txt"][name].split(".")[: len(bound.split("."))] == bound.split(".")
+    assert bounds.keys() <= pins["container.txt"].keys()

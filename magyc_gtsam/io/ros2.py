@@ -91,7 +91,7 @@ def encode_numbers(value: Array) -> list[bytes]:
     width = 1 if value.ndim == 1 else value.shape[1]
     # An empty list of dimensions, no offset, the number of values, and what aligns them.
     array = [] if value.ndim == 1 else [("dim", "<u4"), ("offset", "<u4"), ("length", "<u4"), ("align", "V4")]
-    table = np.zeros(len(value), dtype=[("encapsulation", "V4"), *array, ("value", "<f8", width)])
+    table = np.zeros(len(value), dtype=[("encapsulation", "V4"), *array, ("value", "<f8", (width,))])
     table["encapsulation"] = np.void(b"\0\1\0\0")
     if value.ndim == 2:
         table["length"] = width
