@@ -261,6 +261,7 @@ class Calibration:
             motors=motors,
             thermal=thermal,
             reference=reference,
+            compass=self.configuration.get("compass", 1),
         )
 
     def _to_gyroscope(self) -> Array:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from magyc_gtsam.compass_number import numbered
 from magyc_gtsam.factors.errors import MagycError
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ def export(
     motors: ArrayLike | None = None,
     thermal: ArrayLike | None = None,
     reference: float = 0.0,
+    compass: int = 1,
 ) -> str:
     """Text to paste into `target`.
 
@@ -56,6 +58,7 @@ def export(
         motor: (3,) T/A that the motors' current adds to the reading.
         motors: (4, 3) T that motors 1 to 4 add at full output, each by itself; ArduPilot's only.
         thermal: (3,) T/°C that warming above `reference` (°C) adds to it.
+        compass: which of the vehicle's, from 1; the targets that have several number their parameters by it.
 
     Raises:
         MagycError: unknown target, or a calibration that the target cannot hold.
@@ -74,7 +77,7 @@ def export(
         reference,
         None if motors is None else np.asarray(motors, dtype=np.float64),
     )
-    lines = TARGETS[target](correction)
+    lines = numbered(TARGETS[target](correction), target, compass)
     missing = [*terms]
     missing += ["motor-current"] if motor is not None and target not in _WITH_MOTOR else []
     missing += ["temperature-hard-iron"] if thermal is not None and target not in _WITH_TEMPERATURE else []

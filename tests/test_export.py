@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import yaml
@@ -272,6 +275,28 @@ def test_the_one_current_that_moved_has_its_own_reference() -> None:
     both = {"current_a": 0 * CURRENT, "current_b": CURRENT}
     field, _ = ardupilot(calibration.export("ardupilot"), FIELD, RATE, CURRENT)
     np.testing.assert_allclose(field, calibration.apply(FIELD, time=np.arange(40.0), channels=both), atol=2e-11)
+
+
+@pytest.mark.parametrize("target", ["px4", "ardupilot"])
+def test_another_compass_has_parameters_of_its_own(target: str) -> None:
+    """The same numbers, under the second compass' names, with nothing of the first's."""
+    first = Calibration(SOFT_IRON, HARD_IRON, GYRO_BIAS, terms=(MOTOR, MOUNTING))
+    second = replace(first, configuration={"compass": 2})
+    text = second.export(target)
+    if target == "px4":
+        back = re.sub(r"(CAL_MAG|TC_M)1_", r"\g<1>0_", text)
+    else:
+        assert "COMPASS_ORIENT2,102" in text
+        back = re.sub(r"(COMPASS_(?:OFS|DIA|ODI|MOT))2_", r"\1_", text)
+        back = re.sub(r"(COMPASS_(?:SCALE|ORIENT))2", r"\1", back).replace("CUST_ROT2_", "CUST_ROT1_")
+        back = back.replace("COMPASS_ORIENT,102", "COMPASS_ORIENT,101")
+    names = [line for line in text.splitlines() if not line.startswith("#")]
+    assert not [line for line in names if "MAG0" in line or "COMPASS_OFS_" in line or "CUST_ROT1" in line]
+    ours, theirs = (CORRECTED_BY[target](each, FIELD, RATE, CURRENT) for each in (first.export(target), back))
+    np.testing.assert_array_equal(ours[0], theirs[0])
+    with pytest.raises(MagycError, match="has parameters for 1 to"):
+        replace(first, configuration={"compass": 9}).export(target)
+    assert replace(first, configuration={"compass": 2}).export("ros") == first.export("ros")
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -12,11 +12,14 @@ from typing import Any
 import engine_work
 import numpy as np
 import pytest
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
 from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.engine import DIED, run_many
+from magyc_gtsam.io import write_mcap
 from magyc_gtsam.io.many import find_logs
 
 DIVE = Path(__file__).parents[1] / "datasets" / "calibration_dive.mcap"
@@ -170,3 +173,40 @@ def test_a_cluster_with_a_worker_killed_gives_the_same_bits(
         rows = run_many(engine_work.kill_once, once, engine=cluster.scheduler_address)
     assert (tmp_path / "marker").exists()  # it was killed
     assert rows == {str(seed): engine_work.spectrum((seed, 30)) for seed in range(12)}
+
+
+def test_every_compass_of_a_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two magnetometers beside one gyroscope: a page and parameters each, and one table."""
+    log = tmp_path / "two.mcap"
+    irons = ([1e-5, 2e-6, -3e-6], [-8e-6, 1e-5, 4e-6])
+    with open(log, "wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        known: dict[str, int] = {}
+        for k, iron in enumerate(irons):
+            part = tmp_path / f"part{k}.mcap"
+            write_mcap(part, mg.simulate("wide", 100, seed=5, hard_iron=iron).recording)
+            with open(part, "rb") as source:
+                for schema, channel, message in make_reader(source).iter_messages():
+                    if schema is None or (k and channel.topic != "/imu/mag"):
+                        continue
+                    topic = f"{channel.topic}_{k}" if channel.topic == "/imu/mag" else channel.topic
+                    if topic not in known:
+                        own = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        known[topic] = writer.register_channel(topic, channel.message_encoding, own)
+                    writer.add_message(known[topic], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    folder = tmp_path / "out"
+    assert main(["calibrate", str(log), "--all", "-o", str(folder)]) == 0
+    assert "/imu/mag_1" in capsys.readouterr().out
+    with open(folder / "calibrations.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["magnetometer"] for row in rows] == ["/imu/mag_0", "/imu/mag_1"]
+    for k, (row, iron) in enumerate(zip(rows, irons, strict=True)):
+        own = (folder / row["page"]).parent
+        calibration = mg.Calibration.load(own / "calibration.yaml")
+        np.testing.assert_allclose(calibration.hard_iron, iron, atol=1e-6)
+        assert f"CAL_MAG{k}_XOFF" in (own / "px4.params").read_text(encoding="utf-8")
+        assert f"COMPASS_OFS{['', 2][k]}_X" in (own / "ardupilot.param").read_text(encoding="utf-8")
+    assert main(["calibrate", str(log), "--all", "--magnetic-field", "/imu/mag_0", "-o", str(folder)]) == 2
+    assert "leave out --magnetic-field" in capsys.readouterr().err

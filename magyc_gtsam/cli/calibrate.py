@@ -16,7 +16,7 @@ from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.history import Engine, More
 from magyc_gtsam.cli.known import Known
-from magyc_gtsam.cli.many import Task, calibrate_logs, many
+from magyc_gtsam.cli.many import Task, calibrate_logs, each_compass, each_log, many
 from magyc_gtsam.cli.reading import Reading, parse_pairs
 from magyc_gtsam.cli.results import dated_folder, remove_exports, write_configuration, write_exports, write_page
 from magyc_gtsam.cli.scale import Scale
@@ -67,6 +67,9 @@ def run(
         typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
     ] = None,
     more: More = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Every magnetometer in the log, each with its page and parameters.")
+    ] = False,
     engine: Engine = "local",
     config: given.Config = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf beside the page.")] = False,
@@ -84,16 +87,16 @@ def run(
     options = _method_options(known.options(scale, method), noise, delay, robust, window, option)
     if sensor == "accelerometer":
         return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
-    if many(reading.log, more):
+    if every or many(reading.log, more):
         from magyc_gtsam.io.many import find_logs
 
         logs = find_logs([reading.log, *(more or [])])
-        task = Task(reading, method, options, option, Path(), tuple(context.obj), force)
-        return calibrate_logs(task, logs, output, engine, quiet, json)
+        tasks = each_log(Task(reading, method, options, option, Path(), tuple(context.obj), force), logs)
+        return calibrate_logs(each_compass(tasks) if every else tasks, output, engine, quiet, json)
     folder = output or dated_folder(reading.log)
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording, calibration, verdict = calibrate_log(
-            reading, method, options, option, part, context.obj, force, stage
+            reading, method, options, option, part, context.obj, force, stage=stage
         )
     if not verdict.trusted and not force:
         remove_exports(folder)  # of an earlier run
@@ -127,6 +130,7 @@ def calibrate_log(
     folder: Path,
     arguments: Sequence[str],
     force: bool,
+    compass: int = 1,
     stage: Callable[[str], Progress] = lambda _: lambda _: None,
 ) -> tuple[Recording, Calibration, Verdict]:
     """Read a log, calibrate it and write all files into a folder."""
@@ -134,6 +138,8 @@ def calibrate_log(
 
     recording = reading.recording(stage("reading"))
     calibration = _calibrate(recording, method, stage("calibrating"), options, pairs)
+    if compass > 1:
+        calibration = replace(calibration, configuration={**calibration.configuration, "compass": compass})
     page = stage("drawing the page")
     calibration.save(folder / "calibration.yaml")
     write_configuration(folder, reading, recording, calibration, options, arguments)

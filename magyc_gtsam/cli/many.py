@@ -7,7 +7,7 @@ import hashlib
 import io
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,6 +24,7 @@ from magyc_gtsam.cli.terminal import show, show_table, stages
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
 
+_NUMBERED = re.compile(r"\[(\d+)\]$")
 _PATTERN = re.compile(r"[*?\[]")
 _AXES = ("x", "y", "z")
 _PARTS = ".parts"
@@ -31,7 +32,7 @@ _PARTS = ".parts"
 
 @dataclass(frozen=True)
 class Task:
-    """One log to calibrate: a unit of work.
+    """One log to calibrate, or one compass of a log: a unit of work.
 
     Attributes:
         reading: how to read it.
@@ -39,6 +40,7 @@ class Task:
         folder: for its results.
         arguments: the command line.
         force: write parameters to paste of a result that must not be trusted as well.
+        compass: its number among those of the vehicle, from 1.
     """
 
     reading: Reading
@@ -48,6 +50,7 @@ class Task:
     folder: Path
     arguments: tuple[str, ...]
     force: bool
+    compass: int = 1
 
 
 def many(log: Path, more: Sequence[Path] | None) -> bool:
@@ -70,14 +73,49 @@ def unique_names(logs: Sequence[Path]) -> list[str]:
     return names
 
 
-def calibrate_logs(
-    task: Task, logs: Sequence[Path], output: Path | None, engine: str, quiet: bool, as_json: bool
-) -> int:
+def each_log(task: Task, logs: Sequence[Path]) -> dict[str, Task]:
+    """A task for each log, under the name of its folder; `task` is what is the same for all."""
+    return {
+        name: replace(task, reading=replace(task.reading, log=log))
+        for name, log in zip(unique_names(logs), logs, strict=True)
+    }
+
+
+def each_compass(tasks: Mapping[str, Task]) -> dict[str, Task]:
+    """A task for each magnetometer of each log.
+
+    Raises:
+        MagycError: a magnetometer was named, or a log is none, or has none.
+    """
+    from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.io import info
+
+    found = {}
+    for name, task in tasks.items():
+        if task.reading.magnetic_field is not None:
+            raise MagycError(
+                f"--all: is for every magnetometer; leave out --magnetic-field {task.reading.magnetic_field}"
+            )
+        sources = [source for source in info(task.reading.log).sources if "magnetic_field" in source.serves_as]
+        alone = [source for source in sources if not {"angular_rate", "acceleration"} & set(source.serves_as)]
+        if not sources:
+            raise MagycError(f"{task.reading.log}: no magnetometer in the log (magyc-gtsam info says what is)")
+        for place, source in enumerate(alone or sources, start=1):
+            numbered = _NUMBERED.search(source.name)
+            folder = f"{name}-{re.sub(r'[^A-Za-z0-9]+', '-', source.name).strip('-')}"
+            found[folder] = replace(
+                task,
+                reading=replace(task.reading, magnetic_field=source.name),
+                compass=int(numbered[1]) + 1 if numbered else place,
+            )
+    return found
+
+
+def calibrate_logs(named: Mapping[str, Task], output: Path | None, engine: str, quiet: bool, as_json: bool) -> int:
     """Calibrate all logs.
 
     Args:
-        task: what is the same for all; its `reading.log` and `folder` are replaced.
-        logs: the files.
+        named: a task for each, under the name of its folder.
         output: folder for all results; None makes one in results/.
         engine: see `magyc_gtsam.engine`.
 
@@ -87,11 +125,7 @@ def calibrate_logs(
     from magyc_gtsam.engine import run_many
 
     folder = output or dated_folder(Path("logs"))
-    names = unique_names(logs)
-    each = [
-        replace(task, reading=replace(task.reading, log=log), folder=folder / name)
-        for name, log in zip(names, logs, strict=True)
-    ]
+    each = [replace(task, folder=folder / name) for name, task in named.items()]
     tasks = {_fingerprint(one): one for one in each}
     folder.mkdir(parents=True, exist_ok=True)
     # A run into a folder of the user's own goes on where it was stopped; a new folder has nothing to go on from.
@@ -100,7 +134,7 @@ def calibrate_logs(
         if not (one.folder / "report.html").exists():  # refused, or removed since
             (folder / _PARTS / f"{key}.parquet").unlink(missing_ok=True)
     with stages(shown=not (quiet or as_json)) as stage:
-        progress = stage(f"calibrating {len(logs)} logs")
+        progress = stage(f"calibrating {len(each)} logs")
         rows = run_many(calibrate_one, tasks, engine=engine, parts=parts, progress=progress)
     table = [_as_row(tasks[key], row) for key, row in rows.items()]
     _write(folder, table)
@@ -121,7 +155,15 @@ def calibrate_logs(
 def _fingerprint(task: Task) -> str:
     """Of a log and all that decides its result: the same where a run is repeated on an unchanged file."""
     state = task.reading.log.stat()
-    decisive = (task.reading.to_dict(), task.method, task.options, task.pairs, str(task.folder), task.force)
+    decisive = (
+        task.reading.to_dict(),
+        task.method,
+        task.options,
+        task.pairs,
+        str(task.folder),
+        task.force,
+        task.compass,
+    )
     said = repr((decisive, state.st_size, state.st_mtime_ns, __version__))
     return f"{task.folder.name}-{hashlib.sha256(said.encode()).hexdigest()[:16]}"
 
@@ -134,7 +176,7 @@ def calibrate_one(task: Task) -> Row:
     try:
         with replacing_folder(task.folder) as part:
             recording, calibration, verdict = calibrate_log(
-                task.reading, task.method, task.options, task.pairs, part, task.arguments, task.force
+                task.reading, task.method, task.options, task.pairs, part, task.arguments, task.force, task.compass
             )
     except MagycError as error:
         return {"exit_code": 2, "sentence": str(error).removeprefix(f"{task.reading.log}: ")}
@@ -159,7 +201,18 @@ def calibrate_one(task: Task) -> Row:
 
 
 _COLUMNS = (
-    ("log", "exit_code", "sentence", "page", "seconds", "method", "field_strength_uT", "delay_ms", "heading_deg")
+    (
+        "log",
+        "magnetometer",
+        "exit_code",
+        "sentence",
+        "page",
+        "seconds",
+        "method",
+        "field_strength_uT",
+        "delay_ms",
+        "heading_deg",
+    )
     + tuple(f"hard_iron_{axis}_{what}" for axis in _AXES for what in ("uT", "sigma_uT"))
     + tuple(f"gyro_bias_{axis}_mrad_s" for axis in _AXES)
 )
@@ -170,7 +223,7 @@ def _as_row(task: Task, row: Row) -> Row:
     if "error" in row:
         row = {"exit_code": 2, "sentence": row["error"]}
     page = None if row["exit_code"] == 2 else f"{task.folder.name}/report.html"
-    whole = {"log": str(task.reading.log), "page": page} | row
+    whole = {"log": str(task.reading.log), "magnetometer": task.reading.magnetic_field, "page": page} | row
     return {column: whole.get(column) for column in _COLUMNS}
 
 
@@ -184,7 +237,7 @@ def _shown(table: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
         verdict = {0: "✔", 1: f"✘ {row['sentence']}", 2: f"refused: {row['sentence']}"}[row["exit_code"]]
         rows.append(
             [
-                row["log"],
+                f"{row['log']} {row['magnetometer'] or ''}".strip(),
                 "" if row["seconds"] is None else f"{row['seconds']:.0f}",
                 "" if None in iron else ", ".join(f"{value:.2f}" for value in iron),
                 "" if None in sigma else f"{max(sigma):.2f}",
@@ -193,6 +246,11 @@ def _shown(table: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
             ]
         )
     return header, rows
+
+
+def _label(row: Row) -> str:
+    """The log, and the magnetometer where that was named."""
+    return f"{Path(row['log']).name} {row['magnetometer'] or ''}".strip()
 
 
 def _write(folder: Path, table: Sequence[Row]) -> None:
@@ -215,7 +273,7 @@ def _write(folder: Path, table: Sequence[Row]) -> None:
         (folder / "calibrations.parquet").unlink(missing_ok=True)
     header, shown = _shown(table)
     linked = [
-        [Link(Path(row[0]).name, each["page"]) if each["page"] else row[0], *row[1:]]
+        [Link(_label(each), each["page"]) if each["page"] else row[0], *row[1:]]
         for row, each in zip(shown, table, strict=True)
     ]
     good = sum(row["exit_code"] == 0 for row in table)
@@ -228,7 +286,7 @@ def _write(folder: Path, table: Sequence[Row]) -> None:
             for what in ("uT", "sigma_uT")
         )
         trusted = [row["exit_code"] == 0 for row in known]
-        figures = by_log([Path(row["log"]).name for row in known], iron, sigma, trusted)
+        figures = by_log([_label(row) for row in known], iron, sigma, trusted)
         sections.append(Section("Hard iron, each log by itself", figures=figures))
     page = summary_page("Calibrations of many logs", headline, good == len(table), [], sections)
     with replacing(folder / "index.html") as part:
