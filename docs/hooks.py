@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,9 @@ _OUTSIDE = re.compile(
 )
 
 
+_COLOURS = ("#2b8cdb", "#1f9e89", "#d9730d")
+_SECONDS = {"tone": 10, "quantisation": 10, "sample-hold": 10}  # of those that are fast; else all
+_METADATA = ("Creator", "Date", "Format", "Type")
 _EXPLANATIONS = {  # each a page of its own part of the code
     "gap.md": "How an effect is named",
     "reliability.md": "How far to trust it",
@@ -54,7 +59,51 @@ def _commands() -> str:
 
 
 def _effects() -> str:
-    from magyc_gtsam.gap.effects import TERMS
+    from magyc_gtsam.gap.effects import LABELS, TERMS
 
-    rows = [f"| `{name}` | {term.label} | {term.unit} | {term.motion} |" for name, term in TERMS.items()]
-    return "\n".join(["| name | what | unit | shown by |", "|---|---|---|---|", *rows])
+    rows = [
+        f"| [`{name}`](#{name}) | {term.label} | {term.unit} | {term.motion} |" for name, term in TERMS.items()
+    ]
+    parts = ["| name | what | unit | shown by |", "|---|---|---|---|", *rows, ""]
+    for name, picture in _pictures(LABELS).items():
+        label = LABELS[name]
+        parts += [f"### {label[0].upper()}{label[1:]} {{ #{name} }}", "", f"`{name}`", "", picture, ""]
+    return "\n".join(parts)
+
+
+def _pictures(names: Iterable[str]) -> dict[str, str]:
+    """{name: figure} of what each effect adds to the same simulated recording."""
+    from magyc_gtsam.simulation import simulate
+    from magyc_gtsam.simulation.environment import CHANNELS
+
+    def simulated(*effects: str) -> Any:
+        return simulate("wide", 120, seed=1, channels=CHANNELS, effects=effects).recording
+
+    plain = simulated()
+    return {name: _picture(name, plain, simulated(name)) for name in names}
+
+
+def _picture(name: str, plain: Any, spoilt: Any) -> str:
+    import matplotlib
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    field, rate = (getattr(spoilt, each) - getattr(plain, each) for each in ("magnetic_field", "angular_rate"))
+    on_rate = np.abs(rate).max() > 0
+    added, label = (rate * 1e3, "angular rate (mrad/s)") if on_rate else (field * 1e6, "field (µT)")
+    shown = plain.time < _SECONDS.get(name, 120)
+    # Ids that differ between pictures and stay the same from build to build.
+    with matplotlib.rc_context({"svg.hashsalt": name, "svg.fonttype": "none", "path.simplify_threshold": 0.5}):
+        figure = Figure(figsize=(7.2, 2.3), layout="constrained")
+        axes = figure.add_subplot()
+        for axis, colour, values in zip("xyz", _COLOURS, added[shown].T, strict=True):
+            axes.plot(plain.time[shown], values, color=colour, linewidth=1, label=axis)
+        axes.set(xlabel="Time (s)", ylabel=f"Added to the\n{label}", xlim=(0, plain.time[shown][-1]))
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False, fontsize=8, borderpad=0)
+        axes.spines[["top", "right"]].set_visible(False)
+        text = io.StringIO()
+        figure.savefig(text, format="svg", transparent=True, metadata=dict.fromkeys(_METADATA))
+    svg = text.getvalue()
+    svg = " ".join(svg[svg.index("<svg") :].split())
+    svg = svg.replace("#000000", "currentColor").replace("<text ", '<text fill="currentColor" ')
+    return f"<figure>{svg}</figure>"

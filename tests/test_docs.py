@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import LABELS, TERMS
 
 ROOT = Path(__file__).parents[1]
 
@@ -44,6 +44,10 @@ def test_the_site_builds_and_no_link_is_broken(tmp_path: Path) -> None:
     assert "--magnetic-field" in commands
     effects = (tmp_path / "site" / "reference" / "effects" / "index.html").read_text(encoding="utf-8")
     assert all(f"<code>{name}</code>" in effects for name in TERMS)
+    pictures = re.findall(
+        r'<h3 id="([\w-]+)">.*?</h3>\s*<p>.*?</p>\s*<figure[^>]*><svg.*?</svg>', effects, re.DOTALL
+    )
+    assert pictures == list(LABELS)
     assert "angular_rate_is" in (tmp_path / "site" / "reference" / "api" / "index.html").read_text(
         encoding="utf-8"
     )
