@@ -19,7 +19,7 @@ from magyc_gtsam.simulation.environment import CHANNELS
 
 
 def _driven(seed: int) -> mg.Recording:
-    return mg.simulate("wide", seed=seed, effects=["motor-current"], channels=CHANNELS).recording
+    return mg.simulate("wide", 300, seed=seed, effects=[("motor-current", 1.5)], channels=CHANNELS).recording
 
 
 def _current(recording: mg.Recording) -> str:
@@ -35,10 +35,10 @@ def _logged(recording: mg.Recording, where: np.ndarray) -> mg.Recording:
 @pytest.mark.parametrize("seed", [41, 42, 43])
 def test_a_current_that_was_logged_late_is_all_that_is_named(seed: int) -> None:
     recording = _driven(seed)
-    gap = mg.find_gap(_logged(recording, recording.time >= 150))
+    gap = mg.find_gap(_logged(recording, recording.time >= 75))
     assert gap.names == ("motor-current",)
     (left_out,) = gap.diagnostics["left_out"]
-    assert left_out.startswith("1500 rows from 0.0 to 149.9 s, in which")
+    assert left_out.startswith("750 rows from 0.0 to 74.9 s, in which")
 
 
 def test_sparse_values_are_a_channel() -> None:
@@ -61,7 +61,7 @@ def test_sparse_values_are_a_channel() -> None:
 def test_a_hole_is_in_no_factor() -> None:
     """A value that is determined by the rows in which the current was logged alone."""
     recording = _driven(47)
-    late = _logged(recording, recording.time >= 150)
+    late = _logged(recording, recording.time >= 75)
     gap = mg.find_gap(late, candidates=["motor-current"])
     (term,) = gap.calibration.terms
     whole, part = (_information(each, gap.calibration, term) for each in (recording, late))
@@ -88,10 +88,10 @@ def _information(recording: mg.Recording, calibration: mg.Calibration, term: Ter
 
 def test_a_channel_that_is_hardly_there_is_not_tested() -> None:
     recording = _driven(45)
-    gap = mg.find_gap(_logged(recording, recording.time < 200), candidates=["motor-current", "hard-iron-step"])
+    gap = mg.find_gap(_logged(recording, recording.time < 100), candidates=["motor-current", "hard-iron-step"])
     assert [each.name for each in gap.untested] == ["motor-current"]
     assert "was logged in 33% of the rows only" in gap.diagnostics["left_out"][0]
-    assert gap.base.diagnostics["windows"] >= 600
+    assert gap.base.diagnostics["windows"] >= 300
 
 
 def test_each_circuit_is_spoken_of_by_its_name() -> None:

@@ -78,7 +78,7 @@ def chosen(motion: str, part: slice) -> list[Scenario]:
         *(one("single", 2.0, name) for name in visible),
         *(one("foreign", 2.0, name) for name in FOREIGN[part]),
         *(one("pair", 2.0, *names) for names in pairs),
-        *(one("withheld", 1.5, name, without=channels) for name, channels in WITHHELD.items()),
+        *(one("withheld", 1.5, name, without=c) for name, c in WITHHELD.items() if motion != "multi"),
     ]
 
 
@@ -105,7 +105,7 @@ def test_a_catalogue_on_a_motion(motion: str, part: slice) -> None:
     assert count["foreign"][UNKNOWN] >= len(cases["foreign"]) - 1, said
     assert count["pair"][RIGHT] + count["pair"][IN_SET] + count["pair"][PARTIAL] >= PAIRS - 1, said
     assert count["pair"][WRONG] == 0, said
-    assert count["withheld"][WRONG] <= 1, said
+    assert count.get("withheld", Counter())[WRONG] <= 1, said
 
     for case in every:
         gap = case.gap
