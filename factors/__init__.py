@@ -49,7 +49,7 @@ _PUBLIC = {
     "keyframe_field_factor": "keyframe_factor",
     "magnetometer_factor": "pose",
     "mounting_prior": "priors",
-    "native_factor": "native",
+    "native_factor": "delivered",
     "norm_prior": "soft_iron",
     "preintegrate": "field_link",
     "robust_noise": "robust",

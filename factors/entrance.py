@@ -1,0 +1,218 @@
+"""When blocks enter a graph: at once, or when its heading is settled; until then they and their variables wait."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, Verdict, heading_sigma
+from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.keyframe_factor import BlockDetails
+from magyc_gtsam.factors.solver import View
+from magyc_gtsam.factors.variables import Array
+
+_VAGUE = np.diag(
+    np.r_[np.full(6, 1 / 0.5**2), np.full(3, 1.0)]
+)  # of soft and hard iron, the latter times the field
+_NO_IRON = np.r_[1.0, 0, 0, 1, 0, 1, 0, 0, 0]
+
+Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
+
+
+@dataclass(eq=False)
+class Admission:
+    """What an update does with blocks.
+
+    Attributes:
+        entering: factors that enter now.
+        leaving: factors that leave the graph and wait.
+        remove: slots of factors that leave the graph for good, beside those of `leaving`.
+        turned: whether the graph turns or has turned, so that what was judged before says nothing.
+    """
+
+    entering: list[Delivered]
+    leaving: list[Delivered] = field(default_factory=list)
+    remove: list[int] = field(default_factory=list)
+    turned: bool = False
+
+
+class Entrance:
+    """Keeps blocks waiting while the coarse alignment contradicts the heading, and turns the graph by a prior.
+
+    Args:
+        limits: of the coarse alignment; None lets every block enter at once.
+
+    Attributes:
+        waiting: factors that wait.
+        entered: whether blocks have entered.
+        pull: the prior that turns the graph while they wait; `pull_slot` is its slot in the solver.
+    """
+
+    def __init__(self, limits: AlignmentLimits | None) -> None:
+        self._alignment = None if limits is None else CoarseAlignment(limits)
+        self.waiting: list[Delivered] = []
+        self.entered = limits is None
+        self.pull: gtsam.NonlinearFactor | None = None
+        self.pull_slot = -1
+        self._values = gtsam.Values()
+        self._prior: tuple[Array, Array] | None = None
+
+    def admit(
+        self, view: View, fresh: list[Delivered], delivered: list[Delivered], pushed: gtsam.NonlinearFactorGraph
+    ) -> Admission:
+        """What enters and leaves in an update with `fresh` factors; a prior that turns the graph goes into `pushed`."""
+        alignment = self._alignment
+        blocks = [each for each in fresh if each.is_block]
+        if alignment is None or not blocks:
+            return self._let(fresh, blocks)
+        for each in blocks:
+            assert each.details is not None
+            alignment.add(each.details)
+        last = blocks[-1].details
+        assert last is not None
+        if self._prior is None:
+            self._prior = _calibration_before(view, pushed, last)
+        if alignment.full and self.entered:
+            self._alignment = None
+            return Admission(fresh)
+        point = view.values(alignment.needed)
+        verdict = alignment.judge(point, *self._prior) if alignment.due else Verdict.UNDECIDED
+        if verdict is Verdict.NEAR:
+            admission = Admission(self.waiting + fresh, turned=not self.entered)
+            self._alignment, self.entered, self.waiting = None, True, []
+            if self.pull is not None:
+                admission.remove.append(self.pull_slot)
+                self.pull = None
+            return admission
+        if verdict is Verdict.FAR:
+            leaving = [each for each in delivered if each.details is not None]
+            self.waiting += leaving + blocks
+            self.entered = False
+            admission = Admission([each for each in fresh if each not in blocks], leaving, turned=True)
+            if self.pull is not None:
+                admission.remove.append(self.pull_slot)
+            self.pull, self.pull_slot = alignment.pull(point, last.attitude_key), -1
+            pushed.push_back(self.pull)
+            return admission
+        if not self.entered and self.pull is None and self._sure(view, point, last.attitude_key):
+            self.entered = True
+            entering, self.waiting = self.waiting + fresh, []
+            return Admission(entering)
+        return self._let(fresh, blocks)
+
+    def _let(self, fresh: list[Delivered], blocks: list[Delivered]) -> Admission:
+        """As before: in where blocks have entered, else they wait."""
+        if self.entered:
+            return Admission(fresh)
+        self.waiting += blocks
+        return Admission([each for each in fresh if each not in blocks])
+
+    def start(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        fresh: list[Delivered],
+        optimize: Optimize,
+    ) -> gtsam.Values:
+        """The start of a batch in which all enter: its values, turned where the blocks contradict their heading."""
+        self.entered, alignment = True, self._alignment
+        if alignment is None:
+            return values
+        for each in fresh:
+            if each.is_block:
+                assert each.details is not None
+                alignment.add(each.details)
+        if not len(alignment):
+            return values
+        prior = _calibration_before(View(values), graph, alignment.last)
+        for _ in range(alignment.limits.persistence):
+            verdict = alignment.judge(values, *prior)
+        return self._turned(graph, values, fresh[-1], optimize) if verdict is Verdict.FAR else values
+
+    def _sure(self, view: View, point: gtsam.Values, key: int) -> bool:
+        """Whether the graph itself is sure of its heading, at the last pose that the solver holds."""
+        assert self._alignment is not None
+        held = [each for each in self._alignment.attitudes if not view.new.exists(each) and view.exists(each)]
+        if not held:
+            return False
+        covariance = view.covariance(held[-1:])
+        if covariance is None:
+            return False
+        return heading_sigma(point, held[-1], covariance) < self._alignment.limits.confident
+
+    def _turned(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        last: Delivered,
+        optimize: Optimize,
+    ) -> gtsam.Values:
+        """The values of a batch after its other factors and a prior on the heading."""
+        assert self._alignment is not None
+        assert last.details is not None
+        turning = gtsam.NonlinearFactorGraph()
+        turning.push_back(graph)
+        turning.push_back(self._alignment.pull(values, last.details.attitude_key))
+        loose = gtsam.noiseModel.Isotropic.Sigma
+        for key in {last.details.soft_iron_key, last.details.hard_iron_key} - set(turning.keyVector()):
+            turning.addPriorVector(key, values.atVector(key), loose(values.atVector(key).size, 1.0))
+        known = set(turning.keyVector())
+        start = gtsam.Values(values)
+        for key in list(values.keys()):
+            if key not in known:
+                start.erase(key)
+        found = optimize(turning, start)
+        result = gtsam.Values(values)
+        result.update(found)
+        return result
+
+    def covered(self, new: gtsam.Values, pushed: gtsam.NonlinearFactorGraph) -> gtsam.Values:
+        """The new values that a factor of this update stands on; others are kept until theirs enters."""
+        if not self.waiting and self._values.empty():
+            return new
+        self._values.insert(new)
+        used, result = set(pushed.keyVector()), gtsam.Values()
+        result.insert(self._values)
+        for key in list(self._values.keys()):
+            (self._values if key in used else result).erase(key)
+        return result
+
+    def forget(self, view: View) -> None:
+        """Drop what stands on keys that have left a fixed-lag smoother."""
+        self.waiting = [each for each in self.waiting if all(map(view.exists, each.factor.keys()))]
+        if self._alignment is not None:
+            self._alignment.drop([key for key in self._alignment.needed if not view.exists(key)])
+
+
+def _calibration_before(
+    view: View, graph: gtsam.NonlinearFactorGraph, details: BlockDetails
+) -> tuple[Array, Array]:
+    """Mean (9,) and information (9, 9) of soft and hard iron before any block: of the solver, or of new priors."""
+    keys = [details.soft_iron_key, details.hard_iron_key]
+    strength = 50e-6 if details.field is None else float(np.linalg.norm(details.field))
+    unit = np.r_[np.ones(6), np.full(3, details.field_unit / strength)]
+    information = 1e-3 * _VAGUE * unit * unit[:, None]
+    right = information @ _NO_IRON
+    point = view.values(keys)
+    start = np.r_[point.atVector(keys[0]), point.atPoint3(keys[1])]
+    if not any(map(view.new.exists, keys)):
+        covariance = view.covariance(keys)
+        if covariance is not None:
+            known = np.linalg.inv(covariance)
+            return np.linalg.solve(information + known, right + known @ start), information + known
+    priors = gtsam.NonlinearFactorGraph()
+    for i in range(graph.size()):
+        if set(graph.at(i).keys()) <= set(keys):
+            priors.push_back(graph.at(i))
+    if priors.size() and set(priors.keyVector()) == set(keys):
+        ordering = gtsam.Ordering()
+        for key in keys:
+            ordering.push_back(key)
+        known, gradient = priors.linearize(point).hessian(ordering)
+        information, right = information + known, right + gradient + known @ start
+    else:
+        information, right = 1e3 * information, 1e3 * right
+    return np.linalg.solve(information, right), information

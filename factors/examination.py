@@ -1,0 +1,129 @@
+"""Blocks that have entered a graph, examined against the rest of it, and the variables that priors hold."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.factors.alignment import rotation_of
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.health import BlockFit, HealthLimits, Monitor, block_fit
+from magyc_gtsam.factors.keyframe_factor import BlockDetails
+from magyc_gtsam.factors.solver import View
+from magyc_gtsam.factors.variables import Array
+
+_EVERY = 4  # blocks between two looks at what priors hold
+
+
+class Examiner:
+    """Tells a monitor how each block fits.
+
+    Attributes:
+        monitor: turns the fits into a word.
+        judged: number of blocks judged since the start or the last restart.
+        quiet: number of coming blocks that are not judged.
+    """
+
+    def __init__(self, limits: HealthLimits) -> None:
+        self.monitor = Monitor(limits)
+        self.judged = self.quiet = 0
+        self._blocks = 0
+        self._held: dict[int, gtsam.NonlinearFactor] = {}
+
+    def restart(self) -> None:
+        """Forget all fits, as the graph has turned."""
+        self.monitor, self.judged = Monitor(self.monitor.limits), 0
+
+    def note_priors(self, graph: gtsam.NonlinearFactorGraph) -> None:
+        """Remember the priors that may hold a mounting or a delay."""
+        for i in range(graph.size()):
+            factor = graph.at(i)
+            if isinstance(factor, gtsam.PriorFactorRot3 | gtsam.PriorFactorDouble):
+                self._held[factor.keys()[0]] = factor
+
+    def judge(self, entered: list[Delivered], view: View) -> None:
+        """Examine the factors that have entered, unless it is quiet."""
+        for each in [] if self.quiet else entered:
+            self.judged += 1
+            self._examine(each, view)
+        self.quiet = max(self.quiet - len(entered), 0)
+
+    def spans_over(self) -> list[tuple[float, float]]:
+        """(first, last) s of disturbances that are over, each told once."""
+        spans, self.monitor.over = self.monitor.over, []
+        return spans
+
+    def _examine(self, each: Delivered, view: View) -> None:
+        """The NIS of a block that has entered, and at times what priors hold."""
+        details = each.details
+        keys = list(each.factor.keys())
+        if details is None or not all(map(view.exists, keys)):
+            return
+        covariance = view.covariance(keys)
+        if covariance is None:
+            return
+        point = view.values(keys)
+        augmented = each.native.linearize(point).augmentedInformation()
+        zero = point.zeroVectors()
+        sizes = [zero.at(key).size for key in keys]
+        start = sum(sizes[: keys.index(details.hard_iron_key)])
+        unit = details.field_unit
+        nis, freedom, scatter, offset, spread = block_fit(
+            augmented[:-1, :-1],
+            augmented[:-1, -1],
+            float(augmented[-1, -1]),
+            covariance,
+            3 * details.block.samples,
+            slice(start, start + 3),
+        )
+        self.monitor.add(
+            BlockFit(
+                details.block.time,
+                nis,
+                freedom,
+                scatter,
+                offset * unit,
+                float(np.sqrt(max(np.trace(spread), 0.0))) * unit,
+                unvech(point.atVector(details.soft_iron_key)),
+                point.atPoint3(details.hard_iron_key) * unit,
+                (details.block.design[:, :, :3] @ _body_field(details, point)).mean(axis=0),
+                details.block.field.mean(axis=0),
+            )
+        )
+        self._blocks += 1
+        if self._blocks % _EVERY == 0:
+            for key in set(keys) & set(self._held):
+                self._examine_held(view, key, details.block.time)
+
+    def _examine_held(self, view: View, key: int, time: float) -> None:
+        """Whether the data have moved a mounting or a delay from its prior by more than both allow."""
+        covariance, prior = view.covariance([key]), self._held[key]
+        if covariance is None:
+            return
+        linear = gtsam.JacobianFactor(gtsam.HessianFactor(prior.linearize(view.values([key]))))
+        augmented = linear.augmentedInformation()
+        before = np.linalg.inv(augmented[:-1, :-1])
+        moved = before @ augmented[:-1, -1]
+        weight, axes = np.linalg.eigh(before - covariance)
+        seen = weight > 0.1 * np.diag(before).max()  # where the data know better than the prior
+        distance = float(np.sum((axes.T[seen] @ moved) ** 2 / weight[seen]))
+        if len(moved) == 3:
+            text = f"mounting {np.degrees(np.linalg.norm(moved)):.1f}° from its prior"
+        else:
+            text = f"delay {abs(float(moved[0])) * 1e3:.1f} ms from its prior"
+        self.monitor.hold(gtsam.DefaultKeyFormatter(key), distance, int(seen.sum()), text, time)
+
+
+def _body_field(details: BlockDetails, point: gtsam.Values) -> Array:
+    """(3,) T, the world's field in the body frame at a block's keyframe."""
+    if details.on_direction:
+        assert details.field is not None
+        result: Array = point.atUnit3(details.attitude_key).point3() * details.field
+        return result
+    if details.field is None:
+        assert details.field_key is not None
+        field = point.atPoint3(details.field_key) * details.field_unit
+    else:
+        field = details.field
+    return rotation_of(point, details.attitude_key).T @ field
