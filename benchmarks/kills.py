@@ -170,7 +170,10 @@ def series(name: str, number: signal.Signals, count: int, log: Path, whole: set[
                 found.append("a worker process goes on")
             codes[code if code is not None else 999] += 1
             said = (place / "said").read_text("utf-8", errors="replace")
-            stopped_early = code == -number  # before the command's first line, as where Python is still starting
+            # Before the command's first line, as where Python is still importing what its own start needs.
+            stopped_early = code == -number or (
+                fresh and said.endswith("KeyboardInterrupt\n") and "main" not in said
+            )
             if not kill and not stopped_early and (code not in CODES or "Traceback" in said):
                 found.append(f"exit code {code}: {said[-300:]}")
             found += violations(place, whole, leftovers=not kill or k == count)

@@ -11,7 +11,14 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.given_data import origin_of, seconds
-from magyc_gtsam.validation import Array, check_ascending, frozen, unit_quaternions, without_no_values
+from magyc_gtsam.validation import (
+    Array,
+    check_ascending,
+    frozen,
+    given_away,
+    unit_quaternions,
+    without_no_values,
+)
 
 Stream = tuple[ArrayLike, ArrayLike]
 
@@ -40,17 +47,24 @@ def unite(
             f"the sensors' clocks do not overlap ({spans}); "
             "shift one of them, or read a log by its recording times (stamps='log')"
         )
-    inside = [t[(t >= first) & (t <= last)] for t, _ in clean.values()]
-    time = np.unique(np.concatenate(inside))
-    cut = sum(len(t) for t, _ in clean.values()) - sum(len(t) for t in inside)
     mag_time, mag = clean["magnetic_field"]
-    held = np.searchsorted(mag_time, time, side="right") - 1
-    mag_stamped = mag_time[held] == time
-    mag_fresh = mag_stamped.copy()
-    mag_fresh[np.flatnonzero(mag_fresh)[1:]] &= (np.diff(mag[held[mag_fresh]], axis=0) != 0).any(axis=1)
+    if all(np.array_equal(t, mag_time) for t, _ in clean.values()):  # nothing to bring together
+        time, cut, field = mag_time, 0, mag
+        mag_stamped = np.ones(len(time), dtype=bool)
+        mag_fresh = mag_stamped.copy()
+        mag_fresh[1:] = np.logical_or.reduce([c[1:] != c[:-1] for c in mag.T])
+    else:
+        inside = [t[(t >= first) & (t <= last)] for t, _ in clean.values()]
+        time = given_away(np.unique(np.concatenate(inside)))
+        cut = sum(len(t) for t, _ in clean.values()) - sum(len(t) for t in inside)
+        held = np.searchsorted(mag_time, time, side="right") - 1
+        mag_stamped = mag_time[held] == time
+        mag_fresh = mag_stamped.copy()
+        mag_fresh[np.flatnonzero(mag_fresh)[1:]] &= (np.diff(mag[held[mag_fresh]], axis=0) != 0).any(axis=1)
+        field = given_away(mag[held])
     result: dict[str, Any] = {
         "time": time,
-        "magnetic_field": mag[held],
+        "magnetic_field": field,
         "magnetic_field_fresh": mag_fresh,
         "magnetic_field_stamped": mag_stamped,
         "angular_rate_fresh": np.ones(len(time), dtype=bool),
@@ -67,11 +81,12 @@ def unite(
         result["channels"][k] = _interpolate(time, channel_time, channel, outside=np.nan)
     if "angular_rate" in clean:
         gyro_time, gyro = clean["angular_rate"]
-        if angular_rate_is == "interval-mean":
+        if angular_rate_is == "interval-mean" and time is not mag_time:
             rate = gyro[np.searchsorted(gyro_time, time)]  # the mean holds all the way up to its stamp
         else:
             rate = _interpolate(time, gyro_time, gyro)
-        result |= {"angular_rate": rate, "angular_rate_fresh": np.isin(time, gyro_time)}
+        fresh = np.ones(len(time), dtype=bool) if time is mag_time else np.isin(time, gyro_time)
+        result |= {"angular_rate": rate, "angular_rate_fresh": fresh}
     if acceleration is not None:
         result["acceleration"] = _interpolate(time, *_stream("acceleration", *acceleration, 3, origin))
     if attitude is not None:
@@ -94,9 +109,12 @@ def _stream(
 
 
 def _interpolate(at: Array, time: Array, value: Array, outside: float | None = None) -> Array:
-    columns = value.reshape(len(time), -1).T
-    result = np.stack([np.interp(at, time, c, left=outside, right=outside) for c in columns], axis=1)
-    return result[:, 0] if value.ndim == 1 else result
+    if np.array_equal(at, time):
+        return value
+    result = np.empty((len(at), *value.shape[1:]))
+    for to, column in zip(result.reshape(len(at), -1).T, value.reshape(len(time), -1).T, strict=True):
+        to[:] = np.interp(at, time, column, left=outside, right=outside)
+    return given_away(result)
 
 
 def _slerp(at: Array, time: Array, quaternion: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,9 +27,9 @@ _FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT"
 
 
 def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = False) -> Array:
-    """A read-only float64 copy of `value`, checked for shape and finiteness."""
+    """A read-only float64 copy of `value`, checked for shape and finiteness; itself where it was `given_away`."""
     try:
-        array = np.array(value, dtype=np.float64, order="C")
+        array = value if _given_away(value) else np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise MagycError(f"{name}: not an array of numbers ({error})") from None
     want = tuple(s for s in shape if s is not ...)
@@ -54,6 +54,24 @@ def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = Fals
     return array
 
 
+def given_away(array: Array) -> Array:
+    """The array made read-only, for `frozen` to take as it is; a copy where it is a part of another."""
+    if not (array.flags.owndata and array.flags.c_contiguous):
+        array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+def _given_away(value: ArrayLike) -> TypeGuard[Array]:
+    return (
+        type(value) is np.ndarray
+        and value.dtype == np.float64
+        and value.flags.owndata
+        and value.flags.c_contiguous
+        and not value.flags.writeable
+    )
+
+
 def check_ascending(time: Array) -> None:
     step = np.diff(time)
     if (step > 0).all():
@@ -70,7 +88,8 @@ def check_field_unit(magnetic_field: Array) -> None:
     norm = float(np.median(np.linalg.norm(magnetic_field, axis=1)))
     low, high = _FIELD_LIMITS
     if low <= norm <= high:
-        beyond = np.flatnonzero((np.abs(magnetic_field) > FIELD_RANGE).any(axis=1))
+        wide = np.abs(magnetic_field) > FIELD_RANGE
+        beyond = np.flatnonzero(wide.any(axis=1)) if wide.any() else ()
         if len(beyond):
             raise MagycError(
                 f"magnetic_field: {len(beyond)} of {len(magnetic_field)} rows are beyond {FIELD_RANGE:g} T, which no "

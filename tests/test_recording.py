@@ -359,3 +359,45 @@ def test_pickles():
     for name in ("time", "magnetic_field", "angular_rate", "magnetic_field_fresh"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
     assert (two.name, two.angular_rate_is, list(two.channels)) == ("dive", "interval-mean", ["rpm"])
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_what_a_log_holds_at_a_row_is_the_rows_to_the_last_bit(same: bool) -> None:
+    """Sensors that share their stamps are taken as they are; between others only what lies between is made."""
+    source = np.random.default_rng(4)
+    time = np.cumsum(source.uniform(0.01, 0.1, 300))
+    quaternion = Rotation.random(300, random_state=3).as_quat()
+    values = {k: source.normal(0, 1, (300, 3)) for k in ("rate", "acceleration")}
+    field_time = time if same else time + np.where(np.arange(300) % 3 == 0, 0.0, 1e-3)
+    read = Recording.from_streams(
+        (field_time, field(300)),
+        (time, values["rate"]),
+        acceleration=(time, values["acceleration"]),
+        attitude=(time, quaternion),
+        channels={"current": (time, values["rate"][:, 0])},
+    )
+    held = np.searchsorted(read.time, time)
+    inside = held < len(read.time)
+    inside[inside] = read.time[held[inside]] == time[inside]
+    assert inside.sum() > 290
+    rows = held[inside]
+    np.testing.assert_array_equal(read.angular_rate[rows], values["rate"][inside])
+    np.testing.assert_array_equal(read.acceleration[rows], values["acceleration"][inside])
+    np.testing.assert_array_equal(read.channels["current"][rows], values["rate"][inside, 0])
+    known = quaternion[inside] / np.linalg.norm(quaternion[inside], axis=1)[:, None]
+    np.testing.assert_allclose(read.attitude[rows], known, rtol=0, atol=5e-16)
+    unit = np.linalg.norm(quaternion[inside], axis=1) == 1.0
+    np.testing.assert_array_equal(read.attitude[rows][unit], quaternion[inside][unit])
+    if same:
+        assert len(read.time) == 300
+        np.testing.assert_array_equal(read.magnetic_field, field(300))
+
+
+def test_arrays_that_are_given_stay_the_callers() -> None:
+    """Read-only or not, a recording keeps a copy of its own."""
+    given = field(50)
+    made = Recording(np.arange(50) / 10, given)
+    given[:] = 0.0
+    assert (made.magnetic_field != 0).any()
+    with pytest.raises(ValueError, match="read-only"):
+        made.magnetic_field[0] = 0.0

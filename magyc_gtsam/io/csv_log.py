@@ -58,10 +58,11 @@ def read(path: Path, request: Request) -> Recording:
         value = np.column_stack([values[c.index] for c in group.columns])
         if sensor != "attitude":
             scale, said = _scale(sensor, group, request)
-            value = value * scale
+            value *= scale
             notes.extend(said)
         sensors[sensor] = _present(Stream(group.label, stamp, value))
     channels = {c.written: _present(Stream(c.written, stamp, values[c.index])) for c in extra}
+    del numbers, values  # the sensors' columns are copies
     if "angular_rate" not in sensors:
         notes.append("no gyroscope: no columns are named like one")
     recording = assemble(
@@ -171,6 +172,9 @@ def _scale(sensor: str, group: Columns, request: Request) -> tuple[float, tuple[
 
 def _present(stream: Stream) -> Stream:
     """Without the lines that leave all cells of the sensor empty: sensors of other rates share the table."""
-    empty = np.asarray(np.isnan(stream.value).reshape(len(stream.stamp), -1).all(axis=1))
+    absent = np.isnan(stream.value)
+    if not absent.any():
+        return stream
+    empty = np.asarray(absent.reshape(len(stream.stamp), -1).all(axis=1))
     # A sensor that is absent throughout is for the checks behind to refuse.
     return stream.rows(~empty) if empty.any() and not empty.all() else stream

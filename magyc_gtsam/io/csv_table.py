@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +23,8 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", None: "blanks"}
-_AT_ONCE = 1 << 22  # bytes
+_AT_ONCE = 1 << 20  # bytes
+_HEAD = 1 << 14  # bytes, for the lines that say what the others are
 _LONGEST = 1 << 20  # characters of a line of a table
 _LONGEST_BYTES = 1 << 25  # before it is known to be text
 _SHOWN = 80  # characters of a cell in a message
@@ -33,6 +35,7 @@ class Lines(NamedTuple):
 
     numbers: Sequence[int]
     text: list[str]
+    quoted: bool  # whether a cell may be in quotation marks
 
 
 # What makes stamps (ns) of the cells of the time column and the numbers of their lines.
@@ -86,7 +89,7 @@ class Table:
             if not lines.text:
                 continue
             if self.separator == ";" and any("," in line for line in lines.text):
-                lines = Lines(lines.numbers, [line.replace(",", ".") for line in lines.text])
+                lines = lines._replace(text=[line.replace(",", ".") for line in lines.text])
                 note = "commas in the numbers were read as decimal points"
                 notes += [note] if note not in notes else []
             numbers.add(self._numbers(lines, wanted))
@@ -105,23 +108,22 @@ class Table:
             lines, place = piece
             if lines.numbers and lines.numbers[0] <= self.header:
                 kept = [k for k, number in enumerate(lines.numbers) if number > self.header]
-                lines = Lines([lines.numbers[k] for k in kept], [lines.text[k] for k in kept])
+                lines = Lines([lines.numbers[k] for k in kept], [lines.text[k] for k in kept], lines.quoted)
             yield lines, following is None, place
             piece = following
 
     def _whole(self, lines: Lines, last: bool, before: int, notes: list[str]) -> Lines:
         """The lines, all of the same number of cells; without the last of the file where it is cut off."""
         if self.separator is None:
-            counts = [len(line.split()) for line in lines.text]
+            counts = list(map(len, map(str.split, lines.text)))
+        elif lines.quoted:
+            counts = [len(_split(line, self.separator)) for line in lines.text]
         else:
-            counts = [
-                line.count(self.separator) + 1 if '"' not in line else len(_split(line, self.separator))
-                for line in lines.text
-            ]
+            counts = [1 + n for n in map(str.count, lines.text, repeat(self.separator))]
         if last and counts and before + len(counts) > 1 and counts[-1] < self.width:
             notes.append(f"line {lines.numbers[-1]}, the last, is cut off and was left out")
             counts.pop()
-            lines = Lines(lines.numbers[:-1], lines.text[:-1])
+            lines = Lines(lines.numbers[:-1], lines.text[:-1], lines.quoted)
         if counts.count(self.width) != len(counts):
             row = next(k for k, n in enumerate(counts) if n != self.width)
             raise MagycError(
@@ -132,7 +134,7 @@ class Table:
 
     def _column(self, lines: Lines, column: int) -> list[str]:
         """The cells of one column."""
-        if self.separator is None or any('"' in line for line in lines.text):
+        if self.separator is None or lines.quoted:
             return [_split(line, self.separator)[column] for line in lines.text]
         return [line.split(self.separator, column + 1)[column] for line in lines.text]
 
@@ -204,19 +206,19 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
 
 def _text(data: bytes, path: Path, number: int) -> list[str]:
     lines = data.decode("utf-8", errors="replace").splitlines()
-    if any(len(line) > _LONGEST for line in lines):
+    if max(map(len, lines), default=0) > _LONGEST:
         raise MagycError(
             f"{path}: a line behind line {number} is longer than {_LONGEST} characters; not a text table"
         )
     return lines
 
 
-def _raw(path: Path) -> Iterator[tuple[bytes, int]]:
+def _raw(path: Path, at_once: int = _AT_ONCE) -> Iterator[tuple[bytes, int]]:
     """The file in pieces that end with a line, and how many bytes have been read."""
     rest = b""
     place = 0
     with open(path, "rb") as file:
-        while data := file.read(_AT_ONCE):
+        while data := file.read(at_once):
             if place == 0:
                 data = data.removeprefix(b"\xef\xbb\xbf")
             place = file.tell()
@@ -235,7 +237,7 @@ def _raw(path: Path) -> Iterator[tuple[bytes, int]]:
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """All lines with their numbers, from 1."""
     number = 0
-    for data, _ in _raw(path):
+    for data, _ in _raw(path, _HEAD):
         for line in _text(data, path, number):
             number += 1
             yield number, line
@@ -252,7 +254,7 @@ def _pieces(path: Path) -> Iterator[tuple[Lines, int]]:
             kept = [k for k, line in enumerate(text) if line.strip() and not line.lstrip().startswith("#")]
             text, numbers = [text[k] for k in kept], [numbers[k] for k in kept]
         if text:
-            yield Lines(numbers, text), place
+            yield Lines(numbers, text, b'"' in data), place
 
 
 def _separator(lines: Sequence[str]) -> str | None:

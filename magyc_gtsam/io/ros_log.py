@@ -104,16 +104,21 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
     elif (gyroscope := chosen["angular_rate"]) and gyroscope.unknown is not None:  # an Imu message, read as one
         chosen["acceleration"] = checked(topics, "acceleration", gyroscope.name)
     result, used = {}, set()
+    left = [source.name for source in chosen.values() if source is not None]
     for sensor, source in chosen.items():
         if source is None:
             continue
+        left.remove(source.name)
         stamp, numbers = source.topic.read()
         if unknown(source, numbers):
             if request.sensors.get(sensor):
                 raise MagycError(f"{source.name}: says that it has no {sensor} (covariance[0] is -1)")
             notes.append(f"{source.name}: says that it has no {sensor} (covariance[0] is -1)")
             continue
-        value = numbers[:, source.columns]
+        if source.name not in left:
+            source.topic.drain()  # no other sensor is read from it
+        value = np.take(numbers, source.columns, axis=1)
+        del numbers
         if sensor == "attitude":
             keep = np.abs(np.linalg.norm(value, axis=1) - 1) < 0.01
             if not keep.all():
@@ -124,7 +129,8 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
         else:
             scale, said = request.scale(sensor)
             notes.extend(said)
-            value = value * scale if said else value
+            if said:
+                value *= scale
         result[sensor] = Stream(source.name, stamp, value)
         used.add(source.name)
     return result, used

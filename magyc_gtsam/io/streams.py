@@ -14,7 +14,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.validation import FIELD_RANGE
+from magyc_gtsam.validation import FIELD_RANGE, given_away
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -97,7 +97,7 @@ def assemble(
     said.append(_epoch_note(zero))
 
     def relative(stream: Stream) -> tuple[Array, Array]:
-        return (stream.stamp - zero) / 1e9, stream.value
+        return given_away((stream.stamp - zero) / 1e9), given_away(stream.value)
 
     last = min(int(clean[k].stamp[-1]) for k in ("magnetic_field", "angular_rate") if k in clean)
     for channel in [k for k, s in usable.items() if s.stamp[-1] < zero or s.stamp[0] > last]:
@@ -160,8 +160,11 @@ def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
 
 def _measured(stream: Stream, in_tesla: bool, notes: list[str]) -> Stream:
     """Without what a driver writes where it has no field: zeros on all axes, and single values of no magnetometer."""
+    most = FIELD_RANGE if in_tesla else np.inf
+    if not (stream.value == 0).any() and np.abs(stream.value).max(initial=0.0) <= most:
+        return stream
     zero: NDArray[np.bool_] = (stream.value == 0).all(axis=1)
-    beyond: NDArray[np.bool_] = np.abs(stream.value).max(axis=1) > (FIELD_RANGE if in_tesla else np.inf)
+    beyond: NDArray[np.bool_] = np.abs(stream.value).max(axis=1) > most
     for wrong, what in ((zero, "are zero on all axes"), (beyond, f"are beyond {FIELD_RANGE:g} T")):
         if (
             wrong.any() and wrong.mean() < _MOST_WRONG
