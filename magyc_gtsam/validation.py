@@ -89,8 +89,8 @@ def check_field_unit(magnetic_field: Array) -> None:
     low, high = _FIELD_LIMITS
     if low <= norm <= high:
         wide = np.abs(magnetic_field) > FIELD_RANGE
-        beyond = np.flatnonzero(wide.any(axis=1)) if wide.any() else ()
-        if len(beyond):
+        if wide.any():
+            beyond = np.flatnonzero(wide.any(axis=1))
             raise MagycError(
                 f"magnetic_field: {len(beyond)} of {len(magnetic_field)} rows are beyond {FIELD_RANGE:g} T, which no "
                 f"magnetometer measures, the first is row {beyond[0]}; remove those rows"
