@@ -574,3 +574,32 @@ def test_parts_of_the_arguments(logs: Path) -> None:
     mirrored = Reading(logs / "dive.mcap", gyroscope_axes="-x,y,z").recording()
     assert mirrored.acceleration is None
     assert "acceleration left out" in mirrored.notes[-1]
+
+
+def test_completion_answers_the_shell(tmp_path: Path) -> None:
+    """What `--install-completion` writes asks the command, which answers with what may follow."""
+    home = {**os.environ, "HOME": str(tmp_path)}
+    asked = [COMMAND, "--install-completion", "bash"]
+    assert subprocess.run(asked, env=home, capture_output=True, check=True, timeout=120).returncode == 0
+    script = (tmp_path / ".bash_completions" / "magyc-gtsam.sh").read_text(encoding="utf-8")
+    assert "_MAGYC_GTSAM_COMPLETE=complete_bash" in script
+    for words, place, expected in (
+        ("magyc-gtsam ca", "1", ["calibrate"]),
+        ("magyc-gtsam export --per", "2", ["--per-motor"]),
+    ):
+        asking = {**home, "_MAGYC_GTSAM_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": place}
+        answer = subprocess.run([COMMAND], env=asking, capture_output=True, text=True, check=True, timeout=120)
+        assert answer.stdout.split() == expected
+
+
+def test_verbose_is_short_and_open_opens(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    out = tmp_path / "out"
+    assert cli.main(["calibrate", str(logs / "dive.mcap"), "-o", str(out), "--verbose", "--open"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert any('"diagnostics"' in line for line in lines)
+    assert len(lines) < 200
+    assert opened == [(out / "report.html").resolve().as_uri()]

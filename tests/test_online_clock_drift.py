@@ -145,6 +145,7 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert main(run) == 1
     out, err = capsys.readouterr()
     assert "must not be trusted: the magnetometer's clock gains 0.099" in err
+    assert "(--option clock_drift=" in err
     final = json.loads(out.splitlines()[-1])
     assert not final["converged"]
     assert main([*run, "--option", final["sentence"].split("(--option ")[1].split(")")[0]]) == 0

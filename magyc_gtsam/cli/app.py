@@ -61,6 +61,9 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_COMPLETION = "_MAGYC_GTSAM_COMPLETE"  # set by the shell that asks what may follow
+
+
 @app.callback()
 def _options(
     version: Annotated[
@@ -88,6 +91,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal without µ shows a question mark
     group = typer.main.get_command(app)
+    if _COMPLETION in os.environ:
+        group.main([], "magyc-gtsam")  # answers the shell, and exits
     try:
         with group.make_context("magyc-gtsam", given, obj=given) as context:
             code = int(group.invoke(context) or 0)

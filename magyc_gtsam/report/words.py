@@ -191,5 +191,9 @@ def _short(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _short(item) for key, item in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):
-        return f"{len(value)} values" if len(value) > _LONG else [_short(item) for item in value]
+        if len(value) > _LONG:
+            return f"{len(value)} values"
+        rows = [_short(item) for item in value]
+        inner = sum(len(row) for row in rows if isinstance(row, list))
+        return f"{len(rows)} rows, {inner} values" if inner > _LONG else rows
     return value

@@ -56,16 +56,14 @@ class Drift(NamedTuple):
         """What it is, and the remedy."""
         first, last = (f"{1e3 * d:.0f}" for d in self.delay)
         digits = int(np.clip(-np.floor(np.log10(100 * self.sigma)), 2, 6))
-        what = (
-            f"the magnetometer's clock {'gains' if self.rate > 0 else 'loses'} {100 * abs(self.rate):.{digits}f} % on "
-            f"the gyroscope's: its delay goes from {first} to {last} ms"
-        )
+        what = f"clock {'gains' if self.rate > 0 else 'loses'} {100 * abs(self.rate):.{digits}f} %"
+        what = f"the magnetometer's {what} on the gyroscope's"
+        delay = f"its delay goes from {first} to {last} ms"
         if not self.harms:
-            return f"{what}, which moves no parameter by more than {_HARMS:g} sigma"
-        return (
-            f"{what}, which moves a parameter by {self.moved:.2g} sigma; correct the stamps, or have them corrected "
-            f"(--option clock_drift={self.rate + self.known - self.rate * self.known:.4g})"
-        )
+            return f"{what}: {delay}, which moves no parameter by more than {_HARMS:g} sigma"
+        taken_out = self.rate + self.known - self.rate * self.known
+        remedy = f"correct the stamps, or have them corrected (--option clock_drift={taken_out:.4g})"
+        return f"{what}: {remedy}; {delay}, which moves a parameter by {self.moved:.2g} sigma"
 
 
 def with_drift(calibration: Calibration, drift: Drift | None) -> Calibration:
