@@ -25,7 +25,7 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.given_data import columns_of
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.stored import dump_yaml, load_mapping
+from magyc_gtsam.stored import dump_yaml, load_mapping, replace_text
 
 _PLAUSIBLE = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with the scale unknown by 2.5 either way
 _FORMAT = "magyc-gtsam calibration 1"
@@ -306,14 +306,7 @@ class Calibration:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML (.yaml, .yml) or JSON (.json), bit for bit, replacing the file in one step."""
         path = Path(path)
-        text = _dump(path.suffix, self.to_dict())
-        part = path.with_name(path.name + ".part")
-        try:
-            part.write_text(text, encoding="utf-8")
-            os.replace(part, path)
-        except OSError:
-            part.unlink(missing_ok=True)
-            raise
+        replace_text(path, _dump(path.suffix, self.to_dict()))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Calibration:

@@ -75,6 +75,17 @@ def parse_json(text: str) -> Any:
         raise MagycError(f"not readable as .json ({shortened(error)})") from None
 
 
+def replace_text(path: Path, text: str) -> None:
+    """Write a file, or put it in the place of another, in one step."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError:
+        part.unlink(missing_ok=True)
+        raise
+
+
 class _Loader(yaml.SafeLoader):
     """YAML without aliases, with each key once, and not nested without end."""
 

@@ -22,6 +22,7 @@ from magyc_gtsam.history.log_factor import MICROTESLA, LogFactor, compress, date
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.stored import replace_text
 
 _FORMAT = "magyc-gtsam history 1"
 Progress = Callable[[float], None]
@@ -165,17 +166,10 @@ class History:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML, bit for bit, replacing the file in one step."""
-        path = Path(path)
-        part = path.with_name(path.name + ".part")
         text = yaml.safe_dump(
             self.to_dict(), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
         )
-        try:
-            part.write_text(text, encoding="utf-8")
-            os.replace(part, path)
-        except OSError:
-            part.unlink(missing_ok=True)
-            raise
+        replace_text(Path(path), text)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> History:

@@ -11,8 +11,9 @@ import numpy as np
 from magyc_gtsam.estimators.autocal.accelerometer import AccelerometerCalibration, accelerometer_samples
 from magyc_gtsam.recording import Array, Mask, Recording
 from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
-from magyc_gtsam.report.html import rendered, write_page
+from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.words import Number, uncertain
+from magyc_gtsam.stored import replace_text
 
 
 def write_accelerometer_report(
@@ -37,7 +38,7 @@ def write_accelerometer_report(
             indent=2,
         ),
     )
-    write_page(path, text)
+    replace_text(path, text)
     return path
 
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -42,13 +40,6 @@ def rendered(template: str, recording: Recording | None = None, **values: Any) -
 def with_minus(text: str) -> str:
     """With a minus sign where a hyphen stands before a number."""
     return _HYPHEN.sub("−", text)
-
-
-def write_page(path: Path, text: str) -> None:
-    """Write a page, in one step."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, encoding="utf-8")
-    os.replace(part, path)
 
 
 def _text(name: str) -> str:

@@ -26,7 +26,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.kernels import kernel as kernel_of
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array, Mask, Recording, Samples
-from magyc_gtsam.stored import dump_yaml, load_mapping, numbers
+from magyc_gtsam.stored import dump_yaml, load_mapping, numbers, replace_text
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 _FORMAT = "magyc-gtsam accelerometer calibration 1"
@@ -95,11 +95,7 @@ class AccelerometerCalibration:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML, bit for bit, replacing the file in one step."""
-        path = Path(path)
-        part = path.with_name(path.name + ".part")
-        text = dump_yaml(self.to_dict())
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
+        replace_text(Path(path), dump_yaml(self.to_dict()))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> AccelerometerCalibration:
