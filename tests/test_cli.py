@@ -532,7 +532,7 @@ def test_help_waits_for_nothing() -> None:
 def test_a_bug_is_one_line_too(
     logs: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **options: object) -> None:
         raise ZeroDivisionError("by\nzero")
 
     monkeypatch.setattr("magyc_gtsam.io.info", broken)
