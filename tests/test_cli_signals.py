@@ -162,3 +162,27 @@ def test_a_part_of_a_table_is_removed_where_its_writing_fails(tmp_path: Path) ->
     with pytest.raises(KeyboardInterrupt):
         write()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_request_to_end_that_comes_while_something_is_destroyed_is_not_lost(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Python drops the exceptions of destructors; the command went on to its end."""
+    from magyc_gtsam.cli import app, main
+
+    class Destroyed:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGTERM)
+            sum(range(1000))
+
+    def run(arguments: object) -> int:
+        del arguments
+        Destroyed()
+        until = time.monotonic() + 20
+        while time.monotonic() < until:
+            time.sleep(0.01)
+        return 0
+
+    monkeypatch.setattr(app, "run", run)
+    assert main(["info"]) == 143
+    assert "Traceback" not in capsys.readouterr().err

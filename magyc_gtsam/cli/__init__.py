@@ -7,8 +7,10 @@ that `--help` waits for nothing.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import threading
 from collections.abc import Sequence
 from types import FrameType
 
@@ -20,7 +22,8 @@ class Stopped(KeyboardInterrupt):
 
     def __init__(self, number: int = signal.SIGINT) -> None:
         super().__init__()
-        self.code = _CODES[signal.Signals(number)]
+        self.number = signal.Signals(number)
+        self.code = _CODES[self.number]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,6 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code. MAGYC_DEBUG=1 in the environment lets the traceback of a failure through.
     """
     before = {number: signal.getsignal(number) for number in _CODES}
+    hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     try:
         _obey()
         from magyc_gtsam.cli.app import run  # within reach of the signals: it takes some tenths of a second
@@ -45,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return interrupted(stop)
     finally:
+        sys.unraisablehook = hook
         for number, handler in before.items():
             if getattr(signal.getsignal(number), "__name__", "") == _stop.__name__:
                 signal.signal(number, handler)
@@ -52,6 +57,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     raise Stopped(number)
+
+
+def _unraisable(lost: sys.UnraisableHookArgs) -> None:
+    """A request to end that was met where Python drops exceptions, as in a destructor, is made once more."""
+    if isinstance(lost.exc_value, Stopped):
+        threading.Timer(0.01, os.kill, (os.getpid(), lost.exc_value.number)).start()
+    else:
+        sys.__unraisablehook__(lost)
 
 
 def interrupted(stop: KeyboardInterrupt) -> int:
