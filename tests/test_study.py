@@ -54,12 +54,21 @@ def test_table_one_of_the_paper():
         assert rows["smoother", motion].systematic[2] < 0.3 < rows["magyc-bfg", motion].systematic[2]
 
 
-def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not():
-    from magyc_gtsam.study.known import fact_cells, skew_cells
+def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not(tmp_path):
+    from magyc_gtsam.study.known import Unit, fact_cells, known_rows, matrix_cell, skew_cells
 
-    cells = skew_cells("wide", 0.7, 3)
+    pytest.importorskip("pyarrow")
+    units = [Unit("skew", "wide", 0.7, seed) for seed in range(3)]
+    units += [Unit("fact", "level", 300.0, seed) for seed in range(2)]
+    units += [Unit("matrix", "wide", 1.0, 0)]
+    rows = known_rows(units, tmp_path)
+    assert known_rows(units, tmp_path) == rows  # taken from the parts
+    cells = skew_cells("wide", 0.7, rows)
     assert cells["asked"].decided == 1.0
     assert cells["never"].heading > 4 * cells["asked"].heading
     assert cells["never"].hard_iron > 2 * cells["asked"].hard_iron
-    facts = fact_cells("level", 300.0, 2)
+    facts = fact_cells("level", 300.0, rows)
     assert facts["+ strength"].stated < 0.5 * facts["+ matrix"].stated < 0.5 * facts["alone"].stated
+    assert facts["+ dip"].stated <= facts["+ strength"].stated
+    assert facts["online + strength"].stated == pytest.approx(facts["+ strength"].stated, rel=0.05)
+    assert matrix_cell("wide", 1.0, rows).refused == 1.0

@@ -94,8 +94,12 @@ def run(
         units={"magnetic_field": parse_unit(magnetic_unit), "angular_rate": parse_unit(angular_unit)},
         stamps=stamps,
     )
-    options = {"field_strength": scale.tesla(), "angular_rate_is": angular_rate_is}
-    options |= {"prior_walk": None if prior_walk is None else prior_walk * 1e-6}
+    place = scale.place() if method in (None, _METHOD) else None
+    options: dict[str, Any] = {"field_strength": scale.tesla()} if place is None else {"field": list(place)}
+    options |= {
+        "angular_rate_is": angular_rate_is,
+        "prior_walk": None if prior_walk is None else prior_walk * 1e-6,
+    }
     options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
     options |= beforehand(misalignment, prior)
     online = _calibrator(state, method, options)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from enum import Enum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from magyc_gtsam.cli.terminal import show, show_table, stages
+
+if TYPE_CHECKING:
+    from magyc_gtsam.study.known import FactCell
 
 
 class Study(str, Enum):
@@ -69,14 +72,15 @@ def run(
     by: Annotated[
         list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="faults: processes.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="faults, known: processes.")] = 2,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="DIR",
-            help="gap, faults: an interrupted study goes on there; default results/blindtest or results/faults.",
+            help="gap, faults, known: an interrupted study goes on there; default results/blindtest, results/faults or "
+            "results/known.",
         ),
     ] = None,
 ) -> int:
@@ -85,7 +89,7 @@ def run(
     if study is Study.EFFICIENCY:
         _efficiency(runs, disturbed, noise)
     elif study is Study.KNOWN:
-        _known(runs)
+        _known(output or Path("results/known"), runs, workers)
     elif study is Study.SETTLING:
         _settling(runs, noise)
     elif study is Study.REVIEW:
@@ -137,32 +141,40 @@ def _efficiency(runs: int, disturbed: float, gyroscope_noise: float) -> None:
     show_table(["RMSE / bound", *BLOCKS, "hard iron nT", "NEES", "95 % band", "refused"], rows)
 
 
-def _known(runs: int) -> None:
-    from magyc_gtsam.study.known import LIMITED, MOTIONS, SKEWS, WAYS, band, fact_cells, skew_cells
+def _known(folder: Path, runs: int, workers: int) -> None:
+    from magyc_gtsam.study import known
 
-    rows = []
     with stages() as stage:
-        for motion in MOTIONS:
-            for skew in SKEWS:
-                cells = skew_cells(motion, skew, runs, stage(f"{motion}, {skew:g}° askew, {runs} runs"))
-                row = [motion, f"{skew:g}"]
-                row += [f"{cells[way].heading:.3f}" for way in WAYS] + [f"{cells[way].nees:.1f}" for way in WAYS]
-                rows.append([*row, f"{cells['asked'].decided:.0%}"])
-    low, high = band(runs)
-    show_table(
-        ["motion", "skew °", *(f"heading °, {way}" for way in WAYS), *(f"NEES, {way}" for way in WAYS), "decided"],
-        rows,
-    )
-    show(f"NEES of 11, 95 % band {low:.1f} to {high:.1f}", "")
-    rows = []
-    with stages() as stage:
-        for motion, duration in LIMITED:
-            for way, cell in fact_cells(motion, duration, runs, stage(f"{motion}, {runs} runs")).items():
-                stated, left = f"{cell.stated * 1e6:.3f}", f"{cell.error * 1e6:.3f}"
-                rows.append(
-                    [f"{motion} {duration:g} s", way, left, stated, f"{cell.ratio:.2f}", f"{cell.refused:.0%}"]
-                )
-    show_table(["motion", "known", "hard iron error µT", "stated µT", "error²/σ²", "refused"], rows)
+        rows = known.known_rows(known.units(runs), folder, workers, stage(f"{runs} runs a cell"))
+    table = []
+    for motion in known.MOTIONS:
+        for skew in known.SKEWS:
+            cells = known.skew_cells(motion, skew, rows)
+            better = min(cells["never"].heading, cells["always"].heading)
+            row = [motion, f"{skew:g}"]
+            row += [f"{cells[way].heading:.3f}" for way in known.WAYS] + [f"{cells['asked'].heading / better:.2f}"]
+            row += [f"{cells[way].nees:.1f}" for way in known.WAYS]
+            table.append([*row, f"{cells['asked'].decided:.0%}"])
+    headings = [f"heading °, {way}" for way in known.WAYS] + ["× better"]
+    show_table(["motion", "skew °", *headings, *(f"NEES, {way}" for way in known.WAYS), "decided"], table)
+    low, high = known.band(runs)
+    show(f"NEES of {known.FREEDOMS}, 95 % band {low:.1f} to {high:.1f}", "")
+    table = []
+    for motion, duration in known.LIMITED:
+        for way, cell in known.fact_cells(motion, duration, rows).items():
+            table.append([f"{motion} {duration:g} s", way, *_fact(cell)])
+    for motion in ("wide", "tiny", "level"):
+        for percent in known.PERCENTS:
+            table.append(
+                [motion, f"matrix off by {percent:g} %", *_fact(known.matrix_cell(motion, percent, rows))]
+            )
+    show_table(["motion", "known", "hard iron error µT", "stated µT", "error²/σ²", "refused"], table)
+    low, high = known.band(runs, 3)
+    show(f"error²/σ², 95 % band {low / 3:.2f} to {high / 3:.2f}; rows in {folder / 'known.parquet'}", "")
+
+
+def _fact(cell: FactCell) -> list[str]:
+    return [f"{cell.error * 1e6:.3f}", f"{cell.stated * 1e6:.3f}", f"{cell.ratio:.2f}", f"{cell.refused:.0%}"]
 
 
 def _table_one(runs: int, gyroscope_noise: float) -> None:

@@ -15,6 +15,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON
 from magyc_gtsam.recording import Array
 
+_OF_BATCH = ("noise", "robust", "delay", "window", "turn", "misalignment", "field")
+
 
 @dataclass(frozen=True)
 class OnlineOptions:
@@ -35,6 +37,7 @@ class OnlineOptions:
     prior: Calibration | Mapping[str, Any] | None
     prior_walk: float
     misalignment: float | Literal["auto"]
+    field: Any
 
     def __post_init__(self) -> None:
         _ = self.options
@@ -64,9 +67,7 @@ class OnlineOptions:
     @property
     def fit(self) -> dict[str, Any]:
         """The options of the batch method."""
-        return {
-            name: getattr(self, name) for name in ("noise", "robust", "delay", "window", "turn", "misalignment")
-        }
+        return {name: getattr(self, name) for name in _OF_BATCH}
 
     @property
     def known(self) -> dict[str, Any]:

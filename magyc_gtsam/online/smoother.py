@@ -51,6 +51,8 @@ class OnlineSmoother:
         prior: an earlier calibration of the same instrument, with covariance (or what its `to_dict` gives); it holds
             until a step in hard iron is found.
         prior_walk: T, by which each axis of the hard iron may have changed since.
+        field: (strength T, dip rad) at the place, as there; the dip says nothing here, where nothing says which way is
+            up.
         misalignment: as there; asked at every refit, and whenever something is read.
     """
 
@@ -72,6 +74,7 @@ class OnlineSmoother:
         prior: Calibration | Mapping[str, Any] | None = None,
         prior_walk: float = 0.0,
         misalignment: float | Literal["auto"] = "auto",
+        field: Any = None,
     ) -> None:
         self._online = SmootherState(
             OnlineOptions(
@@ -90,6 +93,7 @@ class OnlineSmoother:
                 prior=prior,
                 prior_walk=prior_walk,
                 misalignment=misalignment,
+                field=field,
             )
         )
         self._integrated = IntegratedWindows()

@@ -1,22 +1,27 @@
-"""What is gained by what is known: skews that the data decide, an earlier calibration, the strength of the field.
+"""What is gained by what is known: skews that the data decide, an earlier calibration, the place.
 
 Skews: chips that are 0 to 1.5° askew in a random direction, calibrated with the skew asked of the data, always, and
-never. Facts: vehicles that hardly tilt, with what the operator knows added step by step.
+never. Facts: vehicles that hardly tilt, with what the operator knows added step by step, batch and online. Matrices: an
+earlier calibration whose matrix is off by some percent, and whether that is noticed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.engine import Progress, Row, run_many, write_rows
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.online import OnlineCalibrator
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import Simulation, simulate
 from magyc_gtsam.simulation.sensor import SOFT_IRON
@@ -26,15 +31,17 @@ SKEWS = (0.0, 0.2, 0.7, 1.5)  # deg
 MOTIONS = ("wide", "moderate", "low", "tiny", "level")
 WAYS: Mapping[str, float | str] = {"asked": "auto", "never": 0, "always": np.radians(10.0)}
 LIMITED = (("tiny", 60.0), ("level", 600.0), ("ship", 600.0))
-_EARLIER = 990_001  # seed of the earlier calibration
+FACTS = ("alone", "+ matrix", "+ strength", "+ dip", "online + matrix", "online + strength")
+PERCENTS = (0.2, 0.5, 1.0)
+_EARLIER = 990_001  # seeds from here on are those of earlier calibrations, one a run
 _OFFSET, _ROUGH = 0.1, 0.3  # m/s², of an accelerometer's axis all the time, and from sample to sample
-_MOVED = 100e-6  # T, by which its hard iron may have changed
+_MOVED = 100e-6  # T, by which the hard iron may have changed since
 
 
 @dataclass(frozen=True)
 class SkewCell:
-    """Means over the runs of one motion, skew and way: root-mean-square heading error over a level turn (deg) and hard
-    iron error of an axis (T); NEES of `FREEDOMS`; shares of runs in which a skew was taken out, and not trusted."""
+    """Over the runs of one motion, skew and way: root-mean-square heading error over a level turn (deg) and hard iron
+    error of an axis (T); mean NEES of `FREEDOMS`; shares of runs in which a skew was taken out, and not trusted."""
 
     heading: float
     hard_iron: float
@@ -54,13 +61,30 @@ class FactCell:
     refused: float
 
 
+class Unit(NamedTuple):
+    """One recording of the study: kind "skew" (size in degrees), "fact" (duration in s) or "matrix" (percent)."""
+
+    kind: str
+    motion: str
+    size: float
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of its row."""
+        return f"{self.kind}-{self.motion}-{self.size:g}-{self.seed}"
+
+
 def skewed(motion: str, degrees: float, seed: int) -> Simulation:
     """A simulation of chips that are askew in a random direction; the truth has the symmetric soft iron."""
-    axis = np.random.default_rng(seed).normal(size=3)
-    turn = exponential_matrices((np.radians(degrees) * axis / np.linalg.norm(axis))[:, None])[:, :, 0]
-    simulation = simulate(motion, seed=seed, soft_iron=SOFT_IRON @ turn)
+    simulation = simulate(motion, seed=seed, soft_iron=SOFT_IRON @ _turn(degrees, seed))
     symmetric = SOFT_IRON / np.cbrt(np.linalg.det(SOFT_IRON))
     return replace(simulation, truth=replace(simulation.truth, soft_iron=symmetric))
+
+
+def _turn(degrees: float, seed: int) -> Array:
+    axis = np.random.default_rng(seed).normal(size=3)
+    return exponential_matrices((np.radians(degrees) * axis / np.linalg.norm(axis))[:, None])[:, :, 0]
 
 
 class Placed(NamedTuple):
@@ -90,11 +114,9 @@ def placed(motion: str, duration: float, seed: int) -> Placed:
 
 def heading_error(simulation: Simulation, degrees: float, seed: int, calibration: Calibration) -> float:
     """deg, root mean square over a level turn, with the field brought to the gyroscope's axes."""
-    axis = np.random.default_rng(seed).normal(size=3)
-    skew = exponential_matrices((np.radians(degrees) * axis / np.linalg.norm(axis))[:, None])[:, :, 0]
     truth = simulation.truth
     turn = turn_of(simulation.recording, truth)
-    raw = turn.field @ (truth.soft_iron @ skew).T + truth.hard_iron
+    raw = turn.field @ (truth.soft_iron @ _turn(degrees, seed)).T + truth.hard_iron
     back = np.eye(3)
     for term in calibration.terms:
         back = exponential_matrices(term.value[:, None])[:, :, 0]
@@ -105,70 +127,145 @@ def heading_error(simulation: Simulation, degrees: float, seed: int, calibration
     return float(np.degrees(np.sqrt(np.mean(np.angle(np.exp(1j * angle)) ** 2))))
 
 
-def skew_cells(
-    motion: str, degrees: float, runs: int, progress: Callable[[float], None] = lambda _: None
-) -> dict[str, SkewCell]:
-    """{way of `WAYS`: what came out}."""
-    found: dict[str, list[tuple[float, ...]]] = {way: [] for way in WAYS}
-    for seed in range(runs):
-        simulation = skewed(motion, degrees, seed)
-        for way, misalignment in WAYS.items():
-            calibration = calibrate(simulation.recording, misalignment=misalignment)
-            away = error(calibration, simulation.truth)
-            assert calibration.covariance is not None
-            found[way].append(
-                (
-                    heading_error(simulation, degrees, seed, calibration) ** 2,
-                    float(np.mean(away[6:9] ** 2)),
-                    nees(away, calibration.covariance),
-                    float(bool(calibration.terms)),
-                    float(not calibration.trusted),
-                )
-            )
-        progress((seed + 1) / runs)
-    return {way: _skew_cell(np.mean(rows, axis=0)) for way, rows in found.items()}
+def units(runs: int, kinds: Iterable[str] = ("skew", "fact", "matrix")) -> list[Unit]:
+    """Of the whole study."""
+    cells = {
+        "skew": [(motion, size) for motion in MOTIONS for size in SKEWS],
+        "fact": list(LIMITED),
+        "matrix": [(motion, size) for motion in ("wide", "tiny", "level") for size in PERCENTS],
+    }
+    return [Unit(kind, *cell, seed) for seed in range(runs) for kind in kinds for cell in cells[kind]]
 
 
-def _skew_cell(mean: Array) -> SkewCell:
-    heading, hard_iron, score, decided, refused = map(float, mean)
-    return SkewCell(heading**0.5, hard_iron**0.5, score, decided, refused)
+def known_rows(
+    chosen: Sequence[Unit], folder: Path | None = None, workers: int = 1, progress: Progress | None = None
+) -> dict[Unit, Row]:
+    """The rows of all units; with a folder in `known.parquet` there, and a run that was stopped goes on.
+
+    Raises:
+        MagycError: a folder, and the extra `parquet` is not installed.
+    """
+    parts = None if folder is None else folder / "parts"
+    found = run_many(worked, {unit.name: unit for unit in chosen}, workers=workers, parts=parts, progress=progress)
+    rows = {unit: found[unit.name] for unit in chosen}
+    if folder is not None:
+        names = sorted({name for row in rows.values() for name in row})
+        table = [unit._asdict() | {name: row.get(name) for name in names} for unit, row in rows.items()]
+        write_rows(folder / "known.parquet", table)
+    return rows
 
 
-def band(runs: int) -> tuple[float, float]:
-    """The 95 % band of the mean NEES."""
-    half = 1.96 * float(np.sqrt(2 * FREEDOMS / runs))
-    return FREEDOMS - half, FREEDOMS + half
+def worked(unit: Unit) -> Row:
+    """One row: "<way> <number>" for all ways and numbers of the unit's kind."""
+    found = {"skew": _skew_row, "fact": _fact_row, "matrix": _matrix_row}[unit.kind](unit)
+    return {f"{way} {name}": value for way, numbers in found.items() for name, value in numbers.items()}
 
 
-def fact_cells(
-    motion: str, duration: float, runs: int, progress: Callable[[float], None] = lambda _: None
-) -> dict[str, FactCell]:
-    """{what was known: what came out}; the chips are known to be aligned."""
-    earlier = calibrate(simulate("wide", seed=_EARLIER).recording, misalignment=0)
-    matrix = {"prior": earlier, "hard_iron_walk": _MOVED}
-    found: dict[str, list[tuple[float, ...]]] = {}
-    for seed in range(runs):
-        run = placed(motion, duration, seed)
-        recording = replace(run.recording, attitude=None)
-        ways: Mapping[str, Mapping[str, Any]] = {
-            "alone": {},
-            "+ matrix": matrix,
-            "+ strength": matrix | {"field": (run.field[0], None)},
-            "+ dip": matrix | {"field": run.field},
+def _skew_row(unit: Unit) -> dict[str, Row]:
+    simulation = skewed(unit.motion, unit.size, unit.seed)
+    rows = {}
+    for way, misalignment in WAYS.items():
+        calibration = calibrate(simulation.recording, misalignment=misalignment)
+        away = error(calibration, simulation.truth)
+        assert calibration.covariance is not None
+        rows[way] = {
+            "heading": heading_error(simulation, unit.size, unit.seed, calibration) ** 2,
+            "hard_iron": float(np.mean(away[6:9] ** 2)),
+            "nees": nees(away, calibration.covariance),
+            "decided": float(bool(calibration.terms)),
+            "refused": float(not calibration.trusted),
         }
-        for way, options in ways.items():
-            calibration = calibrate(recording, misalignment=0, **options)
-            away = error(calibration, run.truth)[6:9]
-            assert calibration.covariance is not None
-            block = calibration.covariance[6:9, 6:9]
-            ratio = float(away @ np.linalg.solve(block, away)) / 3
-            found.setdefault(way, []).append(
-                (float(np.mean(away**2)), float(np.trace(block)) / 3, ratio, float(not calibration.trusted))
-            )
-        progress((seed + 1) / runs)
-    return {way: _fact_cell(rows) for way, rows in found.items()}
+    return rows
 
 
-def _fact_cell(rows: Sequence[tuple[float, ...]]) -> FactCell:
-    square, stated, ratio, refused = map(float, np.mean(rows, axis=0))
-    return FactCell(square**0.5, stated**0.5, ratio, refused)
+@cache
+def _earlier(seed: int) -> Calibration:
+    return calibrate(simulate("wide", seed=_EARLIER + seed).recording, misalignment=0)
+
+
+def _fact_row(unit: Unit) -> dict[str, Row]:
+    run = placed(unit.motion, unit.size, unit.seed)
+    recording = replace(run.recording, attitude=None)
+    matrix: dict[str, Any] = {"prior": _earlier(unit.seed), "misalignment": 0}
+    ways: Mapping[str, Mapping[str, Any]] = {
+        "alone": {"misalignment": 0},
+        "+ matrix": matrix | {"hard_iron_walk": _MOVED},
+        "+ strength": matrix | {"hard_iron_walk": _MOVED, "field": (run.field[0], None)},
+        "+ dip": matrix | {"hard_iron_walk": _MOVED, "field": run.field},
+    }
+    rows = {way: _hard_iron(calibrate(recording, **options), run.truth) for way, options in ways.items()}
+    for way, field in (("matrix", None), ("strength", (run.field[0], None))):
+        online = OnlineCalibrator(**matrix, prior_walk=_MOVED, field=field)
+        online.update(recording.time, recording.magnetic_field, recording.angular_rate)
+        calibration = online.calibration
+        assert calibration is not None
+        rows[f"online + {way}"] = _hard_iron(calibration, run.truth)
+    return rows
+
+
+def _matrix_row(unit: Unit) -> dict[str, Row]:
+    """The earlier matrix is off by a stretch in a random direction, of which nothing is said; the place is known."""
+    run = placed(unit.motion, 60.0 if unit.motion == "tiny" else 600.0, unit.seed)
+    shape = np.random.default_rng([unit.seed, 23]).normal(size=(3, 3))
+    shape = shape + shape.T - np.trace(shape + shape.T) / 3 * np.eye(3)
+    shape *= unit.size / 100 / np.abs(np.linalg.eigvalsh(shape)).max()
+    earlier = _earlier(unit.seed)
+    root = earlier.soft_iron @ (np.eye(3) + shape)
+    wrong = replace(earlier, soft_iron=0.5 * (root + root.T))
+    recording = replace(run.recording, attitude=None)
+    options: Mapping[str, Any] = {"prior": wrong, "hard_iron_walk": _MOVED, "field": run.field, "misalignment": 0}
+    return {"wrong": _hard_iron(calibrate(recording, **options), run.truth)}
+
+
+def _hard_iron(calibration: Calibration, truth: Calibration) -> Row:
+    away = error(calibration, truth)[6:9]
+    assert calibration.covariance is not None
+    block = calibration.covariance[6:9, 6:9]
+    return {
+        "error": float(np.mean(away**2)),
+        "stated": float(np.trace(block)) / 3,
+        "ratio": float(away @ np.linalg.solve(block, away)) / 3,
+        "refused": float(not calibration.trusted),
+    }
+
+
+def skew_cells(motion: str, degrees: float, rows: Mapping[Unit, Row]) -> dict[str, SkewCell]:
+    """{way of `WAYS`: what came out}."""
+    mean = _means(rows, "skew", motion, degrees)
+    return {
+        way: SkewCell(
+            mean(f"{way} heading") ** 0.5,
+            mean(f"{way} hard_iron") ** 0.5,
+            mean(f"{way} nees"),
+            mean(f"{way} decided"),
+            mean(f"{way} refused"),
+        )
+        for way in WAYS
+    }
+
+
+def fact_cells(motion: str, duration: float, rows: Mapping[Unit, Row]) -> dict[str, FactCell]:
+    """{what was known, of `FACTS`: what came out}; the chips are known to be aligned."""
+    mean = _means(rows, "fact", motion, duration)
+    return {way: _fact_cell(way, mean) for way in FACTS}
+
+
+def matrix_cell(motion: str, percent: float, rows: Mapping[Unit, Row]) -> FactCell:
+    """Where the earlier matrix is off."""
+    return _fact_cell("wrong", _means(rows, "matrix", motion, percent))
+
+
+def _fact_cell(way: str, mean: Callable[[str], float]) -> FactCell:
+    root = mean(f"{way} error") ** 0.5, mean(f"{way} stated") ** 0.5
+    return FactCell(*root, mean(f"{way} ratio"), mean(f"{way} refused"))
+
+
+def _means(rows: Mapping[Unit, Row], kind: str, motion: str, size: float) -> Callable[[str], float]:
+    chosen = [row for unit, row in rows.items() if (unit.kind, unit.motion, unit.size) == (kind, motion, size)]
+    return lambda name: float(np.mean([row[name] for row in chosen]))
+
+
+def band(runs: int, freedoms: int = FREEDOMS) -> tuple[float, float]:
+    """The 95 % band of the mean of so many χ² of `freedoms`."""
+    half = 1.96 * float(np.sqrt(2 * freedoms / runs))
+    return freedoms - half, freedoms + half
