@@ -66,6 +66,17 @@ def run(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
     ] = None,
+    plan: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGREES",
+            is_eager=True,
+            callback=given.needs_no_log,
+            help="Only show which motion, and how long, gives a heading within so many degrees, with and without an "
+            "earlier calibration and the place; with --noise, --prior and the walks as given. Needs no LOG, and writes "
+            "no files.",
+        ),
+    ] = None,
     more: More = None,
     every: Annotated[
         bool, typer.Option("--all", help="Every magnetometer in the log, each with its page and parameters.")
@@ -85,6 +96,12 @@ def run(
     Exit code 1: done, but the result must not be trusted; the reason is printed, and there are no parameters to paste.
     """
     options = _method_options(known.options(scale, method), noise, delay, robust, window, option)
+    if plan is not None:
+        from magyc_gtsam.cli.plan import show_plan
+
+        if reading.log is not None or output is not None:
+            raise typer.BadParameter("it is of motions, and of no file: leave out LOG and -o", param_hint="--plan")
+        return show_plan(plan, options, quiet, json)
     if sensor == "accelerometer":
         return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
     if every or many(reading.log, more):

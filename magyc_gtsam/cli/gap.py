@@ -25,13 +25,6 @@ if TYPE_CHECKING:
 _SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
 
 
-def _needs_no_log(context: typer.Context, motion: str | None) -> str | None:
-    """A motion is planned before there is a LOG."""
-    log = next(parameter for parameter in context.command.params if parameter.name == "log")
-    log.required = motion is None  # for this call: the command may be called again
-    return motion
-
-
 @with_groups
 def run(
     context: typer.Context,
@@ -67,7 +60,7 @@ def run(
         typer.Option(
             metavar="MOTION",
             is_eager=True,
-            callback=_needs_no_log,
+            callback=given.needs_no_log,
             help="Only show which effects a motion could name, and from which strength: wide, moderate, low, "
             "tiny, multi, dive or survey. Needs no LOG, and writes no files.",
         ),

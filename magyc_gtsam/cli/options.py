@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -102,6 +102,13 @@ Open = Annotated[bool, typer.Option("--open", help="Show the page in the browser
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="All details, and the method's own numbers.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]
 Json = Annotated[bool, typer.Option("--json", help="The result as JSON on standard output.")]
+
+
+def needs_no_log(context: typer.Context, planned: Any) -> Any:
+    """What is planned is planned before there is a LOG."""
+    log = next(parameter for parameter in context.command.params if parameter.name == "log")
+    log.required = planned is None  # for this call: the command may be called again
+    return planned
 
 
 def spelled(message: str) -> str:

@@ -163,6 +163,13 @@ _MATRIX = 2e-3  # of each element, by which a matrix from an earlier calibration
 _OPEN = 1e-3  # T, a hard iron of which nothing is known
 
 
+def typical_matrix(parameters: Array) -> IronFact:
+    """What an earlier calibration typically knows: the matrix of θ, and nothing of the hard iron."""
+    strength, _ = field_strength(parameters[:6])
+    sigma = np.concatenate([np.full(6, _MATRIX), np.full(3, _OPEN)])
+    return IronFact(parameters[:6] / strength, parameters[6:9], np.diag(1 / sigma))
+
+
 def remedies(
     fit: Fit, factor: float, enough: Callable[[Array], bool], options: SmootherOptions, recording: Recording
 ) -> list[str]:
@@ -179,8 +186,7 @@ def remedies(
         return []
     parameters = fit.state.parameters[:PARAMETERS]
     strength, _ = field_strength(parameters[:6])
-    sigma = np.concatenate([np.full(6, _MATRIX), np.full(3, _OPEN)])
-    matrix = IronFact(parameters[:6] / strength, parameters[6:9], np.diag(1 / sigma))
+    matrix = typical_matrix(parameters)
     dip = () if dip_of(fit) is not None else known_dip(recording, fit)
     ways: tuple[tuple[str, tuple[Fact, ...]], ...] = (
         ("the place (--location, --date), whose dip this log can use", dip),

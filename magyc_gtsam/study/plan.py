@@ -1,0 +1,157 @@
+"""Which motion, and how long, for a heading that is wanted: with and without an earlier calibration and the place.
+
+Each motion is simulated with the sensors' noise, and the information of its field chain taken at the minimum, for
+shares of its time; what is known beforehand is added to it. So a plan costs one fit a motion and time, and says what
+the Cramér–Rao bound allows, with a skew as boards have it left open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.estimators.smoother.dip import known_dip
+from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.known import known_of, typical_matrix
+from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, held, widened
+from magyc_gtsam.factors.chain.facts import Fact, StrengthFact, field_strength, quadratic
+from magyc_gtsam.factors.chain.field_chain import SKEW
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.level_turn import Askew
+from magyc_gtsam.observability import assess
+from magyc_gtsam.recording import Recording
+from magyc_gtsam.simulation import simulate
+
+MOTIONS: Mapping[str, str] = {
+    "wide": "all headings, pitch 45°, roll 5°",
+    "low": "a quarter of the headings, pitch 45°, roll 5°",
+    "moderate": "all headings, pitch 5°, roll 5°",
+    "tiny": "a quarter of the headings, pitch 5°, roll 5°",
+    "level": "all headings, pitch 1°, roll 1°",
+    "ship": "all headings at 2°/s, pitch 1°, roll 2°",
+}
+DURATIONS = (30.0, 60.0, 120.0, 300.0, 600.0, 1200.0)  # s
+WAYS = ("nothing", "the place", "an earlier calibration", "both")
+_BOARD = np.radians(0.5)  # deviation of each angle between two chips; boards are 0.4 to 0.75° an angle
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What a motion of so many seconds gives where `known` (of `WAYS`) is known beforehand.
+
+    Attributes:
+        heading: deg, largest standard deviation over a level turn; hard_iron: T, of its weakest direction.
+        enough: whether the result would be trusted.
+    """
+
+    motion: str
+    known: str
+    duration: float
+    heading: float
+    hard_iron: float
+    enough: bool
+
+
+def plan(
+    noise: tuple[float, float] = (1e-6, 5e-3),
+    options: SmootherOptions | None = None,
+    *,
+    rate: float = 10.0,
+    motions: Sequence[str] = tuple(MOTIONS),
+    durations: Sequence[float] = DURATIONS,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[Planned]:
+    """All motions, times and ways.
+
+    Args:
+        noise: deviation per sample of magnetometer T and gyroscope rad/s.
+        options: with the earlier calibration, what may have changed since, and what is believed of a skew. Without one
+            the matrix is taken to be known to 0.2 % an element, and nothing of the hard iron.
+        rate: Hz, of both sensors.
+        motions, durations: which; s.
+
+    Raises:
+        MagycError: a motion or a noise that is none.
+    """
+    unknown = sorted(set(motions) - MOTIONS.keys())
+    if unknown or not min(noise) > 0:
+        raise MagycError(
+            f"plan: motion {unknown[0]!r} is none of {', '.join(MOTIONS)}"
+            if unknown
+            else f"plan: noise {noise[0]:g} T and {noise[1]:g} rad/s, both must be more than 0"
+        )
+    options = SmootherOptions() if options is None else options
+    result: list[Planned] = []
+    for index, motion in enumerate(motions):
+        whole = simulate(
+            motion, max(durations), rate, seed=1, magnetometer_noise=noise[0], gyroscope_noise=noise[1]
+        )
+        for duration in sorted(durations):
+            recording = replace(whole.recording.between(0, duration), attitude=None)
+            result += _of_recording(motion, duration, recording, noise, options)
+        progress((index + 1) / len(motions))
+    return result
+
+
+def shortest(planned: Sequence[Planned], motion: str, known: str, heading: float) -> Planned | None:
+    """The shortest time of a motion that is enough for a heading in deg; None where none is."""
+    return next(
+        (p for p in planned if (p.motion, p.known) == (motion, known) and p.enough and p.heading <= heading), None
+    )
+
+
+def _of_recording(
+    motion: str, duration: float, recording: Recording, noise: tuple[float, float], options: SmootherOptions
+) -> list[Planned]:
+    fit, _ = fit_field_chain(recording, noise=noise, delay=0.0, robust=False)
+    parameters = fit.state.parameters
+    strength, _ = field_strength(parameters[:6])
+    place: tuple[Fact, ...] = (StrengthFact(strength, FIELD_SIGMA), *known_dip(recording, fit))
+    matrix: tuple[Fact, ...] = (typical_matrix(parameters),)
+    if options.prior is not None:
+        known = known_of(options)
+        matrix = known.facts if known.skew is None else (*known.facts, known.skew)
+    facts = ((), place, matrix, (*place, *matrix))
+    return [
+        _planned(motion, way, duration, recording, fit, given, options)
+        for way, given in zip(WAYS, facts, strict=True)
+    ]
+
+
+def _planned(
+    motion: str,
+    way: str,
+    duration: float,
+    recording: Recording,
+    fit: Fit,
+    facts: Sequence[Fact],
+    options: SmootherOptions,
+) -> Planned:
+    wide = widened(fit, AUTOMATIC)
+    parameters = wide.state.parameters
+    information = wide.reduced.information - quadratic(wide.chain.facts, parameters)[2]
+    deviation = _BOARD if options.misalignment == "auto" else float(options.misalignment)
+    free = wide.free.copy()
+    free[SKEW] = deviation > 0
+    if deviation > 0:
+        facts = (*facts, held(deviation))
+    covariance = inverse_information(information + quadratic(facts, parameters)[2], free)
+    soft = unvech(parameters[:6])
+    soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12])
+    cross = covariance[:9, SKEW].copy()
+    cross[:6] /= unit
+    found = assess(reported, soft_iron, unit, recording, parameters[6:9], Askew(covariance[SKEW, SKEW], cross))
+    worst = float(np.sqrt(_largest(reported[6:9, 6:9])))
+    assert found.heading_sigma is not None
+    return Planned(motion, way, duration, found.heading_sigma, worst, found.observable)
+
+
+def _largest(covariance: Array) -> float:
+    return max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0)

@@ -1,0 +1,78 @@
+"""Which motion and how long: what a plan promises is what a calibration of that motion states."""
+
+import json
+
+import numpy as np
+import pytest
+
+from magyc_gtsam import MagycError, calibrate, cli, simulate
+from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.study.known import placed
+from magyc_gtsam.study.plan import WAYS, plan, shortest
+
+ALIGNED = SmootherOptions(misalignment=0)
+NOISE = (1e-6, 5e-3)
+
+
+def weakest(calibration):
+    return np.sqrt(np.linalg.eigvalsh(calibration.covariance[6:9, 6:9])[-1])
+
+
+def test_a_plan_is_what_calibrations_state():
+    """Of another draw of the motion, so that it is of the motion and not of the draw."""
+    planned = {p.known: p for p in plan(NOISE, ALIGNED, motions=["level"], durations=[300.0])}
+    assert tuple(planned) == WAYS
+    earlier = calibrate(simulate("wide", seed=990).recording, misalignment=0)
+    run = placed("level", 300, 5)
+    matrix = {"prior": earlier, "hard_iron_walk": 1e-3}
+    for way, options in (("nothing", {}), ("both", matrix | {"field": run.field})):
+        calibration = calibrate(run.recording, noise=NOISE, misalignment=0, **options)
+        assert planned[way].hard_iron == pytest.approx(weakest(calibration), rel=0.5)
+    assert planned["both"].hard_iron < 0.3 * planned["the place"].hard_iron < 0.3 * planned["nothing"].hard_iron
+
+
+def test_a_skew_that_is_left_open_costs_heading():
+    (aligned,), (open_,) = (
+        [p for p in plan(NOISE, options, motions=["level"], durations=[600.0]) if p.known == "both"]
+        for options in (ALIGNED, None)
+    )
+    assert open_.heading > 3 * aligned.heading
+
+
+def test_an_earlier_calibration_is_worth_what_it_knows():
+    good = calibrate(simulate("wide", seed=991).recording, misalignment=0)
+    ways = {}
+    for walk in (0.0, 5e-6):
+        options = SmootherOptions(misalignment=0, prior=good, hard_iron_walk=walk)
+        found = plan(NOISE, options, motions=["tiny"], durations=[30.0])
+        ways[walk] = next(p for p in found if p.known == "an earlier calibration")
+    assert ways[0.0].hard_iron < 0.15e-6 < 0.3e-6 < ways[5e-6].hard_iron
+
+
+def test_the_shortest_time():
+    planned = plan(NOISE, motions=["moderate"], durations=[600.0, 60.0, 120.0])
+    assert [p.duration for p in planned[:: len(WAYS)]] == [60.0, 120.0, 600.0]
+    found = shortest(planned, "moderate", "nothing", 0.5)
+    assert found is not None
+    assert found.duration == 120.0
+    assert shortest(planned, "moderate", "nothing", 0.05) is None
+
+
+def test_what_is_no_plan_is_refused():
+    with pytest.raises(MagycError, match="motion 'waltz' is none of wide"):
+        plan(motions=["waltz"])
+    with pytest.raises(MagycError, match="both must be more than 0"):
+        plan((0.0, 5e-3))
+
+
+def test_the_command(capsys, monkeypatch):
+    monkeypatch.setattr("magyc_gtsam.study.plan.DURATIONS", (60.0, 120.0))
+    assert cli.main(["calibrate", "--plan", "0.5", "--noise", "1", "5", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["heading_deg"] == 0.5
+    assert {p["known"] for p in said["planned"]} == set(WAYS)
+    assert cli.main(["calibrate", "--plan", "120"]) == 2
+    assert "must be between 0 and 90" in capsys.readouterr().err
+    assert cli.main(["calibrate", "--plan", "1", "log.mcap"]) == 2
+    assert "it is of motions, and of no file" in capsys.readouterr().err
+    assert cli.main(["calibrate"]) == 2  # LOG is needed again
