@@ -150,9 +150,10 @@ def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
 
 
 def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Array, float]:
-    """The damped Gauss–Newton step on θ (p,), and its squared length in sigmas."""
+    """The damped Gauss–Newton step on θ (p,), and its squared length in sigmas; what nothing depends on stays."""
     information = reduced.information[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    known = np.diag(information)
+    scale = np.divide(1.0, np.sqrt(np.maximum(known, 0.0)), out=np.zeros(len(known)), where=known > 0)
     scaled = information * scale * scale[:, None]
     scaled[np.diag_indices_from(scaled)] += damping + 1e-14
     step = np.zeros(len(reduced.gradient))

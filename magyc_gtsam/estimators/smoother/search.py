@@ -34,6 +34,7 @@ _APART = 0.05  # distance of two minima's hard irons, in field strengths, from w
 _UNDISTURBED = 0.97  # share of the windows' weight from which their length stays as it is
 _SHORT_WINDOW = 0.5  # s, where stretches are disturbed
 _LEAST_WINDOWS = 8
+_MOST_DELAY = 1.0  # s, as of the option
 _AGAIN = 6  # fits at the most until gyroscope and dip are close to the minimum
 _ROUNDS_JUMPED = 9  # of weights and noise levels, where the field jumps
 _LEAST_EVEN = 0.5  # share of the windows' weight from which a field that jumps is even but for some stretches
@@ -108,7 +109,8 @@ def fit_field_chain(
         for parameters in starts.others(windows, best.state.parameters[9:12]):
             progress(0.4 + 0.1 * len(fits))
             fit = _descended(samples, begin(chain, parameters, free))
-            fits.append(_adapted(samples, fit, reject, short_term))
+            if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # else it ran away
+                fits.append(_adapted(samples, fit, reject, short_term))
         best, rival = _lowest(fits)
         best = best if best is fits[0] else skewed(best)
     if reject and disturbed(best):
