@@ -10,7 +10,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.smoother import axes, starts
-from magyc_gtsam.estimators.smoother.dip import dip_fact, relinearised
+from magyc_gtsam.estimators.smoother.dip import dip_fact, dip_of, relinearised
 from magyc_gtsam.estimators.smoother.fit import NEAR, ROUNDS, Fit, adapt, begin, descend, misfit, weigh
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
@@ -141,7 +141,7 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
         adapted: a fit of sixteen parameters at its own, with its noise levels and weights.
         prior, known: what is believed of a skew, and what an earlier calibration says of it.
     """
-    if known is None and len(fit.state.parameters) == PARAMETERS:
+    if known is None and len(fit.state.parameters) == PARAMETERS and dip_of(fit) is None:
         skew = asked(fit, prior)
         if skew.evidence <= prior.tested:
             return replace(fit, skew=skew)
