@@ -105,6 +105,6 @@ def test_a_log_that_lacks_what_is_needed(tmp_path: Path, capsys: pytest.CaptureF
     assert "no angular rate" in capsys.readouterr().err
     assert not out.exists()
     assert cli.main([*asked, str(tmp_path / "unlogged.mcap")]) == 1
-    assert "could not be judged on unlogged.mcap: " in (said := capsys.readouterr().err)
+    assert "could not be judged on the other log: unlogged.mcap: " in (said := capsys.readouterr().err)
     assert "no current channel" in said
     assert (out / "report.html").exists()
