@@ -11,7 +11,9 @@ import zipfile
 from importlib.metadata import version
 from pathlib import Path
 
+import jinja2
 import pytest
+import yaml
 
 import magyc_gtsam as mg
 
@@ -167,3 +169,20 @@ def test_the_oldest_dependencies_tested_are_the_lower_bounds() -> None:
     for name, bound in bounds.items():
         assert pins["oldest.txt"][name].split(".")[: len(bound.split("."))] == bound.split(".")
     assert bounds.keys() <= pins["container.txt"].keys()
+
+
+def test_the_conda_recipe_asks_for_what_the_project_does() -> None:
+    """All but what is not on conda-forge, which the recipe names, and GTSAM, which graphs alone need."""
+    text = (ROOT / "conda" / "meta.yaml").read_text(encoding="utf-8")
+    recipe = yaml.safe_load(jinja2.Template(text).render(PYTHON="python"))
+    assert recipe["package"]["version"] == mg.__version__
+    asked = {
+        line.replace(" ", "").replace("matplotlib-base", "matplotlib") for line in recipe["requirements"]["run"]
+    }
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.11")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    absent = re.search(r"Not on conda-forge: pip install ([\w -]+)", text)
+    assert absent is not None
+    left_out = {"gtsam", *absent[1].split()}
+    needed = {each for each in project["dependencies"] if re.split(r"[><=;]", each)[0] not in left_out}
+    assert asked == {*needed, f"python{project['requires-python']}"}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib.util
 import json
 import re
+import shutil
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -247,3 +249,19 @@ def test_the_package_is_what_colcon_expects() -> None:
     compile(launch, "online.launch.py", "exec")
     declared = set(re.findall(r'declare_parameter\("(\w+)"', EXAMPLE.read_text(encoding="utf-8")))
     assert all(f'"{parameter}"' in launch for parameter in declared)
+
+
+def test_the_package_is_valid_and_builds(tmp_path: Path) -> None:
+    """By ROS' own parser, and by colcon, which need no ROS for a package in Python."""
+    catkin_package = pytest.importorskip("catkin_pkg.package", reason="pip install colcon-common-extensions")
+    parsed = catkin_package.parse_package(str(PACKAGE / "package.xml"))
+    parsed.validate()
+    assert parsed.get_build_type() == "ament_python"
+    colcon = shutil.which("colcon")
+    if colcon is None:
+        pytest.skip("pip install colcon-common-extensions")
+    shutil.copytree(PACKAGE, tmp_path / "src" / PACKAGE.name)
+    subprocess.run([colcon, "build"], cwd=tmp_path, check=True, capture_output=True, timeout=200)
+    installed = tmp_path / "install" / PACKAGE.name
+    assert (installed / "lib" / PACKAGE.name / "online").exists()
+    assert (installed / "share" / PACKAGE.name / "launch" / "online.launch.py").exists()
