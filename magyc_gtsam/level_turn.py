@@ -71,11 +71,10 @@ class LevelTurn:
         rows, columns = np.triu_indices(3)
         mirrored = np.where(rows == columns, 0.0, gain[:, columns] * self.field[:, rows])
         jacobian = np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
-        variance = np.einsum("na,ab,nb->n", jacobian, covariance[:9, :9], jacobian)
+        variance = np.einsum("na,na->n", jacobian @ covariance[:9, :9], jacobian)
         if askew is not None:
             turned = np.cross(self._gain(np.eye(3)), self.field)
-            variance += np.einsum("na,ab,nb->n", turned, askew.covariance, turned)
-            variance -= 2 * np.einsum("na,ab,nb->n", jacobian, askew.cross, turned)
+            variance += np.einsum("na,na->n", turned @ askew.covariance - 2 * jacobian @ askew.cross, turned)
         return cast(Array, np.degrees(np.sqrt(np.clip(variance, 0.0, None))))
 
     def per_sample(self, noise: float, soft_iron: Array) -> Array:
@@ -145,10 +144,13 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
         axis = -axis
     dip = _DIP
     if up is not None:
-        mean = np.nanmean(up, axis=0)
+        known = np.isfinite(up[:, 0])
+        if not known.all():
+            up, field = up[known], field[known]
+        mean = up.mean(axis=0)
         if np.linalg.norm(mean) > _UPRIGHT:  # else the instrument was tumbled, and no axis was the vertical
             axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
-        dip = float(np.nanmedian(inclination(field, up)))
+        dip = float(np.median(inclination(field, up)))
     dip = float(np.clip(dip, -85.0, 85.0))  # nearer to the pole the heading has no meaning
     ahead = np.eye(3)[np.abs(axis).argmin()] if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
     ahead = ahead - axis * (axis @ ahead)
@@ -169,9 +171,10 @@ def calibrated(field: Array, soft_iron: Array, hard_iron: Array) -> Array:
 def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None:
     """(n, 3) unit vertical in sensor axes, by the attitude or else the accelerometer; NaN where unknown."""
     if attitude is not None and np.isfinite(attitude).any():
-        x, y, z, w = (attitude / np.linalg.norm(attitude, axis=1, keepdims=True)).T
+        x, y, z, w = np.ascontiguousarray(attitude.T)
+        across, along = x * x + y * y, z * z + w * w
         # The world's z axis in sensor axes: the last row of the rotation matrix.
-        up = np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1)
+        up = (np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), along - across]) / (across + along)).T
         if acceleration is not None and np.nanmedian((up * acceleration).sum(axis=1)) < 0:
             up = -up
         return up
@@ -183,7 +186,7 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
 
 def inclination(field: Array, up: Array) -> Array:
     """(n,) deg, angle of `field` below the horizontal."""
-    sine = -(field * up).sum(axis=1) / np.linalg.norm(field, axis=1)
+    sine = -np.einsum("ni,ni->n", field, up) / np.sqrt(np.einsum("ni,ni->n", field, field))
     return cast(Array, np.degrees(np.arcsin(np.clip(sine, -1, 1))))
 
 

@@ -291,23 +291,24 @@ class FieldChain:
                 break
         return state, self.eliminate(state, weights)
 
-    def leverage(self, reduced: Reduced, covariance: Array) -> Array:
-        """(n,) how much of each window's 3 squared residuals the fit absorbs, in expectation.
+    def absorbed(self, reduced: Reduced, covariance: Array) -> float:
+        """How much of the windows' squared residuals the fit absorbs, in expectation.
 
-        The trace of the window's block of the hat matrix; `covariance` (p, p) is the inverse of the
+        The trace of the windows' block of the hat matrix; `covariance` (p, p) is the inverse of the
         information (zeros for fixed parameters).
         """
-        solve = _solve(reduced)
         s00, s01, s11 = inverse_blocks(reduced.band, reduced.factor)
         j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
-        inner = (
-            np.einsum("in,in->n", j0, j0) * s00
-            + 2 * np.einsum("in,in->n", j0, j1) * s01
-            + np.einsum("in,in->n", j1, j1) * s11
-        )
-        across = reduced.on_parameters - np.einsum("ian,pan->pin", reduced.on_direction, solve)
-        spread = (covariance @ across.reshape(len(covariance), -1)).reshape(across.shape)
-        return inner + np.einsum("pin,pin->n", across, spread)
+        inner = np.vdot((j0 * j0).sum(axis=0), s00) + np.vdot((j1 * j1).sum(axis=0), s11)
+        inner += 2 * np.vdot((j0 * j1).sum(axis=0), s01)
+        solve = _solve(reduced)
+        across = reduced.on_parameters.copy()
+        for i in range(3):
+            across[:, i] -= (
+                reduced.on_direction[i, 0] * solve[:, :, 0] + reduced.on_direction[i, 1] * solve[:, :, 1]
+            )
+        flat = across.reshape(len(covariance), -1)
+        return float(inner + np.vdot(covariance, flat @ flat.T))
 
     def _known(self, state: State, basis: Array) -> Known | None:
         """What is known of θ and the first direction besides the windows; here nothing."""
@@ -366,6 +367,6 @@ def direction_slopes(reduced: Reduced) -> Array:
 
 
 def _solve(reduced: Reduced) -> Array:
-    """H⁻¹ C: (p, 2, n)."""
+    """H⁻¹ C: (p, n, 2)."""
     columns = solved(reduced.factor, reduced.half[:, :-1].T, transposed=True)
-    return np.ascontiguousarray(columns.reshape(len(columns), -1, 2).swapaxes(1, 2))
+    return columns.reshape(len(columns), -1, 2)

@@ -21,12 +21,17 @@ _HOLE = 10  # times the shorter one of two neighbouring steps, from which the lo
 def exponential(rotation_vector: Array) -> Spinor:
     """Exp of rotation vectors (n, 3) rad."""
     x, y, z = rotation_vector.T
-    angle = np.sqrt(x * x + y * y + z * z)
-    half = np.sin(0.5 * angle) / np.where(angle > 0, angle, 1.0)
-    half[angle == 0] = 0.5
-    p = np.empty(len(angle), complex)
-    q = np.empty(len(angle), complex)
-    p.real = np.cos(0.5 * angle)
+    square = x * x + y * y + z * z
+    p = np.empty(len(square), complex)
+    q = np.empty(len(square), complex)
+    if square.max(initial=0.0) < 0.05:  # series of cos(φ/2) and sin(φ/2)/φ, to rounding
+        p.real = 1 - square * (1 / 8 - square * (1 / 384 - square * (1 / 46080 - square / 10321920)))
+        half = 0.5 - square * (1 / 48 - square * (1 / 3840 - square * (1 / 645120 - square / 185794560)))
+    else:
+        angle = np.sqrt(square)
+        half = np.sin(0.5 * angle) / np.where(angle > 0, angle, 1.0)
+        half[angle == 0] = 0.5
+        p.real = np.cos(0.5 * angle)
     p.imag = x * half
     q.real = y * half
     q.imag = z * half

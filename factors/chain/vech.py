@@ -9,6 +9,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 _UPPER = np.triu_indices(3)
+_WHOLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # where each entry of the matrix is in the vector
 
 SYMMETRIC_UNITS = np.zeros((6, 3, 3))
 """The six symmetric unit matrices E_j: unvech(l) = Σ l_j E_j."""
@@ -30,7 +31,5 @@ def unvech(vector6: ArrayLike) -> Array:
     array = np.asarray(vector6, dtype=np.float64)
     if array.shape[-1:] != (6,):
         raise MagycError(f"unvech: shape {array.shape}, expected (..., 6)")
-    result = np.empty((*array.shape[:-1], 3, 3))
-    result[..., _UPPER[0], _UPPER[1]] = array
-    result[..., _UPPER[1], _UPPER[0]] = array
+    result: Array = array[..., _WHOLE]
     return result

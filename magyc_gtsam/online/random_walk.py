@@ -139,7 +139,7 @@ def _squares(fit: Fit) -> tuple[Array, Array]:
     """Weighted squares of windows and links, and the redundancy of both, as `improved_noise` counts them."""
     chain, weights = fit.chain, fit.weights
     window, link = chain.squares(chain.residuals(fit.state))
-    absorbed = float(chain.leverage(fit.reduced, fit.covariance).sum())
+    absorbed = chain.absorbed(fit.reduced, fit.covariance)
     unknowns = 2 * len(chain.windows) + int(fit.free.sum())
     links = 2 * float(weights.link[chain.windows.linked].sum())
     return (

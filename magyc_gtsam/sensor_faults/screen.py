@@ -57,8 +57,9 @@ def _gathers(field: Array) -> bool:
 
 
 def _levels_off(rate: Array) -> bool:
-    """Whether an axis of (3, n) repeats what was its largest value so far as often as one that is cut off."""
-    return any(_repeats_its_largest(side) for row in rate for side in (row, -row))
+    """Whether an axis of (3, n) repeats its largest value so far as one that is cut off does: at once, and often."""
+    repeating = rate[(rate[:, 1:] == rate[:, :-1]).any(axis=1)]
+    return any(_repeats_its_largest(side) for row in repeating for side in (row, -row))
 
 
 def _repeats_its_largest(side: Array) -> bool:

@@ -116,7 +116,7 @@ def _of_windows(fit: Fit) -> ModelError:
     if not found:
         return nothing
     normal = np.block([[one.new.across(other.new) for other in found] for one in found])
-    move = np.concatenate([each.new.move for each in found], axis=1)
+    moves = [beside.move(each.new) for each in found]
     edges = np.cumsum([0, *(len(each.new.score) for each in found)]).tolist()
     groups = [slice(*pair) for pair in pairwise(edges)]
     for each, own in zip(found, groups, strict=True):
@@ -125,9 +125,9 @@ def _of_windows(fit: Fit) -> ModelError:
     most = [each.family.most for each in found]
     fitted = fit_components(normal, score, beside.square, groups, most, beside.freedom)
     components, varying = [], np.zeros_like(nothing.covariance)
-    for each, own, amplitude in zip(found, groups, fitted.amplitude, strict=True):
+    for each, own, move, amplitude in zip(found, groups, moves, fitted.amplitude, strict=True):
         if amplitude > 0:
-            covariance = each.new.move @ fitted.second[own, own] @ each.new.move.T
+            covariance = move @ fitted.second[own, own] @ move.T
             size, period = each.family.size(float(amplitude), motion), each.family.period(motion)
             family = each.family
             if family.of_iron:  # what is calibrated is its mean, what is used is its value then
@@ -135,7 +135,8 @@ def _of_windows(fit: Fit) -> ModelError:
                 covariance[_HARD_IRON, _HARD_IRON] += size**2 * np.eye(3)
             words = family.sentence(size, period)
             components.append(Component(family.name, words, size, each.gain, covariance, period, family.of_place))
-    return ModelError(move @ fitted.second @ move.T + varying, tuple(components))
+    every = np.concatenate(moves, axis=1)
+    return ModelError(every @ fitted.second @ every.T + varying, tuple(components))
 
 
 def _tested(beside: Beside, motion: Motion, families: Iterable[Family]) -> list[_Found]:

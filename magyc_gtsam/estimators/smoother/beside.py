@@ -40,13 +40,12 @@ class Columns(NamedTuple):
 class New(NamedTuple):
     """Columns beside the model.
 
-    normal (k, k) G; score (k,) s; move (P, k) S; window (k, 3n) and link (k, 3n − 3) whitened; absorbed (2n, k): Z;
+    normal (k, k) G; score (k,) s; window (k, 3n) and link (k, 3n − 3) whitened; absorbed (2n, k): Z;
     explained (free, k): the same of the parameters.
     """
 
     normal: Array
     score: Array
-    move: Array
     window: Array | None
     link: Array | None
     absorbed: Array
@@ -103,13 +102,17 @@ class Beside:
             pull[9:12] += self._on_bias @ link.T
             score -= link @ left.link
             normal += link @ link.T
-        normal[np.diag_indices_from(normal)] += _ROUNDING * (np.diag(normal) + (absorbed**2).sum(axis=0))
+        normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + (absorbed**2).sum(axis=0))
         explained = self._explained(pull)
         normal -= explained.T @ explained
         score += explained.T @ left.explained
-        move = np.zeros((size, len(score)))
-        move[self.fit.free] = self._scale[:, None] * dtrtrs(self._root, explained, lower=1, trans=1)[0]
-        return New(normal, score, move, window, link, absorbed, explained)
+        return New(normal, score, window, link, absorbed, explained)
+
+    def move(self, new: New) -> Array:
+        """(P, k) S of columns."""
+        result = np.zeros((len(self.fit.free), len(new.score)))
+        result[self.fit.free] = self._scale[:, None] * dtrtrs(self._root, new.explained, lower=1, trans=1)[0]
+        return result
 
     def _absorbed(self, window: Array | None, link: Array | None) -> Array:
         """Z (2n, k) of whitened columns."""

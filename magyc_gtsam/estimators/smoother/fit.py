@@ -151,14 +151,20 @@ def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
 
 def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Array, float]:
     """The damped Gauss–Newton step on θ (p,), and its squared length in sigmas; what nothing depends on stays."""
-    information = reduced.information[np.ix_(free, free)]
-    known = np.diag(information)
+    every = bool(free.all())
+    information = reduced.information if every else reduced.information[np.ix_(free, free)]
+    gradient = reduced.gradient if every else reduced.gradient[free]
+    known = information.diagonal()
     scale = np.divide(1.0, np.sqrt(np.maximum(known, 0.0)), out=np.zeros(len(known)), where=known > 0)
     scaled = information * scale * scale[:, None]
-    scaled[np.diag_indices_from(scaled)] += damping + 1e-14
-    step = np.zeros(len(reduced.gradient))
-    step[free] = -scale * np.linalg.solve(scaled, scale * reduced.gradient[free])
-    return step, float(step[free] @ information @ step[free])
+    scaled.flat[:: len(scale) + 1] += damping + 1e-14
+    short = -scale * np.linalg.solve(scaled, scale * gradient)
+    length = float(short @ information @ short)
+    if every:
+        return short, length
+    step = np.zeros(len(free))
+    step[free] = short
+    return step, length
 
 
 def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
@@ -240,7 +246,7 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
     residuals = fit.residuals
     window, link = chain.squares(residuals)
     covariance = fit.covariance
-    absorbed = float(chain.leverage(reduced, covariance).sum())
+    absorbed = chain.absorbed(reduced, covariance)
     unknowns = float(2 * len(chain.windows) + fit.free.sum())
     if chain.facts:  # what is known beforehand takes nothing from the data
         unknowns -= float(np.sum(covariance * quadratic(chain.facts, fit.state.parameters)[2]))

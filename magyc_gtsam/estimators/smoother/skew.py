@@ -172,8 +172,9 @@ def asked(fit: Fit, prior: SkewPrior) -> Skew:
     columns = np.einsum(
         "ij,kjn->kin", iron_matrix(parameters), cross(np.eye(3)[:, :, None], body[:, None]).swapaxes(0, 1)
     )
-    new = Beside(fit).of(Columns(columns, None))
-    profile = _Profile(new.normal, new.score, -new.move, np.zeros(PARAMETERS))
+    beside = Beside(fit)
+    new = beside.of(Columns(columns, None))
+    profile = _Profile(new.normal, new.score, -beside.move(new), np.zeros(PARAMETERS))
     return _Believed.of(profile, prior).around(np.zeros(3), profile)
 
 

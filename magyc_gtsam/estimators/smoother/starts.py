@@ -46,8 +46,8 @@ def from_gyroscope(windows: FieldWindows) -> Array:
     turned_back = np.einsum("ijn,in->jn", windows.rotation, windows.field)
     total = np.zeros((3, 3, len(windows)))
     np.cumsum(windows.lever, axis=2, out=total[:, :, 1:])
-    first = np.arange(0, len(windows) - lag, -(-(len(windows) - lag) // _PAIRS))
-    last = first + lag
+    stride = -(-(len(windows) - lag) // _PAIRS)
+    first, last = slice(0, len(windows) - lag, stride), slice(lag, None, stride)
     lever = total[:, :, last] - total[:, :, first]
     holes = np.concatenate([[0], np.cumsum(~windows.linked)])
     weight = (holes[last] == holes[first]).astype(float)
