@@ -33,22 +33,19 @@ class LinearDirections(NamedTuple):
         _, _, n = self.basis.shape
         on, before, after = self.on_direction, self.before, self.after
         band = np.zeros((2 * n, 4))
-        d0, d1 = band[::2, 0], band[1::2, 0]
-        d0[:] = np.einsum("in,in->n", on[:, 0], on[:, 0])
-        d1[:] = np.einsum("in,in->n", on[:, 1], on[:, 1])
-        for diagonal in (d0, d1):  # the tangent bases are orthonormal
-            diagonal[1:] += self.square
-            diagonal[:-1] += self.square
-        band[::2, 1] = np.einsum("in,in->n", on[:, 0], on[:, 1])
-        band[:-2:2, 2] = np.einsum("in,in->n", before[:, 0], after[:, 0])
-        band[1:-2:2, 2] = np.einsum("in,in->n", before[:, 1], after[:, 1])
-        band[:-2:2, 3] = np.einsum("in,in->n", before[:, 0], after[:, 1])
-        band[1:-2:2, 1] = np.einsum("in,in->n", before[:, 1], after[:, 0])
-        gradient = np.empty((n, 2))
+        own, across = np.einsum("ian,ibn->abn", on, on), np.einsum("ian,ibn->abn", before, after)
         for a in (0, 1):
-            gradient[:, a] = np.einsum("in,in->n", on[:, a], self.window)
-            gradient[1:, a] += np.einsum("in,in->n", after[:, a], self.link)
-            gradient[:-1, a] += np.einsum("in,in->n", before[:, a], self.link)
+            diagonal = band[a::2, 0]
+            diagonal[:] = own[a, a]
+            diagonal[1:] += self.square  # the tangent bases are orthonormal
+            diagonal[:-1] += self.square
+            band[a:-2:2, 2] = across[a, a]
+        band[::2, 1] = own[0, 1]
+        band[:-2:2, 3] = across[0, 1]
+        band[1:-2:2, 1] = across[1, 0]
+        gradient = np.einsum("ian,in->na", on, self.window)
+        gradient[1:] += np.einsum("ian,in->na", after, self.link)
+        gradient[:-1] += np.einsum("ian,in->na", before, self.link)
         return band, gradient
 
 

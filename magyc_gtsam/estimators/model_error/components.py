@@ -20,8 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from magyc_gtsam.factors.chain.rotations import Array
 
-_GRID = 48  # amplitudes tried, evenly in their logarithm
-_SPAN = 1e-4  # the smallest tried, of the largest
+_TRIED = np.geomspace(1e-8, 1, 48)[:, None]  # variances, of the largest
 _SWEEPS = 3  # of the groups, until their amplitudes stand still
 _STILL = 0.1  # relative change of a variance
 _ASKED = 3.0  # gain in log-likelihood that a group must bring beside the others
@@ -38,9 +37,9 @@ def likeliest(normal: Array, score: Array, square: float, freedom: float, most: 
     """Of one group with G (k, k) and s (k,), the likeliest variance up to `most`; `square` is yᵀy."""
     value, vector = np.linalg.eigh(normal)
     value, pull = np.maximum(value, 0.0), vector.T @ score
-    variance = most * np.square(_SPAN ** np.linspace(1, 0, _GRID))[:, None]
+    variance = most * _TRIED
     spread = 1 + variance * value
-    left = np.maximum(square - (pull**2 * variance / spread).sum(axis=1), 1e-9 * square)
+    left = np.maximum(square - variance[:, 0] * ((1 / spread) @ pull**2), 1e-9 * square)
     gain = -0.5 * (np.log(spread).sum(axis=1) + freedom * np.log(left / square))
     best = int(np.argmax(gain))
     return Likeliest(float(variance[best, 0]), float(gain[best])) if gain[best] > 0 else Likeliest(0.0, 0.0)

@@ -98,6 +98,15 @@ class Motion:
 
     def waves(self, first: int, stop: int) -> Array:
         """(stop − first, n) cosines of unit deviation with `first` to `stop` − 1 half waves in the recording."""
+        if stop <= _SLOW[1]:
+            return self._slow_waves[first - _SLOW[0] : stop - _SLOW[0]]
+        return self._waves(first, stop)
+
+    @cached_property
+    def _slow_waves(self) -> Array:
+        return self._waves(*_SLOW)
+
+    def _waves(self, first: int, stop: int) -> Array:
         share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
         return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)
 
@@ -206,7 +215,7 @@ def _slope(motion: Motion) -> Array:
 
 def _delays(motion: Motion) -> Columns:
     """A delay that varies slowly, with the speed of turn, and against it; and a filter, by its second order."""
-    speed = np.linalg.norm(motion.relative, axis=0) / np.sqrt(3.0)
+    speed = np.sqrt(np.square(motion.relative).sum(axis=0) / 3.0)
     profiles = np.concatenate([motion.waves(1, 5), [speed, 1 / np.sqrt(speed**2 + 0.05)]])
     bent = motion.soft_iron @ np.gradient(motion.change, motion.time, axis=1)
     filtered = bent * motion.strength / max(float(np.sqrt(np.mean(bent**2))), _ALIKE * motion.strength)
