@@ -139,18 +139,16 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
         None if recording.attitude is None else recording.attitude[rows],
         None if recording.acceleration is None else recording.acceleration[rows],
     )
-    axis, about = np.array([0.0, 0.0, 1.0]), "the sensor's z axis"
-    if np.median(field[:, 2]) > 0:  # the northern half of the Earth
-        axis = -axis
-    dip = _DIP
+    axis, about, dip = None, "the sensor's z axis", _DIP
     if up is not None:
         known = np.isfinite(up[:, 0])
-        if not known.all():
-            up, field = up[known], field[known]
+        up, seen = (up, field) if known.all() else (up[known], field[known])
         mean = up.mean(axis=0)
         if np.linalg.norm(mean) > _UPRIGHT:  # else the instrument was tumbled, and no axis was the vertical
             axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
-        dip = float(np.median(inclination(field, up)))
+        dip = float(np.median(inclination(seen, up)))
+    if axis is None:  # it points down in the northern half of the Earth
+        axis = np.array([0.0, 0.0, -1.0 if np.median(field[:, 2]) > 0 else 1.0])
     dip = float(np.clip(dip, -85.0, 85.0))  # nearer to the pole the heading has no meaning
     ahead = np.eye(3)[np.abs(axis).argmin()] if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
     ahead = ahead - axis * (axis @ ahead)

@@ -119,7 +119,9 @@ class Preintegration:
         if len(self.gyroscope_time) < 3:
             raise MagycError(f"{len(self.gyroscope_time)} gyroscope samples, at least 3 are needed")
         step = np.diff(self.gyroscope_time)
-        holes = np.flatnonzero(step > max(10 * float(np.median(step)), self.hole))
+        holes = np.flatnonzero(step > self.hole)
+        if len(holes):
+            holes = holes[step[holes] > 10 * float(np.median(step))]
         before, after = self.gyroscope_time[holes], self.gyroscope_time[holes + 1]
         # Outside the gyroscope's span and inside its holes the attitude is unknown.
         segment = np.searchsorted(after, self.magnetometer_time, side="right")
