@@ -362,7 +362,7 @@ def _turn_of(parameters: Array) -> Array:
 
 def direction_slopes(reduced: Reduced) -> Array:
     """(p, 3, n) dg/dθ, every direction at its best for θ: −T H⁻¹ C."""
-    slopes: Array = -np.einsum("ian,pan->pin", reduced.basis, _solve(reduced))
+    slopes: Array = -np.einsum("ian,pna->pin", reduced.basis, _solve(reduced))
     return slopes
 
 
