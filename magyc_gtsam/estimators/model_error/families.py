@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -121,6 +122,7 @@ class Family:
         columns: of a motion.
         most: largest amplitude of a column that is physical: a share of the field strength; on the gyroscope rad/s,
             or a share of its rate. What the motion does not show of a family has up to this.
+        functions: of which an axis has one column each.
         first: whether it is in the first test, which decides if the others are looked at.
         of_place: whether it is the field of the place that varies.
         of_iron: whether it is the hard iron that varies: no single value of it holds, by as much.
@@ -132,12 +134,12 @@ class Family:
     place: str
     columns: Callable[[Motion], Columns]
     most: float
+    functions: int = 1
     first: bool = False
     of_place: bool = False
     of_iron: bool = False
     unit: str = "field"
     waves: tuple[int, int] | None = None
-    functions: int = 1
 
     def size(self, amplitude: float, motion: Motion) -> float:
         """Root mean square an axis of an amplitude of each column: T, rad/s or a share."""
@@ -250,116 +252,47 @@ def _bent_rate(motion: Motion) -> Columns:
     return motion.on_gyroscope(_each(motion.spread * products))
 
 
+def _in_time(
+    name: str,
+    place: str,
+    put: Callable[[Motion, Array], Columns],
+    most: float,
+    waves: tuple[int, int],
+    **more: Any,
+) -> Family:
+    """A family of waves."""
+    count = waves[1] - waves[0]
+    return Family(name, place, lambda m: put(m, m.waves(*waves)), most, count, waves=waves, **more)
+
+
+_VARIES = "the field varies along the way by {}"
+_CHANGES = "the hard iron changes with time by {}"
+_GOES = "the field of the place goes with the attitude by {}"
+_TILTS = "the reading's error grows with the tilt, to {}"
+_TURNS = "in fast turns the reading is off by {}"
+_DELAYED = "the delay varies, or a filter is in it, which is worth {}"
+_SCALED = "the gyroscope's scale or axes are off by {}"
+_BIASED = "the gyroscope's bias changes with time by {}"
+_BENT = "in fast turns the gyroscope is off by {} of its rate"
+_TILTED = "the gyroscope's bias goes with the attitude by {}"
+
 FAMILIES = (
-    Family(
-        "wander:slow",
-        "the field varies along the way by {}",
-        lambda m: m.in_world(m.waves(*_SLOW)),
-        0.05,
-        first=True,
-        of_place=True,
-        waves=_SLOW,
-        functions=6,
-    ),
-    Family(
-        "wander:fast",
-        "the field varies along the way by {}",
-        lambda m: m.in_world(m.waves(*_FASTER)),
-        0.05,
-        of_place=True,
-        waves=_FASTER,
-        functions=14,
-    ),
-    Family(
-        "drift:slow",
-        "the hard iron changes with time by {}",
-        lambda m: m.in_sensor(m.waves(*_SLOW)),
-        0.05,
-        of_iron=True,
-        first=True,
-        waves=_SLOW,
-        functions=6,
-    ),
-    Family(
-        "drift:fast",
-        "the hard iron changes with time by {}",
-        lambda m: m.in_sensor(m.waves(*_FASTER)),
-        0.05,
-        of_iron=True,
-        waves=_FASTER,
-        functions=14,
-    ),
-    Family(
-        "attitude",
-        "the field of the place goes with the attitude by {}",
-        _attitude,
-        0.03,
-        first=True,
-        of_place=True,
-        functions=9,
-    ),
-    Family("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, first=True, functions=2),
-    Family(
-        "second",
-        "the reading's error grows with the tilt, to {}",
-        lambda m: m.in_sensor(_second(m.unit)),
-        0.006,
-        first=True,
-        functions=5,
-    ),
-    Family(
-        "third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, first=True, functions=7
-    ),
-    Family("rate", "in fast turns the reading is off by {}", lambda m: m.in_sensor(m.relative), 0.02, functions=3),
-    Family(
-        "rate × field",
-        "in fast turns the reading is off by {}",
-        _rate_times_field,
-        0.02,
-        functions=9,
-    ),
-    Family(
-        "delay",
-        "the delay varies, or a filter is in it, which is worth {}",
-        _delays,
-        0.03,
-        first=True,
-        functions=7,
-    ),
-    Family(
-        "gyroscope:linear",
-        "the gyroscope's scale or axes are off by {}",
-        lambda m: m.on_gyroscope(_each(m.rate)),
-        0.03,
-        first=True,
-        unit="share",
-    ),
-    Family(
-        "gyroscope:drift",
-        "the gyroscope's bias changes with time by {}",
-        lambda m: m.on_gyroscope(_each(m.waves(*_SLOW))),
-        0.015,
-        unit="rate",
-        waves=_SLOW,
-        functions=6,
-    ),
-    Family(
-        "gyroscope:bent",
-        "in fast turns the gyroscope is off by {} of its rate",
-        _bent_rate,
-        0.02,
-        unit="share",
-        functions=9,
-    ),
-    Family(
-        "gyroscope:field",
-        "the gyroscope's bias goes with the attitude by {}",
-        lambda m: m.on_gyroscope(_each(m.unit)),
-        0.0075,
-        unit="rate",
-        functions=3,
-    ),
-    Family("halves", "the first half and the second disagree by {}", _halves, 0.01, functions=4),
-    Family("directions", "turns one way and the other disagree by {}", _directions, 0.01, functions=4),
-    Family("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, functions=4),
+    _in_time("wander:slow", _VARIES, Motion.in_world, 0.05, _SLOW, first=True, of_place=True),
+    _in_time("wander:fast", _VARIES, Motion.in_world, 0.05, _FASTER, of_place=True),
+    _in_time("drift:slow", _CHANGES, Motion.in_sensor, 0.05, _SLOW, first=True, of_iron=True),
+    _in_time("drift:fast", _CHANGES, Motion.in_sensor, 0.05, _FASTER, of_iron=True),
+    Family("attitude", _GOES, _attitude, 0.03, 9, first=True, of_place=True),
+    Family("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, 2, first=True),
+    Family("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
+    Family("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),
+    Family("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
+    Family("rate × field", _TURNS, _rate_times_field, 0.02, 9),
+    Family("delay", _DELAYED, _delays, 0.03, 7, first=True),
+    Family("gyroscope:linear", _SCALED, lambda m: m.on_gyroscope(_each(m.rate)), 0.03, first=True, unit="share"),
+    _in_time("gyroscope:drift", _BIASED, lambda m, p: m.on_gyroscope(_each(p)), 0.015, _SLOW, unit="rate"),
+    Family("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),
+    Family("gyroscope:field", _TILTED, lambda m: m.on_gyroscope(_each(m.unit)), 0.0075, 3, unit="rate"),
+    Family("halves", "the first half and the second disagree by {}", _halves, 0.01, 4),
+    Family("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4),
+    Family("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4),
 )
