@@ -5,9 +5,10 @@ The authors' package pins numpy < 2, so it gets an environment of its own:
     python3 -m venv .venv-peer && .venv-peer/bin/pip install . magyc==1.0.0
     .venv-peer/bin/python benchmarks/speed_and_accuracy.py
 
-Prints, per motion, the processor times of one 10-minute log at 10 Hz (median over seeds and calls), their ratio, and
-the root-mean-square errors of hard iron (mG, norm), soft iron (det 1, Frobenius, %) and gyroscope bias
-(mrad/s, norm); at the end the ratio recording by recording. The peer is fed in gauss and with windows of one second, as its documentation asks.
+Prints, per motion, the processor times of one 10-minute log at 10 Hz (median over seeds and calls), their ratio,
+and the root-mean-square errors of hard iron (mG, norm), soft iron (det 1, Frobenius, %) and gyroscope bias (mrad/s,
+norm); at the end the ratio recording by recording. The peer is fed in gauss and with windows of one second, as its
+documentation asks.
 """
 
 import argparse
