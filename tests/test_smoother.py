@@ -277,7 +277,8 @@ def test_disturbed_windows_are_weighed_down(runs):
     for seed in range(3):
         for motion in AMPLITUDES:
             simulation, undisturbed = runs[motion][seed]
-            calibration = calibrate(disturb(simulation.recording, seed=seed))
+            # The chips are known to be aligned in both, for a skew that is asked for costs information of its own.
+            calibration = calibrate(disturb(simulation.recording, seed=seed), misalignment=0)
             assert calibration.converged, calibration.message
             assert 0.6 < calibration.diagnostics["trusted_share"] < 0.9
             e = error(calibration, simulation.truth)[6:9]
