@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.blindtest.from_outside import Function, changed
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.blindtest.visibility import factor_in
 from magyc_gtsam.calibration import Calibration
@@ -40,13 +42,16 @@ class Hidden:
     attitude: Array | None
 
 
-def generate(scenario: Scenario, real: Recording | None = None) -> Hidden:
+def generate(
+    scenario: Scenario, real: Recording | None = None, outside: Mapping[str, Function] | None = None
+) -> Hidden:
     """The recording of a scenario.
 
     Args:
         scenario: what to hide.
         real: the recording to hide it in, of the set "real"; the factors are on what stands out there as far as the
             published strength does of a simulated recording.
+        outside: effects that are not the simulator's, by name; see `from_outside`.
     """
     if real is not None:
         if scenario.cut:
@@ -59,12 +64,15 @@ def generate(scenario: Scenario, real: Recording | None = None) -> Hidden:
         scenario.motion,
         scenario.duration,
         seed=scenario.seed,
-        effects=scenario.effects,
+        effects=[e for e in scenario.effects if e[0] not in (outside or {})],
         channels=CHANNELS,
         **sensors(scenario.seed),
     )
-    attitude = simulation.recording.attitude
-    return Hidden(_blinded(simulation.recording, scenario), simulation.truth, simulation.effects, attitude)
+    recording = simulation.recording
+    for name, factor in scenario.effects:
+        if outside and name in outside:
+            recording = changed(recording, name, outside[name], factor, scenario.seed)
+    return Hidden(_blinded(recording, scenario), simulation.truth, simulation.effects, recording.attitude)
 
 
 @lru_cache(maxsize=1)

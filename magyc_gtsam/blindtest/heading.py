@@ -9,15 +9,16 @@ from magyc_gtsam.blindtest.generator import noise_free
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.simulation.effects import EFFECTS
 
 
 def heading_errors(scenario: Scenario, result: dict[str, Any]) -> tuple[float, float] | None:
     """Systematic heading error in degrees with the twelve parameters and with the effects that were added.
 
-    None for real recordings, whose reference is not free of noise, and where the axes are exchanged: the
-    calibrated field is then in the gyroscope's axes, the attitude in the magnetometer's.
+    None for real recordings, whose reference is not free of noise, for effects from outside, and where the axes
+    are exchanged: the calibrated field is then in the gyroscope's axes, the attitude in the magnetometer's.
     """
-    if scenario.set == "real" or "axis-order" in scenario.names:
+    if scenario.set == "real" or "axis-order" in scenario.names or not set(scenario.names) <= EFFECTS.keys():
         return None
     recording = noise_free(scenario)
     before, after = (Calibration.from_dict(result[key]) for key in ("base", "calibration"))

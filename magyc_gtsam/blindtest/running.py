@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from magyc_gtsam.blindtest.from_outside import Function
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.blindtest.sealing import RESULTS, seal
 from magyc_gtsam.factors.errors import MagycError
@@ -25,13 +26,14 @@ def run(
     workers: int = 2,
     sealing: Progress = lambda _: None,
     diagnosing: Progress = lambda _: None,
+    outside: Mapping[str, Function] | None = None,
 ) -> dict[str, Any]:
     """Seal the scenarios and diagnose what is not done yet; see `seal`. Interrupted, it goes on where it was.
 
     Raises:
         MagycError: a diagnosing process failed; its last words are told.
     """
-    manifest = seal(folder, scenario_list, real, sealing)
+    manifest = seal(folder, scenario_list, real, sealing, outside)
     numbers = list(manifest["sha256"])
     pending = [n for n in numbers if not (folder / RESULTS / f"{n}.json").exists()]
     processes = [_start(folder, i, pending[i::workers]) for i in range(workers) if pending[i::workers]]

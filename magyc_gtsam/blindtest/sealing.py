@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.blindtest.from_outside import Function
 from magyc_gtsam.blindtest.generator import generate, truth_of, write
 from magyc_gtsam.blindtest.scenarios import Scenario, fingerprint
 from magyc_gtsam.checksum import sha256
@@ -29,6 +30,7 @@ def seal(
     scenario_list: Sequence[Scenario],
     real: Mapping[str, Recording] | None = None,
     progress: Callable[[float], None] = lambda _: None,
+    outside: Mapping[str, Function] | None = None,
 ) -> dict[str, Any]:
     """Write recordings, truths and manifest; what is sealed already is left as it is.
 
@@ -37,6 +39,7 @@ def seal(
         scenario_list: what to hide.
         real: real recordings by the name that scenarios use.
         progress: called with the fraction done.
+        outside: effects that are not the simulator's, by name; see `from_outside`.
 
     Returns:
         The manifest.
@@ -57,7 +60,8 @@ def seal(
     entries = {}
     for done, index in enumerate(order.tolist()):
         scenario, number = scenario_list[index], f"{done:05d}"
-        hidden = generate(scenario, (real or {}).get(scenario.motion) if scenario.set == "real" else None)
+        logged = (real or {}).get(scenario.motion) if scenario.set == "real" else None
+        hidden = generate(scenario, logged, outside)
         recording_file, truth_file = folder / RECORDINGS / f"{number}.npz", folder / SEALED / f"{number}.json"
         write(recording_file, hidden.recording)
         truth_file.write_text(json.dumps(truth_of(scenario, hidden)), encoding="utf-8")

@@ -68,6 +68,13 @@ def run(
         ),
     ] = None,
     edition: Annotated[int, typer.Option(min=0, help="gap: of the seeds.")] = 1,
+    foreign: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODULE.py",
+            help="gap: instead of all else, effects that are in no catalogue: the functions of this Python file.",
+        ),
+    ] = None,
     fault: Annotated[list[str] | None, typer.Option(help="faults: may be repeated; default all.")] = None,
     by: Annotated[
         list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
@@ -97,7 +104,7 @@ def run(
     elif study is Study.GAP:
         from magyc_gtsam.cli.study_gap import blind_test
 
-        return blind_test(output or Path("results/blindtest"), runs, motion, sets, log or (), edition)
+        return blind_test(output or Path("results/blindtest"), runs, motion, sets, log or (), edition, foreign)
     elif study is Study.FAULTS:
         from magyc_gtsam.cli.study_faults import faults
 

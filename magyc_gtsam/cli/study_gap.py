@@ -23,12 +23,14 @@ def blind_test(
     sets: Sequence[str] | None,
     logs: Sequence[str],
     edition: int,
+    foreign: Path | None = None,
 ) -> int:
     """Generate, seal, diagnose and score; what is done already is not done again.
 
     Returns:
         0 where all gates are passed, else 1.
     """
+    from magyc_gtsam.blindtest.from_outside import Outside
     from magyc_gtsam.blindtest.gates import gates, missing
     from magyc_gtsam.blindtest.heading import heading_errors
     from magyc_gtsam.blindtest.pictures import write_pictures
@@ -44,7 +46,11 @@ def blind_test(
     unknown = sorted(set(sets or ()) - set(SETS[:-1]))
     if unknown:
         raise MagycError(f"--set: {unknown[0]!r} is none of {', '.join(SETS[:-1])}")
-    if not logs or motions or sets:
+    outside = None if foreign is None else Outside.read(foreign)
+    if outside is not None:
+        for motion in motions or MOTIONS:
+            tests[f"{motion}-{outside.name}"] = outside.scenarios(motion, runs, edition), {}
+    elif not logs or motions or sets:
         for motion in motions or MOTIONS:
             tests[motion] = scenarios(motion, runs, edition, sets or SETS[:-1]), {}
     if logs:
@@ -60,6 +66,7 @@ def blind_test(
                 WORKERS,
                 sealing=stage(f"{name}: sealing {len(scenario_list)} recordings"),
                 diagnosing=stage(f"{name}: diagnosing"),
+                outside=None if outside is None else outside.effects,
             )
             outcomes = score(place, heading_errors, stands_out, stage(f"{name}: scoring"))
         show("", f"{name}: {len(outcomes)} recordings", "")
