@@ -75,7 +75,7 @@ def _advice(gap: Gap, verdict: Verdict) -> list[str]:
         lines = ["Use the calibration as it is: in all that this motion shows, the data agree with it."]
     else:
         lines = [
-            "Use the calibration with its terms: `magyc-gtsam apply` takes out all of them.",
+            "Use the calibration with its terms: “magyc-gtsam apply” takes out all of them.",
             "Record again and give the new log with --validate: the gap should stay closed.",
         ]
     if gap.untested:
