@@ -10,7 +10,8 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.field_jumps import field_jumps
-from magyc_gtsam.report.verdict import MOST_WORDS, judged
+from magyc_gtsam.foreign_text import MOST_WORDS
+from magyc_gtsam.report.verdict import judged
 
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])

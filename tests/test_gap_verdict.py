@@ -9,11 +9,11 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.gap.doubt import left_open
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.result import Effect, Gap, GapMap, Manoeuvre, Metrics, OpenLoop
 from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
-from magyc_gtsam.report.verdict import MOST_WORDS
 
 CALIBRATION = Calibration(np.eye(3), np.zeros(3), np.zeros(3), np.eye(12) * 1e-14, field_strength=50e-6)
 
@@ -55,7 +55,12 @@ def test_a_correction_that_does_not_help_is_the_banner() -> None:
 
 def test_cause_and_action_are_thirty_words_at_most() -> None:
     """Whatever was named, and whatever is left beside it."""
-    places = ["the rate of turn, on the gyroscope", "pitch and roll"]
+    places = [
+        "the rate of turn, on the gyroscope",
+        "a lag that depends on the rate of turn",
+        "products of rates of turn, on the gyroscope",
+        "the channel temperature times the field",
+    ]
     effects = {name: effect(name) for name in TERMS}
     for name, one in effects.items():
         motion = Manoeuvre((name,), TERMS[name].motion, "")

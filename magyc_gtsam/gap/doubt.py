@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.foreign_text import MOST_WORDS
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Effect, Gap, Manoeuvre
 
 _LOG_MORE = "log current, temperature and depth"
 _WITHOUT = "choose an interval without the jumps (--start, --end)"
-_SPELLED = 3  # jumps named one by one
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,22 @@ def left_open(
         manoeuvre: what would help.
     """
     if missing:
-        jumps = [f"{e.setting['time']:.0f} s" for e in effects if e.name == "hard-iron-step"][:_SPELLED]
+        if not effects:
+            return Doubt(missing, _LOG_MORE)
+        jumps = [f"{e.setting['time']:.0f} s" for e in effects if e.name == "hard-iron-step"]
         if jumps:
-            return Doubt(f"beside jumps at {' and '.join(jumps)}, {missing}", _WITHOUT)
-        beside = "" if not effects else f"beside {_named([effect.label for effect in effects])}, "
-        return Doubt(f"{beside}{missing}", _LOG_MORE)
+            return _shortest(missing, (f"jumps at {' and '.join(jumps)}", f"{len(jumps)} jumps"), _WITHOUT)
+        labels = [effect.label for effect in effects]
+        return _shortest(missing, (_named(labels), f"{len(labels)} effects"), _LOG_MORE)
     verb = "is" if len(uncorrected) == 1 else "are"
     cause = f"{_named([effects[place].label for place in sorted(uncorrected)])} {verb} not corrected"
     return Doubt(cause, _LOG_MORE if manoeuvre is None else manoeuvre.motion)
+
+
+def _shortest(missing: str, beside: Sequence[str], action: str) -> Doubt:
+    """The first that is short enough."""
+    doubts = [Doubt(f"beside {each}, {missing}", action) for each in beside]
+    return next((doubt for doubt in doubts if len(doubt.sentence.split()) <= MOST_WORDS), doubts[-1])
 
 
 def _named(labels: Sequence[str]) -> str:

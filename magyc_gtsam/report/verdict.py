@@ -9,10 +9,10 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import field_jumps
+from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.level_turn import HeadingUncertainty
 from magyc_gtsam.recording import Recording
 
-MOST_WORDS = 30  # of cause and action together
 _STILL = 5e-6  # T, sweep of the field below which a log holds no motion
 _INTERVAL = "choose an interval without it (--start, --end)"
 
