@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam import calibrate, simulate
-from magyc_gtsam.estimators.smoother.dip import DipFact, dip_fact, relinearised
+from magyc_gtsam import Recording, calibrate, simulate
+from magyc_gtsam.estimators.smoother.dip import DipFact, dip_fact, known_dip, relinearised
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA, PlaceField
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.study.efficiency import error
@@ -117,3 +117,14 @@ def test_without_a_vertical_nothing_changes():
     one, other = (calibrate(recording, field=field) for field in (run.field, (run.field[0], None)))
     np.testing.assert_array_equal(one.covariance, other.covariance)
     assert "dip" not in one.diagnostics
+
+
+def test_a_vertical_that_turns_against_the_gyroscope_says_nothing_of_the_dip() -> None:
+    """Its mean over a minute is far shorter than gravity everywhere, as where the gyroscope's bias was not found."""
+    recording = simulate("wide", duration=180, seed=1).recording
+    random = np.random.default_rng(0)
+    force = random.normal(size=(len(recording.time) // 20 + 1, 3))
+    force *= 9.81 / np.linalg.norm(force, axis=1)[:, None]
+    acceleration = np.repeat(force, 20, axis=0)[: len(recording.time)]
+    turned = Recording(recording.time, recording.magnetic_field, recording.angular_rate, acceleration=acceleration)
+    assert known_dip(turned, fit_field_chain(turned)[0]) == ()

@@ -189,6 +189,8 @@ def _linearised(fact: DipFact, fit: Fit) -> DipFact:
     turn = _averaged(to_world, windows.time)
     length = np.sqrt(np.einsum("in,in->n", up, up))
     counts &= length > 0.5 * _GRAVITY * np.maximum(_averaged(share, windows.time), 1e-12)
+    if counts.sum() < MODEL.least:
+        return fact
     length = np.maximum(length, 1e-12)
     up = up / length
     sine = -np.einsum("in,in->n", g, up)
