@@ -11,18 +11,14 @@ from dataclasses import dataclass, replace
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import TIE, Found, Look, choices, less, related, term_places
+from magyc_gtsam.gap.naming import Found, Look, choices, less, related, term_places
 from magyc_gtsam.gap.refined import nearer, sharpened
 from magyc_gtsam.gap.refit import determined, possible, without_term
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.steps import State, terms_of, with_effect
 
 _DRIFT = "hard-iron-drift"
-_BETTER = 9.0  # nats, by which two causes must be ahead of a drift
-_EACH = (
-    1 / 6
-)  # share of their evidence that each must have: a drift that is steeper once is no step beside another
-_CERTAIN = 2.0  # limits that the significance of what the motion does not determine must pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +50,7 @@ def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
         related(choice.name, other.name) for other in choices(now, state.found, {choice.name})
     ):
         return Way(sharp, None)  # a rival takes its place
-    if choice.significance < _CERTAIN * choice.limit and not determined(ahead.current, -1):
+    if choice.significance < RULES.certain * choice.limit and not determined(ahead.current, -1):
         return Way(sharp, None, (choice.name,))  # too little of too much that the motion leaves open
     return Way(sharp, ahead)
 
@@ -109,9 +105,9 @@ def with_two_causes(state: State, now: Look, seen: Callable[[State], Look]) -> S
         ahead, evidence = cause
         explained.append(evidence)
     both = sum(explained)
-    if min(explained) < _EACH * both:
+    if min(explained) < RULES.each_cause * both:
         return None
-    better = both - rest(seen(ahead)) > state.found[place].evidence - rest(now) + _BETTER
+    better = both - rest(seen(ahead)) > state.found[place].evidence - rest(now) + RULES.two_causes
     return ahead if better else None
 
 
@@ -153,7 +149,7 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
     rivals = [(at_sharpest(option, now), option) for option in options if related(one.name, option.name)]
     for sharp, rival in sorted(rivals, key=lambda pair: -pair[0].evidence):
         delay = matrix and rival.name == "timing"
-        if not delay and sharp.evidence < own.evidence + TIE[0]:
+        if not delay and sharp.evidence < own.evidence + RULES.tie[0]:
             continue
         added = terms_of(rival.name, current, sharp.variant.setting)
         if len(added) > 1 or len(added[0].value) > len(term.value):

@@ -21,6 +21,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Projector
 from magyc_gtsam.gap.twin import Columns, Twin
 
@@ -31,7 +32,6 @@ _SHARES = (0.0, 0.5, 1.0, 2.0)  # of attitude's part in the way's: alone it woul
 _TURN = 0.6  # rad, of change with attitude: likeliest of 0.3, 0.6 and 1 on hand-held real logs
 _ATTITUDES = 80  # at which the function of attitude is spanned
 _LEAST = 0.05  # of its variance at one of them: a direction with less is left out
-_EVIDENT = 5.0  # nats: twice what clean recordings show by chance (at most 2.3)
 _SWEEPS = 2
 
 
@@ -54,7 +54,7 @@ class FieldVariation:
     @property
     def evident(self) -> bool:
         """Whether the field varies at all."""
-        return self.gain > _EVIDENT
+        return self.gain > RULES.field_varies
 
     def whiten(self, rows: Array) -> Array:
         """Rows (k, 3n) that were whitened for the sensors' noise, whitened for the field's variation too."""

@@ -9,21 +9,20 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.result import Moved
+from magyc_gtsam.gap.rules import RULES
 
-_MOVED = 2.0  # sigmas from which a parameter is reported as moved
-_CONTRADICTED = 4.0  # sigmas by which the data contradict a parameter that was given
 _PARAMETERS = (("soft_iron", "%", 1e2), ("hard_iron", "µT", 1e6), ("gyro_bias", "mrad/s", 1e3))
 _BIAS = "gyro bias"
 
 
 def moved(before: Calibration, after: Calibration) -> tuple[Moved, ...]:
     """Parameters of the base model that the effects moved, most first."""
-    return _beyond(_MOVED, _parameters(before, after))
+    return _beyond(RULES.moved, _parameters(before, after))
 
 
 def against(given: Calibration, refitted: Calibration) -> tuple[Moved, ...]:
     """What the data contradict in a calibration that was given: parameters and values of its terms, most first."""
-    return _beyond(_CONTRADICTED, [*_parameters(given, refitted, given), *_terms(given, refitted)])
+    return _beyond(RULES.contradicted, [*_parameters(given, refitted, given), *_terms(given, refitted)])
 
 
 def contradiction(rows: Sequence[Moved]) -> str:

@@ -14,24 +14,12 @@ from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Projector, Score, Variant
 from magyc_gtsam.gap.twin import Twin
 
-_ALIKE = 0.01  # probability below which a named effect adds something beyond its rival
-SHAPE = 0.08  # share of what was explained that may remain, for effects are not quite of the catalogue's form
-_TRACE = 0.03  # share of an effect's statistic below which another may be its form, whatever the name
-_MOST_OF = 0.7  # share of a wider family's statistic from which the simple delay is preferred
-_AHEAD = 9.0  # nats of evidence from which a rival is behind
-_CLEARLY = 1.4  # thresholds that a name must pass beside coloured noise
-_SPAN = 2.5  # widths within which a second bump belongs to the first
 _OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # with time alone
 _IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
-WEAK = 50.0  # nats, up to which what is small may be the shadow of another effect
-LEFT = 0.2  # share of an effect's statistic that it or a rival may pick up after it
-_SLOW = 1.0  # Hz, up to which windows of a second still show something
-TIE = (3.0, 0.05)  # nats, and share of the evidence, by which one that is as good as the strongest may be behind
-_TRIED = 3  # names in a tie, at most
-SHARED = 1e-4  # share of a signature that must be left beside a rival's to be tested
 NOISE_LIMIT = float(np.log(22 / 0.01))
 
 
@@ -118,7 +106,7 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
             continue
-        if score.evidence < min(shadow, WEAK) and not _untested(score.name, now.refit.twin):
+        if score.evidence < min(shadow, RULES.weak) and not _untested(score.name, now.refit.twin):
             continue
         if faint(score, found):
             continue
@@ -134,16 +122,16 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
         return []
     delay = next((o.statistic for o in options if o.name == "timing"), 0.0)
     # Any matrix holds the plain delay, which explains most of it where it is the truth.
-    options = [o for o in options if not o.variant.setting.get("full") or delay <= _MOST_OF * o.statistic]
-    behind = max(TIE[0], TIE[1] * options[0].evidence)
+    options = [o for o in options if not o.variant.setting.get("full") or delay <= RULES.most_of * o.statistic]
+    behind = max(RULES.tie[0], RULES.tie[1] * options[0].evidence)
     tied = [o for o in options if (1 + TERMS[o.name].between) * o.evidence > options[0].evidence - behind]
-    return tied[:_TRIED]
+    return tied[: RULES.tried]
 
 
 def faint(score: Score, found: Sequence[Found]) -> bool:
     """Whether a name hardly passes beside noise that hangs together: its threshold is by a model of the colour."""
     coloured = any(f.name == "coloured-noise" for f in found)
-    return coloured and (1 + TERMS[score.name].between) * score.statistic < _CLEARLY * score.threshold
+    return coloured and (1 + TERMS[score.name].between) * score.statistic < RULES.beside_colour * score.threshold
 
 
 def _shadow(now: Look, found: Sequence[Found]) -> float:
@@ -172,7 +160,7 @@ def any_change(sharp: Score, now: Look) -> bool:
         and s.significant
         and s.name.startswith("time:")
         and not s.name.startswith(own)
-        and s.evidence > sharp.evidence - _AHEAD
+        and s.evidence > sharp.evidence - RULES.ahead
         for s in now.scores
     )
 
@@ -180,8 +168,8 @@ def any_change(sharp: Score, now: Look) -> bool:
 def _of_the_model(noise: NoiseScore, now: Look) -> bool:
     """Whether noise is the model's own: a slow tone of which a family holds some, colour of a bent reading."""
     if noise.name == "coloured-noise":
-        return noise.statistic < SHAPE * max(weights(now.refit), default=0.0)
-    if noise.name != "tone" or noise.setting["frequency"] > _SLOW:
+        return noise.statistic < RULES.shape * max(weights(now.refit), default=0.0)
+    if noise.name != "tone" or noise.setting["frequency"] > RULES.slow:
         return False
     return any(s.generic and s.significant for s in now.scores)
 
@@ -191,11 +179,11 @@ def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
     at = score.variant.setting
     for term in current.model.terms:
         near = score.name == term.name == "local-anomaly"
-        if near and abs(at["time"] - term.setting["time"]) < _SPAN * (at["width"] + term.setting["width"]):
+        if near and abs(at["time"] - term.setting["time"]) < RULES.span * (at["width"] + term.setting["width"]):
             return True
     places = term_places(found, current.model)
     most = max([f.statistic for f in found if f.name in TERMS] + weights(current), default=0.0)
-    if score.statistic < _TRACE * most:
+    if score.statistic < RULES.trace * most:
         return True
     if score.name == "hard-iron-step" and any(
         f.name == "hard-iron-drift" and score.statistic < f.statistic for f in found
@@ -207,7 +195,7 @@ def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
             continue
         if at.get("uneven") and not rough:
             continue  # no filter of all axes alike leaves something else on each
-        if score.statistic < LEFT * max(one.statistic, current.weight_of(index) if rough else 0.0):
+        if score.statistic < RULES.left * max(one.statistic, current.weight_of(index) if rough else 0.0):
             return True
     return False
 
@@ -246,10 +234,10 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         behind = choice.evidence - rival.evidence
         # What has many shapes, as a drift or what comes and goes, may have had another than those tried.
         shapes = any(TERMS[s.name].many_shapes or "until" in s.variant.setting for s in (choice, rival))
-        close = behind < min(_AHEAD + SHAPE * choice.evidence, 0.5 * choice.evidence)
+        close = behind < min(RULES.ahead + RULES.shape * choice.evidence, 0.5 * choice.evidence)
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
-        alike = rival.significant and behind < _AHEAD and not _adds_beyond(choice.variant, rival.variant, now)
-        tied = rival.significant and behind < max(TIE[0], TIE[1] * choice.evidence)
+        alike = rival.significant and behind < RULES.ahead and not _adds_beyond(choice.variant, rival.variant, now)
+        tied = rival.significant and behind < max(RULES.tie[0], RULES.tie[1] * choice.evidence)
         # A channel that explains more, if at other times as well: what changed may have followed it.
         slow = rival.significant and now.gains.get(rival.name) == 0.0 and behind < 0 and choice.name in _OF_TIME
         if alike or slow or (related(choice.name, rival.name) and (tied or (shapes and close))):
@@ -282,9 +270,9 @@ def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
     rest = now.innovation - other.unit.T @ other.score(now.innovation)
     columns = one.unit - (one.unit @ other.unit.T) @ other.unit
     value, vector = np.linalg.eigh(columns @ columns.T)
-    good = value > SHARED
+    good = value > RULES.shared
     d = (vector[:, good] / np.sqrt(value[good])).T @ (columns @ rest)
-    return bool(chi2.sf(d @ d, max(len(d), 1)) < _ALIKE)
+    return bool(chi2.sf(d @ d, max(len(d), 1)) < RULES.alike)
 
 
 def weights(current: Refit) -> list[float]:

@@ -13,28 +13,19 @@ from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 from scipy.special import gammaincc
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
 
 _MEDIAN = 2.674  # of Gamma(3)
-CHANCE = 9.0  # nats by which two fitted parameters of a noise model can seem to gain (with room to spare)
 _SMOOTH = 201  # bins of the periodogram's running median
 _BESIDE = 10  # bins to each side of a line that must lie far below it: a resonance of the noise is no line
-UNSURE = 2.0  # nats more that a line must stand out, for the floor below it is estimated
 _LEAKS = 2  # bins to each side of a line into which it leaks
 _CELLS = 4  # of the grid per sample: at half the rate, rounding to them takes 3 % of an amplitude
 _EMPTY = 8.0  # times the samples, that a recording may last for its holes to be kept
 _PATTERN = 1e-3  # share of a constant's power that uneven stamps put at a frequency, from which it is their own
 _FLAT = 1e-6  # of the largest variance, below which a direction says nothing
-_LOWEST_BINS = 5  # of a tone: slower ones are drifts
-_LONGEST = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
-_ONE_WAY = 0.75  # share of the colour along one axis beyond which it is no noise
-COARSE = 0.7  # step in sigmas from which quantisation counts
-HELD = 0.08  # share of rows that repeat exactly
 _LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
 _ROWS = 100  # that a share is told from, at least
-_ALONE = 0.1  # share of the entries of an axis that repeat by themselves, from which its steps are coarse
-_BY_CHANCE = 0.5  # of the way from a clock's variance of how long rows repeat to that of chance
-_MOSTLY = 0.7  # share of the repeated entries that chance must leave over: axes that pause together are no hold
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +62,10 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
     floor = np.maximum(_running_median(power), _beside(power)) / _MEDIAN
     height = power / np.maximum(floor, 0.3)
     surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
-    surprise[:_LOWEST_BINS] = 0.0
+    surprise[: RULES.lowest_bins] = 0.0
     best = int(np.argmax(surprise))
     evidence = float(surprise[best] - np.log(len(frequency)))
-    limit = limit + UNSURE
+    limit = limit + RULES.unsure_line
     needed = limit + np.log(len(frequency))
     read, _ = _periodogram_of(innovation, time, edge)
     of_noise = 3 * _beside(read)[best] / _MEDIAN
@@ -162,7 +153,7 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
             if gain > best[0]:
                 best = (gain, corner, strength, white)
     gain, corner, strength, white = best
-    evidence = gain - CHANCE
+    evidence = gain - RULES.chance
     duration = innovation.shape[1] / rate
     time_constant = 1 / (2 * np.pi * corner) if corner else 0.0
     slow = np.fft.rfft(innovation, axis=1)[:, 1 : max(int(corner * duration), 8) + 1]
@@ -173,11 +164,11 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
     # Standard deviation of the coloured part: the area under its spectrum.
     shape = 1 / (1 + (frequency / corner) ** 2) if corner else np.zeros(1)
     deviation = float(np.sqrt(strength * white * shape.mean())) * level
-    noise = evidence > limit and time_constant < _LONGEST and one_way < _ONE_WAY
+    noise = evidence > limit and time_constant < RULES.longest_colour and one_way < RULES.one_way
     return NoiseScore(
         "coloured-noise",
         2 * gain,
-        2 * (limit + CHANCE),
+        2 * (limit + RULES.chance),
         evidence,
         noise,
         np.array([deviation]),
@@ -195,9 +186,9 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
     return NoiseScore(
         "quantisation",
         ratio,
-        COARSE,
-        1e6 * (ratio > COARSE),
-        ratio > COARSE,
+        RULES.coarse,
+        1e6 * (ratio > RULES.coarse),
+        ratio > RULES.coarse,
         np.array([step]),
         np.array([0.0]),
         {"ratio": ratio},
@@ -227,13 +218,15 @@ def sample_hold(recording: Recording) -> NoiseScore:
     repeats = np.diff(recording.magnetic_field[own], axis=0) == 0
     share = _held_together(recording.time[own], repeats)
     together = repeats.all(axis=1)
-    coarse = float(repeats.mean() - together.mean()) > _ALONE
-    held = share > max(HELD, _MOSTLY * float(stale.mean())) and (not coarse or _paced(together))
+    coarse = float(repeats.mean() - together.mean()) > RULES.alone_axis
+    held = share > max(RULES.held_rows, RULES.repeats_left * float(stale.mean())) and (
+        not coarse or _paced(together)
+    )
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
         "sample-hold",
         share,
-        HELD,
+        RULES.held_rows,
         1e6 * held,
         held,
         np.array([rows]),
@@ -251,7 +244,7 @@ def _paced(repeats: np.ndarray) -> bool:
     lengths = edges[1::2] - edges[::2]
     mean = float(lengths.mean())
     clock, chance = (mean % 1) * (1 - mean % 1), mean * (mean - 1)  # variances
-    return bool(lengths.var() <= clock + _BY_CHANCE * max(chance - clock, 0.0) + 1e-9)
+    return bool(lengths.var() <= clock + RULES.by_chance * max(chance - clock, 0.0) + 1e-9)
 
 
 def _held_together(time: Array, repeats: np.ndarray) -> float:

@@ -13,9 +13,9 @@ from scipy.stats import chi2, ncx2, norm
 
 from magyc_gtsam.gap.effects import LABELS
 from magyc_gtsam.gap.naming import NOISE_LIMIT
-from magyc_gtsam.gap.noise_effects import CHANCE, COARSE, HELD, UNSURE
 from magyc_gtsam.gap.null import quantile
 from magyc_gtsam.gap.result import Isolability
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
 
 _POWER = 0.9
@@ -35,8 +35,13 @@ def noise_isolability(recording: Recording, noise: float) -> tuple[Isolability, 
         ),
         _row("spikes", _spikes(samples) * noise, f"spikes on {_SHARE:.0%} of the samples", matters=_SPIKE_MATTERS),
         _row("tone", _tone(samples) * noise, "a tone above the motion's own frequencies"),
-        _row("quantisation", COARSE * noise, "steps of the magnetometer", matters=COARSE * noise),
-        _certain("sample-hold", 100 * HELD, "% of rows", f"from {HELD:.0%} of repeated rows on, by counting them"),
+        _row("quantisation", RULES.coarse * noise, "steps of the magnetometer", matters=RULES.coarse * noise),
+        _certain(
+            "sample-hold",
+            100 * RULES.held_rows,
+            "% of rows",
+            f"from {RULES.held_rows:.0%} of repeated rows on, by counting them",
+        ),
         _certain("axis-order", 0.0, "", "always, by trying all 48 arrangements before anything is estimated"),
     )
 
@@ -55,7 +60,7 @@ def _certain(name: str, smallest: float, unit: str, words: str) -> Isolability:
 def _gain_needed() -> float:
     """Mean gain (nats) that passes the level with probability 0.9: a gain of G has a deviation of √(2 G)."""
     spread = np.sqrt(2) * float(norm.ppf(_POWER))
-    return float((0.5 * (spread + np.sqrt(spread**2 + 4 * (NOISE_LIMIT + CHANCE)))) ** 2)
+    return float((0.5 * (spread + np.sqrt(spread**2 + 4 * (NOISE_LIMIT + RULES.chance)))) ** 2)
 
 
 def _solved(gain: Callable[[float], float], needed: float) -> float:
@@ -65,7 +70,7 @@ def _solved(gain: Callable[[float], float], needed: float) -> float:
 
 def _tone(samples: int) -> float:
     """Amplitude: twice the height of a line is χ² of 6 degrees, not central by n a² / 2."""
-    level = quantile(NOISE_LIMIT + UNSURE + 2 * float(np.log(samples / 2)), 6)
+    level = quantile(NOISE_LIMIT + RULES.unsure_line + 2 * float(np.log(samples / 2)), 6)
     return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), _POWER)
 
 

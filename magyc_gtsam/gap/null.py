@@ -10,13 +10,13 @@ from scipy.linalg import solve_toeplitz
 from scipy.special import gammaincc, gammainccinv, gammaln
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.rules import RULES
 
 Draws = NDArray[np.float32]  # half the memory, and enough for a threshold
 TAIL = 0.9
 _ORDER = 12  # of the autoregression, at most
 _PASSES, _FEW = 3, 60  # of the draws through the filter, to find the spectrum
 _BATCH = 100  # draws at a time
-_COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
 def colour(innovation: Array, drawn: Callable[[Array], Array], white: Draws) -> Draws:
@@ -64,7 +64,7 @@ def memory(innovation: Array) -> int:
     total = float(np.vdot(innovation, innovation))
     lags = range(1, min(_ORDER, n // 4) + 1)
     rho = np.array([float(np.vdot(innovation[:, lag:], innovation[:, :-lag])) / total for lag in lags])
-    significant = np.flatnonzero(np.abs(rho) > _COLOURED / np.sqrt(innovation.size))
+    significant = np.flatnonzero(np.abs(rho) > RULES.coloured / np.sqrt(innovation.size))
     return int(significant[-1]) + 1 if len(significant) else 0
 
 

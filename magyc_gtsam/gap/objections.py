@@ -9,20 +9,13 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import NOISE_LIMIT, SHAPE, SHARED, Found, Look, faint, shape_of, weights
+from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, Look, faint, shape_of, weights
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.refit import Refit, without_term
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Projector, Variant, variant
 
-_FIRM = 0.7  # share of what a term should explain beside whatever else is missing
-_MOSTLY = 0.6  # share that a term must explain of what families that hold its signature could explain
-_LITTLE = 0.3  # share of a term's signature that a family which holds it may lack
-_STRONG = 5.0  # thresholds that a term must pass where something else is missing too
-_HELD = 0.98  # share of what a family explains from which the names hold it: 0.995 of what they are, 0.7 of others
-_BEATS = (3.0, 0.05)  # nats, and share, by which a generic family must be ahead of all names: form is less
-_MANY = 9  # values of one family, from which half of the data do not determine them for the other half
 _CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-hard-iron")
-_CHANGES = 2  # with time, that one recording may hold
 
 
 def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str, ...]) -> bool:
@@ -54,17 +47,17 @@ def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str,
         s.variant for s in now.scores if s.name in left and term.name not in (s.name, product_of(s.name))
     ):
         _, unit = explained(other.columns, other.pull, beside[:1])
-        holds = _squared(alone @ unit.T) > (1 - _LITTLE) * len(alone)
+        holds = _squared(alone @ unit.T) > (1 - RULES.little) * len(alone)
         (holding if holds else beside).append((other.columns, other.pull))
     still, rest = explained(own, pull, beside)
     statistic, kept = _squared(still), _squared(rest @ all_of_it)
-    if statistic <= max(_STRONG * found.threshold, _FIRM * kept):
+    if statistic <= max(RULES.strong * found.threshold, RULES.firm * kept):
         return False
     if not holding:
         return True
     rows, pulls = (np.concatenate(part) for part in zip(*holding, strict=True))
     more, unit = explained(rows, pulls, [*beside, (own, pull)])
-    return statistic > _MOSTLY * (statistic + _squared(more) - len(unit))
+    return statistic > RULES.mostly * (statistic + _squared(more) - len(unit))
 
 
 def _squared(values: Array) -> float:
@@ -74,7 +67,7 @@ def _squared(values: Array) -> float:
 def switched(found: Sequence[Found]) -> tuple[str, ...]:
     """What changes with time, where that is so much that something else must switch or move it all."""
     changing = [f.name for f in found if f.name in _CHANGING]
-    return tuple(dict.fromkeys(changing)) if len(changing) > _CHANGES else ()
+    return tuple(dict.fromkeys(changing)) if len(changing) > RULES.changes else ()
 
 
 def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) -> tuple[str, ...]:
@@ -92,18 +85,22 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
     for score in now.scores:
         excess = score.statistic - len(score.variant.unit)
         # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
-        many = score.generic and len(score.variant.unit) > _MANY
+        many = score.generic and len(score.variant.unit) > RULES.many
         more = many and excess > all_named
         if not score.significant or (now.gains.get(score.name, 0.0) <= 0 and not more):
             continue
-        if (found or bent) and excess < SHAPE * explained:
+        if (found or bent) and excess < RULES.shape * explained:
             continue
         if not score.generic and (faint(score, found) or shape_of(score, now.refit, found)):
             continue
         result.append(score.name)
     for noise in now.noise:
         loud = noise.evidence > NOISE_LIMIT and noise.name in ("tone", "coloured-noise")
-        if loud and noise.name not in noted and not ((found or bent) and noise.statistic < SHAPE * explained):
+        if (
+            loud
+            and noise.name not in noted
+            and not ((found or bent) and noise.statistic < RULES.shape * explained)
+        ):
             result.append(noise.name)
     return tuple(dict.fromkeys(result))
 
@@ -117,7 +114,7 @@ def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
     if not names:
         return []
     named = sum(f.evidence for f in found if f.name in TERMS)
-    ahead = named + max(_BEATS[0], _BEATS[1] * named)
+    ahead = named + max(RULES.beats[0], RULES.beats[1] * named)
     own = _span([s.variant.unit for s in first.scores if s.name in names])
     return [
         s.name
@@ -133,10 +130,10 @@ def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
 def _span(units: Sequence[Array]) -> Array:
     """Orthonormal rows that span those of all."""
     _, size, rows = np.linalg.svd(np.concatenate(units), full_matrices=False)
-    return np.asarray(rows[size**2 > SHARED])
+    return np.asarray(rows[size**2 > RULES.shared])
 
 
 def _within(own: Array, other: Variant, innovation: Array) -> bool:
     """Whether what a candidate explains is held by orthonormal rows that are more than its values."""
     explained = other.score(innovation) @ other.unit
-    return len(other.unit) < len(own) and _squared(own @ explained) > _HELD * _squared(explained)
+    return len(other.unit) < len(own) and _squared(own @ explained) > RULES.held_by_names * _squared(explained)

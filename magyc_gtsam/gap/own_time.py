@@ -14,12 +14,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Projector, Score, variant
 from magyc_gtsam.gap.twin import Twin
 
 _SHIFTS = 32  # of the recording's length
-_AS_GOOD = 0.09  # of the shifts, that may explain as much
-_SAME = 0.7  # of what the channel explains, that it still holds when shifted: it is too slow to tell
 
 
 def in_its_own_time(score: Score, twin: Twin, innovation: Array, projector: Projector) -> bool:
@@ -37,11 +36,11 @@ def in_its_own_time(score: Score, twin: Twin, innovation: Array, projector: Proj
         columns = term.regressors(_shifted(twin, float(shift)), score.variant.setting)
         other = variant(score.variant.setting, twin.whiten(columns), projector, columns.pull)
         held, pull = other.unit @ own, other.score(innovation)
-        if held @ held > _SAME * (own @ own):
+        if held @ held > RULES.too_slow * (own @ own):
             continue
         others += 1
         as_good += float(pull @ pull) >= score.statistic
-    return as_good < _AS_GOOD * others
+    return as_good < RULES.as_good * others
 
 
 def _shifted(twin: Twin, share: float) -> Twin:

@@ -12,10 +12,9 @@ from magyc_gtsam.gap.naming import Look
 from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.null import surprises
 from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Projector, Score, Variant, variant, variants
 
-_CLEARLY = 1.0  # nats by which a name must be ahead of each neighbour; less is a toss-up
-_SAME = 0.99  # squared cosine between what two explain, from which they are the same
 _FEW = 20  # settings up to which a neighbour is tried at all of them
 
 
@@ -47,12 +46,12 @@ def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
         for s in now.scores
         if s.name in term.alike
         and "width" in s.variant.setting
-        and s.evidence > sharp.evidence - _CLEARLY
+        and s.evidence > sharp.evidence - RULES.clearly
         and now.gains.get(s.name, 0.0) > 0
     )
     if parts:
         return parts
-    ahead = _CLEARLY - term.loose * own
+    ahead = RULES.clearly - term.loose * own
     even = {
         n: tried
         for n, tried in closest.items()
@@ -67,7 +66,7 @@ def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
 def _same(one: Variant, other: Variant, innovation: Array) -> bool:
     """Whether what two variants explain is one thing to this recording: a gain of a hard iron is a hard iron."""
     first, second = (v.unit.T @ v.score(innovation) for v in (one, other))
-    return float(first @ second) ** 2 > _SAME * float(first @ first) * float(second @ second)
+    return float(first @ second) ** 2 > RULES.same * float(first @ first) * float(second @ second)
 
 
 def _paired(name: str, tried: Variant, now: Look) -> float:

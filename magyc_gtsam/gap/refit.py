@@ -16,16 +16,15 @@ from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.problem import Active, Model, Problem
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 
 _ROUNDS = 3  # of noise levels
 _STEPS = 8
 _SHORTER = (1.0, 0.5, 0.2, 0.05)
 _ROUNDING = 0.5  # of a cost, to second order of the rotations
-_HELD = 0.75  # of a prior's deviation, up to which the data have told something of every direction
 _FEW = 3  # values of one vector, which the motion determines alike
 _GRID = 81
-_WORTH = 0.5  # sigma, in the mean, by which the iron must move to be moved
 _FOLLOWING = 3  # steps of the iron behind those of what bends the reading
 _ASTRAY = 100.0  # times the cost allowed, from which it is not followed
 _SETTLED = 1e-3  # squared length of a step, in sigmas
@@ -65,7 +64,7 @@ def determined(result: Refit, index: int) -> bool:
     """Whether the data, not the prior, hold every direction of the values of the model's term `index`."""
     _, covariance = _standardised(result, index)
     largest = float(np.linalg.eigvalsh(covariance)[-1])
-    return largest < (_HELD * TERMS[result.model.terms[index].name].prior) ** 2
+    return largest < (RULES.determined_by_data * TERMS[result.model.terms[index].name].prior) ** 2
 
 
 def possible(result: Refit, index: int) -> bool:
@@ -173,7 +172,7 @@ def unmoved(before: Calibration, after: Calibration) -> Calibration:
     change = [after.soft_iron - before.soft_iron, after.hard_iron - before.hard_iron]
     sigmas = [after.sigma["soft_iron"], after.sigma["hard_iron"]]
     moved = np.concatenate([(c / np.maximum(s, 1e-300)).ravel() for c, s in zip(change, sigmas, strict=True)])
-    if float(np.sqrt((moved**2).mean())) > _WORTH:
+    if float(np.sqrt((moved**2).mean())) > RULES.worth_moving:
         return after
     return replace(after, soft_iron=before.soft_iron, hard_iron=before.hard_iron)
 

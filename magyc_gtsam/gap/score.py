@@ -22,13 +22,11 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.generic import Family, families
 from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 
 DRAWS = 500
-FAMILY_WISE = 0.01
-_DETERMINED = 4.0  # smallest values that matter, up to which a motion determines a value
 _DEPENDENT = 1e-6  # share of a column that must be left beside the base model
-_MUCH = 60.0  # statistic from which an effect is taken out before the colour is measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +161,7 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
             many = variants(twin, project, name, settings)
             result[name] = (
                 "",
-                [_determined(v, _DETERMINED * term.matters) for v in many] if term.many_shapes else many,
+                [_determined(v, RULES.determined * term.matters) for v in many] if term.many_shapes else many,
             )
     beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
     for family in (*families(twin), *{f.name: f for f in beside}.values()):
@@ -224,7 +222,7 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
     coloured = colour(_without_best(innovation, found).reshape(3, -1), drawn, white)
     null_white = _statistics(units @ white, starts, ranks)
     null_coloured = null_white if coloured is white else _statistics(units @ coloured, starts, ranks)
-    limit = float(np.log(len(found) / FAMILY_WISE))
+    limit = float(np.log(len(found) / RULES.family_wise))
     scores = []
     first = 0
     for name, (place, many) in found.items():
@@ -269,7 +267,7 @@ def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant
     if not named:
         return innovation
     best = int(np.argmax([d @ d - 2 * len(d) for d in pulls]))
-    if pulls[best] @ pulls[best] < _MUCH:
+    if pulls[best] @ pulls[best] < RULES.much:
         return innovation
     return innovation - named[best].unit.T @ pulls[best]
 

@@ -21,9 +21,7 @@ from magyc_gtsam.gap.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import (
-    LEFT,
     NOISE_LIMIT,
-    WEAK,
     Found,
     Look,
     choices,
@@ -39,17 +37,16 @@ from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import sharpened
 from magyc_gtsam.gap.refit import Refit, possible, refit, small, widened, without_term
-from magyc_gtsam.gap.score import FAMILY_WISE, Projector, Score, held_out_gain, interleaved, scan
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.score import Projector, Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
-MOST_TERMS = 5
-_TURNS = MOST_TERMS + 8  # of looking, effects on the noise, what cannot be fitted and exchanges included
+_TURNS = RULES.most_terms + 8  # of looking, effects on the noise, what cannot be fitted and exchanges included
 _ON_AND_OFF = (
     "hard-iron-step",
     "local-anomaly",
 )  # at a time of their own; alike, on grids too coarse to say which
-_BLOCKS = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +105,7 @@ def _confirmation(refitted: Refit, innovation: Array) -> Callable[[Score], float
 
     def gain(score: Score) -> float:
         length = 10.0 if score.generic else TERMS[score.name].block(score.variant.setting)
-        length = min(length, (twin.time[-1] - twin.time[0]) / _BLOCKS)
+        length = min(length, (twin.time[-1] - twin.time[0]) / RULES.blocks)
         columns = beside(score.variant.columns)
         return held_out_gain(base, columns, innovation, interleaved(twin.time, length))
 
@@ -153,9 +150,9 @@ def search(
                 noted.add("coloured-noise")  # the error of a coarse step hangs together as the reading does
             state, now = widest(with_noise(state, now, noise, prepare))
             continue
-        if not options or len(state.current.model.terms) >= MOST_TERMS:
+        if not options or len(state.current.model.terms) >= RULES.most_terms:
             better = with_exchange(state, seen, exchanged)
-            if better is None and len(state.current.model.terms) < MOST_TERMS:
+            if better is None and len(state.current.model.terms) < RULES.most_terms:
                 better = with_two_causes(state, now, seen)
             if better is None:
                 break
@@ -185,7 +182,7 @@ def search(
         final = _firm(state, first, now, left)
         left = (*left, *(f.name for f in state.found if f.name == "coloured-noise"))
     places = term_places(final.found, final.current.model)
-    weak = {p for p, i in places.items() if final.found[p].evidence < WEAK and small(final.current, i)}
+    weak = {p for p, i in places.items() if final.found[p].evidence < RULES.weak and small(final.current, i)}
     other = {p for p, i in places.items() if not possible(final.current, i)}
     slight, others = (tuple(final.found[p].name for p in sorted(every)) for every in (weak - other, other))
     final = _without(final, weak | other)
@@ -258,18 +255,18 @@ def _of_no_value(now: Look, found: Sequence[Found], names: Container[str]) -> li
 
 def _shows(honest: Refit, index: int) -> bool:
     """Whether the value of a term is more than its noise, beside what is missing."""
-    return honest.weight_of(index) > chi2.isf(FAMILY_WISE, len(honest.value_of(index)[0]))
+    return honest.weight_of(index) > chi2.isf(RULES.family_wise, len(honest.value_of(index)[0]))
 
 
 def _again(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
     """Whether a term is wanted oftener than it may be had, and nearly as much: steps in a row are no step."""
     name = current.model.terms[index].name
     more = max((s.statistic for s in now.scores if s.name == name), default=np.inf)
-    return name in left and more > LEFT * current.weight_of(index)
+    return name in left and more > RULES.left * current.weight_of(index)
 
 
 def _of_another_form(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
     """Whether products of a term with other signals explain much beside it: it is of their form, not of its own."""
     products = [name for name in left if product_of(name) == current.model.terms[index].name]
     explained = {s.name: s.statistic - len(s.variant.unit) for s in now.scores}
-    return any(explained.get(name, np.inf) > LEFT * current.weight_of(index) for name in products)
+    return any(explained.get(name, np.inf) > RULES.left * current.weight_of(index) for name in products)

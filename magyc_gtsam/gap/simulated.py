@@ -19,7 +19,7 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import Look
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.result import Assumption, Effect, Gap
-from magyc_gtsam.gap.score import FAMILY_WISE
+from magyc_gtsam.gap.rules import RULES
 
 _Row = tuple[str, float, float, float, str]
 _AXES = ("x", "y", "z")
@@ -41,7 +41,7 @@ def compare(measured: Side, simulated: Side) -> tuple[Assumption, ...]:
     rows = [*_noise(*models), *_parameters(*models), *_unnamed(measured, simulated)]
     pairs = list(_pairs(measured.gap.effects, simulated.gap.effects))
     rows += [_row(own, other) for own, other in pairs if own is not None and other is not None]
-    limit = float(norm.isf(FAMILY_WISE / max(len(rows), 1) / 2))
+    limit = float(norm.isf(RULES.family_wise / max(len(rows), 1) / 2))
     compared = [_assumption(row, limit) for row in rows]
     compared.sort(key=lambda a: -abs(a.measured - a.simulated) / max(a.sigma, 1e-300))
     return (

@@ -14,21 +14,11 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import Fine
-from magyc_gtsam.gap.naming import (
-    LEFT,
-    WEAK,
-    Found,
-    Look,
-    any_change,
-    as_found,
-    less,
-    related,
-    rivals_of,
-    term_places,
-)
+from magyc_gtsam.gap.naming import Found, Look, any_change, as_found, less, related, rivals_of, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, refit, with_term, without_term
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
@@ -203,8 +193,8 @@ def _asked(current: Refit, index: int, found: Iterable[int]) -> float:
             continue
         if not rough and (own.setting.get("uneven") or rival.setting.get("uneven")):
             continue  # no filter of all axes alike leaves something else on each
-        asked = LEFT * current.weight_of(other)
-        most = max(most, asked if rough else min(asked, 2 * WEAK))
+        asked = RULES.left * current.weight_of(other)
+        most = max(most, asked if rough else min(asked, 2 * RULES.weak))
     return most
 
 

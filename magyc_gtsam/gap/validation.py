@@ -23,6 +23,7 @@ from magyc_gtsam.gap.moved import against
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import as_calibration, widened
 from magyc_gtsam.gap.result import Metrics, Moved
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.recording import Recording
 
@@ -30,8 +31,6 @@ _WINDOW = 1.0  # s
 _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
-_MATTERS = 0.02  # of the field: a degree of heading
-_LATE = 0.01  # rad of a turn
 # What belongs to the time or place of one recording says nothing about another.
 _OF_ONE_RECORDING = ("hard-iron-step", "hard-iron-drift", "local-anomaly", "tone")
 
@@ -81,8 +80,8 @@ def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, 
     fitted = as_calibration(widened(base_model(recording, given, short_term_noise(recording))), None)
     field, rate = calibration.field_strength, recording.gyroscope.value
     turn = float(np.sqrt((np.square(rate).sum(axis=1)).mean()))
-    matters = {"soft iron": 100 * _MATTERS, "hard iron": _MATTERS * field * 1e6}
-    matters[TERMS["timing"].label] = _LATE / turn * TERMS["timing"].scale
+    matters = {"soft iron": 100 * RULES.field_differs, "hard iron": RULES.field_differs * field * 1e6}
+    matters[TERMS["timing"].label] = RULES.late / turn * TERMS["timing"].scale
     return tuple(
         row
         for row in against(_without_strength(given), fitted)

@@ -13,11 +13,11 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.field_variation import FieldVariation
 from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import held_out_gain, interleaved
 from magyc_gtsam.gap.twin import Twin
 
 _OF_ITS_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # one half tells nothing of the other
-_BLOCKS = 8  # at least: each half must hold some of every manoeuvre
 
 
 def pays(with_it: Refit, without: Refit, index: int, variation: FieldVariation) -> bool:
@@ -41,7 +41,7 @@ def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[fl
     residual = variation.whiten((twin.residual().ravel() - value @ rows[own])[None])[0]
     base, columns = variation.whiten(np.delete(rows, own, axis=0)), variation.whiten(rows[own])
     term, duration = twin.model.terms[index], float(twin.time[-1] - twin.time[0])
-    length = min(TERMS[term.name].block(term.setting), duration / _BLOCKS)
+    length = min(TERMS[term.name].block(term.setting), duration / RULES.blocks)
     in_turn = held_out_gain(base, columns, residual, interleaved(twin.time, length))
     if term.name in _OF_ITS_TIME:
         return in_turn, in_turn

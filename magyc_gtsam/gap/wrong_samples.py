@@ -15,15 +15,13 @@ import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d, median_filter
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.noise_effects import CHANCE, NoiseScore
+from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.null import autoregression, memory
+from magyc_gtsam.gap.rules import RULES
 
 _MEDIAN = 2.366  # of χ²₃
 _AROUND = 201  # samples whose median is the scale: known to 7 %, by which white noise gets no tails worth a nat
 _LEAST = 0.01  # of the scale of the whole, that the local one may be
-_SPIKE = 4.5  # sigmas, one normal vector in six thousand
-_ALONE = 0.46  # share of them, those side by side counted as one, that have no neighbour
-_RARE = 0.05  # share of samples up to which they are single; more is another distribution of the noise
 _PASSES = 8  # of taking wrong samples out of what their neighbours are compared with
 
 
@@ -34,27 +32,29 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     """
     order, residual, square, hit = _stand_out(innovation)
     noise, mixture = _one(square), _one(square).with_wider(square)
-    if mixture.share[-1] >= _RARE:
+    if mixture.share[-1] >= RULES.rare:
         noise, mixture = mixture, mixture.with_wider(square)
         hit &= mixture.belongs[-1] > 0.5
     gain, share = mixture.likelihood - noise.likelihood, float(mixture.share[-1])
     ratio, belongs = float(mixture.variance[-1] / mixture.variance[-2]), mixture.belongs[-1]
     # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
-    beyond = np.pad(square > _SPIKE**2, 1)
+    beyond = np.pad(square > RULES.spike**2, 1)
     single = hit & ~beyond[:-2] & ~beyond[2:]
     groups = hit & ~np.pad(hit, 1)[:-2]
     alone = float(single.sum() / max(groups.sum(), 1))
     # White innovations are the sensor's noise. What hangs together is the model's misfit, which has tails of its own:
     # beside it, at least half of the wrong samples must stand out by themselves.
-    apart = not order or _MEDIAN * ratio > _SPIKE**2
-    evidence = gain - CHANCE
-    significant = evidence > limit and hit.sum() >= 2 and alone > _ALONE and share < _RARE and apart
+    apart = not order or _MEDIAN * ratio > RULES.spike**2
+    evidence = gain - RULES.chance
+    significant = (
+        evidence > limit and hit.sum() >= 2 and alone > RULES.spikes_alone and share < RULES.rare and apart
+    )
     total = max(float(belongs.sum()), 1e-9)
     height = float(np.sqrt(belongs @ (residual**2).sum(axis=0) / (3 * total))) * level
     return NoiseScore(
         "spikes",
         2 * gain,
-        2 * (limit + CHANCE),
+        2 * (limit + RULES.chance),
         evidence,
         significant,
         np.array([height]),
@@ -75,7 +75,7 @@ def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
     """
     length = np.sqrt((innovation**2).sum(axis=0))
     usual = np.sqrt(_local_scale(length**2))
-    clean = innovation * np.minimum(1.0, _SPIKE / np.maximum(length / usual, 1e-12))
+    clean = innovation * np.minimum(1.0, RULES.spike / np.maximum(length / usual, 1e-12))
     hit = np.zeros(innovation.shape[1], dtype=bool)
     for _ in range(_PASSES):
         order = memory(clean)  # anew, for wrong samples make innovations seem whiter than they are
@@ -86,7 +86,7 @@ def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
         square = (residual**2).sum(axis=0)
         square = square / _local_scale(square)
         first = square == maximum_filter1d(square, 2 * order + 1)
-        now = (square > _SPIKE**2) & (hit | first)
+        now = (square > RULES.spike**2) & (hit | first)
         clean = np.where(now, innovation - residual, innovation)
         if (now == hit).all():
             break

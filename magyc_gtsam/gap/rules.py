@@ -1,0 +1,81 @@
+"""The constants that decide what is named and corrected, in one place, each with its unit and reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What decides; the code that reads a constant says how.
+
+    They were set on earlier editions of the blind test and judged on later ones (`docs/blind_test.md`).
+    """
+
+    ahead: float = 9.0  # nats of evidence from which a rival is behind
+    alike: float = 0.01  # probability below which a named effect adds something beyond its rival
+    # share of the entries of an axis that repeat by themselves, from which its steps are coarse
+    alone_axis: float = 0.1
+    as_good: float = 0.09  # of the shifts, that may explain as much
+    # nats, and share, by which a generic family must be ahead of all names: form is less
+    beats: tuple[float, float] = (3.0, 0.05)
+    beside_colour: float = 1.4  # thresholds that a name must pass beside coloured noise
+    blocks: int = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
+    by_chance: float = 0.5  # of the way from a clock's variance of how long rows repeat to that of chance
+    certain: float = 2.0  # limits that the significance of what the motion does not determine must pass
+    # nats by which two fitted parameters of a noise model can seem to gain (with room to spare)
+    chance: float = 9.0
+    changes: int = 2  # with time, that one recording may hold
+    clearly: float = 1.0  # nats by which a name must be ahead of each neighbour; less is a toss-up
+    coarse: float = 0.7  # step in sigmas from which quantisation counts
+    coloured: float = 3.0  # standard deviations from which an autocorrelation counts
+    contradicted: float = 4.0  # sigmas by which the data contradict a parameter that was given
+    determined: float = 4.0  # smallest values that matter, up to which a motion determines a value
+    # of a prior's deviation, up to which the data have told something of every direction
+    determined_by_data: float = 0.75
+    # share of their evidence that each of two causes must have: a drift that is steeper once is no step beside another
+    each_cause: float = 1 / 6
+    # probability of any name by chance, all candidates together, in a recording without an effect
+    family_wise: float = 0.01
+    field_differs: float = 0.02  # of the field: a degree of heading
+    field_varies: float = 5.0  # nats: twice what clean recordings show by chance (at most 2.3)
+    firm: float = 0.7  # share of what a term should explain beside whatever else is missing
+    # share of what a family explains from which the names hold it: 0.995 of what they are, 0.7 of others
+    held_by_names: float = 0.98
+    held_rows: float = 0.08  # share of rows that repeat exactly
+    late: float = 0.01  # rad of a turn
+    left: float = 0.2  # share of an effect's statistic that it or a rival may pick up after it
+    little: float = 0.3  # share of a term's signature that a family which holds it may lack
+    longest_colour: float = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
+    lowest_bins: int = 5  # of a tone: slower ones are drifts
+    many: int = 9  # values of one family, from which half of the data do not determine them for the other half
+    most_of: float = 0.7  # share of a wider family's statistic from which the simple delay is preferred
+    most_terms: int = 5  # effects in one recording, at which a search ends
+    mostly: float = 0.6  # share that a term must explain of what families that hold its signature could explain
+    moved: float = 2.0  # sigmas from which a parameter is reported as moved
+    much: float = 60.0  # statistic from which an effect is taken out before the colour is measured
+    one_way: float = 0.75  # share of the colour along one axis beyond which it is no noise
+    rare: float = 0.05  # share of samples up to which they are single; more is another distribution of the noise
+    # share of the repeated entries that chance must leave over: axes that pause together are no hold
+    repeats_left: float = 0.7
+    same: float = 0.99  # squared cosine between what two explain, from which they are the same
+    # share of what was explained that may remain, for effects are not quite of the catalogue's form
+    shape: float = 0.08
+    shared: float = 0.0001  # share of a signature that must be left beside a rival's to be tested
+    slow: float = 1.0  # Hz, up to which windows of a second still show something
+    span: float = 2.5  # widths within which a second bump belongs to the first
+    spike: float = 4.5  # sigmas, one normal vector in six thousand
+    spikes_alone: float = 0.46  # share of them, those side by side counted as one, that have no neighbour
+    strong: float = 5.0  # thresholds that a term must pass where something else is missing too
+    # nats, and share of the evidence, by which one that is as good as the strongest may be behind
+    tie: tuple[float, float] = (3.0, 0.05)
+    too_slow: float = 0.7  # of what the channel explains, that it still holds when shifted: it is too slow to tell
+    trace: float = 0.03  # share of an effect's statistic below which another may be its form, whatever the name
+    tried: int = 3  # names in a tie, at most
+    two_causes: float = 9.0  # nats, by which two causes must be ahead of a drift
+    unsure_line: float = 2.0  # nats more that a line must stand out, for the floor below it is estimated
+    weak: float = 50.0  # nats, up to which what is small may be the shadow of another effect
+    worth_moving: float = 0.5  # sigma, in the mean, by which the iron must move to be moved
+
+
+RULES = Rules()
