@@ -192,11 +192,12 @@ class Incremental:
             result = self._isam.update(added, new, slots)
             found = result.getNewFactorsIndices()
             touched.insert(new)
-            moved = self._step(result, touched, new)
+            fresh, lost = set(new.keys()), bool(removed)
+            moved = self._step(result, touched, fresh, lost)
             for _ in range(steps - 1):
                 if not moved > self._tolerance:  # nor goes on from NaN
                     break
-                moved = self._step(self._isam.update(), touched, gtsam.Values())
+                moved = self._step(self._isam.update(), touched, set(), lost)
             whole = bool(np.isfinite(moved))
         except (KeyboardInterrupt, NonFiniteError, RuntimeError) as problem:
             return self._not_updated(problem)
@@ -249,18 +250,30 @@ class Incremental:
             raise MagycError(f"no initial value for {', '.join(called(key, self._names) for key in missing)}")
         if initial is not None:
             new.insert(initial)
-            for key in set(initial.keys()) - set(keys):
+            for key in set(initial.keys()).difference(keys):
                 new.erase(key)
         return new
 
-    def _step(self, result: gtsam.ISAM2Result, touched: gtsam.Values, new: gtsam.Values) -> float:
-        """Read what a step touched into `touched`; by how much it moved a variable that existed before at most."""
-        keys = [key for key in result.getMarkedKeys() if self._isam.valueExists(key)]
+    def _step(self, result: gtsam.ISAM2Result, touched: gtsam.Values, new: set[int], lost: bool) -> float:
+        """Read what a step touched into `touched`; by how much it moved a variable that existed before at most.
+
+        Args:
+            result: of the step.
+            touched: the values that this update has read, and those of the new variables.
+            new: the new variables.
+            lost: whether factors were removed, so that variables may have gone.
+        """
+        keys = list(result.getMarkedKeys())
+        if lost:
+            keys = [key for key in keys if self._isam.valueExists(key)]
         after = self._isam.calculateEstimate(keys)
-        compared = [key for key in keys if not new.exists(key)] or keys
-        before = touched.extract([key for key in compared if touched.exists(key)])
-        before.insert(self._values.extract([key for key in compared if not touched.exists(key)]))
-        change = before.localCoordinates(after.extract(compared)).vector()
+        compared = [key for key in keys if key not in new] or keys
+        read = [key for key in compared if touched.exists(key)] if touched.size() > len(new) else []
+        known = set(read).union(new)
+        before = self._values.extract([key for key in compared if key not in known])
+        before.insert(touched.extract([key for key in compared if key in known]))
+        moved = after if len(compared) == len(keys) else after.extract(compared)
+        change = before.localCoordinates(moved).vector()
         touched.insert_or_assign(after)
         self._steps.append(float(np.abs(change).max(initial=0.0)))
         return self._steps[-1]
