@@ -12,6 +12,7 @@ from __future__ import annotations
 import collections
 import random
 import resource
+import signal
 import struct
 import sys
 import tempfile
@@ -172,8 +173,9 @@ def damaged(whole: bytes, source: random.Random) -> bytes:
 
 
 def main(name: str, count: int, seed: int = 0) -> int:
-    """The exit code."""
+    """The exit code; Ctrl-C ends early, with the figures so far."""
     warnings.simplefilter("ignore")
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell has its background jobs ignore it
     make, use = READERS[name]
     source = random.Random(seed)
     outcome: collections.Counter[str] = collections.Counter()
@@ -182,18 +184,21 @@ def main(name: str, count: int, seed: int = 0) -> int:
     with tempfile.TemporaryDirectory() as folder:
         whole, suffix = make(Path(folder))
         use(_written(Path(folder) / f"whole{suffix}", whole))
-        for k in range(count):
-            path = _written(Path(folder) / f"damaged{suffix}", damaged(whole, source))
-            began = time.perf_counter()
-            try:
-                use(path)
-                outcome["read"] += 1
-            except mg.MagycError:
-                outcome["refused"] += 1
-            except Exception as error:  # noqa: BLE001  # what is looked for
-                outcome["internal"] += 1
-                internal.setdefault(f"{type(error).__name__}: {str(error)[:80]}", f"input {k} of seed {seed}")
-            slowest = max(slowest, time.perf_counter() - began)
+        try:
+            for k in range(count):
+                path = _written(Path(folder) / f"damaged{suffix}", damaged(whole, source))
+                began = time.perf_counter()
+                try:
+                    use(path)
+                    outcome["read"] += 1
+                except mg.MagycError:
+                    outcome["refused"] += 1
+                except Exception as error:  # noqa: BLE001  # what is looked for
+                    outcome["internal"] += 1
+                    internal.setdefault(f"{type(error).__name__}: {str(error)[:80]}", f"input {k} of seed {seed}")
+                slowest = max(slowest, time.perf_counter() - began)
+        except KeyboardInterrupt:  # what was done so far counts
+            count = outcome.total()
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(
         f"{name}: {count} inputs of {len(whole)} bytes, {outcome['read']} read, {outcome['refused']} refused, "
