@@ -107,11 +107,13 @@ def parse_axes(text: str) -> Array:
 
 def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
     """{key: value} of "key=value" texts; values are YAML, so that 3, true and [1, 2] mean what they say."""
+    if not pairs:
+        return {}
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.stored import parse_yaml
 
     result = {}
-    for pair in pairs or ():
+    for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not key.strip():
             raise MagycError(f"{option}: {pair!r} is not of the form key=value")

@@ -8,8 +8,7 @@ from pathlib import Path
 from mcap.records import Channel, Metadata, Schema
 
 from magyc_gtsam.io.log_info import LogInfo
-from magyc_gtsam.io.mcap_records import Block, records
-from magyc_gtsam.io.mcap_writer import METADATA
+from magyc_gtsam.io.mcap_records import METADATA, Block, records
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_log import RosLog, collected, info_of, recording_of
 from magyc_gtsam.recording import Recording

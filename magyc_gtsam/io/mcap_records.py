@@ -28,6 +28,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 
 MAGIC = b"\x89MCAP0\r\n"
+METADATA = "magyc-gtsam"  # holds what ROS messages have no field for
 HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size, checksum, length of the compression's name
 _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])

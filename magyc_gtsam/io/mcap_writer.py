@@ -13,11 +13,11 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.mcap_records import METADATA
 from magyc_gtsam.io.ros2 import SENSOR_FIELDS, UNKNOWN, definition, encode, encode_numbers, numbers_of
 from magyc_gtsam.io.ros_fields import NANOSECONDS
 from magyc_gtsam.recording import Recording
 
-METADATA = "magyc-gtsam"  # holds what ROS messages have no field for
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, None: CompressionType.NONE}
 _LATEST = 2**31 * NANOSECONDS  # a stamp's seconds are an int32
 
