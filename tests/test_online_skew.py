@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam import cli
 from magyc_gtsam.estimators.smoother.search import preintegrate
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.field_chain import FieldChain, SensorNoise, State
@@ -112,3 +113,18 @@ def test_a_skew_that_no_board_has_is_not_believed_online_either() -> None:
     assert not online.converged
     assert online.calibration.terms == ()
     assert online.calibration.message.startswith("the field varies along the way")
+
+
+def test_the_command_takes_them(tmp_path: Path) -> None:
+    earlier = mg.calibrate(mg.simulate("wide", 120, seed=9).recording)
+    earlier.save(tmp_path / "earlier.yaml")
+    log = Path(__file__).parent.parent / "datasets" / "calibration_dive.mcap"
+    said = f"online {log} -o {tmp_path}/now.yaml --state {tmp_path}/state.npz --idle 0 --quiet --misalignment 0.5"
+    said += f" --prior {tmp_path}/earlier.yaml --prior-walk 40 --location 47.5 19 --date 2026-03-01"
+    assert cli.main(said.split()) in (0, 1)
+    options = mg.OnlineCalibrator.load(tmp_path / "state.npz").options
+    assert options["misalignment"] == pytest.approx(np.radians(0.5))
+    assert options["prior_walk"] == pytest.approx(40e-6)
+    assert options["prior"]["hard_iron"] == earlier.hard_iron.tolist()
+    assert 40e-6 < options["field"][0] < 60e-6
+    assert mg.Calibration.load(tmp_path / "now.yaml").configuration["misalignment"] == options["misalignment"]
