@@ -39,7 +39,7 @@ class SkewPrior:
         weights: how far each is believed; by linear simulation over five motions and skews of 0 to 1.5° (4,000 runs a
             cell) these keep the NEES of twelve parameters between 10.0 and 12.9.
         evidence: nats from which a skew is decided. By the same simulation 1.4 keeps the rms heading of every cell
-            within 1.29 times the better of twelve and fifteen parameters; at 3 it was 1.52 times at 0.7° on moderate.
+            within 1.27 times the better of twelve and fifteen parameters; at 3 it was 1.52 times at 0.7° on moderate.
         resolved: rad, standard deviation of a direction of ε by the data beyond which it is left open: what is known
             worse than boards differ would be noise in the heading (a level motion knows yaw to 1.4°).
         most: rad, of a skew that is believed. Rooms whose field varies with the place show larger ones (BROAD's
