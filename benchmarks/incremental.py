@@ -1,75 +1,93 @@
-"""What `runners.Incremental` costs beside the `ISAM2` that it drives, update by update.
+"""MAGYC-IFG over a mission of hours: ours, compressed and as published, and `magyc_ifg` of the authors' package.
 
-    python benchmarks/incremental.py --poses 1000
-    python benchmarks/incremental.py --poses 10000
+    pip install magyc==1.0.0 "numpy<2"        # beside this package, in an environment of its own
+    python benchmarks/incremental.py [--hours 10] [--published MINUTES] [--peer MINUTES]
 
-Poses one by one, each with odometry to the one before and a position fix every ten; both solvers get the same factors,
-turn and turn about in one process, relinearise at 0.01 by Gauss-Newton, and give the estimate of the newest pose.
+Per window of one second: median time in the first ten minutes and in the last hour, and how much memory grew after
+the first hour. As published, every update linearises all factors again, so it is run for minutes only; the peer,
+which updates every tenth window, likewise. Times are of the process, so that others on the machine do not count.
 """
+
+from __future__ import annotations
 
 import argparse
 import time
+from pathlib import Path
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import X
 
-from magyc_gtsam.runners import Incremental
+from magyc_gtsam import OnlineCalibrator, Simulation, simulate
 
-ODOMETRY = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.002, 0.002, 0.01, 0.02, 0.02, 0.02]))
-PRIOR = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
-FIX = gtsam.noiseModel.Isotropic.Sigma(3, 0.5)
-THRESHOLD = 0.01
+RATE = 10
+BLOCK = RATE  # samples handed over at a time: one window
 
 
-def additions(poses: int, seed: int = 0):
-    """(factors, initial value) of each pose."""
-    random = np.random.default_rng(seed)
-    true = guess = gtsam.Pose3()
-    for k in range(poses):
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        if k == 0:
-            graph.push_back(gtsam.PriorFactorPose3(X(0), true, PRIOR))
-        else:
-            step = gtsam.Pose3.Expmap(np.array([0.0, 0.0, 0.1 * np.sin(k / 30), 0.5, 0.0, 0.0]))
-            read = step.compose(gtsam.Pose3.Expmap(random.normal(size=6) * ODOMETRY.sigmas()))
-            true, guess = true.compose(step), guess.compose(read)
-            graph.push_back(gtsam.BetweenFactorPose3(X(k - 1), X(k), read, ODOMETRY))
-        if k % 10 == 0:
-            graph.push_back(gtsam.GPSFactor(X(k), true.translation() + 0.5 * random.normal(size=3), FIX))
-        values.insert(X(k), guess)
-        yield graph, values
+def resident() -> float:
+    """MB of this process that lie in memory."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096 / 1e6
 
 
-def isam2() -> gtsam.ISAM2:
-    """As `Incremental` sets it up."""
-    parameters = gtsam.ISAM2Params()
-    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams())
-    parameters.setRelinearizeThreshold(THRESHOLD)
-    parameters.relinearizeSkip = 1
-    return gtsam.ISAM2(parameters)
+def online(simulation: Simulation, **options: object) -> tuple[np.ndarray, list[float]]:
+    """s per window, and MB after every hour; the calibration is read once a minute as a vehicle would."""
+    at = simulation.recording
+    calibrator = OnlineCalibrator("magyc-ifg", estimate="current", **options)
+    windows = len(at.time) // BLOCK
+    took, memory = np.zeros(windows), []  # set aside, not to count as the method's memory
+    for window in range(windows):
+        rows = slice(window * BLOCK, (window + 1) * BLOCK)
+        began = time.process_time()
+        calibrator.update(at.time[rows], at.magnetic_field[rows], at.angular_rate[rows])
+        took[window] = time.process_time() - began
+        if window % 60 == 59:
+            assert calibrator.progress.windows > 0
+        if window % 3600 == 3599:
+            memory.append(resident())
+    error = np.linalg.norm(calibrator.calibration.hard_iron - simulation.truth.hard_iron) * 1e7
+    print(f"{'':30}hard iron off by {error:.2f} mG at the end")
+    return took, memory
+
+
+def told(name: str, took: np.ndarray, memory: list[float], first: int = 600, last: int = 3600) -> None:
+    """One line."""
+    early, late = 1e3 * np.median(took[:first]), 1e3 * np.median(took[-min(last, first) :])
+    grown = f"{memory[-1] - memory[0]:+.2f} MB after hour 1" if len(memory) > 1 else ""
+    print(
+        f"{name:30}{len(took):6} windows  first {early:7.3f} ms  last {late:7.3f} ms  ×{late / early:.2f}  {grown}"
+    )
+
+
+def peer(minutes: int) -> None:
+    """Their total over twice and four times the data: the cost of a window as the mission grows."""
+    from magyc import magyc_ifg
+
+    for factor in (1, 2, 4):
+        simulation = simulate("wide", duration=60 * minutes * factor, rate=RATE, seed=0)
+        at = simulation.recording
+        began = time.process_time()
+        hard_iron, *_ = magyc_ifg(at.magnetic_field * 1e4, np.array(at.angular_rate), at.time, RATE)
+        took = time.process_time() - began
+        error = np.linalg.norm(np.ravel(hard_iron) * 1e-4 - simulation.truth.hard_iron) * 1e7
+        windows = 60 * minutes * factor
+        print(
+            f"{'magyc_ifg of magyc 1.0.0':30}{windows:6} windows  {1e3 * took / windows:7.3f} ms each, "
+            f"every tenth updated; hard iron off by {error:.2f} mG"
+        )
 
 
 def main() -> None:
-    """Print milliseconds an update of both, in all and over the last tenth."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--poses", type=int, default=1000)
-    poses = parser.parse_args().poses
-    plain, ours = isam2(), Incremental("gauss-newton", relinearize_threshold=THRESHOLD)
-    spent = np.zeros((poses, 2))
-    for k, (graph, values) in enumerate(additions(poses)):
-        begun = time.perf_counter()
-        plain.update(graph, values)
-        plain.calculateEstimatePose3(X(k))
-        between = time.perf_counter()
-        result = ours.update(graph, values)
-        spent[k] = between - begun, time.perf_counter() - between
-        assert result.updated, result.message
-    difference = plain.calculateEstimate().localCoordinates(ours.values).norm()
-    for name, rows in (("in all", spent), ("last tenth", spent[-poses // 10 :])):
-        a, b = 1e3 * rows.mean(axis=0)
-        print(f"{poses} poses, {name}: ISAM2 {a:.3f} ms an update, Incremental {b:.3f} ms, x{b / a:.2f}")
-    print(f"the two estimates differ by {difference:.1e}")
+    """Print the table."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--hours", type=float, default=10.0)
+    arguments.add_argument("--published", type=int, default=10, metavar="MINUTES")
+    arguments.add_argument("--peer", type=int, default=10, metavar="MINUTES")
+    given = arguments.parse_args()
+    simulation = simulate("dive", duration=3600 * given.hours, rate=RATE, seed=0)
+    told("magyc-ifg, compressed", *online(simulation))
+    short = simulate("wide", duration=60 * given.published, rate=RATE, seed=0)
+    took, memory = online(short, compressed=False)
+    told("magyc-ifg, as published", took, memory, first=60)
+    peer(given.peer)
 
 
 if __name__ == "__main__":
