@@ -292,3 +292,18 @@ def test_formats_that_make_text_of_numbers(tmp_path: Path, kind: str, code: str)
     except MagycError as error:
         found = str(error)
     assert found
+
+
+def test_a_log_cut_off_anywhere_is_read_or_refused(tmp_path: Path) -> None:
+    """From its first two bytes on: before a description is whole, and before a message of a sensor is."""
+    whole = dataflash(tmp_path / "whole.bin", flight()).read_bytes()
+    lengths = [*range(2, 120), *range(120, 2000, 37), len(whole)]
+    outcomes = set()
+    for length in lengths:
+        path = tmp_path / "cut.bin"
+        path.write_bytes(whole[:length])
+        try:
+            outcomes.add(len(read(path).time) > 2)
+        except MagycError:
+            outcomes.add(False)
+    assert outcomes == {True, False}

@@ -110,12 +110,11 @@ class Dataflash:
                 f"{kind}: its format {known.codes!r} does not fill its {known.length} bytes; the log is damaged"
             )
         at = self.places(kind) if places is None else places
-        everywhere: NDArray[Any] = np.ndarray(
-            (max(len(self._bytes) - known.length + 1, 0),),
-            dtype=known.fields,
-            buffer=self._data,
-            offset=3,
-            strides=(1,),
+        rows = len(self._bytes) - known.length + 1  # bytes at which a message of this length can begin
+        everywhere: NDArray[Any] = (
+            np.ndarray((rows,), dtype=known.fields, buffer=self._data, offset=3, strides=(1,))
+            if rows > 0
+            else np.empty(0, dtype=known.fields)
         )
         value = everywhere[name][at]
         divisor = _DIVISORS.get(known.codes[known.columns.index(name)])

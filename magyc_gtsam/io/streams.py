@@ -143,9 +143,10 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
 
 
 def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
-    finite: NDArray[np.bool_] = np.isfinite(stream.value).reshape(len(stream.stamp), -1)
-    if finite.all():
+    finite: NDArray[np.bool_] = np.isfinite(stream.value)
+    if finite.all():  # as where there is none
         return stream
+    finite = finite.reshape(len(finite), -1)
     if role in SENSORS:
         for axis, share in zip("xyz", finite.mean(axis=0), strict=True):
             if share < _ABSENT:
