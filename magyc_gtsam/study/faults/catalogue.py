@@ -54,8 +54,8 @@ FAULTS: Mapping[str, Fault] = {
     "weakening-field": Fault("world", s.weakening_field, 0.01, 0.05, "of the field"),
     "eddy-currents": Fault("body", s.eddy_currents, 0.1, 0.5, "s"),
     # The gyroscope.
-    "turned-gyroscope": Fault("turn", g.turned_axes, 1, 5, "deg"),
-    "badly-turned-gyroscope": Fault("turn", g.turned_axes, 10, 15, "deg"),
+    "turned-gyroscope": Fault("turn", g.turned_axes, 1, 5, "deg", turns=True),
+    "badly-turned-gyroscope": Fault("turn", g.turned_axes, 10, 15, "deg", turns=True),
     "gyroscope-scale": Fault("turn", g.scale, 0.01, 0.05, "of the rate"),
     "gyroscope-scale-of-one-axis": Fault("turn", g.scale_of_one_axis, 0.01, 0.05, "of the rate"),
     "held-gyroscope": Fault("rate", g.held, 3, 5, "rows"),

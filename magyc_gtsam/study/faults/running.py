@@ -113,7 +113,7 @@ def _work(parts: Path, case: Case, name: str, method: Method) -> None:
     size = getattr(fault, case.strength)
     log = record(case.motion, case.seed, fault, size, case.fault)
     try:
-        result = score(method(log.recording(case.name)))
+        result = score(method(log.recording(case.name)), body_R_sensor=log.body_R_sensor)
     except MagycError as problem:
         result = refused(str(problem))
     except Exception as error:  # noqa: BLE001 - counted, and the study ends with exit code 1

@@ -15,6 +15,7 @@ from magyc_gtsam.simulation import FIELD, HARD_IRON, SOFT_IRON
 SIGMAS = 3.0  # stated ones, beyond which an error is wrong
 HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
 HEADING_MATTERS = 0.5  # deg
+_ALIGNED = np.eye(3)
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
 
 
@@ -51,13 +52,13 @@ def crashed(error: Exception) -> Score:
     return Score("crashed", np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
 
 
-def score(calibration: Calibration | None, message: str = "") -> Score:
-    """A calibration beside the truth of `signals.record`."""
+def score(calibration: Calibration | None, message: str = "", body_R_sensor: Array = _ALIGNED) -> Score:
+    """A calibration beside the truth of `signals.record`; the heading is that of the body's axes."""
     if calibration is None or calibration.covariance is None:
         return refused(message or "no calibration with a covariance")
     off = np.abs(calibration.hard_iron - HARD_IRON)
     sigma = np.sqrt(np.diag(calibration.covariance)[6:9])
-    heading, heading_sigma = _heading(calibration)
+    heading, heading_sigma = _heading(calibration, body_R_sensor)
     iron_wrong = bool(((off > SIGMAS * sigma) & (off > HARD_IRON_MATTERS)).any())
     heading_wrong = bool(((heading > SIGMAS * heading_sigma) & (heading > HEADING_MATTERS)).any())
     outcome = "refused"
@@ -73,21 +74,21 @@ def score(calibration: Calibration | None, message: str = "") -> Score:
     )
 
 
-def _heading(calibration: Calibration) -> tuple[Array, Array]:
+def _heading(calibration: Calibration, body_R_sensor: Array) -> tuple[Array, Array]:
     """(n,) deg, error of the calibrated heading over a level turn, and its stated sigma."""
     heading = np.arange(0.0, 360.0, 10.0)
     angle = np.deg2rad(heading)
-    north, east, down = FIELD  # level: a turn about the sensor's z
+    north, east, down = FIELD  # level: a turn about the body's z
     forward, right = north * np.cos(angle) + east * np.sin(angle), -north * np.sin(angle) + east * np.cos(angle)
     body = np.column_stack([forward, right, np.full_like(angle, down)])
-    field = calibration.apply(body @ SOFT_IRON.T + HARD_IRON)
-    angle = np.arctan2(body[:, 1], body[:, 0])  # of the horizontal field in sensor axes
+    field = calibration.apply(body @ body_R_sensor @ SOFT_IRON.T + HARD_IRON)
+    angle = np.arctan2(body[:, 1], body[:, 0])  # of the horizontal field in body axes
     error = np.arctan2(field[:, 1], field[:, 0]) - angle
     error = np.abs(np.rad2deg(np.angle(np.exp(1j * error))))
     scale, dip = (
         float(np.cbrt(np.linalg.det(SOFT_IRON))),
         float(np.degrees(np.arctan2(down, np.hypot(north, east)))),
     )
-    turn = LevelTurn(np.degrees(angle), scale * body, np.eye(3)[0], np.eye(3)[1], dip, "the sensor's z axis")
+    turn = LevelTurn(np.degrees(angle), scale * body, np.eye(3)[0], np.eye(3)[1], dip, "the body's z axis")
     assert calibration.covariance is not None
     return error, np.maximum(turn.systematic(calibration.covariance, calibration.soft_iron), 1e-6)

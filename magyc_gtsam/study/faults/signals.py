@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from typing import Any
 from zlib import crc32
 
@@ -46,12 +47,16 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """What was logged: stamps (n,) s and values (n, 3) of both sensors, T and rad/s."""
+    """What was logged: stamps (n,) s and values (n, 3) of both sensors, T and rad/s.
+
+    `body_R_sensor` (3, 3) turns the magnetometer's axes into the body's, which are those of the gyroscope.
+    """
 
     field_time: Array
     field: Array
     rate_time: Array
     rate: Array
+    body_R_sensor: Array = attribute(default_factory=lambda: np.eye(3))
 
     def recording(self, name: str) -> Recording:
         """As a reader gives it."""
@@ -76,6 +81,7 @@ class Fault:
         weak, strong: strengths, in `unit`.
         shows: whether data without the cause's own channel can show it.
         rate: Hz, of the log.
+        turns: whether it turns the axes of the gyroscope, which are the body's.
     """
 
     place: str
@@ -85,6 +91,7 @@ class Fault:
     unit: str
     shows: bool = True
     rate: float = 10.0
+    turns: bool = False
 
 
 def record(
@@ -113,10 +120,11 @@ def record(
     world = changed("world", np.tile(FIELD, (len(time), 1)))
     body = changed("body", scene.attitude.inv().apply(world))
     iron = changed("iron", body @ SOFT_IRON.T + HARD_IRON)
-    field = changed("field", iron[rows] + noise[0])
+    readings = changed("field", iron[rows] + noise[0])
     turn = changed("turn", scene.rate)
     rates = changed("rate", turn[rows] + GYRO_BIAS + noise[1])
-    log = Log(time[rows], field, time[rows], rates)
+    between = Rotation.align_vectors(turn, scene.rate)[0].as_matrix() if fault and fault.turns else np.eye(3)
+    log = Log(time[rows], readings, time[rows], rates, between)
     return log if fault is None or fault.place != "log" else fault.change(log, scene, strength, own)
 
 
