@@ -28,8 +28,11 @@ from magyc_gtsam.io import write_mcap
 from magyc_gtsam.report import compare_page, compare_words
 from magyc_gtsam.report.compare_page import render_comparison
 from magyc_gtsam.study import comparison as module
-from magyc_gtsam.study.comparison import UNCALIBRATED, Comparison, Status, compare
+from magyc_gtsam.study import judging
+from magyc_gtsam.study.comparison import compare
 from magyc_gtsam.study.heading import heading_error
+from magyc_gtsam.study.judging import UNCALIBRATED
+from magyc_gtsam.study.outcome import Comparison, Outcome, Status
 
 COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
 HOSTILE = "<script>document.title = 'taken'</script>"
@@ -220,14 +223,14 @@ def test_an_interrupt_while_the_methods_are_judged_is_held(
 ) -> None:
     """After the last method was done: its result took the time and is written."""
     write_mcap("dive.mcap", dive.recording)
-    ordinary = module._judged
+    ordinary = judging._judged
 
-    def interrupted(recording: mg.Recording, result: module.Outcome, *more: Any) -> module.Outcome:
+    def interrupted(recording: mg.Recording, result: Outcome, *more: Any) -> Outcome:
         if result.method == "ellipsoid":
             os.kill(os.getpid(), signal.SIGINT)
         return ordinary(recording, result, *more)
 
-    monkeypatch.setattr(module, "_judged", interrupted)
+    monkeypatch.setattr(judging, "_judged", interrupted)
     code, _, error = here("compare", "dive.mcap", "--methods", "sar-ls,ellipsoid", "-o", "out", "--quiet")
     assert code == 130
     assert error == "magyc-gtsam: interrupted; the methods done by then are in out\n"
@@ -308,7 +311,7 @@ def test_a_gyroscope_bias_that_contradicts_is_doubted(dive: mg.Simulation, compa
 def test_a_field_that_varies_more_than_before_is_doubted(
     dive: mg.Simulation, compared: Comparison, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_WORSE", 0.01)
+    monkeypatch.setattr(judging, "_WORSE", 0.01)
     smoother = outcome(module.judge(dive.recording, ["smoother"], [outcome(compared, "smoother")]), "smoother")
     assert smoother.status is Status.DOUBTFUL
     assert "varies more" in smoother.reason

@@ -22,7 +22,7 @@ from magyc_gtsam.cli.scale import Scale
 from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
 
 if TYPE_CHECKING:
-    from magyc_gtsam.study.comparison import Comparison
+    from magyc_gtsam.study.outcome import Comparison
 
 
 @with_groups
@@ -50,7 +50,8 @@ def run(
     """
     from magyc_gtsam.report.compare_page import render_comparison
     from magyc_gtsam.report.compare_words import csv_text, judged_comparison, to_dict
-    from magyc_gtsam.study.comparison import checked_methods, judge, run_methods
+    from magyc_gtsam.study.comparison import checked_methods, run_methods
+    from magyc_gtsam.study.judging import judge
 
     field_strength = scale.tesla()
     names = checked_methods(None if methods is None else [name.strip() for name in methods.split(",")])

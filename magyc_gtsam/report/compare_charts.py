@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
 from magyc_gtsam.report.words import uncertain
-from magyc_gtsam.study.comparison import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, Status
 
 _BEYOND = 1.5  # times the spread of the trusted methods, from which an estimate is drawn at the edge
 

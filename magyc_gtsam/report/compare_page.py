@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from magyc_gtsam.report import compare_charts, compare_words
 from magyc_gtsam.report.charts import Figure
 from magyc_gtsam.report.html import rendered
-from magyc_gtsam.study.comparison import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, Status
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import uncertain
-from magyc_gtsam.study.comparison import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, Status
 
 _HUGE = 1e5  # in the unit shown, from where digits behind the point say nothing
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")

@@ -21,7 +21,7 @@ from magyc_gtsam.report.analysis import field_history
 from magyc_gtsam.report.gap_verdict import judged_gap
 from magyc_gtsam.report.gap_words import effect_value
 from magyc_gtsam.report.verdict import judged
-from magyc_gtsam.study.comparison import Comparison
+from magyc_gtsam.study.outcome import Comparison
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
