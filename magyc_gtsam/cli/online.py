@@ -1,7 +1,8 @@
-"""`magyc-gtsam online`: calibrate while the vehicle moves, from a log that is still being written or from a pipe."""
+"""`magyc-gtsam online`: calibrate while the vehicle moves, from a growing log, a pipe, a socket or a port."""
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,8 +14,6 @@ from magyc_gtsam.cli.reading import parse_axes, parse_pairs, parse_unit
 from magyc_gtsam.cli.scale import Scale
 
 if TYPE_CHECKING:
-    from magyc_gtsam.io.live import LiveSource
-    from magyc_gtsam.io.request import Request
     from magyc_gtsam.online import OnlineCalibrator
 
 _METHOD = "smoother"
@@ -26,9 +25,10 @@ def run(
     log: Annotated[
         str,
         typer.Argument(
-            metavar="LOG",
-            help="MCAP file, which may still be written; or - for JSON lines on standard input: "
-            '{"time": s, "magnetic_field": [x, y, z], "angular_rate": [x, y, z]}.',
+            metavar="SOURCE",
+            help="MCAP file, which may still be written; - for JSON lines on standard input: "
+            '{"time": s, "magnetic_field": [x, y, z], "angular_rate": [x, y, z]}; or udp://[HOST]:PORT, '
+            "serial://PORT?baud=N, mavlink://udpin:HOST:PORT (or tcp:…, or a port), ros2://.",
             show_default=False,
         ),
     ],
@@ -52,7 +52,7 @@ def run(
         typer.Option(
             metavar="SECONDS",
             min=0.0,
-            help="End after so long without growth. Default: 60 for a file; standard input is waited for.",
+            help="End after so long without anything new. Default: 60 for a file; all else is waited for.",
         ),
     ] = None,
     magnetic_field: given.MagneticField = None,
@@ -85,6 +85,7 @@ def run(
     from magyc_gtsam.cli.online_session import Session
     from magyc_gtsam.cli.online_view import view
     from magyc_gtsam.io.request import Request
+    from magyc_gtsam.live.address import is_file, open_source
 
     if output.suffix not in (".yaml", ".yml", ".json"):
         raise typer.BadParameter(f"{output} is neither .yaml nor .json", param_hint="--output")
@@ -103,10 +104,9 @@ def run(
     options = {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", option)
     options |= beforehand(misalignment, prior)
     online = _calibrator(state, method, options)
-    source = _source(log, request)
-    if idle is None and log != "-":
+    if idle is None and is_file(log):
         idle = _PATIENCE
-    with view(source, online, quiet=quiet, json=json) as shown:
+    with closing(open_source(log, request)) as source, view(source, online, quiet=quiet, json=json) as shown:
         session = Session(
             source, online, output=output, state=state, every=every, idle=idle, axes=axes, view=shown
         )
@@ -132,18 +132,3 @@ def _calibrator(state: Path | None, method: str | None, options: dict[str, Any])
             + "; leave method and options out, or name another file"
         )
     return online
-
-
-def _source(log: str, request: Request) -> LiveSource:
-    from magyc_gtsam.factors.errors import MagycError
-
-    if log == "-":
-        from magyc_gtsam.io.json_lines import JsonLines
-
-        return JsonLines(0, request)
-    path = Path(log)
-    if path.is_dir():
-        raise MagycError(f"{path}: is a directory; name the MCAP file in it that is being written")
-    from magyc_gtsam.io.mcap_follow import McapFollower
-
-    return McapFollower(path, request)

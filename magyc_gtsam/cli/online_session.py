@@ -15,7 +15,8 @@ import numpy as np
 
 from magyc_gtsam.cli.files import refuse_unwritable
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.live import Batch, LiveSource
+from magyc_gtsam.live.health import Monitor
+from magyc_gtsam.live.source import Batch, LiveSource
 from magyc_gtsam.recording import Array, Samples
 
 if TYPE_CHECKING:
@@ -35,7 +36,9 @@ class End(str, Enum):
 
 
 class View(Protocol):
-    """What a run shows while it goes on."""
+    """What a run shows while it goes on, and how its source does."""
+
+    monitor: Monitor
 
     def refresh(self) -> None:
         """Called after every read."""
@@ -100,6 +103,7 @@ class Session:
         while True:
             batch = self.source.read(_WAIT)
             self._tell()
+            self._view.monitor.take(batch, time.monotonic(), getattr(self.source, "round_trip", None))
             self._take(batch)
             self._view.refresh()
             now = time.monotonic()
@@ -142,7 +146,8 @@ class Session:
         )
 
     def _tell(self) -> None:
-        notes, self.source.notes = self.source.notes, []
+        notes = list(self.source.notes)
+        self.source.notes.clear()
         for note in notes:
             self._view.say(note)
 

@@ -14,13 +14,14 @@ import typer
 from magyc_gtsam.cli.online_session import End, Session
 from magyc_gtsam.cli.terminal import concluded, console, show, show_calibration
 from magyc_gtsam.foreign_text import printable
+from magyc_gtsam.live.health import Health, Monitor
 from magyc_gtsam.report.words import parameter_rows, uncertain
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from magyc_gtsam.calibration import Calibration
-    from magyc_gtsam.io.live import LiveSource
+    from magyc_gtsam.live.source import LiveSource
     from magyc_gtsam.online import Change, OnlineCalibrator
 
 _REFRESH = 0.5  # s between two looks at the estimate, and no more than a tenth of the time for them
@@ -35,6 +36,7 @@ class Quiet:
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
         self.source, self.online = source, online
+        self.monitor = Monitor()
         self._said = 0
 
     def refresh(self) -> None:
@@ -93,7 +95,7 @@ class Plain(Quiet):
 
     def report(self) -> None:
         """As `View.report`."""
-        show(line(self.online, self.source))
+        show(line(self.online, self.source, self.monitor.health))
 
     def result(self, session: Session, calibration: Calibration) -> None:
         """As `Quiet.result`."""
@@ -123,7 +125,8 @@ class Live(Plain):
         began = time.monotonic()
         if began < self._next:
             return
-        self._screen.update(panel(self.online, self.source, self._written), refresh=True)
+        shown = panel(self.online, self.source, self.monitor.health, self._written)
+        self._screen.update(shown, refresh=True)
         ended = time.monotonic()
         self._next = ended + max(_REFRESH, _SHARE * (ended - began))
 
@@ -158,6 +161,8 @@ class Json(Quiet):
     def _values(self) -> dict[str, Any]:
         progress, calibration = self.online.progress, self.online.calibration
         return {
+            "source": self.monitor.health.to_dict()
+            | {"name": self.source.name, "refused": self.source.lost, "waiting_for": self.source.waiting_for},
             "time": progress.time,
             "duration": progress.duration,
             "windows": progress.windows,
@@ -198,7 +203,7 @@ def view(source: LiveSource, online: OnlineCalibrator, *, quiet: bool, json: boo
             live.stop()
 
 
-def line(online: OnlineCalibrator, source: LiveSource) -> str:
+def line(online: OnlineCalibrator, source: LiveSource, health: Health) -> str:
     """How it is, in one line."""
     progress, calibration = online.progress, online.calibration
     parts = [f"{progress.duration:8.1f} s"]
@@ -207,6 +212,7 @@ def line(online: OnlineCalibrator, source: LiveSource) -> str:
     if online.changes:
         parts.append(f"{len(online.changes)} change{'s' if len(online.changes) > 1 else ''}")
     parts.append(source.waiting_for if progress.time is None and source.waiting_for else progress.sentence)
+    parts.append(health.sentence)
     return " | ".join(parts)
 
 
@@ -234,7 +240,7 @@ def _since(calibration: Calibration, first: float) -> Calibration:
     return replace(calibration, diagnostics={**calibration.diagnostics, "disturbed": disturbed})
 
 
-def panel(online: OnlineCalibrator, source: LiveSource, written: str) -> RenderableType:
+def panel(online: OnlineCalibrator, source: LiveSource, health: Health, written: str) -> RenderableType:
     """The live view: head, parameters, coverage, verdict, what is weak, and changes."""
     from rich.console import Group
     from rich.table import Table
@@ -245,6 +251,7 @@ def panel(online: OnlineCalibrator, source: LiveSource, written: str) -> Rendera
     if progress.left_out:
         head.append(f"{progress.left_out} left out")
     parts: list[RenderableType] = [Text(" · ".join(part for part in (*head, written) if part), style="bold")]
+    parts.append(Text(f"source: {health.sentence}", style="dim"))
     if calibration is not None:
         table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
         for name in ("", "x", "y", "z"):

@@ -10,29 +10,10 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo, Source
+from magyc_gtsam.io.mavlink_messages import FILTERED, MESSAGES
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
-
-_GRAVITY = 9.80665  # m/s²
-# Message: its time (ns per unit), and for each sensor its fields and their unit in SI. RAW_IMU is what autopilots
-# send as SCALED_IMU, too; best first.
-_Fields = dict[str, tuple[tuple[str, ...], float]]
-_MILLI: _Fields = {
-    "magnetic_field": (("xmag", "ymag", "zmag"), 1e-7),
-    "angular_rate": (("xgyro", "ygyro", "zgyro"), 1e-3),
-    "acceleration": (("xacc", "yacc", "zacc"), _GRAVITY * 1e-3),
-}
-_HIGHRES: _Fields = {
-    "magnetic_field": (("xmag", "ymag", "zmag"), 1e-4),
-    "angular_rate": (("xgyro", "ygyro", "zgyro"), 1.0),
-    "acceleration": (("xacc", "yacc", "zacc"), 1.0),
-}
-_MESSAGES: dict[str, tuple[str, int, _Fields]] = {
-    "HIGHRES_IMU": ("time_usec", 1_000, _HIGHRES),
-    "RAW_IMU": ("time_usec", 1_000, _MILLI),
-    **{f"SCALED_IMU{k}": ("time_boot_ms", 1_000_000, _MILLI) for k in ("", "2", "3")},
-}
 
 
 def read(path: Path, request: Request) -> Recording:
@@ -47,18 +28,18 @@ def read(path: Path, request: Request) -> Recording:
     rows = _rows(path, request)
     listed = ", ".join(f"{k} ({len(v)} messages)" for k, v in rows.items()) or "none"
     sensors = {}
-    notes = ["telemetry: the field is as the autopilot sent it, with its own calibration in it"]
+    notes = [FILTERED]
     for sensor in ("magnetic_field", "angular_rate", "acceleration"):
         named = request.named(sensor)
-        usable = [k for k in _MESSAGES if k in rows and (rows[k][:, _column(sensor)] != 0).any()]
+        usable = [k for k in MESSAGES if k in rows and (rows[k][:, _column(sensor)] != 0).any()]
         if named is not None and named not in rows:
             raise MagycError(f"{sensor}: no message {named!r}; the log has {listed}")
         if named is None and not usable:
             continue
         kind = named or max(usable, key=lambda k: len(rows[k]))
-        scale, said = request.scale(sensor, _MESSAGES[kind][2][sensor][1])
+        scale, said = request.scale(sensor, MESSAGES[kind][2][sensor][1])
         notes.extend(said)
-        stamp = rows[kind][:, 0].astype(np.int64) * _MESSAGES[kind][1]
+        stamp = rows[kind][:, 0].astype(np.int64) * MESSAGES[kind][1]
         sensors[sensor] = Stream(kind, stamp, rows[kind][:, _column(sensor)].astype(np.float64) * scale)
     if "magnetic_field" not in sensors:
         raise MagycError(f"{path}: no magnetometer in the log; of what can be read it has {listed}")
@@ -70,8 +51,8 @@ def info(path: Path) -> LogInfo:
     rows = _rows(path, Request())
     sources = []
     for kind, values in rows.items():
-        span = (0.0, float(values[-1, 0] - values[0, 0]) * _MESSAGES[kind][1] / 1e9)
-        serves = tuple(s for s in _MESSAGES[kind][2] if (values[:, _column(s)] != 0).any())
+        span = (0.0, float(values[-1, 0] - values[0, 0]) * MESSAGES[kind][1] / 1e9)
+        serves = tuple(s for s in MESSAGES[kind][2] if (values[:, _column(s)] != 0).any())
         sources.append(Source(kind, kind, len(values), span, serves))
     return LogInfo(
         str(path), "MAVLink telemetry", max((s.span[1] for s in sources if s.span), default=0), tuple(sources)
@@ -94,9 +75,9 @@ def _rows(path: Path, request: Request) -> dict[str, np.ndarray[Any, np.dtype[np
     found: dict[int, dict[str, list[tuple[float, ...]]]] = {}
     try:
         log = mavutil.mavlink_connection(str(path), dialect="ardupilotmega", notimestamps=False)
-        while (message := log.recv_match(type=list(_MESSAGES))) is not None:
+        while (message := log.recv_match(type=list(MESSAGES))) is not None:
             kind = message.get_type()
-            time, _, sensors = _MESSAGES[kind]
+            time, _, sensors = MESSAGES[kind]
             values = [getattr(message, f) for fields, _ in sensors.values() for f in fields]
             own = found.setdefault(message.get_srcSystem(), {}).setdefault(kind, [])
             own.append((getattr(message, time), *values))
@@ -105,6 +86,6 @@ def _rows(path: Path, request: Request) -> dict[str, np.ndarray[Any, np.dtype[np
     except Exception as error:  # what the library raises at damaged bytes depends on the bytes
         raise MagycError(f"{path}: not a telemetry log that can be read ({shortened(error)})") from error
     if not found:
-        raise MagycError(f"{path}: holds none of {', '.join(_MESSAGES)}, which have a magnetometer")
+        raise MagycError(f"{path}: holds none of {', '.join(MESSAGES)}, which have a magnetometer")
     vehicle = max(found.values(), key=lambda kinds: sum(map(len, kinds.values())))
     return {kind: np.array(rows, dtype=np.float64) for kind, rows in vehicle.items()}

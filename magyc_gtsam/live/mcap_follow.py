@@ -18,16 +18,15 @@ from mcap.records import Metadata
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.io.live import Batch, none
 from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Damage, Record, block_of, broken_up, parsed, unpacked
 from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE, Source, Topics, choose, needed, unknown
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_fields import Array, Stamps
+from magyc_gtsam.live.source import SENSORS, Batch, none
 from magyc_gtsam.recording import Samples
 
 _AT_ONCE = 1 << 20  # bytes after which a batch is handed over, so that catching up with a long file can be watched
 _POLL = 0.05  # s between looks at a file that does not grow
-_SENSORS = ("magnetic_field", "angular_rate")
 
 
 class McapFollower:
@@ -48,11 +47,12 @@ class McapFollower:
         self.name = Path(path).name
         self.ended = False
         self.received = 0
+        self.lost = 0
         self.notes: list[str] = []
         self._path = Path(path)
         self._request = request
         self._scale = {}
-        for sensor in _SENSORS:
+        for sensor in SENSORS:
             self._scale[sensor], said = request.scale(sensor)
             self.notes.extend(said)
         try:
@@ -61,7 +61,7 @@ class McapFollower:
             raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
         self._place = 0  # where complete records end
         # No channels: only what the sensors are read from.
-        self._topics = Topics(needed(replace(request, channels=()), _SENSORS), request, self.notes, announced=True)
+        self._topics = Topics(needed(replace(request, channels=()), SENSORS), request, self.notes, announced=True)
         self._chosen: dict[str, Source] = {}
 
     def close(self) -> None:
@@ -71,7 +71,7 @@ class McapFollower:
     @property
     def waiting_for(self) -> str:
         """The sensors without a topic so far."""
-        absent = [sensor for sensor in _SENSORS if sensor not in self._chosen]
+        absent = [sensor for sensor in SENSORS if sensor not in self._chosen]
         if not absent:
             return ""
         wanted = " and ".join(
@@ -134,11 +134,12 @@ class McapFollower:
             else:
                 yield parsed(opcode, content)
         except Damage as error:
+            self.lost += 1
             what = "chunk" if opcode == Opcode.CHUNK else "record"
             self.notes.append(f"a {what} at byte {self._place} is damaged and was left out ({shortened(error)})")
 
     def _batch(self) -> Batch:
-        for sensor in _SENSORS:
+        for sensor in SENSORS:
             if sensor not in self._chosen and self._present(sensor):
                 source = choose(self._topics, sensor, self._request, self.notes)
                 assert source is not None
@@ -146,7 +147,7 @@ class McapFollower:
         # One topic may hold both sensors, and what it has is taken out once.
         taken = {source.name: source.topic.drain() for source in self._chosen.values()}
         samples = {sensor: self._samples(sensor, s, *taken[s.name]) for sensor, s in self._chosen.items()}
-        return Batch(*(samples.get(sensor, none()) for sensor in _SENSORS))
+        return Batch(*(samples.get(sensor, none()) for sensor in SENSORS))
 
     def _present(self, sensor: str) -> bool:
         """Whether a topic that could be the sensor's has been seen."""

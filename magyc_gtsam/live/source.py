@@ -8,6 +8,8 @@ import numpy as np
 
 from magyc_gtsam.recording import Samples
 
+SENSORS = ("magnetic_field", "angular_rate")
+
 
 def none() -> Samples:
     """No samples."""
@@ -24,6 +26,11 @@ class Batch(NamedTuple):
         return bool(len(self.magnetometer.time) or len(self.gyroscope.time))
 
 
+def nothing() -> Batch:
+    """No samples of either sensor."""
+    return Batch(none(), none())
+
+
 class LiveSource(Protocol):
     """Samples as they come.
 
@@ -31,6 +38,7 @@ class LiveSource(Protocol):
         name: what to call it.
         ended: nothing will come any more.
         received: bytes that have come so far.
+        lost: messages, lines or records that are known to be lost, or could not be used.
         notes: what had to be left out so far, one sentence each, oldest first.
         waiting_for: what has not been seen yet of what is needed, "" for nothing.
     """
@@ -41,7 +49,13 @@ class LiveSource(Protocol):
     notes: list[str]
 
     @property
+    def lost(self) -> int: ...
+
+    @property
     def waiting_for(self) -> str: ...
 
     def read(self, wait: float) -> Batch:
         """What has come since the last call; where that is nothing, wait for at most so many seconds."""
+
+    def close(self) -> None:
+        """Let go of file, socket or port."""

@@ -18,11 +18,11 @@ from mcap.writer import Writer as McapWriter
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io import read, write_mcap
-from magyc_gtsam.io.json_lines import JsonLines
-from magyc_gtsam.io.live import Batch
-from magyc_gtsam.io.mcap_follow import McapFollower
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import definition, encode
+from magyc_gtsam.live.json_lines import JsonLines
+from magyc_gtsam.live.mcap_follow import McapFollower
+from magyc_gtsam.live.source import Batch
 from magyc_gtsam.recording import Recording, Samples
 from magyc_gtsam.simulation import simulate
 
@@ -238,7 +238,7 @@ def test_json_lines_cut_anywhere_and_the_last_without_an_end(recording: Recordin
     )
     cuts = [0, *np.sort(np.random.default_rng(0).integers(0, len(text), 30)).tolist(), len(text)]
     source, batch = lines_of(*(text[a:b] for a, b in pairwise(cuts) if a < b))
-    assert source.lines == 100
+    assert source.waiting_for == ""
     assert source.notes == []
     np.testing.assert_array_equal(batch.magnetometer.time, recording.time[:100])
     np.testing.assert_array_equal(batch.magnetometer.value, recording.magnetic_field[:100])
@@ -286,7 +286,7 @@ def test_a_bad_line_is_left_out_with_its_number_and_the_others_are_not(line: str
     (note,) = source.notes
     assert note.startswith("standard input, line 2: ")
     assert reason in note
-    assert source.refused == 1
+    assert source.lost == 1
 
 
 def test_a_stream_without_lines_is_refused() -> None:

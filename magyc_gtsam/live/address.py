@@ -1,0 +1,69 @@
+"""From what a user names to the source that is meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from urllib.parse import parse_qs
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.request import Request
+from magyc_gtsam.live.source import LiveSource
+
+FORMS = "a growing MCAP file, - (JSON lines), udp://[HOST]:PORT, serial://PORT?baud=N, mavlink://udpin:HOST:PORT, ros2://"
+
+
+def is_file(text: str) -> bool:
+    """Whether it names a file, which may be complete."""
+    return text != "-" and "://" not in text
+
+
+def open_source(text: str, request: Request) -> LiveSource:
+    """Open a source.
+
+    Args:
+        text: a file; "-" for standard input; or udp://, serial://, mavlink://, ros2:// and what follows.
+        request: topics, units and stamps.
+
+    Raises:
+        MagycError: no such source, or one that cannot be opened.
+    """
+    if text == "-":
+        from magyc_gtsam.live.json_lines import JsonLines
+
+        return JsonLines(0, request)
+    if is_file(text):
+        from magyc_gtsam.live.mcap_follow import McapFollower
+
+        path = Path(text)
+        if path.is_dir():
+            raise MagycError(f"{path}: is a directory; name the MCAP file in it that is being written")
+        return McapFollower(path, request)
+    kind, _, rest = text.partition("://")
+    where, _, query = rest.partition("?")
+    options = {name: values[-1] for name, values in parse_qs(query, keep_blank_values=True).items()}
+    known = {"udp": set[str](), "ros2": set(), "serial": {"baud"}, "mavlink": {"baud"}}
+    if kind not in known or not options.keys() <= known[kind]:
+        raise MagycError(f"{text}: no source of that kind; it may be {FORMS}")
+    if kind == "udp":
+        from magyc_gtsam.live.udp import UdpLines
+
+        host, _, port = where.rpartition(":")
+        return UdpLines(host, _number(text, port, 65535), request)
+    if kind == "serial":
+        from magyc_gtsam.live.serial_port import BAUD, SerialLines
+
+        return SerialLines(where, _number(text, options.get("baud", str(BAUD)), 20_000_000), request)
+    if kind == "mavlink":
+        from magyc_gtsam.live import mavlink
+
+        baud = _number(text, options.get("baud", str(mavlink.BAUD)), 20_000_000)
+        return mavlink.MavlinkSource(where, request, baud)
+    from magyc_gtsam.live.ros2 import Ros2Topics
+
+    return Ros2Topics(request)
+
+
+def _number(text: str, part: str, most: int) -> int:
+    if not part.isdecimal() or not 0 <= int(part[:9]) <= most or len(part) > 9:
+        raise MagycError(f"{text}: {part[:40]!r} is no number from 0 to {most}")
+    return int(part)
