@@ -12,6 +12,7 @@ _PUBLIC = {
     "Calibration": "calibration",
     "History": "history",
     "MagycError": "factors.errors",
+    "Method": "estimators.method",
     "OnlineCalibrator": "online",
     "Recording": "recording",
     "Simulation": "simulation",

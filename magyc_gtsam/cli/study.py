@@ -26,6 +26,7 @@ class Study(str, Enum):
     GAP_STRENGTHS = "gap-strengths"
     FAULTS = "faults"
     KNOWN = "known"
+    LEADERBOARD = "leaderboard"
 
     __str__ = str.__str__
 
@@ -40,8 +41,9 @@ def run(
             "review (Table 2 of the review of magnetometer-only methods; it takes 250 runs), gap (blind test of "
             "the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out), "
             "faults (wrong and trusted, right, or refused under faults of sensors, clocks, surroundings and "
-            "motion), known (skews of the chips; an earlier calibration and the field's strength as facts) or autocal "
-            "(Fig. 5 and 6 of the Autocal paper, and one-sided data).",
+            "motion), known (skews of the chips; an earlier calibration and the field's strength as facts), autocal "
+            "(Fig. 5 and 6 of the Autocal paper, and one-sided data) or leaderboard (all methods on public recordings, "
+            "judged on others of the same unit by optics).",
             show_default=False,
         ),
     ],
@@ -79,24 +81,50 @@ def run(
     by: Annotated[
         list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="faults, known: processes.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="faults, known, leaderboard: processes.")] = 2,
+    engine: Annotated[
+        str,
+        typer.Option(metavar="local|tcp://…", help="leaderboard: this machine, or a dask.distributed cluster."),
+    ] = "local",
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="leaderboard: of recordings that are there, or with --base-url where to keep them; default the "
+            "user's cache.",
+        ),
+    ] = None,
+    base_url: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL", help="leaderboard: of a mirror, a folder with registry.txt; default the authors' own."
+        ),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(help="leaderboard: may be repeated; default all, those of other packages too."),
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
             metavar="DIR",
-            help="gap, faults, known: an interrupted study goes on there; default results/blindtest, results/faults or "
-            "results/known.",
+            help="gap, faults, known, leaderboard: an interrupted study goes on there; default results/blindtest, "
+            "results/faults, results/known or results/leaderboard.",
         ),
     ] = None,
 ) -> int:
-    """Run a study on simulated recordings and print its table."""
+    """Run a study and print its table."""
     noise = gyroscope_noise * 1e-3
     if study is Study.EFFICIENCY:
         _efficiency(runs, disturbed, noise)
     elif study is Study.KNOWN:
         _known(output or Path("results/known"), runs, workers)
+    elif study is Study.LEADERBOARD:
+        from magyc_gtsam.cli.study_leaderboard import leaderboard
+
+        return leaderboard(output or Path("results/leaderboard"), folder, base_url, method, engine, workers)
     elif study is Study.SETTLING:
         _settling(runs, noise)
     elif study is Study.REVIEW:

@@ -4,36 +4,18 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import check_field_strength, doubt_strength
+from magyc_gtsam.estimators.method import Method
+from magyc_gtsam.estimators.outside import methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
-
-
-@dataclass(frozen=True)
-class Method:
-    """An entry of the registry.
-
-    Attributes:
-        summary: what it is, in one sentence.
-        paper: where it was published.
-        needs: what the recording must hold beside the magnetic field.
-        function: "module:function" that takes (recording, *, progress, **options) and returns a Calibration.
-        options: "module:class" of its options, a dataclass; "" where they are the function's own keywords.
-    """
-
-    summary: str
-    paper: str
-    needs: tuple[str, ...]
-    function: str
-    options: str = ""
-
 
 _METHODS = {
     "smoother": Method(
@@ -143,8 +125,8 @@ _METHODS = {
 
 
 def methods() -> Mapping[str, Method]:
-    """{name: what it is, its paper, what it needs}."""
-    return dict(_METHODS)
+    """{name: what it is, its paper, what it needs}; those of other packages after this one's own."""
+    return _METHODS | methods_from_outside(_METHODS)
 
 
 def calibrate(
@@ -170,32 +152,35 @@ def calibrate(
     Raises:
         MagycError: unknown method or option, a sensor that is stuck, or data that the method cannot use.
     """
-    if method not in _METHODS:
-        raise MagycError(f"method: {method!r} is none of {', '.join(_METHODS)}")
+    entry = _METHODS.get(method) or methods().get(method)
+    if entry is None:
+        raise MagycError(f"method: {method!r} is none of {', '.join(methods())}")
+    if entry.problem:
+        raise MagycError(f"method {method!r}: {entry.problem}")
     check_field_strength(field_strength)
     expect_recording("mg.calibrate", recording)
     if (recording.magnetic_field == recording.magnetic_field[0]).all():
         raise MagycError("magnetic_field: all rows are the same; the sensor is stuck, or was not turned")
     counts = recording.magnetic_field_unit == "counts"
-    if counts and (_METHODS[method].needs or field_strength is not None):
+    if counts and (entry.needs or field_strength is not None):
         what = "field_strength" if field_strength is not None else f"method {method!r}"
         raise MagycError(
             f"{what}: needs the field in tesla, and this recording holds raw counts; give tesla per count "
             "(magnetic_unit=), or take a method that needs the magnetometer alone"
         )
-    module, name = _METHODS[method].function.split(":")
+    module, name = entry.function.split(":")
     with requires_gtsam(f"method {method!r}"):
         function = getattr(importlib.import_module(module), name)
     shared = {"field_strength": field_strength, "noise": noise, "robust": robust}
     given = {k: v for k, v in shared.items() if v is not None} | options
-    its_options = _METHODS[method].options
+    its_options = entry.options
     allowed = _imported(its_options).__dataclass_fields__ if its_options else function.__kwdefaults__ or {}
     unknown = sorted(given.keys() - allowed.keys())
     if unknown:
         raise MagycError(
             f"method {method!r} has no option {', '.join(map(repr, unknown))}; it has {', '.join(sorted(allowed))}"
         )
-    usable = without_faults(recording, ("magnetic_field", *_METHODS[method].needs))
+    usable = without_faults(recording, ("magnetic_field", *entry.needs))
     try:
         result: Calibration = function(usable.recording, progress=progress, **given)
     except MagycError as problem:

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from magyc_gtsam.estimators import Method, calibrate, methods
+from magyc_gtsam.estimators import calibrate, methods
+from magyc_gtsam.estimators.method import Method
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.recording import Recording

@@ -1,0 +1,51 @@
+"""Methods of other packages: each is an entry point of the group `magyc_gtsam.methods`.
+
+An entry point names a `Method`, whose `function` is in that package::
+
+    [project.entry-points."magyc_gtsam.methods"]
+    mine = "my_package.method:METHOD"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import replace
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
+from magyc_gtsam.estimators.method import Method
+
+GROUP = "magyc_gtsam.methods"
+
+
+def methods_from_outside(taken: Container[str]) -> dict[str, Method]:
+    """{name: method} of all packages that are installed; one that cannot be loaded says why in `problem`.
+
+    Args:
+        taken: names that are this package's; a method of such a name is called "package:name".
+    """
+    found = {}
+    for point in _points():
+        package = "unknown" if point.dist is None else point.dist.name
+        name = f"{package}:{point.name}" if point.name in taken or point.name in found else point.name
+        found[name] = _loaded(point, package)
+    return found
+
+
+@cache
+def _points() -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=GROUP))
+
+
+@cache
+def _loaded(point: EntryPoint, package: str) -> Method:
+    broken = Method(f"of package {package}", "", (), point.value)
+    try:
+        method = point.load()
+    except Exception as error:  # noqa: BLE001 - a package's own defect is told where its method is asked for
+        said = f"package {package} cannot be loaded ({type(error).__name__}: {error}); update or remove it"
+        return replace(broken, problem=said)
+    if not isinstance(method, Method):
+        said = f"package {package}: its entry point {point.value} is no magyc_gtsam.Method"
+        return replace(broken, problem=said)
+    return method

@@ -1,0 +1,1 @@
+"""The leaderboard: every method calibrates on one public recording and is judged on others of the same unit."""

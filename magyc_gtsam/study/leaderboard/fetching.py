@@ -1,0 +1,122 @@
+"""The recordings of the leaderboard on this machine: those of a folder, or fetched once and checked ever after."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from magyc_gtsam.checksum import sha256
+from magyc_gtsam.engine import Progress, whole
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.study.leaderboard.collections import COLLECTIONS
+from magyc_gtsam.study.leaderboard.reading import FORMS
+
+CHECKSUMS = "registry.txt"  # in pooch's form: a file's name and its SHA-256 a line
+
+
+def local(folder: Path) -> list[Path]:
+    """The recordings in a folder and below it, by name.
+
+    Raises:
+        MagycError: no such folder, or none in it.
+    """
+    if not folder.is_dir():
+        raise MagycError(
+            f"{folder}: is no folder; give the one that holds the recordings, or leave it out to fetch"
+        )
+    found = sorted((p for p in folder.rglob("*") if p.suffix in FORMS), key=lambda p: p.name)
+    if not found:
+        raise MagycError(f"{folder}: holds no recording ({', '.join(FORMS)})")
+    return found
+
+
+def fetch(folder: Path | None = None, address: str | None = None, progress: Progress | None = None) -> list[Path]:
+    """All recordings of the collections, fetched where they are not there yet.
+
+    The checksums of a mirror are in its `registry.txt`. The published originals have none: their addresses name a
+    commit, and the checksum of the first fetch is written down and held against all later ones.
+
+    Args:
+        folder: to keep them; None for the user's cache.
+        address: of a mirror that holds recordings and `registry.txt`; None for the collections' own addresses.
+        progress: called with the share done.
+
+    Raises:
+        MagycError: the extra `leaderboard` is missing, an address does not answer, or a file is not what it was.
+    """
+    pooch = _pooch()
+    kept = folder if folder is not None else Path(pooch.os_cache("magyc-gtsam"))
+    kept.mkdir(parents=True, exist_ok=True)
+    if address is not None:
+        base = address.rstrip("/") + "/"
+        known: dict[str, str | None] = dict(_registry_at(base))
+        wanted = [(base, name) for name in known]
+    else:
+        known = dict(_registry(kept / CHECKSUMS))
+        wanted = [(c.address, name) for c in COLLECTIONS for name in c.files]
+    files = []
+    for done, (base, name) in enumerate(wanted, start=1):
+        files.append(_retrieved(base, name, known.get(name), kept))
+        if address is None and name not in known:
+            known[name] = sha256(files[-1])
+            _note(kept / CHECKSUMS, known)
+        if progress is not None:
+            progress(done / len(wanted))
+    return sorted(files, key=lambda p: p.name)
+
+
+def _pooch() -> Any:
+    try:
+        import pooch
+    except ModuleNotFoundError:
+        raise MagycError(
+            "the leaderboard fetches with pooch; pip install 'magyc-gtsam[leaderboard]', or give --folder"
+        ) from None
+    pooch.get_logger().setLevel("ERROR")
+    return pooch
+
+
+def _retrieved(base: str, name: str, known: str | None, folder: Path) -> Path:
+    if Path(name).name != name or Path(name).suffix not in FORMS:
+        raise MagycError(f"{base}{CHECKSUMS}: {name!r} is no file name of a recording ({', '.join(FORMS)})")
+    try:
+        return Path(_pooch().retrieve(base + name, known, fname=name, path=folder))
+    except ValueError:
+        raise MagycError(
+            f"{base}{name}: its SHA-256 is not the {known} that is written down; what was fetched was not kept"
+        ) from None
+    except OSError as error:  # requests' errors are such
+        raise MagycError(
+            f"{base}{name}: cannot be fetched ({type(error).__name__}); check the network, or give --folder"
+        ) from None
+
+
+def _registry_at(base: str) -> Mapping[str, str]:
+    """Of a mirror, as it is now."""
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            file = _pooch().retrieve(base + CHECKSUMS, None, fname=CHECKSUMS, path=folder)
+        except (OSError, ValueError) as error:
+            raise MagycError(
+                f"{base}{CHECKSUMS}: cannot be fetched ({type(error).__name__}); a mirror holds the recordings and "
+                "this file, a name and a SHA-256 a line"
+            ) from None
+        return _registry(Path(file))
+
+
+def _registry(file: Path) -> Mapping[str, str]:
+    """{name: SHA-256}; empty where there is no file."""
+    if not file.exists():
+        return {}
+    rows: Sequence[list[str]] = [line.split() for line in file.read_text(encoding="utf-8").splitlines() if line]
+    for row in rows:
+        if len(row) != 2 or len(row[1]) != 64:
+            raise MagycError(f"{file}: {' '.join(row)!r} is not a name and a SHA-256")
+    return dict((name, digest) for name, digest in rows)
+
+
+def _note(file: Path, known: Mapping[str, str | None]) -> None:
+    with whole(file) as part:
+        part.write_text("".join(f"{name} {digest}\n" for name, digest in known.items()), encoding="utf-8")

@@ -1,0 +1,226 @@
+"""One row for each recording and method: the calibration, and how it does on the unit's other recordings."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.checksum import sha256
+from magyc_gtsam.engine import Progress, Row, run_many, write_rows
+from magyc_gtsam.estimators import methods
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.study.comparison import run_methods
+from magyc_gtsam.study.leaderboard.collections import kind_of
+from magyc_gtsam.study.leaderboard.optics import Reference, reference_of
+from magyc_gtsam.study.leaderboard.reading import Reader, read_public
+from magyc_gtsam.study.outcome import Status
+
+DELIVERED, OPTICS = "as delivered", "own optics"  # beside the methods: the reading as it is, and the floor
+
+
+@dataclass(frozen=True)
+class Log:
+    """A recording of the leaderboard: its name, where it is, and what `Kind` says of it."""
+
+    name: str
+    file: Path
+    collection: str
+    unit: str
+    judges: bool
+
+
+@dataclass(frozen=True)
+class Task:
+    """A unit of work: calibrate `log` by `method`, judge on `others`; `same` judges of the unit hold the truth."""
+
+    log: Log
+    method: str
+    others: tuple[Log, ...]
+    same: tuple[Log, ...]
+    reader: Reader
+
+
+class Score(NamedTuple):
+    """deg: circular deviation of the magnetic heading, and root mean square of the direction's angle to its mean."""
+
+    heading: float
+    direction: float
+
+
+def logs_of(files: Sequence[Path]) -> tuple[list[Log], list[Path]]:
+    """The recordings whose unit is known, and the files that are none."""
+    logs, unknown = [], []
+    for file in files:
+        kind = kind_of(file.stem)
+        if kind is None:
+            unknown.append(file)
+        else:
+            logs.append(Log(file.stem, file, kind.collection.name, kind.unit, kind.judges))
+    return logs, unknown
+
+
+def tasks_of(logs: Sequence[Log], names: Sequence[str], reader: Reader) -> dict[str, Task]:
+    """{name of its row: task}, of every recording that another of its unit can judge.
+
+    A row's name holds the checksum of its recording, so that a run into an old folder takes no row of other data.
+    """
+    tasks = {}
+    for log in logs:
+        same = tuple(other for other in logs if other.unit == log.unit and other.judges)
+        others = tuple(other for other in same if other != log)
+        if not others:
+            continue
+        digest = sha256(log.file)[:8]
+        for name in (DELIVERED, OPTICS, *names):
+            called = f"{log.name}-{name.replace(' ', '-').replace(':', '-')}-{len(others)}-{digest}"
+            tasks[called] = Task(log, name, others, same, reader)
+    return tasks
+
+
+def leaderboard_rows(
+    tasks: Mapping[str, Task],
+    folder: Path | None = None,
+    engine: str = "local",
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """One row a task; with a folder in `leaderboard.parquet` there, and a run that was stopped goes on.
+
+    Raises:
+        MagycError: as `run_many`.
+    """
+    parts = None if folder is None else folder / "parts"
+    rows = run_many(worked, tasks, engine=engine, workers=workers, parts=parts, progress=progress)
+    table = []
+    for name, task in tasks.items():
+        log = task.log
+        about = {"collection": log.collection, "unit": log.unit, "recording": log.name, "method": task.method}
+        table.append(about | dict.fromkeys(_COLUMNS) | rows[name])
+    if folder is not None:
+        write_rows(folder / "leaderboard.parquet", table)
+    return table
+
+
+_COLUMNS = (
+    "status",
+    "reason",
+    "seconds",
+    "judges",
+    "heading",
+    "direction",
+    "hard_iron",
+    "covered",
+    "components",
+    "nees",
+    "error",
+)
+
+
+def worked(task: Task) -> Row:
+    """Calibrate and judge."""
+    recording, device = _read(task.log.file, task.reader)
+    if task.method == DELIVERED:
+        return _judged(task, Calibration(np.eye(3), device, method=DELIVERED), str(Status.UNTRUSTED), "", None)
+    if task.method == OPTICS:
+        return _judged(task, None, str(Status.TRUSTED), "each judged by its own optics", None)
+    blind = replace(recording, attitude=None)  # what judges is not shown
+    outcome = run_methods(blind, [task.method])[0]
+    if outcome.calibration is None:
+        return {"status": str(outcome.status), "reason": outcome.reason, "seconds": outcome.seconds}
+    row = _judged(task, outcome.calibration, str(outcome.status), outcome.reason, outcome.seconds)
+    return row | _coverage(task, outcome.calibration)
+
+
+def _judged(task: Task, calibration: Calibration | None, status: str, reason: str, seconds: float | None) -> Row:
+    """`calibration` None: of each judge by itself."""
+    scores = []
+    for other in task.others:
+        recording, _ = _read(other.file, task.reader)
+        reference = _reference(other.file, task.reader)
+        scores.append(score(recording, reference, calibration or reference.calibration))
+    return {
+        "status": status,
+        "reason": reason,
+        "seconds": seconds,
+        "judges": [other.name for other in task.others],
+        "heading": [each.heading for each in scores],
+        "direction": [each.direction for each in scores],
+        "hard_iron": None if calibration is None else (calibration.hard_iron * 1e6).tolist(),
+    }
+
+
+def score(recording: Recording, reference: Reference, calibration: Calibration) -> Score:
+    """How still the calibrated field stands in the world of the optics, with their delay for all alike."""
+    time, field = recording.magnetometer
+    rows = np.searchsorted(time, reference.time)
+    with warnings.catch_warnings():  # a bad calibration is what is looked for here
+        warnings.simplefilter("ignore", UserWarning)
+        calibrated = calibration.apply(field[rows])
+    world = np.einsum("nij,nj->ni", reference.rotation, calibrated)
+    unit = world / np.linalg.norm(world, axis=1, keepdims=True)
+    mean = unit.mean(axis=0)
+    angle = np.arccos(np.clip(unit @ (mean / np.linalg.norm(mean)), -1.0, 1.0))
+    turned = np.exp(1j * np.arctan2(world[:, 1], world[:, 0]))
+    heading = np.angle(turned * np.conj(turned.mean()))
+    return Score(*(float(np.degrees(np.sqrt(np.mean(each**2)))) for each in (heading, angle)))
+
+
+def _coverage(task: Task, calibration: Calibration) -> Row:
+    """Of the stated hard iron by the optics': components within 1.96 sigmas of both, and squared error per freedom."""
+    if calibration.covariance is None:
+        return {}
+    truth, covariance = _truth(task)
+    away = calibration.hard_iron - truth
+    both = calibration.covariance[6:9, 6:9] + covariance
+    inside = away**2 <= chi2.ppf(0.95, 1) * np.diag(both)
+    return {
+        "covered": int(inside.sum()),
+        "components": 3,
+        "nees": float(away @ np.linalg.solve(both, away)) / 3,
+    }
+
+
+def _truth(task: Task) -> tuple[Array, Array]:
+    """Hard iron (3,) T and covariance, by optics: the recording's own if it may judge, else the mean of those that
+    may, with their scatter."""
+    if task.log.judges:
+        own = _reference(task.log.file, task.reader)
+        return own.calibration.hard_iron, own.covariance
+    found = [_reference(log.file, task.reader) for log in task.same]
+    irons = np.array([each.calibration.hard_iron for each in found])
+    covariance = np.mean([each.covariance for each in found], axis=0)
+    if len(found) > 1:
+        covariance = covariance + np.diag(irons.var(axis=0, ddof=1))
+    return irons.mean(axis=0), covariance
+
+
+@lru_cache(maxsize=6)
+def _read(file: Path, reader: Reader) -> tuple[Recording, Array]:
+    return read_public(file, reader)
+
+
+@lru_cache(maxsize=64)
+def _reference(file: Path, reader: Reader) -> Reference:
+    return reference_of(_read(file, reader)[0])
+
+
+def checked_names(names: Sequence[str] | None) -> tuple[str, ...]:
+    """Of methods; None gives all that do not need the attitude that judges.
+
+    Raises:
+        MagycError: a name that is no method.
+    """
+    known = methods()
+    for name in names or ():
+        if name not in known:
+            raise MagycError(f"methods: {name!r} is none of {', '.join(known)}")
+    return tuple(names or (name for name, method in known.items() if "attitude" not in method.needs))
