@@ -85,12 +85,11 @@ def check_ascending(time: Array) -> None:
 
 
 def check_field_unit(magnetic_field: Array) -> None:
-    norm = float(np.median(np.linalg.norm(magnetic_field, axis=1)))
+    norm = float(np.median(np.sqrt(np.einsum("ni,ni->n", magnetic_field, magnetic_field)), overwrite_input=True))
     low, high = _FIELD_LIMITS
     if low <= norm <= high:
-        wide = np.abs(magnetic_field) > FIELD_RANGE
-        if wide.any():
-            beyond = np.flatnonzero(wide.any(axis=1))
+        if max(magnetic_field.max(), -magnetic_field.min()) > FIELD_RANGE:
+            beyond = np.flatnonzero((np.abs(magnetic_field) > FIELD_RANGE).any(axis=1))
             raise MagycError(
                 f"magnetic_field: {len(beyond)} of {len(magnetic_field)} rows are beyond {FIELD_RANGE:g} T, which no "
                 f"magnetometer measures, the first is row {beyond[0]}; remove those rows"
@@ -108,8 +107,8 @@ def check_field_unit(magnetic_field: Array) -> None:
 
 
 def check_rate_unit(time: Array, angular_rate: Array) -> None:
-    largest = np.abs(angular_rate).max(axis=1)
-    if largest.max() > _RATE_LIMIT:
+    if max(angular_rate.max(), -angular_rate.min()) > _RATE_LIMIT:
+        largest = np.abs(angular_rate).max(axis=1)
         row = int(largest.argmax())
         raise MagycError(
             f"angular_rate: {largest[row]:.4g} at row {row} ({time[row]:.3f} s) is beyond {_RATE_LIMIT:g} rad/s; "

@@ -8,7 +8,7 @@ Exp(K_k δ) R_k to first order (as GTSAM preintegrates), and σ_g² Σ dt² is t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -37,6 +37,8 @@ class GyroscopeTrack:
         interval_mean: the rates are means since the previous stamp, not values at the stamps.
         increment: (G − 1, 3) rad, rotation vectors from stamp to stamp.
         rotation: R at the stamps, as spinors (G,).
+        lever_before: (9,) s, K at the first stamp, and squared_time_before: s², Σ dt² there; of a piece of a longer
+            track (`following`).
     """
 
     time: Array
@@ -45,6 +47,8 @@ class GyroscopeTrack:
     interval_mean: bool
     increment: Array
     rotation: Spinor
+    lever_before: Array = field(default_factory=lambda: np.zeros(9))
+    squared_time_before: float = 0.0
 
     @classmethod
     def integrate(
@@ -79,6 +83,25 @@ class GyroscopeTrack:
             increment = increments(time, angular_rate, None if bias is None else b)
         return cls(time, angular_rate, b, interval_mean, increment, chain(exponential(increment)))
 
+    def following(self, before: GyroscopeTrack, when: float) -> GyroscopeTrack:
+        """This piece of a track in the world frame of the piece before it, with its K and Σ dt² continued.
+
+        Args:
+            before: the piece before, which overlaps this one.
+            when: s, a stamp of both pieces, at which they are joined.
+        """
+        here, there = (int(np.searchsorted(track.time, when)) for track in (self, before))
+        p, q = (x[here : here + 1] for x in self.rotation)
+        joined = multiply(
+            (before.rotation[0][there : there + 1], before.rotation[1][there : there + 1]), (p.conj(), -q)
+        )
+        result = replace(self, rotation=multiply(joined, self.rotation))
+        return replace(
+            result,
+            lever_before=before.lever[:, there] - result.lever[:, here],
+            squared_time_before=float(before.squared_time[there] - self.squared_time[here]),
+        )
+
     @cached_property
     def step(self) -> Array:
         """(G − 1,) s between stamps."""
@@ -94,7 +117,8 @@ class GyroscopeTrack:
         """(9, G) s, K = −∫ R dt by the trapezoid rule (relative error φ²/12 of a step), rows as `matrices`."""
         p, q = self.rotation
         n, step = len(self.time), self.step
-        lever = np.zeros((9, n))
+        lever = np.empty((9, n))
+        lever[:, 0] = self.lever_before
         for first in range(0, n - 1, _CHUNK):
             stop = min(first + _CHUNK, n - 1)
             r = matrices((p[first : stop + 1], q[first : stop + 1]))
@@ -105,9 +129,7 @@ class GyroscopeTrack:
     @cached_property
     def squared_time(self) -> Array:
         """(G,) s², Σ dt² up to each stamp."""
-        result = np.zeros(len(self.time))
-        np.cumsum(self.step**2, out=result[1:])
-        return result
+        return np.cumsum(np.concatenate([[self.squared_time_before], self.step**2]))
 
     def rotation_at(self, when: Array) -> tuple[Spinor, Array]:
         """R as spinors (n,), and the rate (n, 3) rad/s less the bias, at times inside the track.

@@ -28,6 +28,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 _ROWS = 54  # per sample: Rᵀ 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
 _CHUNK = 32768  # samples whose matrices are held at a time
+_MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the samples next to its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,6 @@ class Preintegration:
     Attributes:
         starts: (n,) index of each window's first magnetometer sample.
         linked: (n − 1,) False where a hole parts two windows.
-        step: (G − 1,) s between gyroscope samples.
 
     Raises:
         MagycError: no magnetometer sample lies inside the gyroscope's time span.
@@ -113,21 +113,18 @@ class Preintegration:
     begun: float = 0.0
     starts: np.ndarray = field(init=False)
     linked: np.ndarray = field(init=False)
-    step: Array = field(init=False)
 
     def __post_init__(self) -> None:
         if len(self.gyroscope_time) < 3:
             raise MagycError(f"{len(self.gyroscope_time)} gyroscope samples, at least 3 are needed")
-        step = np.diff(self.gyroscope_time)
-        holes = np.flatnonzero(step > self.hole)
-        if len(holes):
-            holes = holes[step[holes] > 10 * float(np.median(step))]
-        before, after = self.gyroscope_time[holes], self.gyroscope_time[holes + 1]
+        holes = self._holes()
         # Outside the gyroscope's span and inside its holes the attitude is unknown.
-        segment = np.searchsorted(after, self.magnetometer_time, side="right")
-        known = segment == np.searchsorted(before, self.magnetometer_time, side="left")
-        known &= self.magnetometer_time >= self.gyroscope_time[0]
+        before, after = self.gyroscope_time[holes], self.gyroscope_time[holes + 1]
+        known = self.magnetometer_time >= self.gyroscope_time[0]
         known &= self.magnetometer_time <= self.gyroscope_time[-1]
+        if len(holes):
+            segment = np.searchsorted(after, self.magnetometer_time, side="right")
+            known &= segment == np.searchsorted(before, self.magnetometer_time, side="left")
         if known.sum() < 3:
             raise MagycError(
                 f"{known.sum()} magnetometer samples inside the gyroscope's time span "
@@ -136,38 +133,62 @@ class Preintegration:
         if not known.all():
             object.__setattr__(self, "magnetometer_time", self.magnetometer_time[known])
             object.__setattr__(self, "magnetic_field", self.magnetic_field[known])
-            segment = segment[known]
-        x, y, z = self.angular_rate.T
-        speed = np.sqrt(x * x + y * y + z * z)
-        progress = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length) * step
-        progress[holes] = 1.0
-        distance = np.interp(
-            self.magnetometer_time, self.gyroscope_time, np.cumsum(np.concatenate([[self.begun], progress]))
-        )
-        window = np.floor(distance).astype(np.int64) + segment
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(window)) + 1])
+        starts = self._starts(holes)
+        linked = np.diff(np.searchsorted(after, self.magnetometer_time[starts], side="right")) == 0
         object.__setattr__(self, "starts", starts)
-        object.__setattr__(self, "linked", np.diff(segment[starts]) == 0)
-        object.__setattr__(self, "step", step)
+        object.__setattr__(self, "linked", linked)
+
+    @property
+    def step(self) -> Array:
+        """(G − 1,) s between gyroscope samples."""
+        return np.diff(self.gyroscope_time)
+
+    def _holes(self) -> np.ndarray:
+        """The steps of the gyroscope that part the chain."""
+        step = self.step
+        holes = np.flatnonzero(step > self.hole)
+        return holes[step[holes] > 10 * float(np.median(step))] if len(holes) else holes
+
+    def _starts(self, holes: np.ndarray) -> np.ndarray:
+        """The first sample of each window; a window ends where it has lasted or turned enough, or at a hole."""
+        time, ends = self.gyroscope_time, self.gyroscope_time[holes + 1]
+        ended = np.empty(len(time))  # windows that have ended by each stamp of the gyroscope
+        ended[0] = self.begun
+        for first in range(0, len(time) - 1, _CHUNK):
+            rows = slice(first, first + _CHUNK + 1)
+            x, y, z = self.angular_rate[rows].T
+            speed = np.sqrt(x * x + y * y + z * z)
+            share = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length)
+            ended[first + 1 : first + _CHUNK + 1] = share * np.diff(time[rows])
+        ended[holes + 1] = 1.0
+        np.cumsum(ended, out=ended)
+        starts, last = [], -1
+        for first in range(0, len(self.magnetometer_time), _CHUNK):
+            when = self.magnetometer_time[first : first + _CHUNK]
+            window = np.floor(np.interp(when, time, ended)).astype(np.int64)
+            window += np.searchsorted(ends, when, side="right")
+            starts.append(first + np.flatnonzero(np.diff(window, prepend=last)))
+            last = window[-1]
+        return np.concatenate(starts)
 
     def integrate(self, bias: Array | None = None, delay: float = 0.0) -> FieldWindows:
         """Integrate the gyroscope at `bias` (3,) rad/s, the magnetometer taken `delay` s earlier."""
         bias = np.zeros(3) if bias is None else np.asarray(bias, dtype=float)
-        track = GyroscopeTrack.integrate(
-            self.gyroscope_time, self.angular_rate, bias, interval_mean=self.interval_mean
-        )
         starts, total = self.starts, len(self.magnetometer_time)
         count = np.diff(np.append(starts, total)).astype(float)
+        time = np.add.reduceat(self.magnetometer_time, starts) / count
         means = np.empty((_ROWS, len(starts)))
-        first = 0
+        squared_time = np.empty(len(starts))
+        first, track = 0, None
         while first < len(starts):  # chunks of whole windows, so that memory stays flat
             last = max(int(np.searchsorted(starts, starts[first] + _CHUNK)), first + 1)
             stop = int(starts[last]) if last < len(starts) else total
+            track = self._track(track, slice(int(starts[first]), stop), bias, delay)
             rows = self._at(track, slice(int(starts[first]), stop), delay)
             np.add.reduceat(rows, starts[first:last] - starts[first], axis=1, out=means[:, first:last])
+            squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
             first = last
         means /= count
-        time = np.add.reduceat(self.magnetometer_time, starts) / count
         return FieldWindows(
             time=time,
             count=count,
@@ -176,7 +197,7 @@ class Preintegration:
             rotation_bias=means[27:].reshape(3, 3, 3, -1) - turned_lever(means[:9], means[9:18]),
             rotation_rate=means[18:27].reshape(3, 3, -1),
             lever=np.diff(means[9:18]).reshape(3, 3, -1),
-            link_time=np.diff(np.interp(time - delay, self.gyroscope_time, track.squared_time)),
+            link_time=np.diff(squared_time),
             linked=self.linked,
             bias=bias,
             delay=delay,
@@ -203,7 +224,6 @@ class Preintegration:
             magnetic_field=self.magnetic_field[rows],
             gyroscope_time=self.gyroscope_time[rates],
             angular_rate=self.angular_rate[rates],
-            step=np.diff(self.gyroscope_time[rates]),
             starts=self.starts[first:last] - self.starts[first],
             linked=self.linked[first : last - 1],
         )
@@ -216,15 +236,36 @@ class Preintegration:
             object.__setattr__(result, name, value)
         return result
 
+    def _track(self, before: GyroscopeTrack | None, rows: slice, bias: Array, delay: float) -> GyroscopeTrack:
+        """The gyroscope over a slice of the magnetometer's samples, in the world frame of the piece `before`."""
+        begin, stop = 0, len(self.gyroscope_time)
+        if rows.stop < len(self.magnetometer_time):  # beyond the first sample of the next piece
+            stop = int(
+                np.searchsorted(self.gyroscope_time, self.magnetometer_time[rows.stop] - delay, side="right")
+            )
+            stop = min(max(stop, 1) + _MARGIN, len(self.gyroscope_time))
+        if before is not None:
+            begin = int(
+                np.searchsorted(self.gyroscope_time, self.magnetometer_time[rows.start] - delay, side="right")
+            )
+            begin = max(begin - 1 - _MARGIN, 0)
+        time = self.gyroscope_time[begin:stop]
+        track = GyroscopeTrack.integrate(
+            time, self.angular_rate[begin:stop], bias, interval_mean=self.interval_mean
+        )
+        return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
+
     def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> Array:
         """Rᵀ, K, dRᵀ/dτ and Rᵀ [·]× K at samples' stamps less the delay: (54, len(rows))."""
         when = self.magnetometer_time[rows] - delay
         result = np.empty((_ROWS, len(when)))
-        if len(track.time) == len(self.magnetometer_time) and np.array_equal(when, track.time[rows]):
+        begin = int(np.searchsorted(track.time, when[0]))
+        own = slice(begin, begin + len(when))
+        if np.array_equal(when, track.time[own]):
             p, q = track.rotation
-            r = matrices((p[rows], q[rows]))
-            result[9:18] = track.lever[:, rows]
-            rate = self.angular_rate[rows] - track.bias
+            r = matrices((p[own], q[own]))
+            result[9:18] = track.lever[:, own]
+            rate = track.angular_rate[own] - track.bias
         else:
             rotation, rate = track.rotation_at(when)
             r = matrices(rotation)

@@ -11,6 +11,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.csv_columns import Column, Columns, find_sensor, find_time, parse_header
 from magyc_gtsam.io.csv_stamps import StampColumn
 from magyc_gtsam.io.csv_table import Stamps, Table, is_number, load
+from magyc_gtsam.io.growing import GrowingColumns
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.streams import Stream, assemble
@@ -49,20 +50,22 @@ def read(path: Path, request: Request) -> Recording:
     extra = _channel_columns(table, used, request, notes)
     wanted = sorted({c.index for g in found.values() if g for c in g.columns} | {c.index for c in extra})
     numbers, stamp, said = _read(table, wanted, time, request)
-    values = dict(zip(wanted, numbers.T, strict=True))
     notes[:0] = said
+    places = {k: [wanted.index(c.index) for c in group.columns] for k, group in found.items() if group}
     sensors = {}
     for sensor, group in found.items():
         if group is None:
             continue
-        value = np.column_stack([values[c.index] for c in group.columns])
+        own = places.pop(sensor)
+        value: Array = numbers.together(own, last=not any({*own} & {*other} for other in places.values()))
         if sensor != "attitude":
             scale, said = _scale(sensor, group, request)
             value *= scale
             notes.extend(said)
         sensors[sensor] = _present(Stream(group.label, stamp, value))
-    channels = {c.written: _present(Stream(c.written, stamp, values[c.index])) for c in extra}
-    del numbers, values  # the sensors' columns are copies
+    channels = {
+        c.written: _present(Stream(c.written, stamp, numbers.column(wanted.index(c.index)))) for c in extra
+    }
     if "angular_rate" not in sensors:
         notes.append("no gyroscope: no columns are named like one")
     recording = assemble(
@@ -130,7 +133,7 @@ def _require(table: Table, magnetometer: Columns | None, time: Column | None, re
 
 def _read(
     table: Table, wanted: list[int], time: Column | None, request: Request
-) -> tuple[Array, Stamps, tuple[str, ...]]:
+) -> tuple[GrowingColumns[np.float64], Stamps, tuple[str, ...]]:
     """The cells of the columns, the stamps of all lines in ns, and notes."""
     if time is None:
         rate = float(request.options["rate"])

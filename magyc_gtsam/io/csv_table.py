@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.csv_columns import Column, parse_header
-from magyc_gtsam.io.growing import Growing
+from magyc_gtsam.io.growing import GrowingColumns
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -68,8 +68,8 @@ class Table:
 
     def read(
         self, wanted: Sequence[int], time: int | None, to_stamps: ToStamps | None, report: Callable[[float], None]
-    ) -> tuple[Array, Stamps, int, tuple[str, ...]]:
-        """Cells of the columns `wanted` (n, k), NaN where empty; stamps; how many lines; and notes.
+    ) -> tuple[GrowingColumns[np.float64], Stamps, int, tuple[str, ...]]:
+        """Cells of the columns `wanted`, NaN where empty; stamps; how many lines; and notes.
 
         Args:
             wanted: places of the columns.
@@ -80,7 +80,7 @@ class Table:
         Raises:
             MagycError: a line has more or fewer cells than the header, or a cell is no number.
         """
-        numbers, stamps = Growing(len(wanted), np.float64), Growing(None, np.int64)
+        numbers, stamps = GrowingColumns(len(wanted), np.float64), GrowingColumns(1, np.int64)
         notes: list[str] = []
         count = 0
         size = max(self.path.stat().st_size, 1)
@@ -97,7 +97,7 @@ class Table:
                 stamps.add(to_stamps(self._column(lines, time), lines.numbers))
             count += len(lines.text)
             report(place / size)
-        return numbers.taken, stamps.taken, count, tuple(notes)  # type: ignore[return-value]
+        return numbers, stamps.column(0), count, tuple(notes)
 
     def _data(self) -> Iterator[tuple[Lines, bool, int]]:
         """Lines of data, whether they are the last, and how many bytes have been read."""

@@ -10,7 +10,7 @@ from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.growing import Growing
+from magyc_gtsam.io.growing import GrowingColumns
 from magyc_gtsam.io.mcap_records import Block
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import SENSOR_FIELDS, UNKNOWN, fields_of, known_types
@@ -56,8 +56,8 @@ class Topic:
         self.problem: MagycError | None = None  # why the messages cannot be read
         self._by_log_time = by_log_time
         self._reader: FieldReader | None = None
-        self._stamp: Growing | None = None
-        self._value: Growing | None = None
+        self._stamp: GrowingColumns[np.int64] | None = None
+        self._value: GrowingColumns[np.float64] | None = None
 
     @property
     def type(self) -> str:
@@ -88,7 +88,8 @@ class Topic:
         if self._by_log_time or not self._reader.stamped:
             stamp = log_time
         if self._stamp is None or self._value is None:
-            self._stamp, self._value = Growing(None, np.int64), Growing(self._reader.width, np.float64)
+            self._stamp = GrowingColumns(1, np.int64)
+            self._value = GrowingColumns(self._reader.width, np.float64)
         self._stamp.add(stamp)
         self._value.add(value)
 
@@ -117,23 +118,32 @@ class Topic:
             raise MagycError(f"{self.name} ({self.schema.name}): {error}") from None
         return FieldReader(self.name, kind, types, self.encoding)
 
-    def read(self) -> tuple[Stamps, Array]:
-        """Stamps (n,) ns and numbers (n, k) in the order of `columns`.
+    @property
+    def stamp(self) -> Stamps:
+        """(n,) ns of the messages.
 
         Raises:
             MagycError: the messages cannot be read.
         """
         if self.problem is not None:
             raise self.problem
-        if self._stamp is None or self._value is None:
-            return np.empty(0, dtype=np.int64), np.empty((0, len(self.columns)))
-        return self._stamp.taken, self._value.taken  # type: ignore[return-value]
+        return np.empty(0, dtype=np.int64) if self._stamp is None else self._stamp.column(0)
 
-    def drain(self) -> tuple[Stamps, Array]:
-        """Likewise, and begin anew with what comes next."""
-        result = self.read()
+    def read(self, columns: Sequence[int], last: bool = False) -> Array:
+        """(n, len(columns)) numbers, in the order of `columns`; they are given up where asked for the `last` time.
+
+        Raises:
+            MagycError: the messages cannot be read.
+        """
+        if self.problem is not None:
+            raise self.problem
+        if self._value is None:
+            return np.empty((0, len(columns)))
+        return self._value.together(columns, last)
+
+    def forget(self) -> None:
+        """Begin anew with what comes next."""
         self._stamp = self._value = None
-        return result
 
     def channels(self) -> dict[str, Stream]:
         """The numbers by topic without slash, and field where there are several.
@@ -141,7 +151,7 @@ class Topic:
         Raises:
             MagycError: the messages cannot be read, or hold no number.
         """
-        stamp, value = self.read()
+        stamp = self.stamp
         if not self.columns:
             raise MagycError(f"{self.name} ({self.schema.name}): holds no number")
         base = self.name.lstrip("/")
@@ -150,8 +160,8 @@ class Topic:
         for path, count in self.columns:
             name = base if len(self.columns) == 1 else f"{base}.{path}"
             width = 1 if count is None else count
-            column = value[:, first] if count is None else value[:, first : first + width]
-            result[name] = Stream(name, stamp, column)
+            value = self.read(range(first, first + width), last=True)
+            result[name] = Stream(name, stamp, value[:, 0] if count is None else value)
             first += width
         return result
 
@@ -358,9 +368,9 @@ def _listed(topics: Mapping[str, Topic]) -> str:
     return ", ".join(f"{t.name} ({t.schema.name})" for t in topics.values())
 
 
-def unknown(source: Source, numbers: Array) -> bool:
+def unknown(source: Source) -> bool:
     """Whether all messages say that they have no estimate of the sensor (covariance[0] is -1)."""
-    return source.unknown is not None and bool((numbers[:, source.unknown] == -1).all())
+    return source.unknown is not None and bool((source.topic.read([source.unknown]) == -1).all())
 
 
 def needed(request: Request, sensors: Sequence[str]) -> Callable[[str, str], bool]:

@@ -102,10 +102,11 @@ def _stream(
         time, columns = _columns(table.columns, f"{path}: {name}")
         unit = time.unit or ("ns" if _is_nanoseconds(table.first[time.index]) else "s")
         stamps = StampColumn(Path(f"{path}: {name}"), unit)
-        value, stamp, _, said = table.read([c.index for c in columns], time.index, stamps, lambda _: None)
+        numbers, stamp, _, said = table.read([c.index for c in columns], time.index, stamps, lambda _: None)
         notes.extend(f"{name}: {note}" for note in said)
     scale, asked = request.scale(sensor, factor(sensor, columns[0].unit or _UNIT[sensor]))
     notes.extend(asked)
+    value = numbers.together(range(len(columns)))
     known = np.isfinite(value).any(axis=1)
     return Stream(name, stamp[known], value[known] * scale)
 

@@ -104,21 +104,19 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
     elif (gyroscope := chosen["angular_rate"]) and gyroscope.unknown is not None:  # an Imu message, read as one
         chosen["acceleration"] = checked(topics, "acceleration", gyroscope.name)
     result, used = {}, set()
-    left = [source.name for source in chosen.values() if source is not None]
+    left = [source for source in chosen.values() if source is not None]
     for sensor, source in chosen.items():
         if source is None:
             continue
-        left.remove(source.name)
-        stamp, numbers = source.topic.read()
-        if unknown(source, numbers):
+        left.remove(source)
+        stamp = source.topic.stamp
+        if unknown(source):
             if request.sensors.get(sensor):
                 raise MagycError(f"{source.name}: says that it has no {sensor} (covariance[0] is -1)")
             notes.append(f"{source.name}: says that it has no {sensor} (covariance[0] is -1)")
             continue
-        if source.name not in left:
-            source.topic.drain()  # no other sensor is read from it
-        value = np.take(numbers, source.columns, axis=1)
-        del numbers
+        shared = any(other.topic is source.topic and {*other.columns} & {*source.columns} for other in left)
+        value = source.topic.read(source.columns, last=not shared)
         if sensor == "attitude":
             keep = np.abs(np.linalg.norm(value, axis=1) - 1) < 0.01
             if not keep.all():

@@ -21,7 +21,6 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Damage, Record, block_of, broken_up, parsed, unpacked
 from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE, Source, Topics, choose, needed, unknown
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.io.ros_fields import Array, Stamps
 from magyc_gtsam.live.source import SENSORS, Batch, none
 from magyc_gtsam.recording import Samples
 
@@ -144,9 +143,9 @@ class McapFollower:
                 source = choose(self._topics, sensor, self._request, self.notes)
                 assert source is not None
                 self._chosen[sensor] = source
-        # One topic may hold both sensors, and what it has is taken out once.
-        taken = {source.name: source.topic.drain() for source in self._chosen.values()}
-        samples = {sensor: self._samples(sensor, s, *taken[s.name]) for sensor, s in self._chosen.items()}
+        samples = {sensor: self._samples(sensor, source) for sensor, source in self._chosen.items()}
+        for source in self._chosen.values():  # one topic may hold both sensors
+            source.topic.forget()
         return Batch(*(samples.get(sensor, none()) for sensor in SENSORS))
 
     def _present(self, sensor: str) -> bool:
@@ -157,11 +156,12 @@ class McapFollower:
             return any(topic.lstrip("/") in own for topic in self._topics)
         return any(topic.type == FOUND_BY_TYPE[sensor] for topic in self._topics.values())
 
-    def _samples(self, sensor: str, source: Source, stamp: Stamps, numbers: Array) -> Samples:
+    def _samples(self, sensor: str, source: Source) -> Samples:
+        stamp = source.topic.stamp
         if not len(stamp):
             return none()
-        if unknown(source, numbers):
+        if unknown(source):
             raise MagycError(
                 f"{source.name}: says that it has no {sensor} (covariance[0] is -1); name another topic"
             )
-        return Samples(stamp / 1e9, numbers[:, source.columns] * self._scale[sensor])
+        return Samples(stamp / 1e9, source.topic.read(source.columns) * self._scale[sensor])

@@ -14,12 +14,13 @@ from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
 
 DISTURBED_WEIGHT = 0.5  # a window whose robust weight is below counts as disturbed
+_MOST_ROWS = 400_000  # samples of a log that a page works on; an hour at 100 Hz, beyond it every k-th
 _CELLS = (24, 12)  # of the coverage map: longitude × latitude, all of the same area
 
 
 @dataclass(frozen=True, eq=False)
 class FieldHistory:
-    """The magnetometer's own samples, before and after.
+    """The magnetometer's own samples, every k-th of long logs, before and after.
 
     Attributes:
         time: (n,) s since the first row.
@@ -68,9 +69,10 @@ class Coverage:
 
 
 def field_history(recording: Recording, calibration: Calibration) -> FieldHistory:
-    """The field before and after, with the references the recording has for it."""
-    fresh = recording.magnetic_field_fresh
-    time, raw = recording.magnetometer
+    """The field before and after, with the references the recording has for it; every k-th sample of long logs."""
+    fresh = np.flatnonzero(recording.magnetic_field_fresh)
+    fresh = fresh[:: -(-len(fresh) // _MOST_ROWS)]
+    time, raw = recording.time[fresh], recording.magnetic_field[fresh]
     calibrated = calibration.apply(raw)
     strength = calibration.field_strength
     if strength is None:

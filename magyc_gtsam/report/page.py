@@ -113,7 +113,7 @@ def render(
         headline=verdict.title,
         good=verdict.trusted,
         verdict=verdict,
-        samples=len(history.time),
+        samples=int(recording.magnetic_field_fresh.sum()),
         calibration=calibration,
         cautions=words.cautions(history),
         numbers=words.key_numbers(calibration, verdict, history, turn, visited),
