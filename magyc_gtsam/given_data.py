@@ -74,7 +74,7 @@ def check_seconds(name: str, time: NDArray[np.float64]) -> None:
     Raises:
         MagycError: the median step is larger than 5 s; the likely unit is named.
     """
-    step = float(np.median(np.diff(time))) if len(time) >= _FEW else 0.0
+    step = float(np.median(np.diff(time), overwrite_input=True)) if len(time) >= _FEW else 0.0
     if step > _LONGEST_STEP:
         units = (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))
         likely, per_second = next(((u, s) for u, s in units if step / s <= _LONGEST_STEP), units[-1])

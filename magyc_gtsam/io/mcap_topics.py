@@ -370,7 +370,7 @@ def _listed(topics: Mapping[str, Topic]) -> str:
 
 def unknown(source: Source) -> bool:
     """Whether all messages say that they have no estimate of the sensor (covariance[0] is -1)."""
-    return source.unknown is not None and bool((source.topic.read([source.unknown]) == -1).all())
+    return source.unknown is not None and bool((source.topic.read([source.unknown], last=True) == -1).all())
 
 
 def needed(request: Request, sensors: Sequence[str]) -> Callable[[str, str], bool]:

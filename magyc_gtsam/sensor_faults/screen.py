@@ -5,7 +5,7 @@ Most recordings have none of it; each question costs a few comparisons a sample 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,19 +15,23 @@ from magyc_gtsam.sensor_faults import cut_off, full_scale, stuck
 
 def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
     """Whether any of the detectors could find something in the named sensors' samples."""
-    field = np.ascontiguousarray(recording.magnetometer.value.T)
-    if _repeats(recording) or _has_zeros(field) or _stands(field) or _gathers(field):
+    field = recording.magnetometer.value
+    if _repeats(recording) or _has_zeros(field) or any(_stands(axis) or _gathers(axis) for axis in _axes(field)):
         return True
     if recording.angular_rate is None or "angular_rate" not in sensors:
         return False
-    rate = np.ascontiguousarray(recording.gyroscope.value.T)
-    return _stands(rate) or _levels_off(rate)
+    return any(_stands(axis) or _levels_off(axis) for axis in _axes(recording.gyroscope.value))
+
+
+def _axes(values: Array) -> Iterator[Array]:
+    """The columns of (n, 3) one after the other, each contiguous."""
+    return (np.ascontiguousarray(axis) for axis in values.T)
 
 
 def _has_zeros(field: Array) -> bool:
-    """Whether a sample of (3, n) is zero on all axes."""
-    zero = field[0] == 0
-    return bool(zero.any()) and bool((zero & (field[1] == 0) & (field[2] == 0)).any())
+    """Whether a sample of (n, 3) is zero on all axes."""
+    zero = field[:, 0] == 0
+    return bool(zero.any()) and bool((zero & (field[:, 1] == 0) & (field[:, 2] == 0)).any())
 
 
 def _repeats(recording: Recording) -> bool:
@@ -39,27 +43,26 @@ def _repeats(recording: Recording) -> bool:
     return bool(np.diff(edges).max() > stuck.LEAST_SAMPLES)
 
 
-def _stands(values: Array) -> bool:
-    """Whether an axis of (3, n) may have one value as often in a row as one that stands still.
+def _stands(axis: Array) -> bool:
+    """Whether an axis (n,) may have one value as often in a row as one that stands still.
 
     Such a run holds one of the blocks of half its length, laid end to end.
     """
     half = stuck.LEAST_SAMPLES // 2
-    blocks = values[:, : values.shape[1] // half * half].reshape(-1, half)
+    blocks = axis[: len(axis) // half * half].reshape(-1, half)
     blocks = blocks[blocks[:, 0] == blocks[:, -1]]
     return bool((blocks == blocks[:, :1]).all(axis=1).any())
 
 
-def _gathers(field: Array) -> bool:
-    """Whether an axis of (3, n) reads its own extreme as often as one that is cut off."""
-    least = max(full_scale.LEAST, full_scale.MOST * field.shape[1])
-    return any(np.count_nonzero(row == value) > least for row in field for value in (row.max(), row.min()))
+def _gathers(axis: Array) -> bool:
+    """Whether an axis (n,) reads its own extreme as often as one that is cut off."""
+    least = max(full_scale.LEAST, full_scale.MOST * len(axis))
+    return any(np.count_nonzero(axis == value) > least for value in (axis.max(), axis.min()))
 
 
-def _levels_off(rate: Array) -> bool:
-    """Whether an axis of (3, n) repeats its largest value so far as one that is cut off does: at once, and often."""
-    repeating = rate[(rate[:, 1:] == rate[:, :-1]).any(axis=1)]
-    return any(_repeats_its_largest(side) for row in repeating for side in (row, -row))
+def _levels_off(axis: Array) -> bool:
+    """Whether an axis (n,) repeats its largest value so far as one that is cut off does: at once, and often."""
+    return bool((axis[1:] == axis[:-1]).any()) and any(_repeats_its_largest(side) for side in (axis, -axis))
 
 
 def _repeats_its_largest(side: Array) -> bool:
