@@ -24,6 +24,7 @@ from magyc_gtsam.cli import (
     info,
     interrupted,
     online,
+    serve,
     simulate,
     study,
 )
@@ -48,6 +49,7 @@ for name, command in (
     ("compare", compare),
     ("gap", gap),
     ("history", history),
+    ("serve", serve),
     ("simulate", simulate),
     ("export", export),
     ("study", study),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,24 +15,27 @@ from magyc_gtsam.cli.terminal import show, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.io import LogInfo
+    from magyc_gtsam.recording import Recording
 
 
 @with_groups
 def run(
     reading: Reading,
+    strip: Annotated[
+        bool, typer.Option("--strip", help="With --json: strength of the field and turn rate over time as well.")
+    ] = False,
     json: given.Json = False,
 ) -> int:
     """Say what a log holds, how much it turned, and whether it can be read; nothing is calibrated.
 
     Exit code 0 wherever the file is a log, whatever the answer is.
     """
-    from magyc_gtsam.io import info
+    from magyc_gtsam.io import info_and_recording
 
     with stages(shown=not json) as stage:
-        stage("reading")
-        described = info(reading.log, **reading.arguments())
+        described, recording = info_and_recording(reading.log, **reading.arguments(), progress=stage("reading"))
     if json:
-        _show_json(described)
+        _show_json(described, recording if strip else None)
     else:
         _show(described)
     return 0
@@ -56,9 +59,13 @@ def _show(described: LogInfo) -> None:
         show("can be read: yes; whether the motion suffices is what magyc-gtsam calibrate says")
 
 
-def _show_json(described: LogInfo) -> None:
+def _show_json(described: LogInfo, recording: Recording | None) -> None:
     import json
+
+    from magyc_gtsam.report.strip import strip_of
 
     sources = [asdict(source) | {"rate": source.rate} for source in described.sources]
     result = asdict(described) | {"sources": sources, "readable": described.readable}
+    if recording is not None:
+        result["strip"] = strip_of(recording)
     typer.echo(json.dumps(result, indent=2))

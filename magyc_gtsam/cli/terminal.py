@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,7 +26,13 @@ _WIDE = 200  # columns of a file or pipe, in which nothing is to be cut
 
 @contextmanager
 def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
-    """A function that opens a named stage and returns its progress callback; one bar per stage."""
+    """A function that opens a named stage and returns its progress callback; one bar per stage.
+
+    With MAGYC_GTSAM_PROGRESS=lines in the environment, lines of JSON on standard error instead, for programs.
+    """
+    if os.environ.get("MAGYC_GTSAM_PROGRESS") == "lines":
+        yield _stage_in_lines
+        return
     if not shown or sys.stderr is None or not sys.stderr.isatty():
         yield lambda name: lambda share: None
         return
@@ -43,6 +50,23 @@ def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
             return lambda share: bars.update(current, completed=share)
 
         yield stage
+
+
+def _stage_in_lines(name: str) -> Progress:
+    """Progress as {"stage": …, "share": 0 to 1}, at most ten lines a second; who wants it may leave."""
+    import json
+
+    said = -1.0
+
+    def progress(share: float) -> None:
+        nonlocal said
+        if share >= 1.0 or time.monotonic() - said > 0.1:
+            said = time.monotonic()
+            with suppress(OSError):
+                print(json.dumps({"stage": name, "share": round(float(share), 4)}), file=sys.stderr, flush=True)
+
+    progress(0.0)
+    return progress
 
 
 def show(*sentences: str) -> None:

@@ -120,14 +120,19 @@ def info(path: str | PathLike[str], **arguments: Any) -> LogInfo:
     Raises:
         MagycError: no such file, or not a log.
     """
+    return info_and_recording(path, **arguments)[0]
+
+
+def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[LogInfo, Recording | None]:
+    """As `info`, with the recording where there is one."""
     described: LogInfo = _reader(Path(path)).info(Path(path))
     try:
         recording = read(path, **arguments)
     except MagycError as error:
-        return replace(described, problem=str(error))
+        return replace(described, problem=str(error)), None
     notes = tuple(n for n in recording.notes if n not in described.warnings)
     way = None if recording.angular_rate is None else turned(*recording.gyroscope)
-    return replace(described, warnings=(*described.warnings, *notes), turned=way)
+    return replace(described, warnings=(*described.warnings, *notes), turned=way), recording
 
 
 def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:

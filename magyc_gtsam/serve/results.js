@@ -1,0 +1,54 @@
+// Results: listed, and one of them with its verdict, numbers and what can be copied.
+"use strict";
+
+const KINDS = { calibrate: "calibration", gap: "gap", compare: "comparison", history: "history", live: "live" };
+
+function drawResults() {
+  const rows = known.results.map((each) => element("li", {}, element("button", { type: "button", onclick: () => openResult(each.key) },
+    element("span", { className: each.trusted === null ? "" : each.trusted ? "good" : "bad", textContent: `${each.logs || each.key}` }),
+    element("span", { className: "soft", textContent: `${KINDS[each.kind]} · ${new Date(each.time * 1000).toLocaleString()}${each.sentence ? ` · ${each.sentence.replace(/^[✔✘] /, "")}` : ""}` }))));
+  $("#results").replaceChildren(...(rows.length ? rows : [element("li", { className: "soft", textContent: "None yet. What is calibrated is kept in the folder and listed here." })]));
+}
+
+async function refresh() {
+  const state = await ask("/api/state");
+  [known.logs, known.results] = [state.logs, state.results];
+  drawLogs();
+  drawResults();
+  return state;
+}
+
+function parameters(rows) {
+  const three = rows.filter((row) => row.length === 4);
+  const table = element("div", { className: "wide" }, element("table", { className: "rows" },
+    element("thead", {}, element("tr", {}, ...["", "x", "y", "z"].map((text) => element("th", { textContent: text })))),
+    ...three.map(([name, ...values]) => element("tr", {}, element("th", { textContent: name }), ...values.map((text) => element("td", { textContent: minus(text).replace(" ± ", " ±\u00a0") }))))));
+  return [table, ...rows.filter((row) => row.length === 2).map(([name, value]) => element("p", { textContent: `${name}: ${minus(value)}` }))];
+}
+
+function exported(key, { name, file, text }) {
+  const copy = element("button", { type: "button", textContent: "Copy", onclick: () => copied(copy, text) });
+  const keep = element("a", { className: "button", href: `/results/${key}/${encodeURIComponent(file)}`, download: file, textContent: "Download" });
+  return element("div", { className: "export" }, element("div", { className: "row" }, element("b", { textContent: name }), copy, keep),
+    element("details", {}, element("summary", { textContent: file }), element("pre", { textContent: text })));
+}
+
+async function openResult(key, scroll = true) {
+  const found = await ask(`/api/results/${key}`);
+  go({ result: key });
+  const [title, ...rest] = (found.sentence || "Done").replace(/^[✔✘] /, "").split(": ");
+  const interval = found.interval ? `, ${found.interval[0] ?? "start"} to ${found.interval[1] ?? "end"} s` : "";
+  const head = element("header", { className: found.trusted ? "good" : found.trusted === false ? "bad" : "" }, element("h1", { textContent: title }), element("p", { textContent: rest.join(": ") }),
+    element("p", { className: "soft origin", textContent: `${found.logs || key}${interval} · ${KINDS[found.kind]} · ${new Date(found.time * 1000).toLocaleString()}` }));
+  const actions = element("div", { className: "actions" },
+    found.page ? element("a", { className: "button main", href: `/results/${key}/report.html`, target: "_blank", rel: "noopener", textContent: "Open the report" }) : null,
+    element("button", { type: "button", className: "quiet", textContent: "Close", onclick: () => { $("#result").hidden = true; go({ result: "" }); } }));
+  const listed = new Set(found.exports.map((each) => each.file));
+  const others = found.files.filter((file) => !listed.has(file) && file !== "report.html" && file !== "serve.json");
+  const texts = found.exports.length ? element("section", {}, element("h2", { textContent: "To copy" }), ...found.exports.map((each) => exported(key, each)),
+    ...(others.length ? [element("p", { className: "soft", textContent: "Other files: " }, ...others.flatMap((file) => [element("a", { href: `/results/${key}/${encodeURIComponent(file)}`, download: file, textContent: file }), " "]))] : [])) : null;
+  const numbers = found.rows.length ? element("section", {}, element("h2", { textContent: "Parameters" }), ...parameters(found.rows)) : null;
+  $("#result").replaceChildren(head, actions, ...[numbers, texts].filter(Boolean));
+  $("#result").hidden = false;
+  if (scroll) $("#result").scrollIntoView({ block: "start" });
+}

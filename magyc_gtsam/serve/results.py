@@ -1,0 +1,51 @@
+"""What the page shows of a result: the verdict, the numbers, and what can be copied."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.report.verdict import judged
+from magyc_gtsam.report.words import parameter_rows
+
+_SHOWN = {  # files whose text can be copied, in this order, and what they are called
+    "px4.params": "PX4",
+    "ardupilot.param": "ArduPilot",
+    "vectornav.txt": "VectorNav",
+    "ros.yaml": "ROS",
+    "next.yaml": "calibration.yaml",
+    "calibration.yaml": "calibration.yaml",
+    "online-calibration.yaml": "calibration.yaml",
+}
+_CALIBRATIONS = ("calibration.yaml", "next.yaml", "online-calibration.yaml")
+_MOST = 200_000  # bytes of a text that is shown
+
+
+def details(folder: Path) -> dict[str, Any]:
+    """Numbers and texts of a result, JSON types."""
+    files = {
+        path.name: path for path in sorted(folder.iterdir()) if path.is_file() and not path.name.startswith(".")
+    }
+    exports = [
+        {"name": called, "file": name, "text": files[name].read_text(encoding="utf-8", errors="replace")}
+        for name, called in _SHOWN.items()
+        if name in files and files[name].stat().st_size <= _MOST
+    ]
+    found: dict[str, Any] = {"files": list(files), "exports": exports, "rows": []}
+    path = next((files[name] for name in _CALIBRATIONS if name in files), None)
+    if path is not None:
+        try:
+            calibration = Calibration.load(path)
+        except MagycError as problem:
+            return found | {"sentence": str(problem), "trusted": False}
+        verdict = judged(calibration)
+        rows = [[name, *values] for name, values in parameter_rows(calibration)]
+        found |= {
+            "rows": rows,
+            "sentence": verdict.sentence,
+            "trusted": verdict.trusted,
+            "details": verdict.details,
+        }
+    return found

@@ -1,0 +1,203 @@
+"""Logs and results on the disk. What comes from outside is looked up in what is there; it never becomes a path."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import secrets
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.serve.limits import Limits
+from magyc_gtsam.stored import replace_text
+
+RECORD = "serve.json"  # what the server knows of a result
+_UPLOADS = ".magyc-gtsam-uploads"
+_SUFFIXES = (
+    ".mcap", ".csv", ".txt", ".tsv", ".dat", ".log", ".ulg", ".bin", ".bag", ".db3", ".zip", ".tlog", ".bbl", ".bfl",
+)  # fmt: skip
+_MOST_LISTED = 500
+_KINDS = {
+    "gap.json": "gap",
+    "comparison.json": "compare",
+    "history.yaml": "history",
+    "calibration.yaml": "calibrate",
+}
+_LIVE = "online-calibration.yaml"
+
+
+class Full(MagycError):
+    """There is no room for more."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A log that can be calibrated.
+
+    Attributes:
+        key: by which the page names it.
+        name: as it is called.
+        path: where it is.
+        size: bytes.
+        uploaded: whether it was dropped into the page, and can be removed.
+    """
+
+    key: str
+    name: str
+    path: Path
+    size: int
+    uploaded: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types, without the path."""
+        return {"key": self.key, "name": self.name, "size": self.size, "uploaded": self.uploaded}
+
+
+def safe_name(name: str) -> str:
+    """A file name of letters, digits, `.`, `_` and `-` only, that resembles `name`."""
+    last = re.split(r"[/\\]", name)[-1]
+    kept = re.sub(r"[^A-Za-z0-9._-]+", "_", last).lstrip("._-")
+    stem, dot, suffix = kept.rpartition(".")
+    return (f"{stem[:80]}.{suffix[:10]}" if dot and stem else kept[:80]) or "log"
+
+
+class Store:
+    """A folder: the logs in it, uploads in a hidden folder of it, and `results/`.
+
+    Args:
+        folder: must exist.
+        limits: of uploads.
+    """
+
+    def __init__(self, folder: Path, limits: Limits) -> None:
+        self.folder = folder.resolve()
+        self.results = self.folder / "results"
+        self._uploads = self.folder / _UPLOADS
+        self._limits = limits
+        self._arriving: set[Path] = set()
+        self.remove_old()
+
+    def logs(self) -> dict[str, Log]:
+        """Uploads, the latest first, and the logs of the folder by their names."""
+        found = [*self._uploaded(), *self._in_folder()]
+        return {log.key: log for log in found}
+
+    def _in_folder(self) -> list[Log]:
+        paths = sorted(
+            p for p in self.folder.iterdir() if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".")
+        )
+        return [
+            Log(
+                f"f{hashlib.sha256(path.name.encode()).hexdigest()[:16]}",
+                path.name,
+                path,
+                path.stat().st_size,
+                False,
+            )
+            for path in paths[:_MOST_LISTED]
+            if path.is_file()
+        ]
+
+    def _uploaded(self) -> list[Log]:
+        if not self._uploads.is_dir():
+            return []
+        found = []
+        for place in sorted(self._uploads.iterdir(), key=lambda p: -p.stat().st_mtime):
+            files = [] if place in self._arriving else [f for f in place.iterdir() if f.is_file()]
+            found += [Log(f"u{place.name}", file.name, file, file.stat().st_size, True) for file in files[:1]]
+        return found
+
+    @contextmanager
+    def arriving(self, name: str, size: int | None) -> Iterator[tuple[str, Path]]:
+        """Key and file of a log that is being uploaded; removed where the block fails.
+
+        Raises:
+            Full: too many, or too large for the disk.
+        """
+        if len(self._uploaded()) + len(self._arriving) >= self._limits.uploads:
+            raise Full(f"{self._limits.uploads} dropped logs are kept at most; remove one first")
+        self.room_for(size or 0)
+        key = secrets.token_hex(8)
+        place = self._uploads / key
+        place.mkdir(parents=True)
+        self._arriving.add(place)
+        try:
+            yield f"u{key}", place / safe_name(name)
+        except BaseException:
+            shutil.rmtree(place, ignore_errors=True)
+            raise
+        finally:
+            self._arriving.discard(place)
+
+    def room_for(self, size: int) -> None:
+        """Raises Full where so many bytes would leave too little on the disk."""
+        if shutil.disk_usage(self.folder).free < size + self._limits.spare:
+            raise Full("the disk of the server is full")
+
+    def remove(self, key: str) -> bool:
+        """Remove an upload; whether there was one."""
+        log = self.logs().get(key)
+        if log is None or not log.uploaded:
+            return False
+        shutil.rmtree(log.path.parent, ignore_errors=True)
+        return True
+
+    def remove_old(self, age: float | None = None) -> None:
+        """Remove uploads older than `age` s (that of the limits), and what was never complete."""
+        limit = time.time() - (self._limits.upload_age if age is None else age)
+        for place in self._uploads.iterdir() if self._uploads.is_dir() else ():
+            if place not in self._arriving and place.stat().st_mtime <= limit:
+                shutil.rmtree(place, ignore_errors=True)
+        if self._uploads.is_dir() and not any(self._uploads.iterdir()):
+            self._uploads.rmdir()
+
+    def new_result(self, name: str, kind: str) -> Path:
+        """A folder for a result, which does not exist yet."""
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        stem = safe_name(name).rpartition(".")[0] or safe_name(name)
+        base = f"{stem}{'' if kind == 'calibrate' else f'-{kind}'}-{stamp}"
+        names = (base if not k else f"{base}-{k + 1}" for k in range(1000))
+        path = next(self.results / each for each in names if not (self.results / each).exists())
+        path.mkdir(parents=True)  # nobody else takes it
+        return path
+
+    def keep(self, folder: Path, record: dict[str, Any]) -> None:
+        """Write down what is known of a result."""
+        if folder.is_dir() and any(folder.iterdir()):
+            replace_text(folder / RECORD, json.dumps(record, indent=1, ensure_ascii=False))
+
+    def discard_empty(self, folder: Path) -> None:
+        """Remove the folder of a job that left nothing."""
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+    def found(self) -> dict[str, Path]:
+        """{key: folder} of all results, the latest first."""
+        if not self.results.is_dir():
+            return {}
+        folders = [p for p in self.results.iterdir() if p.is_dir() and not p.name.startswith(".")]
+        folders = [p for p in folders if any((p / name).exists() for name in (*_KINDS, _LIVE, RECORD))]
+        return {p.name: p for p in sorted(folders, key=lambda p: -p.stat().st_mtime)[:_MOST_LISTED]}
+
+    def described(self, folder: Path) -> dict[str, Any]:
+        """What is known of a result, without looking into its numbers."""
+        kind = next((kind for name, kind in _KINDS.items() if (folder / name).exists()), "live")
+        try:
+            record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            record = {}
+        record = record if isinstance(record, dict) else {}
+        return {
+            "key": folder.name,
+            "kind": kind,
+            "time": folder.stat().st_mtime,
+            "page": (folder / "report.html").exists(),
+            **{name: record.get(name) for name in ("logs", "sentence", "trusted", "interval")},
+        }

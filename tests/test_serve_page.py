@@ -1,0 +1,170 @@
+"""The page of `magyc-gtsam serve` in a browser: a log dropped, an interval dragged, the command line's numbers."""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from served import COMMAND, DIVE, PATIENCE, Served
+
+import magyc_gtsam as mg
+
+pytest.importorskip("starlette", reason="pip install 'magyc-gtsam[serve]'")
+pytest.importorskip("uvicorn", reason="pip install 'magyc-gtsam[serve]'")
+
+SECONDS = 1e3 * PATIENCE  # in the browser's unit
+DROP = """([name, content]) => {
+  const bytes = Uint8Array.from(atob(content), (c) => c.charCodeAt(0));
+  const carried = new DataTransfer();
+  carried.items.add(new File([bytes], name));
+  const options = { dataTransfer: carried, bubbles: true, cancelable: true };
+  document.querySelector("#drop").dispatchEvent(new DragEvent("drop", options));
+}"""
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory, browser: Any) -> Iterator[Served]:
+    server = Served(tmp_path_factory.mktemp("served"))
+    yield server
+    assert "Traceback" not in server.stop()
+
+
+@pytest.fixture
+def visit(browser: Any) -> Iterator[Callable[..., Any]]:
+    """A function that opens the page of a server at a width; fails on errors of the page."""
+    wrong: list[str] = []
+    contexts = []
+
+    def opened(server: Served, width: int = 400, scheme: str = "light") -> Any:
+        context = browser.new_context(
+            viewport={"width": width, "height": 850},
+            color_scheme=scheme,
+            permissions=["clipboard-read", "clipboard-write"],
+        )
+        contexts.append(context)
+        context.set_default_timeout(SECONDS)
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto(server.address)
+        page.locator("#link").wait_for(state="hidden")
+        return page
+
+    yield opened
+    for context in contexts:
+        context.close()
+    assert wrong == []
+
+
+def table(path: Path) -> Path:
+    """The dive as a text table."""
+    recording = mg.read(DIVE)
+    assert recording.angular_rate is not None
+    rows = np.column_stack([recording.time, recording.magnetic_field * 1e6, recording.angular_rate])
+    header = "time_s,mag_x_uT,mag_y_uT,mag_z_uT,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.9g")
+    return path
+
+
+def result(page: Any, server: Served, words: str) -> Path:
+    """The folder of the result that the page shows, when its origin has these words."""
+    page.locator("#result .origin", has_text=words).wait_for()
+    key = page.evaluate("new URLSearchParams(location.hash.slice(1)).get('result')")
+    return server.folder / "results" / key
+
+
+@pytest.mark.parametrize(("width", "suffix"), [(400, "csv"), (1400, "mcap")])
+def test_drop_a_log_drag_an_interval_and_calibrate(
+    served: Served, visit: Callable[..., Any], tmp_path: Path, width: int, suffix: str
+) -> None:
+    """To the last byte what the command line gives, in the file and on the clipboard; nothing wider than the page."""
+    file = DIVE if suffix == "mcap" else table(tmp_path / "dive.csv")
+    page = visit(served, width, "dark" if width == 400 else "light")
+    page.evaluate(DROP, [file.name, base64.b64encode(file.read_bytes()).decode()])
+    page.locator("#result header.good").wait_for()
+    whole = result(page, served, f"{file.name} · calibration")
+    page.locator("#layer").wait_for()
+    assert "10.0 min · turned by" in page.locator("#holds").text_content()
+
+    page.locator("#layer").scroll_into_view_if_needed()
+    box = page.locator("#layer").bounding_box()
+    y = box["y"] + 0.3 * box["height"]
+    page.mouse.move(box["x"] + 0.2 * box["width"], y)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.5 * box["width"], y)
+    page.mouse.move(box["x"] + 0.8 * box["width"], y)
+    page.mouse.up()
+    start, end = page.locator("#start").input_value(), page.locator("#end").input_value()
+    assert abs(float(start) - 120) < 5
+    assert abs(float(end) - 480) < 5
+    page.locator("[data-run=calibrate]").click()
+    part = result(page, served, f"{start.removesuffix('.0')} to {end.removesuffix('.0')} s")
+    own = [COMMAND, "calibrate", str(file), "-q", "-o", "own"]
+    for folder, interval in ((whole, []), (part, ["--start", start, "--end", end])):
+        subprocess.run([*own, *interval], check=True, cwd=tmp_path)
+        for name in ("calibration.yaml", "px4.params"):
+            assert (folder / name).read_bytes() == (tmp_path / "own" / name).read_bytes()
+
+    page.locator(".export", has_text="PX4").locator("button").click()
+    page.locator(".export button", has_text="Copied").wait_for()
+    assert page.evaluate("navigator.clipboard.readText()") == (part / "px4.params").read_text(encoding="utf-8")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    with page.context.expect_page() as opened:
+        page.locator("text=Open the report").click()
+    report = opened.value
+    report.locator("figure canvas").first.wait_for()
+    assert report.evaluate("origin") == "null", "a report's script is nobody's"
+    page.locator("#remove").click()
+    page.locator("#log").wait_for(state="hidden")
+
+
+def test_a_log_that_cannot_be_read_says_why(served: Served, visit: Callable[..., Any]) -> None:
+    page = visit(served)
+    page.set_input_files(
+        "#files", {"name": "note.txt", "mimeType": "text/plain", "buffer": b"hello, world\n1, 2\n"}
+    )
+    page.locator("#holds", has_text="cannot be read").wait_for()
+    page.locator("#problem p").filter(has_text="note.txt").wait_for()
+    page.locator("#problem button").click()
+    page.locator("#remove").click()
+
+
+def test_reload_and_a_killed_server_in_the_middle(tmp_path: Path, visit: Callable[..., Any]) -> None:
+    """The job is there after a reload; where the server is killed, the page finds the next one, and what was made."""
+    shutil.copy(DIVE, tmp_path)
+    server = Served(tmp_path)
+    page = visit(server)
+    page.locator("#logs button").click()
+    page.locator("#layer").wait_for()
+    page.locator("[data-run=gap]").click()
+    page.locator(".job progress").wait_for()
+    page.reload()
+    page.locator(".job", has_text="Gap of").wait_for()
+    assert page.locator("#log h2").text_content() == DIVE.name
+    page.locator(".job button").click()
+    page.locator("#jobs").wait_for(state="hidden")
+
+    page.locator("[data-run=calibrate]").click()
+    page.locator(".job", has_text="Calibrating from").wait_for()
+    server.stop(signal.SIGKILL)
+    page.locator("#link").wait_for()
+    server = Served(tmp_path, port=server.port)
+    try:
+        page.locator("#link").wait_for(state="hidden")
+        until = time.monotonic() + PATIENCE
+        while not list(tmp_path.glob("results/*/report.html")):
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        page.locator("[data-tab=results]").click()
+        page.reload()
+        page.locator("#results button").first.click()
+        page.locator("#result header.good").wait_for()
+    finally:
+        server.stop()
