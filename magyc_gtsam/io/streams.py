@@ -96,12 +96,14 @@ def assemble(
     zero = max(int(clean[k].stamp[0]) for k in ("magnetic_field", "angular_rate") if k in clean)
     said.append(_epoch_note(zero))
 
-    seconds: dict[int, Array] = {}  # by the array of stamps, which sensors of one message share
+    clocks: list[tuple[Stamps, Array]] = []  # sensors that are stamped alike share their times
 
     def relative(stream: Stream) -> tuple[Array, Array]:
-        if id(stream.stamp) not in seconds:
-            seconds[id(stream.stamp)] = given_away((stream.stamp - zero) / 1e9)
-        return seconds[id(stream.stamp)], given_away(stream.value)
+        time = next((time for stamp, time in clocks if np.array_equal(stamp, stream.stamp)), None)
+        if time is None:
+            time = given_away((stream.stamp - zero) / 1e9)
+            clocks.append((stream.stamp, time))
+        return time, given_away(stream.value)
 
     last = min(int(clean[k].stamp[-1]) for k in ("magnetic_field", "angular_rate") if k in clean)
     for channel in [k for k, s in usable.items() if s.stamp[-1] < zero or s.stamp[0] > last]:
