@@ -14,8 +14,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE
 from magyc_gtsam.io.ros_fields import NANOSECONDS, Array, short_type
+from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
 from magyc_gtsam.recording import Recording
 
 # Bytes from the first number of a message to the vector of each sensor; the numbers are float64.

@@ -13,9 +13,11 @@ from mcap.records import Channel, Schema
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.mcap_records import Block
-from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE, LARGEST, Topic, Topics, checked, choose, needed, unknown
+from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import SENSOR_FIELDS
+from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, checked, choose, needed, unknown
+from magyc_gtsam.io.ros_topic import LARGEST, Topic
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
 

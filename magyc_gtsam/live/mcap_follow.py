@@ -19,8 +19,9 @@ from mcap.records import Metadata
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Damage, Record, block_of, broken_up, parsed, unpacked
-from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE, Source, Topics, choose, needed, unknown
+from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
+from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, Source, choose, needed, unknown
 from magyc_gtsam.live.source import SENSORS, Batch, none
 from magyc_gtsam.recording import Samples
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.mcap_topics import FOUND_BY_TYPE
 from magyc_gtsam.io.request import Request
+from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
 from magyc_gtsam.live.source import SENSORS, Batch, none
 from magyc_gtsam.recording import Samples
 
