@@ -179,7 +179,7 @@ def test_begins_with_comments_that_say_the_units(target: str) -> None:
 
 def test_vectornav_checksum_is_the_manual_s() -> None:
     # The manual's default values of register 23, as a read: $VNRRG,23,1,0,0,0,1,0,0,0,1,0,0,0*73
-    from magyc_gtsam.export import _checksum
+    from magyc_gtsam.export.vectornav import _checksum
 
     assert _checksum("VNRRG,23,1,0,0,0,1,0,0,0,1,0,0,0") == 0x73
 

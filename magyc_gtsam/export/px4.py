@@ -1,0 +1,60 @@
+"""PX4: field = R S (raw + power · COMP − TC(temperature) − OFF), R from ROT, ROLL, PITCH, YAW, power in kA."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.export.correction import (
+    EXTERNAL_ONLY,
+    GAUSS,
+    Correction,
+    angles,
+    axes,
+    degrees,
+    number,
+    symmetric,
+)
+
+_SCALE = (0.1, 3.0)  # range of CAL_MAG0_*SCALE
+
+
+def px4(c: Correction) -> list[str]:
+    """Lines of a parameter file of QGroundControl."""
+    scale, notes = symmetric(c.matrix, "PX4")
+    rotation = c.rotation
+    values = axes("CAL_MAG0_{}OFF", c.offset * GAUSS)
+    values |= axes("CAL_MAG0_{}SCALE", np.diag(scale))
+    values |= axes("CAL_MAG0_{}ODIAG", scale[(0, 0, 1), (1, 2, 2)])
+    whole: dict[str, int] = {}
+    low, high = _SCALE
+    if not ((np.diag(scale) >= low) & (np.diag(scale) <= high)).all():
+        notes.append(f"LIMIT: a CAL_MAG0_*SCALE is outside {low:g} to {high:g}, the range PX4 accepts.")
+    if rotation is not None:
+        whole["CAL_MAG0_ROT"] = 100
+        values |= dict(zip(("CAL_MAG0_ROLL", "CAL_MAG0_PITCH", "CAL_MAG0_YAW"), angles(rotation), strict=True))
+        notes.append(f"CAL_MAG0_ROT 100, with ROLL, PITCH, YAW in degrees, turns by {degrees(rotation):.2f} deg.")
+        notes.append("It is for an external compass that had CAL_MAG0_ROT 0 as the log was recorded.")
+        notes.append(EXTERNAL_ONLY)
+    if c.motor is not None:
+        whole["CAL_MAG_COMP_TYP"] = 2
+        values |= axes("CAL_MAG0_{}COMP", -c.motor * GAUSS * 1e3)
+        notes.append("CAL_MAG0_*COMP: gauss per kA of battery 1's current, ADDED to the raw field, while armed.")
+        notes.append("Where the channel was a throttle of 0 to 1: CAL_MAG_COMP_TYP 1, and COMP divided by 1000.")
+    if c.thermal is not None:
+        whole["TC_M_ENABLE"] = 1
+        values |= {f"TC_M0_X1_{k}": float(value) for k, value in enumerate(c.thermal * GAUSS)}
+        values |= {"TC_M0_TREF": c.reference} | {f"TC_M0_X{n}_{k}": 0.0 for n in (0, 2, 3) for k in range(3)}
+        notes.append("TC_M0_*: gauss per degree of the magnetometer's own thermometer, subtracted; set TC_M0_ID")
+        notes.append("to CAL_MAG0_ID, and TC_M0_TMIN, TC_M0_TMAX to the range that the log covers.")
+    if c.gyro_bias is not None:
+        values |= axes("CAL_GYRO0_{}OFF", c.gyro_bias)
+    return [
+        "# PX4 parameters (QGroundControl: Vehicle Setup > Parameters > Tools > Load from file).",
+        "# Offsets in gauss, SUBTRACTED: field = scale * (raw - offset), in the sensor's own axes, before",
+        "# CAL_MAG0_ROT. XODIAG, YODIAG, ZODIAG are the elements xy, xz, yz of the scale matrix.",
+        "# Gyroscope offsets in rad/s, subtracted. Another sensor than the first: replace MAG0, GYRO0.",
+        *(f"# {note}" for note in notes),
+        "# Vehicle-Id Component-Id Name Value Type",
+        *(f"1\t1\t{name}\t{value}\t6" for name, value in whole.items()),
+        *(f"1\t1\t{name}\t{number(value)}\t9" for name, value in values.items()),
+    ]
