@@ -12,6 +12,8 @@ import typer
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.history import More
+from magyc_gtsam.cli.many import many
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
 from magyc_gtsam.cli.terminal import Progress, concluded, show, show_details, show_page, show_table, stages
@@ -65,6 +67,7 @@ def run(
             "tiny, multi, dive or survey. Needs no LOG, and writes no files.",
         ),
     ] = None,
+    more: More = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-gap-<date>-<time>."),
@@ -78,6 +81,8 @@ def run(
 
     Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html. The options that
     say how LOG is read hold for a SIM and an OTHER_LOG of its format too, but for --start and --end.
+    Many logs of one instrument are one comparison: what has one value in all is the instrument's, what has one in each
+    is of the place or the day.
     Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
     or the noise was too little to look for one, or the result does not hold on OTHER_LOG or cannot be judged on it.
     """
@@ -87,6 +92,17 @@ def run(
                 "it is of a motion, and of no file: leave out all but --quiet and --json", param_hint="--plan"
             )
         return _plan(plan, quiet, json)
+    if many(reading.log, more):
+        from magyc_gtsam.cli.gap_many import gap_of_logs
+        from magyc_gtsam.io.many import find_logs
+
+        if any(value is not None for value in (simulated, validate, calibration)):
+            raise typer.BadParameter(
+                "--simulated, --validate and --calibration are for one LOG", param_hint="LOGS"
+            )
+        listed = None if candidates is None else [name.strip() for name in candidates.split(",")]
+        logs = find_logs([reading.log, *(more or [])])
+        return gap_of_logs(reading, logs, listed, output, open_page, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
     from magyc_gtsam.report.gap_page import render_gap
     from magyc_gtsam.report.gap_verdict import as_judged, judged_gap

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import overload
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from magyc_gtsam.gap.clipped import with_clipped
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.doubt import Doubt
 from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.many.find import find_gap_of_many
+from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
 from magyc_gtsam.gap.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.problem import Active, Model, Problem
@@ -35,18 +38,39 @@ _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a
 _SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
 
 
+@overload
 def find_gap(
     recording: Recording,
     calibration: Calibration | None = None,
     simulated: Recording | None = None,
     candidates: Sequence[str] | None = None,
     progress: Callable[[float], None] | None = None,
-) -> Gap:
+) -> Gap: ...
+
+
+@overload
+def find_gap(
+    recording: Sequence[Recording],
+    calibration: None = None,
+    simulated: None = None,
+    candidates: Sequence[str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> GapOfMany: ...
+
+
+def find_gap(
+    recording: Recording | Sequence[Recording],
+    calibration: Calibration | None = None,
+    simulated: Recording | None = None,
+    candidates: Sequence[str] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Gap | GapOfMany:
     """Find where model and measurement disagree, name the effect, add it, and show what is left.
 
     Args:
         recording: with magnetometer and gyroscope; other channels (current, temperature, depth, position) and
-            the acceleration let more effects be tested.
+            the acceleration let more effects be tested. Several, of one instrument, are one comparison: an effect of
+            the instrument has one value everywhere, one of the place or the day has one in each log.
         calibration: the model to begin with, its delay and terms included. All of it is fitted anew; what the data
             contradict is said and in `Gap.moved`. None begins with the twelve parameters and no delay.
         simulated: a recording of the user's own simulator on the same or a similar motion, compared directly.
@@ -57,10 +81,14 @@ def find_gap(
         MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion
             or no noise at all is no error but a verdict, "not enough information".
     """
-    _check_types(recording, calibration, simulated)
     if progress is not None and not callable(progress):
         raise MagycError(f"progress: a function of the share done is needed, got {type(progress).__name__}")
     names = _names(candidates)
+    if isinstance(recording, Sequence) and not isinstance(recording, str):
+        if calibration is not None or simulated is not None:
+            raise MagycError("mg.find_gap: of several recordings takes no calibration= and no simulated=")
+        return find_gap_of_many(recording, names, progress)
+    _check_types(recording, calibration, simulated)
     report = progress or (lambda _: None)
     report(0.0)
     share = 1.0 if simulated is None else 0.5

@@ -59,6 +59,7 @@ def simulate(
     gyroscope_noise: float = 5e-3,
     delay: float = 0.0,
     channels: Sequence[str] | None = None,
+    effects_seed: int | None = None,
 ) -> Simulation:
     """Simulate an instrument on a vehicle.
 
@@ -77,6 +78,8 @@ def simulate(
         delay: s by which the magnetometer lags the gyroscope.
         channels: to record beside: "current" A, "temperature" °C, "depth" m, "position" (n, 3) m. Default:
             those that the effects need. With any of these the accelerometer feels the sea and has noise.
+        effects_seed: of the effects' own directions, shapes and times, so that several logs can be of one instrument;
+            None takes `seed`.
 
     Returns:
         The recording, with attitude and acceleration, and the truth (soft iron with det 1; its scale
@@ -87,7 +90,7 @@ def simulate(
     """
     if motion not in MOTIONS:
         raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
-    wanted = chosen(effects, seed)
+    wanted = chosen(effects, seed if effects_seed is None else effects_seed)
     recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])
     if not 2.5 < duration * rate <= _MOST_SAMPLES:
         raise MagycError(

@@ -1,0 +1,140 @@
+"""`magyc-gtsam gap LOGS…`: what is missing in many logs of one instrument, and whether it is the instrument's."""
+
+from __future__ import annotations
+
+import json as json_text
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import typer
+
+from magyc_gtsam.cli.files import replacing_folder
+from magyc_gtsam.cli.many import unique_names
+from magyc_gtsam.cli.reading import Reading
+from magyc_gtsam.cli.results import dated_folder
+from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
+from magyc_gtsam.foreign_text import printable
+
+if TYPE_CHECKING:
+    from magyc_gtsam.gap.many.result import GapOfMany, SharedEffect
+
+EFFECTS = ("effect", "whose", "value", "logs", "nats", "or")
+VALUES = ("effect", "log", "value", "it has it")
+WEIGHTS = ("hypothesis", "nats, one value", "nats, one in each log")
+_SHOWN = 8  # hypotheses on the terminal; page and gap.json have more
+_LISTED = 20
+_GOOD = ("none", "closed")
+
+
+def gap_of_logs(
+    reading: Reading,
+    logs: Sequence[Path],
+    names: Sequence[str] | None,
+    output: Path | None,
+    open_page: bool,
+    quiet: bool,
+    json: bool,
+) -> int:
+    """One comparison over all logs; writes gap.json, report.html and a calibration for each log.
+
+    Returns:
+        0 where nothing is missing or all that is has a name, else 1.
+
+    Raises:
+        MagycError: no log can be read.
+    """
+    from magyc_gtsam import MagycError, find_gap
+    from magyc_gtsam.gap.many.result import Own
+
+    recordings, unread = [], []
+    folder = output or dated_folder(Path("logs"), "-gap")
+    with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
+        progress = stage(f"reading {len(logs)} logs")
+        for done, (log, name) in enumerate(zip(logs, unique_names(logs), strict=True), start=1):
+            try:
+                recordings.append(replace(replace(reading, log=log).recording(), name=name))
+            except MagycError as problem:
+                unread.append(Own(name, str(problem).removeprefix(f"{log}: ")))
+            progress(done / len(logs))
+        if not recordings:
+            raise MagycError(f"none of {len(logs)} logs can be read; the first: {unread[0].sentence}")
+        gap = find_gap(recordings, candidates=names, progress=stage("searching"))
+        gap = replace(gap, own=(*unread, *gap.own))
+        text = json_text.dumps(gap.to_dict(), indent=2, ensure_ascii=False) + "\n"
+        (part / "gap.json").write_text(text, encoding="utf-8")
+        (part / "calibrations").mkdir()
+        for name, calibration in gap.calibrations.items():
+            calibration.save(part / "calibrations" / f"{name}.yaml")
+        (part / "report.html").write_text(_page(gap), encoding="utf-8")
+    if open_page:
+        show_page(folder / "report.html")
+    if json:
+        typer.echo(json_text.dumps(gap.to_dict() | {"folder": str(folder)}, indent=2, ensure_ascii=False))
+    elif not quiet:
+        _show(gap, folder)
+    if gap.verdict in _GOOD:
+        return 0
+    print(f"magyc-gtsam: the gap is left open: {printable(gap.sentence)}", file=sys.stderr)
+    return 1
+
+
+def effect_rows(gap: GapOfMany) -> list[list[str]]:
+    """One row for each effect."""
+    return [
+        [
+            effect.label,
+            f"{effect.of} ({max(effect.instrument, 1 - effect.instrument):.0%})",
+            value_of(effect, effect.value, effect.sigma) if len(effect.value) else "one in each log",
+            f"{len(effect.logs)} of {len(gap.calibrations)}",
+            f"{effect.evidence:.0f}",
+            ", ".join(effect.ambiguous_with),
+        ]
+        for effect in gap.effects
+    ]
+
+
+def value_of(effect: SharedEffect, value: np.ndarray, sigma: np.ndarray) -> str:
+    """Values with sigmas and unit."""
+    return ", ".join(f"{v:.3g} ± {s:.2g}" for v, s in zip(value, sigma, strict=True)) + f" {effect.unit}"
+
+
+def weight_rows(gap: GapOfMany, count: int) -> list[list[str]]:
+    """The strongest hypotheses against the last model."""
+    return [
+        [w.name, f"{w.shared:.1f}" if np.isfinite(w.shared) else "–", f"{w.apart:.1f}"]
+        for w in gap.weights[:count]
+    ]
+
+
+def _show(gap: GapOfMany, folder: Path) -> None:
+    show(gap.sentence, "")
+    if gap.effects:
+        show_table(EFFECTS, effect_rows(gap))
+        show("")
+    show(*(f"{own.log}: {own.sentence}" for own in gap.own))
+    show("", "What is left, against the model with these:")
+    show_table(WEIGHTS, weight_rows(gap, _SHOWN))
+    show("", f"results: {folder}", f"page: {folder / 'report.html'}")
+
+
+def _page(gap: GapOfMany) -> str:
+    from magyc_gtsam.report.summary_page import Section, summary_page
+
+    values = [
+        [effect.label, log.log, value_of(effect, log.value, log.sigma), f"{log.present:.0%}"]
+        for effect in gap.effects
+        for log in effect.logs
+    ]
+    sections = [
+        Section("Effects", EFFECTS, effect_rows(gap), [] if gap.effects else ["None."]),
+        Section("Log by log", VALUES, values),
+        Section("Logs left out", sentences=[f"{own.log}: {own.sentence}" for own in gap.own] or ["None."]),
+        Section("What is left, against the model with these", WEIGHTS, weight_rows(gap, _LISTED)),
+    ]
+    headline = {"none": "Nothing is missing", "closed": "Named and added"}.get(gap.verdict, "The gap is left open")
+    kept = [section for section in sections if section.rows or section.sentences]
+    return summary_page("The gap over many logs", headline, gap.verdict in _GOOD, [gap.sentence], kept)

@@ -1,0 +1,213 @@
+"""`find_gap` of many logs of one instrument: forward by the strongest hypothesis, everything refitted after each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.many.model import MODEL, MOMENTS
+from magyc_gtsam.gap.many.one_log import OneLog, Test
+from magyc_gtsam.gap.many.result import GapOfMany, Own, Weight
+from magyc_gtsam.gap.many.told import Added, told
+from magyc_gtsam.gap.many.weighing import Weighed, weigh
+from magyc_gtsam.gap.refit import as_calibration, widened
+from magyc_gtsam.given_data import expect_recording
+from magyc_gtsam.recording import Recording
+
+_HAS_IT = 0.5  # probability from which a log gets an effect of the place
+_PLAIN = 0.9  # from which what no name explains is a log's own
+_LEAST = 2  # logs that can be compared
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """How far a search is: the logs, what was added, what was left out, and the last look."""
+
+    logs: tuple[OneLog, ...]
+    added: tuple[Added, ...] = ()
+    own: tuple[Own, ...] = ()
+    weighed: tuple[Weighed, ...] = ()
+    unknown: str = ""
+
+
+def find_gap_of_many(
+    recordings: Sequence[Recording], candidates: Sequence[str], progress: Progress | None = None
+) -> GapOfMany:
+    """One comparison over all logs of one instrument.
+
+    Args:
+        recordings: of one instrument, each with magnetometer and gyroscope.
+        candidates: names to choose from.
+        progress: called with the share done.
+
+    Raises:
+        MagycError: something that is no recording, or none.
+    """
+    report = progress or (lambda _: None)
+    course = _begun(recordings, candidates, lambda share: report(0.4 * share))
+    if len(course.logs) >= _LEAST:
+        for step in range(MODEL.most + 1):
+            course, going = _step(course, candidates, step < MODEL.most)
+            report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
+            if not going:
+                break
+    report(1.0)
+    return _result(course)
+
+
+def _begun(recordings: Sequence[Recording], names: Sequence[str], report: Progress) -> _Course:
+    """Each log at its minimum; one that cannot be read or calibrated is left out with its reason."""
+    if not len(recordings):
+        raise MagycError("mg.find_gap: no recordings; give those of one instrument")
+    logs: list[OneLog] = []
+    own: list[Own] = []
+    for k in range(len(recordings)):
+        called = f"log {k + 1}"
+        try:
+            recording = recordings[k]  # may be read here
+        except MagycError as problem:
+            own.append(Own(called, str(problem)))
+            continue
+        expect_recording("mg.find_gap", recording)
+        called = recording.name or called
+        if called in (log.name for log in logs):
+            called = f"{called} ({k + 1})"
+        try:
+            logs.append(OneLog.of(recording, names, called))
+        except MagycError as problem:
+            own.append(Own(called, str(problem)))
+        report((k + 1) / len(recordings))
+    return _Course(tuple(logs), own=tuple(own))
+
+
+def _step(course: _Course, names: Sequence[str], more: bool) -> tuple[_Course, bool]:
+    """Look, and add the strongest name, or leave out logs that hold what has none; whether there is more to do."""
+    had = [each.name for each in course.added]
+    asked = [name for name in names if name in TERMS and name not in had]
+    weighed = _look(course.logs, asked)
+    course = replace(course, weighed=weighed)
+    strongest = weighed[0]
+    if strongest.nats < MODEL.sure + MODEL.remain * sum(each.evidence for each in course.added):
+        return course, False
+    if not strongest.named:
+        few = strongest.present > _PLAIN
+        alone = strongest.apart > strongest.shared and 0 < few.sum() <= max(1, MODEL.few * len(few))
+        if alone and len(few) - few.sum() >= _LEAST:
+            return _left_out(course, few, strongest), True
+        return replace(course, unknown=strongest.name), False
+    if not more:
+        return replace(course, unknown=strongest.name), False
+    return _with(course, strongest, _as_good(weighed)), True
+
+
+def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[Weighed, ...]:
+    """All hypotheses, strongest first."""
+    tests = [log.tests(names) for log in logs]
+    for name in names:
+        pooled = _pooled([log.get(name, ()) for log in tests])
+        for log, found in zip(logs, tests, strict=True):
+            if pooled and found.get(name):
+                found[name] = (*found[name], *log.tests_at(name, pooled))
+    every = dict.fromkeys(name for found in tests for name in found)
+    weighed = [weigh(name, tests) for name in every]
+    return tuple(sorted(weighed, key=lambda each: -each.nats))
+
+
+def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
+    """Where the logs have no setting in common, the best of each: what is tried in one is tried in all."""
+    keys = [{test.key for test in tests} for tests in of_log if tests]
+    if len(keys) < 2 or set.intersection(*keys):
+        return []
+    best = [max(tests, key=lambda test: test.statistic - 2 * test.rank) for tests in of_log if tests]
+    if any("time" in test.setting or "start" in test.setting for test in best):
+        return []
+    return list({test.key: dict(test.setting) for test in best}.values())
+
+
+def _as_good(weighed: Sequence[Weighed]) -> tuple[str, ...]:
+    """Names that are not clearly behind the strongest."""
+    first = weighed[0]
+
+    def lead(other: Weighed) -> float:
+        return MODEL.moments if first.name in MOMENTS and other.name in MOMENTS else MODEL.lead
+
+    return tuple(
+        other.name for other in weighed[1:] if other.named and other.nats > max(first.nats - lead(other), 0.0)
+    )
+
+
+def _left_out(course: _Course, few: np.ndarray, strongest: Weighed) -> _Course:
+    own = tuple(
+        Own(log.name, f"holds something that no name explains ({strongest.name}); it was left out")
+        for log, out in zip(course.logs, few, strict=True)
+        if out
+    )
+    kept = tuple(log for log, out in zip(course.logs, few, strict=True) if not out)
+    added = tuple(
+        replace(each, present=each.present[~few], settings=tuple(np.array(each.settings, dtype=object)[~few]))
+        for each in course.added
+    )
+    return replace(course, logs=kept, own=(*course.own, *own), added=added)
+
+
+def _with(course: _Course, chosen: Weighed, rivals: tuple[str, ...]) -> _Course:
+    """The effect in all logs, or in those that have it; a log whose model does not bear it is left out."""
+    instrument = chosen.instrument >= 0.5
+    logs: list[OneLog] = []
+    own: list[Own] = []
+    settings: list[dict[str, float] | None] = []
+    present: list[float] = []
+    for log, best, probability in zip(course.logs, chosen.best, chosen.present, strict=True):
+        here = best is not None and (instrument or probability > _HAS_IT)
+        if not here or best is None:
+            logs.append(log)
+            settings.append(None)
+            present.append(float(probability))
+            continue
+        common = bool(instrument and len(chosen.value) == len(best.score))
+        references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
+        shared = {k: v for k, v in chosen.setting.items() if not k.startswith("reference")}
+        setting = references | shared if common else dict(best.setting)
+        value = chosen.value if common else np.linalg.pinv(best.information, hermitian=True) @ best.score
+        try:
+            logs.append(log.with_effect(chosen.name, setting, value))
+        except MagycError as problem:
+            own.append(Own(log.name, str(problem)))
+            continue
+        settings.append(setting)
+        present.append(1.0 if instrument else float(probability))
+    one = Added(chosen.name, chosen.nats, chosen.instrument, np.array(present), tuple(settings), rivals)
+    gone = {each.log for each in own}
+    keep = np.array([log.name not in gone for log in course.logs])
+    before = tuple(
+        replace(
+            each,
+            present=each.present[keep],
+            settings=tuple(s for s, k in zip(each.settings, keep, strict=True) if k),
+        )
+        for each in course.added
+    )
+    return replace(course, logs=tuple(logs), own=(*course.own, *own), added=(*before, one))
+
+
+def _result(course: _Course) -> GapOfMany:
+    effects = told(course.added, course.logs)
+    weights = tuple(Weight(each.name, each.shared, each.apart) for each in course.weighed)
+    calibrations = {log.name: as_calibration(widened(log.refitted), None) for log in course.logs}
+    named = "; ".join(effect.sentence for effect in effects)
+    if len(course.logs) < _LEAST:
+        verdict, said = "not enough information", f"{len(course.logs)} of the logs can be used, and two are needed"
+    elif course.unknown:
+        words = LABELS.get(course.unknown, course.unknown)
+        verdict = "unknown"
+        said = f"{named + '; and ' if named else ''}something is missing that is not in the catalogue ({words})"
+    elif effects:
+        verdict, said = "closed", named
+    else:
+        verdict, said = "none", f"nothing is missing in {len(course.logs)} logs"
+    return GapOfMany(verdict, said, effects, course.own, weights, calibrations)  # type: ignore[arg-type]

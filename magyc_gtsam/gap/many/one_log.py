@@ -1,0 +1,167 @@
+"""One log of many: its model at the minimum, and what each effect would explain, as small sums that add up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.fit import colour_of
+from magyc_gtsam.estimators.smoother.search import preintegrate, short_term_noise
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.channel_holes import without_channel_holes
+from magyc_gtsam.gap.discrete import moving, settled
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.problem import Active, Problem
+from magyc_gtsam.gap.refit import Refit, refit, with_term
+from magyc_gtsam.gap.score import Projector, Variant, candidates, variants
+from magyc_gtsam.recording import Recording
+from magyc_gtsam.sensor_faults.usable import without_faults
+
+_WINDOW = 1.0  # s
+_LEAST = 1e-10  # of the largest variance of a value, below which it is no direction of its own
+_PLAIN = 60.0  # statistic from which an effect is taken out before the colour is measured
+_OF_THE_LOG = ("start", "end")  # settings that are this recording's, beside the references of channels
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """An effect at one setting, the log's own calibration projected out.
+
+    Attributes:
+        setting: of what is searched over.
+        statistic, rank: squared length of the score in its sigmas, and of how many values.
+        information, score: (k, k) and (k,) of the values, SI: the estimate is information⁻¹ score.
+    """
+
+    setting: Mapping[str, float]
+    statistic: float
+    rank: int
+    information: Array
+    score: Array
+
+    @property
+    def key(self) -> tuple[tuple[str, float], ...]:
+        """What makes it the same test in another log."""
+        return tuple(
+            sorted(
+                (k, float(f"{v:.6g}"))
+                for k, v in self.setting.items()
+                if k not in _OF_THE_LOG and not k.startswith("reference")
+            )
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class OneLog:
+    """A log with its model.
+
+    Attributes:
+        name: of the log.
+        problem, short_term: its data, and the noise that its samples show.
+        refitted: the model at its minimum.
+        discrete: what was found and mended before anything was estimated.
+        notes: what was left out.
+    """
+
+    name: str
+    problem: Problem
+    short_term: SensorNoise
+    refitted: Refit
+    discrete: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, recording: Recording, names: Sequence[str], name: str) -> OneLog:
+        """The twelve parameters at their minimum.
+
+        Raises:
+            MagycError: no gyroscope, or data that cannot be calibrated at all.
+        """
+        from magyc_gtsam.gap.find import base_model, needs_gyroscope
+
+        needs_gyroscope(recording)
+        usable = without_faults(recording, ("magnetic_field", "angular_rate"))
+        data, unlogged = without_channel_holes(usable.recording)
+        data, discrete = settled(data, names)
+        short_term = short_term_noise(data)
+        base = base_model(data, None, short_term)
+        still = moving(data)
+        problem = Problem.of(still, preintegrate(still, _WINDOW))
+        found = tuple(score.name for score in discrete if score.significant)
+        return cls(name, problem, short_term, base, found, (*usable.left_out, *unlogged))
+
+    def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
+        """With one more effect in the model, everything refitted.
+
+        Raises:
+            MagycError: the model with it has no minimum.
+        """
+        model = with_term(self.refitted.model, Active(name, dict(setting), value))
+        fitted = refit(self.problem, model, self.short_term)
+        if not fitted.converged:
+            raise MagycError(f"{self.name}: the model with {name} does not converge")
+        return replace(self, refitted=fitted)
+
+    def tests(self, names: Sequence[str]) -> dict[str, tuple[Test, ...]]:
+        """{effect or family without a name: it at all settings}."""
+        project, innovation = self._innovation
+        found = {
+            name: [one for one in many if len(one.unit)]
+            for name, (_, many) in candidates(self.refitted.twin, project, tuple(names)).items()
+        }
+        colour = self._colour(found, innovation)
+        return {name: tuple(_test(one, innovation, colour) for one in many) for name, many in found.items()}
+
+    def tests_at(self, name: str, settings: Sequence[Mapping[str, float]]) -> tuple[Test, ...]:
+        """An effect at settings of other logs, with this log's own references."""
+        twin = self.refitted.twin
+        project, innovation = self._innovation
+        own = TERMS[name].settings(twin)
+        if not own or TERMS[name].missing(twin):
+            return ()
+        here = {k: v for k, v in own[0].items() if k in _OF_THE_LOG or k.startswith("reference")}
+        asked = [{k: v for k, v in s.items() if not k.startswith("reference")} | here for s in settings]
+        made = [one for one in variants(twin, project, name, asked) if len(one.unit)]
+        colour = self._colour({}, innovation)
+        return tuple(_test(one, innovation, colour) for one in made)
+
+    @property
+    def _innovation(self) -> tuple[Projector, Array]:
+        twin = self.refitted.twin
+        project = Projector(twin.base_columns, twin.base_pull)
+        return project, project(twin.residual().reshape(1, -1))[0]
+
+    def _colour(self, found: Mapping[str, Sequence[Variant]], innovation: Array) -> float:
+        """By how much the innovations repeat each other, without what the best named effect explains of them."""
+        named = [one for name, many in found.items() if name in TERMS for one in many]
+        gains = [float(np.sum(one.score(innovation) ** 2)) - 2 * len(one.unit) for one in named]
+        if gains and max(gains) > _PLAIN:
+            best = named[int(np.argmax(gains))]
+            innovation = innovation - best.unit.T @ best.score(innovation)
+        return colour_of(innovation.reshape(3, -1))
+
+
+def _test(one: Variant, innovation: Array, colour: float) -> Test:
+    """The value is −back d with covariance back backᵀ; what hangs together counts for less."""
+    d = one.score(innovation)
+    information = _inverse(one.back @ one.back.T) / colour
+    return Test(dict(one.setting), float(d @ d) / colour, len(d), information, -information @ (one.back @ d))
+
+
+def _inverse(covariance: Array) -> Array:
+    """Of values in whatever units; no information where there is no covariance."""
+    scale = 1 / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    weight, vector = np.linalg.eigh(covariance * scale * scale[:, None])
+    kept = weight > _LEAST * weight[-1]
+    result: Array = (vector[:, kept] / weight[kept]) @ vector[:, kept].T * scale * scale[:, None]
+    return result
+
+
+def as_json(setting: Mapping[str, float]) -> dict[str, Any]:
+    """A setting as JSON types."""
+    return {k: float(v) for k, v in setting.items()}

@@ -1,0 +1,108 @@
+"""What was added to many logs, as values with their sigmas, and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.many.one_log import OneLog
+from magyc_gtsam.gap.many.result import InLog, SharedEffect
+from magyc_gtsam.gap.refit import widened
+
+_FIRST = 4  # logs that a sentence names
+
+
+@dataclass(frozen=True, eq=False)
+class Added:
+    """An effect in the model: probability that it is the instrument's, that each log has it, and its setting there."""
+
+    name: str
+    evidence: float
+    instrument: float
+    present: Array
+    settings: tuple[Mapping[str, float] | None, ...]
+    rivals: tuple[str, ...]
+
+
+def told(added: Sequence[Added], logs: Sequence[OneLog]) -> tuple[SharedEffect, ...]:
+    """The effects of a search at its end."""
+    return tuple(_effect(each, logs) for each in added)
+
+
+def _effect(each: Added, logs: Sequence[OneLog]) -> SharedEffect:
+    term = TERMS[each.name]
+    here = [
+        (log, setting, p)
+        for log, setting, p in zip(logs, each.settings, each.present, strict=True)
+        if setting is not None
+    ]
+    found = [(log, setting, float(p), *_value(log, each.name)) for log, setting, p in here]
+    inside = tuple(
+        InLog(log.name, p, value * term.scale, np.sqrt(np.diag(covariance)) * term.scale, setting)
+        for log, setting, p, value, covariance in found
+    )
+    instrument = each.instrument >= 0.5
+    sizes = {len(value) for _, _, _, value, _ in found}
+    value, sigma, scatter = np.zeros(0), np.zeros(0), float("nan")
+    if instrument and len(sizes) == 1:
+        value, covariance, scatter = _together([(v, c) for *_, v, c in found])
+        value, sigma = value * term.scale, np.sqrt(np.diag(covariance)) * term.scale
+    setting = dict(found[0][1]) if instrument and found else {}
+    rows = term.rows(found[0][0].refitted.twin, found[0][1]) if found else ()
+    count = len(value) or (len(found[0][3]) if found else 0)
+    return SharedEffect(
+        each.name,
+        LABELS[each.name],
+        "instrument" if instrument else "place",
+        each.instrument,
+        value,
+        sigma,
+        term.names(count, rows),
+        term.unit,
+        setting,
+        each.evidence,
+        scatter,
+        each.rivals,
+        inside,
+        _sentence(each, inside, value, sigma, setting, rows, len(logs)),
+    )
+
+
+def _value(log: OneLog, name: str) -> tuple[Array, Array]:
+    fitted = widened(log.refitted)
+    index = next(i for i, term in enumerate(fitted.model.terms) if term.name == name)
+    return fitted.value_of(index)
+
+
+def _together(values: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
+    """The mean by information, its covariance, and χ² per freedom of the values about it."""
+    information = [np.linalg.pinv(covariance, hermitian=True) for _, covariance in values]
+    covariance = np.linalg.pinv(np.sum(information, axis=0), hermitian=True)
+    mean = covariance @ np.sum([w @ v for w, (v, _) in zip(information, values, strict=True)], axis=0)
+    away = sum(float((v - mean) @ w @ (v - mean)) for w, (v, _) in zip(information, values, strict=True))
+    freedoms = len(mean) * (len(values) - 1)
+    return mean, covariance, away / freedoms if freedoms else float("nan")
+
+
+def _sentence(
+    each: Added,
+    inside: Sequence[InLog],
+    value: Array,
+    sigma: Array,
+    setting: Mapping[str, float],
+    rows: Sequence[str],
+    count: int,
+) -> str:
+    term = TERMS[each.name]
+    also = (
+        f" (or {', '.join(LABELS[name] for name in each.rivals)}: these logs cannot tell)" if each.rivals else ""
+    )
+    if each.instrument >= 0.5:
+        said = term.sentence(value, sigma, setting, rows) if len(value) else term.label
+        return f"of the instrument, the same in all logs: {said}{also}"
+    names = ", ".join(log.log for log in inside[:_FIRST]) + (" and others" if len(inside) > _FIRST else "")
+    return f"of the place or the day, in {len(inside)} of {count} logs ({names}): {term.label}{also}"

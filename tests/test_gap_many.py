@@ -1,0 +1,113 @@
+"""The gap across logs: one value everywhere is the instrument's, one in each log is of the place or the day."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import magyc_gtsam as mg
+from magyc_gtsam import cli
+from magyc_gtsam.gap.many.find import find_gap_of_many
+from magyc_gtsam.gap.many.model import MODEL
+from magyc_gtsam.gap.many.one_log import Test as OneTest
+from magyc_gtsam.gap.many.weighing import weigh
+from magyc_gtsam.io import write_mcap
+
+LOGS = 10
+
+
+def _tests(values: np.ndarray, sigma: float = 1.0) -> list[dict[str, tuple[OneTest, ...]]]:
+    """One test of a log each, of estimates (logs, k) with a deviation."""
+    return [
+        {"misalignment": (OneTest({}, float(v @ v) / sigma**2, len(v), np.eye(len(v)) / sigma**2, v / sigma**2),)}
+        for v in values
+    ]
+
+
+def test_one_value_everywhere_is_the_instruments() -> None:
+    random = np.random.default_rng(0)
+    told, sure = [], []
+    for _ in range(100):
+        truth = random.normal(size=3)
+        truth *= 2 / np.linalg.norm(truth)  # one log shows nothing of it
+        weighed = weigh("misalignment", _tests(truth + random.normal(size=(LOGS, 3))))
+        sure.append(weighed.nats > MODEL.sure)
+        told.append(weighed.instrument > 0.5)
+    assert np.mean(sure) > 0.9
+    assert np.mean(np.array(told)[sure]) > 0.95
+    assert np.abs(weighed.value - truth).max() < 4 / np.sqrt(LOGS)
+
+
+def test_a_value_in_each_log_is_not() -> None:
+    random = np.random.default_rng(1)
+    for _ in range(50):
+        weighed = weigh("misalignment", _tests(5 * random.normal(size=(LOGS, 3))))
+        assert weighed.nats > MODEL.sure
+        assert weighed.instrument < 0.05
+
+
+def test_nothing_is_nothing() -> None:
+    random = np.random.default_rng(2)
+    nats = [weigh("misalignment", _tests(random.normal(size=(LOGS, 3)))).nats for _ in range(500)]
+    assert np.mean(np.array(nats) > MODEL.sure) < 0.01
+
+
+def test_what_one_log_has_on_its_own_is_told_from_what_all_have() -> None:
+    values = np.random.default_rng(3).normal(size=(LOGS, 3))
+    values[4] += 9.0
+    weighed = weigh("misalignment", _tests(values))
+    assert weighed.apart > weighed.shared
+    assert weighed.present[4] > 0.95
+    assert np.delete(weighed.present, 4).max() < 0.5
+
+
+@pytest.fixture(scope="module")
+def late() -> list[mg.Recording]:
+    """Three logs of one instrument that is late by 20 ms."""
+    return [
+        replace(mg.simulate("wide", 150, 10, seed=seed, delay=0.02).recording, attitude=None, name=f"dive {seed}")
+        for seed in range(3)
+    ]
+
+
+def test_many_logs_are_one_comparison(late: list[mg.Recording], tmp_path: Path) -> None:
+    mute = replace(late[0], angular_rate=None, angular_rate_fresh=None, name="mute")
+    gap = mg.find_gap([*late, mute])
+    assert gap.verdict == "closed"
+    (effect,) = gap.effects
+    assert (effect.name, effect.of) == ("timing", "instrument")
+    assert effect.value == pytest.approx(20.0, abs=4 * effect.sigma[0])
+    assert [log.log for log in effect.logs] == ["dive 0", "dive 1", "dive 2"]
+    assert [own.log for own in gap.own] == ["mute"]
+    assert "of the instrument" in gap.sentence
+    assert all(c.delay == pytest.approx(0.02, abs=0.02) for c in gap.calibrations.values())
+    assert json.loads(json.dumps(gap.to_dict()))["effects"][0]["logs"][1]["log"] == "dive 1"
+
+
+def test_the_command_takes_many_logs(late: list[mg.Recording], tmp_path: Path) -> None:
+    for recording in late[:2]:
+        write_mcap(tmp_path / f"{recording.name}.mcap", recording)
+    (tmp_path / "bad.mcap").write_bytes(b"no log")
+    output = tmp_path / "out"
+    assert (
+        cli.main(["gap", str(tmp_path), "-o", str(output), "--candidates", "timing,misalignment", "--quiet"]) == 0
+    )
+    told = json.loads((output / "gap.json").read_text(encoding="utf-8"))
+    assert [effect["name"] for effect in told["effects"]] == ["timing"]
+    assert [own["log"] for own in told["own"]] == ["bad"]
+    assert "late magnetometer" in (output / "report.html").read_text(encoding="utf-8")
+    kept = mg.Calibration.load(output / "calibrations" / "dive 0.yaml")
+    assert kept.delay == pytest.approx(0.02, abs=0.02)
+
+
+def test_what_cannot_be_compared_is_said(late: list[mg.Recording]) -> None:
+    assert mg.find_gap(late[:1]).verdict == "not enough information"
+    with pytest.raises(mg.MagycError, match="no recordings"):
+        mg.find_gap([])
+    with pytest.raises(mg.MagycError, match="takes no calibration="):
+        mg.find_gap(late, calibration=mg.Calibration(np.eye(3), np.zeros(3)))  # type: ignore[call-overload]
+    assert find_gap_of_many(late[:1], ("timing",)).effects == ()
