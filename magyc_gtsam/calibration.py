@@ -16,20 +16,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.calibration_file import check
-from magyc_gtsam.export import do_not_use, export, motors_of
+from magyc_gtsam.export import do_not_use, export, parts_of
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate, shifted
 from magyc_gtsam.factors.effects.forms import Term
-from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.given_data import columns_of
+from magyc_gtsam.given_signals import as_signals, given_signals, vectors
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.stored import dump_yaml, load_mapping, replace_text
 
 _PLAUSIBLE = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with the scale unknown by 2.5 either way
 _FORMAT = "magyc-gtsam calibration 1"
-_TURNING = ("misalignment", "axis-order")  # terms that bring the field to the gyroscope's axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -114,12 +112,12 @@ class Calibration:
         Raises:
             MagycError: a wrong shape, or a term needs a signal that is not there.
         """
-        given = _signals(magnetic_field, "magnetic_field", signals)
-        m = _vectors("magnetic_field", given.pop("magnetic_field"))
+        given = given_signals(magnetic_field, "magnetic_field", signals)
+        m = vectors("magnetic_field", given.pop("magnetic_field"))
         if not self.terms:
             return self._plausible(cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T))
         rows = np.atleast_2d(m)
-        at = _as_signals(len(rows), given)
+        at = as_signals(len(rows), given)
         if at.rate is not None and self.gyro_bias is not None:
             at = replace(at, rate=corrected_rate(at.rate, self.gyro_bias, self.terms, at))
         field = corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at)
@@ -147,12 +145,12 @@ class Calibration:
         """
         if self.gyro_bias is None:
             raise MagycError(f"method {self.method!r} estimates no gyroscope bias, so there is none to apply")
-        given = _signals(angular_rate, "angular_rate", signals)
-        w = _vectors("angular_rate", given.pop("angular_rate"))
+        given = given_signals(angular_rate, "angular_rate", signals)
+        w = vectors("angular_rate", given.pop("angular_rate"))
         if not self.terms:
             return w - self.gyro_bias
         rows = np.atleast_2d(w)
-        return corrected_rate(rows.T, self.gyro_bias, self.terms, _as_signals(len(rows), given)).T.reshape(w.shape)
+        return corrected_rate(rows.T, self.gyro_bias, self.terms, as_signals(len(rows), given)).T.reshape(w.shape)
 
     @property
     def recording(self) -> Recording | None:
@@ -231,43 +229,8 @@ class Calibration:
             return do_not_use(self.message or "not observable", trusted.export(target, per_motor=per_motor))
         if self.configuration.get("magnetic_field_unit") == "counts":
             raise MagycError("the calibration is of raw counts, which no instrument takes; calibrate in tesla")
-        bias, offset, missing = self.gyro_bias, self.hard_iron, []
-        motor, motors, thermal, reference = None, None, None, 0.0
-        rotating = any(term.name in _TURNING for term in self.terms)
-        for term in self.terms:
-            exchanged = term.name == "axis-order"
-            if exchanged and bias is not None:
-                bias = term.value.reshape(3, 3).T @ bias  # from the magnetometer's axes to the gyroscope's
-            if term.name == "motor-current" and per_motor and motors is None and target == "ardupilot":
-                motors, at_rest = motors_of(term.value, term.setting)
-                offset = offset - at_rest
-            elif term.name == "motor-current" and len(term.value) == 3 and not per_motor and motor is None:
-                motor = term.value
-                offset = offset - motor * sum(term.setting.values())  # the one circuit's reference, if it has one
-            elif term.name == "temperature-hard-iron" and len(term.value) == 3 and not term.setting.get("lag"):
-                thermal, reference = term.value, term.setting.get("reference_0", 0.0)
-            elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
-                term.side is not None and term.name != "misalignment"
-            ):  # what is neither of a side nor an exchange concerns the noise
-                missing.append(term.name)
-        return export(
-            target,
-            self.soft_iron,
-            offset,
-            bias,
-            missing,
-            rotation=self._to_gyroscope() if rotating else None,
-            motor=motor,
-            motors=motors,
-            thermal=thermal,
-            reference=reference,
-            compass=self.configuration.get("compass", 1),
-        )
-
-    def _to_gyroscope(self) -> Array:
-        """(3, 3) rotation of the calibrated field to the gyroscope's axes, by the terms that say so."""
-        turning = [term for term in self.terms if term.name in _TURNING]
-        return corrected_field(np.eye(3), np.eye(3), np.zeros(3), turning, Signals(np.zeros(3)))
+        parts = parts_of(self.terms, self.hard_iron, self.gyro_bias, target, per_motor)
+        return export(target, self.soft_iron, **parts._asdict(), compass=self.configuration.get("compass", 1))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self).from_dict, (self.to_dict(),)
@@ -339,48 +302,3 @@ def _dump(suffix: str, data: dict[str, Any]) -> str:
     if suffix in (".yaml", ".yml"):
         return dump_yaml(data)
     raise MagycError(f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}")
-
-
-def _signals(value: ArrayLike | Recording, name: str, signals: Mapping[str, Any]) -> dict[str, Any]:
-    """`name` and the other signals, from a recording or as given."""
-    known = ("time", "magnetic_field", "angular_rate", "acceleration", "channels")
-    if isinstance(value, Recording):
-        return {k: getattr(value, k) for k in known} | dict(signals)
-    unknown = sorted(signals.keys() - set(known))
-    if unknown:
-        raise MagycError(f"apply: no signal {', '.join(map(repr, unknown))}; there are {', '.join(known)}")
-    return {**signals, name: value}
-
-
-def _as_signals(rows: int, given: Mapping[str, Any]) -> Signals:
-    def columns(name: str) -> Array | None:
-        return None if given.get(name) is None else np.atleast_2d(_vectors(name, given[name])).T
-
-    time = np.full(rows, np.nan) if given.get("time") is None else np.asarray(given["time"], dtype=np.float64)
-    channels = channels_by_kind(given.get("channels") or {})
-    return Signals(
-        time,
-        rate=columns("angular_rate"),
-        acceleration=columns("acceleration"),
-        channels={kind: np.stack([_filled(time, row) for row in value]) for kind, value in channels.items()},
-    )
-
-
-def _filled(time: Array, row: Array) -> Array:
-    """A channel without its gaps: between its samples on a line, all of it 0 where there are none."""
-    known = np.isfinite(row)
-    if known.all() or not np.isfinite(time).all():
-        return row
-    return np.interp(time, time[known], row[known]) if known.any() else np.zeros_like(row)
-
-
-def _vectors(name: str, value: ArrayLike) -> Array:
-    try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise MagycError(f"{name}: {value!r:.40} is no (N, 3) or (3,) of numbers; mg.read reads a log") from None
-    if array.ndim not in (1, 2) or array.shape[-1] != 3:
-        columns = columns_of(value)
-        pick = f"; it is a table with the columns {columns}: name three" if columns else ""
-        raise MagycError(f"{name}: shape {array.shape}, expected (N, 3) or (3,){pick}")
-    return array

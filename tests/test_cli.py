@@ -535,7 +535,7 @@ def test_a_bug_is_one_line_too(
     def broken(*_: object, **options: object) -> None:
         raise ZeroDivisionError("by\nzero")
 
-    monkeypatch.setattr("magyc_gtsam.io.info", broken)
+    monkeypatch.setattr("magyc_gtsam.io.info_and_recording", broken)
     monkeypatch.delenv("MAGYC_DEBUG", raising=False)
     assert cli.main(["info", str(logs / "dive.mcap")]) == 2
     message = capsys.readouterr().err

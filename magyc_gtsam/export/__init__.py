@@ -13,15 +13,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from magyc_gtsam.compass_number import numbered
-from magyc_gtsam.export.ardupilot import ardupilot, motors_of
+from magyc_gtsam.export.ardupilot import ardupilot
+from magyc_gtsam.export.compass_number import numbered
 from magyc_gtsam.export.correction import Array, Correction, degrees
+from magyc_gtsam.export.parts import parts_of
 from magyc_gtsam.export.px4 import px4
 from magyc_gtsam.export.ros import ros
 from magyc_gtsam.export.vectornav import vectornav
 from magyc_gtsam.factors.errors import MagycError
 
-__all__ = ["TARGETS", "do_not_use", "export", "motors_of"]
+__all__ = ["TARGETS", "do_not_use", "export", "parts_of"]
 
 TARGETS: dict[str, Callable[[Correction], list[str]]] = {
     "px4": px4,

@@ -1,0 +1,66 @@
+"""What the terms of a calibration are to a target: mounting, motors' current, temperature, or nothing that it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.export.ardupilot import motors_of
+from magyc_gtsam.export.correction import Array
+from magyc_gtsam.factors.effects.corrections import corrected_field
+from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.signals import Signals
+
+_TURNING = ("misalignment", "axis-order")  # terms that bring the field to the gyroscope's axes
+
+
+class Parts(NamedTuple):
+    """The arguments of `export` that the terms decide."""
+
+    hard_iron: Array
+    gyro_bias: Array | None
+    terms: Sequence[str]
+    rotation: Array | None
+    motor: Array | None
+    motors: Array | None
+    thermal: Array | None
+    reference: float
+
+
+def parts_of(
+    terms: Sequence[Term], hard_iron: Array, gyro_bias: Array | None, target: str, per_motor: bool
+) -> Parts:
+    """Each term in the place that a target has for it.
+
+    Args:
+        terms: of a calibration, with its hard_iron (3,) T and gyro_bias (3,) rad/s.
+        target: whose parameters.
+        per_motor: the channels of a current are the outputs of motors, each compensated for by itself.
+    """
+    missing: list[str] = []
+    motor, motors, thermal, reference = None, None, None, 0.0
+    for term in terms:
+        exchanged = term.name == "axis-order"
+        if exchanged and gyro_bias is not None:
+            gyro_bias = term.value.reshape(3, 3).T @ gyro_bias  # from the magnetometer's axes to the gyroscope's
+        if term.name == "motor-current" and per_motor and motors is None and target == "ardupilot":
+            motors, at_rest = motors_of(term.value, term.setting)
+            hard_iron = hard_iron - at_rest
+        elif term.name == "motor-current" and len(term.value) == 3 and not per_motor and motor is None:
+            motor = term.value
+            hard_iron = hard_iron - motor * sum(
+                term.setting.values()
+            )  # the one circuit's reference, if it has one
+        elif term.name == "temperature-hard-iron" and len(term.value) == 3 and not term.setting.get("lag"):
+            thermal, reference = term.value, term.setting.get("reference_0", 0.0)
+        elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
+            term.side is not None and term.name != "misalignment"
+        ):  # what is neither of a side nor an exchange concerns the noise
+            missing.append(term.name)
+    turning = [term for term in terms if term.name in _TURNING]
+    rotation = (
+        corrected_field(np.eye(3), np.eye(3), np.zeros(3), turning, Signals(np.zeros(3))) if turning else None
+    )
+    return Parts(hard_iron, gyro_bias, missing, rotation, motor, motors, thermal, reference)

@@ -1,0 +1,59 @@
+"""What a calibration is applied to: a recording, or a field and the signals that its terms need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.given_data import columns_of
+from magyc_gtsam.recording import Array, Recording
+
+
+def given_signals(value: ArrayLike | Recording, name: str, signals: Mapping[str, Any]) -> dict[str, Any]:
+    """`name` and the other signals, from a recording or as given."""
+    known = ("time", "magnetic_field", "angular_rate", "acceleration", "channels")
+    if isinstance(value, Recording):
+        return {k: getattr(value, k) for k in known} | dict(signals)
+    unknown = sorted(signals.keys() - set(known))
+    if unknown:
+        raise MagycError(f"apply: no signal {', '.join(map(repr, unknown))}; there are {', '.join(known)}")
+    return {**signals, name: value}
+
+
+def as_signals(rows: int, given: Mapping[str, Any]) -> Signals:
+    def columns(name: str) -> Array | None:
+        return None if given.get(name) is None else np.atleast_2d(vectors(name, given[name])).T
+
+    time = np.full(rows, np.nan) if given.get("time") is None else np.asarray(given["time"], dtype=np.float64)
+    channels = channels_by_kind(given.get("channels") or {})
+    return Signals(
+        time,
+        rate=columns("angular_rate"),
+        acceleration=columns("acceleration"),
+        channels={kind: np.stack([_filled(time, row) for row in value]) for kind, value in channels.items()},
+    )
+
+
+def _filled(time: Array, row: Array) -> Array:
+    """A channel without its gaps: between its samples on a line, all of it 0 where there are none."""
+    known = np.isfinite(row)
+    if known.all() or not np.isfinite(time).all():
+        return row
+    return np.interp(time, time[known], row[known]) if known.any() else np.zeros_like(row)
+
+
+def vectors(name: str, value: ArrayLike) -> Array:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MagycError(f"{name}: {value!r:.40} is no (N, 3) or (3,) of numbers; mg.read reads a log") from None
+    if array.ndim not in (1, 2) or array.shape[-1] != 3:
+        columns = columns_of(value)
+        pick = f"; it is a table with the columns {columns}: name three" if columns else ""
+        raise MagycError(f"{name}: shape {array.shape}, expected (N, 3) or (3,){pick}")
+    return array
