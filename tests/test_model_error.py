@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from magyc_gtsam import Recording, calibrate, simulate
 from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
-from magyc_gtsam.estimators.model_error.families import FAMILIES, Motion
+from magyc_gtsam.estimators.model_error.families import FAMILIES
+from magyc_gtsam.estimators.model_error.motion import Motion
 from magyc_gtsam.estimators.model_error.samples import too_slow
 from magyc_gtsam.estimators.smoother.beside import Beside, Columns
 from magyc_gtsam.estimators.smoother.fit import descend, explained

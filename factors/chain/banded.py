@@ -15,12 +15,12 @@ def solved(factor: Array, columns: Array, transposed: bool = False) -> Array:
     so that a complex one costs little more than a real one.
 
     Args:
-        factor: (4, m) Cholesky factor L, lower form, diagonal first.
+        factor: (4, m) Cholesky factor L, lower form, diagonal first; complex where it is used often.
     """
     pairs = -(-len(columns) // 2)
     both = np.zeros((pairs, columns.shape[1]), complex)
     both.real, both.imag[: len(columns) - pairs] = columns[:pairs], columns[pairs:]
-    ztbtrs(factor.astype(complex), both.T, uplo="L", trans="T" if transposed else "N", overwrite_b=1)
+    ztbtrs(factor.astype(complex, copy=False), both.T, uplo="L", trans="T" if transposed else "N", overwrite_b=1)
     result: Array = np.concatenate([both.real, both.imag[: len(columns) - pairs]])
     return result
 

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.model_error.model_error import Component, ModelError
+from magyc_gtsam.estimators.model_error.component import Component
+from magyc_gtsam.estimators.model_error.model_error import ModelError
 from magyc_gtsam.estimators.smoother.clock_drift import Drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
 from magyc_gtsam.estimators.smoother.known import known_of
@@ -151,15 +152,21 @@ class Belief:
 def _of_error(error: ModelError | None) -> dict[str, object] | None:
     if error is None:
         return None
-    components = [{**vars(c), "covariance": c.covariance.tolist()} for c in error.components]
-    return {"covariance": error.covariance.tolist(), "components": components}
+    kinds = {"components": error.components, "possible": error.possible}
+    stored = {
+        name: [{**vars(c), "covariance": c.covariance.tolist()} for c in group] for name, group in kinds.items()
+    }
+    return {"covariance": error.covariance.tolist(), **stored}
 
 
 def _error(data: dict[str, Any] | None) -> ModelError | None:
     if data is None:
         return None
-    components = [Component(**c | {"covariance": np.array(c["covariance"])}) for c in data["components"]]
-    return ModelError(np.array(data["covariance"]), tuple(components))
+    kinds = (
+        tuple(Component(**c | {"covariance": np.array(c["covariance"])}) for c in data[name])
+        for name in ("components", "possible")
+    )
+    return ModelError(np.array(data["covariance"]), *kinds)
 
 
 def _data(calibration: Calibration | None) -> dict[str, object] | None:

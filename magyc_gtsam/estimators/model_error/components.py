@@ -46,12 +46,13 @@ def likeliest(normal: Array, score: Array, square: float, freedom: float, most: 
 
 
 class Components(NamedTuple):
-    """Amplitudes (f,) in the columns' units, φ, and of all columns E[β βᵀ] (K, K) and E[β] (K,)."""
+    """Amplitudes (f,) in the columns' units, φ, and of all columns E[β βᵀ] (K, K), E[β] and v (K,)."""
 
     amplitude: Array
     level: float
     second: Array
     mean: Array
+    variance: Array
 
 
 def fit_components(
@@ -69,7 +70,7 @@ def fit_components(
         before = variance.copy()
         for i, own in enumerate(groups):
             prior[own] = 0.0
-            explained, left = _by_others(normal, score, prior, own, square)
+            explained, left = by_others(normal, score, prior, own, square)
             beside = normal[own, own] - explained[:, :-1], score[own] - explained[:, -1]
             found = likeliest(*beside, left, freedom, most[i] ** 2 / level)
             variance[i] = found.variance if found.gain > _ASKED else 0.0
@@ -77,11 +78,16 @@ def fit_components(
         second, level, mean = _posterior(normal, score, prior, square, freedom)
         if np.allclose(before, variance, rtol=_STILL, atol=0.0):
             break
-    return Components(np.sqrt(variance * level), level, second, mean)
+    return Components(np.sqrt(variance * level), level, second, mean, prior)
 
 
-def _by_others(normal: Array, score: Array, prior: Array, own: slice, square: float) -> tuple[Array, float]:
-    """What the columns with a variance explain of a group's G and s (k, k + 1), and the square they leave."""
+def by_others(normal: Array, score: Array, prior: Array, own: slice, square: float) -> tuple[Array, float]:
+    """What the columns with a variance explain of a group's G and s (k, k + 1), and the square they leave.
+
+    Args:
+        normal, score: G (K, K) and s (K,) of all columns; prior: (K,) their variances over φ.
+        own: the group's columns, whose prior is zero; square: yᵀy.
+    """
     active = prior > 0
     if not active.any():
         return np.zeros((own.stop - own.start, own.stop - own.start + 1)), square

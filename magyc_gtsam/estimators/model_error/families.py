@@ -9,107 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, Motion
 from magyc_gtsam.estimators.smoother.beside import Columns
-from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
-from magyc_gtsam.factors.chain.vech import unvech
 
-_SLOW, _FASTER = (1, 7), (7, 21)  # half waves in the recording of the slow and of the faster variation
-_ALIKE = 1e-9  # rad/s, below which nothing turns
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What the windows of a fit say of the motion, all (…, n) with the windows last.
-
-    Attributes:
-        time: (n,) s.
-        rotation: (3, 3, n) integrated world → sensor.
-        seen: (3, 3, n) T, the reading of the world's axes with the field's strength: soft iron times rotation.
-        unit: (3, n) the field's direction in the sensor; change: (3, n) 1/s, its derivative in time.
-        rate: (3, n) rad/s, of turn; relative: the same over its deviation, `spread` rad/s an axis.
-        direction: (3, n) of the field in the integrated world.
-        strength: T; soft_iron: (3, 3) T, times it.
-    """
-
-    time: Array
-    rotation: Array
-    seen: Array
-    unit: Array
-    change: Array
-    rate: Array
-    direction: Array
-    strength: float
-    soft_iron: Array
-
-    @classmethod
-    def of(cls, fit: Fit) -> Motion:
-        """Of a fit at its minimum."""
-        windows, parameters = fit.chain.windows, fit.state.parameters
-        soft = unvech(parameters[:6])
-        rotation = fit.chain.rotation(parameters)
-        turning = np.einsum("ijn,kjn->ikn", windows.rotation_rate, rotation)  # [ω]×
-        rate = 0.5 * np.array(
-            [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]
-        )
-        g = fit.state.direction
-        return cls(
-            time=windows.time,
-            rotation=rotation,
-            seen=(soft @ rotation.reshape(3, -1)).reshape(rotation.shape),
-            unit=np.einsum("ijn,jn->in", rotation, g),
-            change=np.einsum("ijn,jn->in", windows.rotation_rate, g),
-            rate=rate,
-            direction=g,
-            strength=float(np.cbrt(abs(np.linalg.det(soft)))),
-            soft_iron=soft,
-        )
-
-    @cached_property
-    def spread(self) -> float:
-        """rad/s, root mean square of the rate of turn, an axis."""
-        return max(float(np.sqrt(np.mean(self.rate**2))), _ALIKE)
-
-    @cached_property
-    def relative(self) -> Array:
-        """(3, n) the rate of turn over `spread`."""
-        return self.rate / self.spread
-
-    def in_sensor(self, profiles: Array) -> Columns:
-        """Profiles (k, n) along each of the sensor's axes, in units of the field strength."""
-        columns = profiles[:, None, None, :] * (np.eye(3) * self.strength)[:, :, None]
-        return Columns(columns.reshape(3 * len(profiles), 3, -1), None)
-
-    def in_world(self, profiles: Array) -> Columns:
-        """Profiles (k, n) along each of the world's axes."""
-        columns = profiles[:, None, None, :] * self.seen.swapaxes(0, 1)
-        return Columns(columns.reshape(3 * len(profiles), 3, -1), None)
-
-    def on_gyroscope(self, profiles: Array) -> Columns:
-        """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""
-        turned = np.einsum("jin,kjn->kin", self.rotation, profiles)
-        angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
-        link = -cross(self.direction[:, None, :-1], angle.swapaxes(0, 1))
-        return Columns(None, np.ascontiguousarray(link.swapaxes(0, 1)))
-
-    def waves(self, first: int, stop: int) -> Array:
-        """(stop − first, n) cosines of unit deviation with `first` to `stop` − 1 half waves in the recording."""
-        if stop <= _SLOW[1]:
-            return self._slow_waves[first - _SLOW[0] : stop - _SLOW[0]]
-        return self._waves(first, stop)
-
-    @cached_property
-    def _slow_waves(self) -> Array:
-        return self._waves(*_SLOW)
-
-    def _waves(self, first: int, stop: int) -> Array:
-        share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
-        return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)
+_SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
+USUAL = (
+    0.06  # odds beforehand of what some instruments do; with three times as much the study of faults is the same
+)
+EVEN = 1.0  # of what something else says that is measured
 
 
 @dataclass(frozen=True)
@@ -126,7 +39,11 @@ class Family:
         first: whether it is in the first test, which decides if the others are looked at.
         of_place: whether it is the field of the place that varies.
         of_iron: whether it is the hard iron that varies: no single value of it holds, by as much.
-        unit: "field", "rate" (rad/s) or "share".
+        unit: "field", "rate" (rad/s), "share", "time" (s) or "filter" (s²).
+        prior: odds, before the data, that an instrument has it at all; 0 where it counts by its evidence alone.
+        expected: of a motion, the largest amplitude that what is known otherwise leaves; None where that is `most`.
+        octaves: of amplitude, downwards from the largest, each as likely as the other.
+        at_end: of a motion, (13, k) by how much the parameters at the end of the recording differ from their mean.
         waves: half waves in the recording, from and up to; None where it is not one of time.
     """
 
@@ -140,9 +57,19 @@ class Family:
     of_iron: bool = False
     unit: str = "field"
     waves: tuple[int, int] | None = None
+    prior: float = 0.0
+    at_end: Callable[[Motion], Array] | None = None
+    expected: Callable[[Motion], float] | None = None
+    octaves: int = 6
+
+    def likely(self, motion: Motion) -> float:
+        """The largest amplitude that is believed before the data show one."""
+        return self.most if self.expected is None else min(self.expected(motion), self.most)
 
     def size(self, amplitude: float, motion: Motion) -> float:
-        """Root mean square an axis of an amplitude of each column: T, rad/s or a share."""
+        """Root mean square an axis of an amplitude of each column: T, rad/s, a share or s."""
+        if self.unit == "filter":
+            return float(np.sqrt(2 * amplitude))
         scale = motion.strength if self.unit == "field" else 1.0
         return amplitude * scale * float(np.sqrt(self.functions))
 
@@ -154,11 +81,10 @@ class Family:
 
     def sentence(self, size: float, period: float | None) -> str:
         """Where it is and how large."""
-        shown = {"field": f"{size * 1e6:.2g} µT", "rate": f"{size * 1e3:.2g} mrad/s", "share": f"{size:.2g}"}[
-            self.unit
-        ]
-        if self.unit == "share":
-            shown = f"{100 * size:.2g} %"
+        scale, unit = {"field": (1e6, "µT"), "rate": (1e3, "mrad/s"), "share": (1e2, "%")}.get(
+            self.unit, (1e3, "ms")
+        )
+        shown = f"{scale * size:.2g} {unit}"
         return self.place.format(shown)
 
 
@@ -212,7 +138,7 @@ def _slope(motion: Motion) -> Array:
     """(3, n) T, the change of the reading over its deviation, times the field strength: a delay's own shape."""
     change = motion.soft_iron @ motion.change
     size = float(np.sqrt(np.mean(motion.change**2)))
-    return change / max(size, _ALIKE)
+    return change / max(size, ALIKE)
 
 
 def _delays(motion: Motion) -> Columns:
@@ -220,7 +146,7 @@ def _delays(motion: Motion) -> Columns:
     speed = np.sqrt(np.square(motion.relative).sum(axis=0) / 3.0)
     profiles = np.concatenate([motion.waves(1, 5), [speed, 1 / np.sqrt(speed**2 + 0.05)]])
     bent = motion.soft_iron @ np.gradient(motion.change, motion.time, axis=1)
-    filtered = bent * motion.strength / max(float(np.sqrt(np.mean(bent**2))), _ALIKE * motion.strength)
+    filtered = bent * motion.strength / max(float(np.sqrt(np.mean(bent**2))), ALIKE * motion.strength)
     return Columns(np.concatenate([profiles[:, None, :] * _slope(motion), filtered[None]]), None)
 
 
@@ -228,6 +154,19 @@ def _split(motion: Motion, side: Array) -> Columns:
     """Soft iron, hard iron and delay that differ between two parts of the recording, `side` being ±1 (n,)."""
     irons = motion.in_sensor(np.concatenate([side[None], side * motion.unit]))
     return Columns(np.concatenate([irons.window, (side * _slope(motion))[None]]), None)
+
+
+def _second_half(motion: Motion) -> Array:
+    """Of `_halves`: soft and hard iron of the second half against their means."""
+    result = np.zeros((PARAMETERS, 13))
+    result[6:9, :3] = -motion.strength * np.eye(3)
+    rows, columns = np.triu_indices(3)
+    for j in range(3):
+        for i in range(3):
+            change = np.zeros((3, 3))
+            change[i, j] = -motion.strength
+            result[:6, 3 + 3 * j + i] = (0.5 * (change + change.T))[rows, columns]
+    return result
 
 
 def _halves(motion: Motion) -> Columns:
@@ -250,6 +189,22 @@ def _bent_rate(motion: Motion) -> Columns:
     w = motion.relative
     products = np.array([w[i] * w[j] for i in range(3) for j in range(i, 3)] + [row * abs(row) for row in w])
     return motion.on_gyroscope(_each(motion.spread * products))
+
+
+def _bias(motion: Motion, profiles: Array) -> Columns:
+    return motion.on_gyroscope(_each(profiles))
+
+
+def _drift_at_end(waves: tuple[int, int]) -> Callable[[Motion], Array]:
+    """Of waves along the sensor's axes: the hard iron by the end of the recording."""
+
+    def there(motion: Motion) -> Array:
+        result = np.zeros((PARAMETERS, 3 * (waves[1] - waves[0])))
+        ends = np.sqrt(2) * (-1.0) ** np.arange(*waves)
+        result[6:9] = motion.strength * (ends[:, None, None] * np.eye(3)).swapaxes(0, 1).reshape(3, -1)
+        return result
+
+    return there
 
 
 def _in_time(
@@ -277,10 +232,12 @@ _BENT = "in fast turns the gyroscope is off by {} of its rate"
 _TILTED = "the gyroscope's bias goes with the attitude by {}"
 
 FAMILIES = (
-    _in_time("wander:slow", _VARIES, Motion.in_world, 0.05, _SLOW, first=True, of_place=True),
+    _in_time("wander:slow", _VARIES, Motion.in_world, 0.05, SLOW, first=True, of_place=True),
     _in_time("wander:fast", _VARIES, Motion.in_world, 0.05, _FASTER, of_place=True),
-    _in_time("drift:slow", _CHANGES, Motion.in_sensor, 0.05, _SLOW, first=True, of_iron=True),
-    _in_time("drift:fast", _CHANGES, Motion.in_sensor, 0.05, _FASTER, of_iron=True),
+    _in_time(
+        "drift:slow", _CHANGES, Motion.in_sensor, 0.05, SLOW, first=True, of_iron=True, at_end=_drift_at_end(SLOW)
+    ),
+    _in_time("drift:fast", _CHANGES, Motion.in_sensor, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)),
     Family("attitude", _GOES, _attitude, 0.03, 9, first=True, of_place=True),
     Family("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, 2, first=True),
     Family("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
@@ -289,10 +246,11 @@ FAMILIES = (
     Family("rate × field", _TURNS, _rate_times_field, 0.02, 9),
     Family("delay", _DELAYED, _delays, 0.03, 7, first=True),
     Family("gyroscope:linear", _SCALED, lambda m: m.on_gyroscope(_each(m.rate)), 0.03, first=True, unit="share"),
-    _in_time("gyroscope:drift", _BIASED, lambda m, p: m.on_gyroscope(_each(p)), 0.015, _SLOW, unit="rate"),
+    _in_time("gyroscope:drift", _BIASED, _bias, 0.015, _SLOWEST, unit="rate", first=True),
+    _in_time("gyroscope:wander", _BIASED, _bias, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"),
     Family("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),
     Family("gyroscope:field", _TILTED, lambda m: m.on_gyroscope(_each(m.unit)), 0.0075, 3, unit="rate"),
-    Family("halves", "the first half and the second disagree by {}", _halves, 0.01, 4),
+    Family("halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half),
     Family("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4),
     Family("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4),
 )

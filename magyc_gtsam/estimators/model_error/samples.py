@@ -11,6 +11,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.search import Streams
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.sensor_faults.stuck import white_noise
 
 _MOST = 20000  # samples looked at: a stretch of them in the middle of longer logs
 _LEAST = 200
@@ -19,6 +20,10 @@ _SEGMENT = 256  # samples of a spectrum
 _EDGE = 0.35  # of the sampling rate, from which on motion is nearly lost between samples
 _FLOOR = 4.0  # times the median of the spectrum, below which it is noise
 _TOO_SLOW = 0.1  # share of the motion's power beyond the edge
+_BLOCK = 50  # samples, in which an axis with noise has more than two values but once in 10¹⁵
+_NARROW = 0.5  # of the median spread of a block
+_NOISY = 1.5  # of the distance of two values, from which noise has more of them
+_LOST = 0.01  # share of the recording
 _ROUGH = 0.5  # mean square of second differences, of the variance, below which so much cannot lie beyond the edge
 
 
@@ -48,6 +53,28 @@ def one_sided(recording: Streams) -> Outliers | None:
     shift = standing.mean(axis=1)
     sigma = np.maximum(standing.std(axis=1), 1e-12) / np.sqrt(standing.shape[1])
     return Outliers(shift, sigma) if np.abs(shift / sigma).max() > _CERTAIN else None
+
+
+def flickers(recording: Streams) -> str:
+    """Which sensor's axis has but two values for long while it shows noise elsewhere; "" where none does."""
+    for name, samples in (("magnetometer", recording.magnetometer), ("gyroscope", recording.gyroscope)):
+        axes = np.ascontiguousarray(samples.value.T)
+        blocks = axes[:, : axes.shape[1] // _BLOCK * _BLOCK].reshape(3, -1, _BLOCK)
+        low, high = blocks.min(axis=2, keepdims=True), blocks.max(axis=2, keepdims=True)
+        step = (high - low)[..., 0]
+        suspect = (step > 0) & (step < _NARROW * np.median(step, axis=1, keepdims=True))
+        for axis in np.flatnonzero(suspect.any(axis=1)):
+            two = ((blocks[axis] == low[axis]) | (blocks[axis] == high[axis])).all(axis=1) & suspect[axis]
+            share = float(two.mean())
+            if share < _LOST or white_noise(blocks[axis][~two].reshape(-1, 1)) < _NOISY * float(
+                np.median(step[axis][two])
+            ):
+                continue
+            return (
+                f"axis {'xyz'[axis]} of the {name} has but two values for {share:.0%} of the recording, and noise "
+                "elsewhere: it is stuck"
+            )
+    return ""
 
 
 def too_slow(recording: Streams) -> str:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.model_error import Component, ModelError
+from magyc_gtsam.estimators.model_error.component import Component
+from magyc_gtsam.estimators.model_error.model_error import ModelError
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.observability import Observability
@@ -24,13 +25,13 @@ def reason(error: ModelError, whole: Observability, noise: Observability) -> str
         error: of the fit.
         whole: judged with all of the error; noise: with the sensors' part alone.
     """
-    if not error.components or not whole.weak or not noise.observable:
+    if not whole.weak or not noise.observable:
         return ""
     worst = whole.weak[0]
     if worst.sigma <= _MOST * worst.limit:
         return ""
     rows = _ROWS[worst.what.split()[0]]
-    places = "; ".join(c.sentence for c in error.worst(rows)[:_NAMED])
+    places = "; ".join(_said(component, error) for component in error.worst(rows)[:_NAMED])
     moved = f"by ±{worst.sigma:.2g}" if worst.sigma < 100 * worst.limit else "without bounds, in"
     return (
         f"what the model does not explain may move the {worst.what} {moved} {worst.unit} (limit "
@@ -51,7 +52,7 @@ def remark(error: ModelError, noise: Array, whole: Array) -> str:
     rest = np.sqrt(max(total - own, 0.0))
     parts = []
     if rest > _WORTH_WORDS * np.sqrt(own):
-        place = error.worst(_ROWS["hard"])[0].sentence
+        place = _said(error.worst(_ROWS["hard"])[0], error)
         parts.append(
             f"hard iron ±{1e6 * np.sqrt(total):.2g} µT: sensor noise {1e6 * np.sqrt(own):.2g} µT, what the model does "
             f"not explain {1e6 * rest:.2g} µT ({place})"
@@ -61,6 +62,11 @@ def remark(error: ModelError, noise: Array, whole: Array) -> str:
         within = "" if period is None else f" within some {0.5 * period:.2g} s"
         parts.append(f"the field of the place varies by {1e6 * size:.2g} µT an axis{within}")
     return "; ".join(parts)
+
+
+def _said(component: Component, error: ModelError) -> str:
+    found = component in error.components
+    return component.sentence if found else f"it cannot be excluded that {component.sentence}"
 
 
 def diagnostics(error: ModelError) -> dict[str, Any]:

@@ -14,6 +14,7 @@ trace of information of their own.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -67,7 +68,7 @@ class Beside:
 
     fit: Fit
 
-    @property
+    @cached_property
     def freedom(self) -> float:
         """Degrees of freedom of the residual: a window that is weighed down counts for less."""
         fit = self.fit
@@ -84,29 +85,50 @@ class Beside:
 
     def of(self, columns: Columns) -> New:
         """What is new in columns."""
+        return self.of_each([columns])[0]
+
+    def of_each(self, groups: Sequence[Columns]) -> list[New]:
+        """What is new in each of some small groups; those of one sensor are taken through the elimination together."""
+        result: dict[int, New] = {}
+        for sensors in {(group.window is None, group.link is None) for group in groups}:
+            alike = [i for i, group in enumerate(groups) if (group.window is None, group.link is None) == sensors]
+            result |= zip(alike, self._of_alike([groups[i] for i in alike]), strict=True)
+        return [result[i] for i in range(len(groups))]
+
+    def _of_alike(self, groups: Sequence[Columns]) -> Iterator[New]:
+        """Of groups that are all on the same sensors."""
         reduced, left = self.fit.reduced, self._left
         size = len(reduced.information)
-        window = None if columns.window is None else columns.window * self._window_scale
-        link = None if columns.link is None else columns.link * self._link_scale
+        window = _whitened([group.window for group in groups], self._window_scale)
+        link = _whitened([group.link for group in groups], self._link_scale)
         absorbed = self._absorbed(window, link)
         pull = -(reduced.half[:, :size].T @ absorbed)
         score = absorbed.T @ left.absorbed
-        normal = -(absorbed.T @ absorbed)
         if window is not None:
             window = window.reshape(len(window), -1)
             pull += reduced.on_parameters.reshape(size, -1) @ window.T
             score -= window @ left.window
-            normal += window @ window.T
         if link is not None:
             link = link.reshape(len(link), -1)
             pull[9:12] += self._on_bias @ link.T
             score -= link @ left.link
-            normal += link @ link.T
-        normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + (absorbed**2).sum(axis=0))
         explained = self._explained(pull)
-        normal -= explained.T @ explained
         score += explained.T @ left.explained
-        return New(normal, score, window, link, absorbed, explained)
+        first = 0
+        for group in groups:
+            one = group.window if group.window is not None else group.link
+            assert one is not None
+            own = slice(first, first + len(one))
+            first = own.stop
+            own_absorbed, own_explained = absorbed[:, own], explained[:, own]
+            of_window, of_link = (None if part is None else part[own] for part in (window, link))
+            normal = -(own_absorbed.T @ own_absorbed)
+            for part in (of_window, of_link):
+                if part is not None:
+                    normal += part @ part.T
+            normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + (own_absorbed**2).sum(axis=0))
+            normal -= own_explained.T @ own_explained
+            yield New(normal, score[own], of_window, of_link, own_absorbed, own_explained)
 
     def move(self, new: New) -> Array:
         """(P, k) S of columns."""
@@ -126,7 +148,12 @@ class Beside:
             if link is not None:
                 border[:, 1:, a] += _along(reduced.after[:, a], link)
                 border[:, :-1, a] += _along(reduced.before[:, a], link)
-        return solved(reduced.factor, border.reshape(len(one), -1)).T
+        return solved(self._factor, border.reshape(len(one), -1)).T
+
+    @cached_property
+    def _factor(self) -> Array:
+        result: Array = self.fit.reduced.factor.astype(complex)
+        return result
 
     def _explained(self, pull: Array) -> Array:
         """The root of what the free parameters explain, of products (P, k) with all."""
@@ -186,6 +213,17 @@ class _Left(NamedTuple):
     link: Array
     absorbed: Array
     explained: Array
+
+
+def _whitened(parts: Sequence[Array | None], scale: Array) -> Array | None:
+    """Columns (k, 3, n) of all groups times `scale`; None where they have none there."""
+    given = [part for part in parts if part is not None]
+    if not given:
+        return None
+    result = np.empty((sum(len(part) for part in given), *given[0].shape[1:]))
+    np.concatenate(given, out=result)
+    result *= scale
+    return result
 
 
 def _along(vector: Array, columns: Array) -> Array:

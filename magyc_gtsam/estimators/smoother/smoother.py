@@ -17,7 +17,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
-from magyc_gtsam.estimators.model_error.samples import too_slow
+from magyc_gtsam.estimators.model_error.samples import flickers, too_slow
 from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.dip import dip_of
@@ -27,7 +27,7 @@ from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import Progress, Streams, fit_field_chain, positive
 from magyc_gtsam.estimators.smoother.skew import Skew, on_skew
 from magyc_gtsam.factors.chain.facts import quadratic
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
@@ -36,6 +36,7 @@ from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Array, Recording
 
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
+_LATEST = 0.1  # share of the recording at its end, which is when a calibration is used
 _LEAST_TRUSTED = 0.5  # share of the windows' weight below which the result must not be trusted
 
 
@@ -134,10 +135,10 @@ def calibration_of(
     soft, scale = unvech(parameters[:6]), (options.known_strength, options.strength_sigma)
     soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12], *scale)
     of_sensors = fix_scale(soft, sensors[:12, :12], *scale)[2]
-    askew = _askew(skew, unit)
+    askew = _askew(skew, unit, unexplained.covariance)
     observability = assess(of_sensors, soft_iron, unit, recording, parameters[6:9], askew)
     whole = observability
-    if unexplained.components:
+    if unexplained.covariance.any():
         whole = assess(reported, soft_iron, unit, recording, parameters[6:9], askew)
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
     reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
@@ -148,7 +149,7 @@ def calibration_of(
             return assess(given, soft_iron, unit, recording, parameters[6:9]).observable
 
         reasons += remedies(fit, colour * fit.widening, enough, options, recording)
-    reasons += filter(None, (too_slow(samples), reason(unexplained, whole, observability)))
+    reasons += filter(None, (flickers(samples), too_slow(samples), reason(unexplained, whole, observability)))
     dip = dip_of(fit)
     told = [
         f"converged in {fit.iterations} iterations",
@@ -192,13 +193,15 @@ def calibration_of(
     )
 
 
-def _askew(skew: Skew | None, strength: float) -> Askew | None:
-    """What a skew leaves open of the heading."""
+def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | None:
+    """What a skew leaves open of the heading; `unexplained` (P, P) is what model error adds, to ε where it is in θ."""
     if skew is None:
         return None
-    cross = skew.gain[:9] @ skew.covariance
+    covariance, cross = skew.covariance, skew.gain[:9] @ skew.covariance
+    if len(unexplained) > PARAMETERS:
+        covariance, cross = covariance + unexplained[SKEW, SKEW], cross + unexplained[:9, SKEW]
     cross[:6] /= strength
-    return Askew(skew.covariance, cross)
+    return Askew(covariance, cross)
 
 
 def _said_of(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
@@ -215,8 +218,9 @@ def _said_of(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
 
 
 def _jumped(fit: Fit, recording: Recording) -> list[str]:
-    """Where the field jumped, if the fit left out so much that this may be why."""
-    if fit.weights.window.mean() >= _LEAST_TRUSTED:
+    """Where the field jumped, if the fit left out so much, or how it was at the end, that this may be why."""
+    latest = fit.weights.window[-max(int(_LATEST * len(fit.weights.window)), 1) :]
+    if fit.weights.window.mean() >= _LEAST_TRUSTED and latest.mean() >= _LEAST_TRUSTED:
         return []
     jumps = field_jumps(recording)
     if not jumps:

@@ -1,11 +1,10 @@
-"""Runs the study in worker processes, one file per recording, so that an interrupted study goes on where it was."""
+"""Runs the study on the engine for many, one file per recording, so that an interrupted study goes on where it was."""
 
 from __future__ import annotations
 
 import csv
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.engine import as_worker, whole
+from magyc_gtsam.engine import Row, run_many, whole
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.study.faults.catalogue import FAULTS
-from magyc_gtsam.study.faults.scoring import OUTCOMES, crashed, refused, score
+from magyc_gtsam.study.faults.scoring import OUTCOMES, Score, crashed, refused, score
 from magyc_gtsam.study.faults.signals import record
 
 Method = Callable[[Recording], Calibration | None]
@@ -90,40 +89,61 @@ def run(
     """
     parts = folder / "parts"
     parts.mkdir(parents=True, exist_ok=True)
-    jobs = [(case, name) for case in every for name in methods]
-    pending = [(case, name) for case, name in jobs if not _part(parts, case, name).exists()]
-    with ProcessPoolExecutor(workers, initializer=as_worker) as pool:
-        futures = [pool.submit(_work, parts, case, name, methods[name]) for case, name in pending]
-        try:
-            for done, future in enumerate(as_completed(futures), len(jobs) - len(pending) + 1):
-                future.result()
-                progress(done / len(jobs))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return [json.loads(_part(parts, case, name).read_text("utf-8")) for case, name in jobs]
+    jobs = [Job(parts, case, name, method) for case in every for name, method in methods.items()]
+    pending = {job.name: job for job in jobs if not job.part.exists()}
+    done = len(jobs) - len(pending)
+    fresh = run_many(
+        work, pending, workers=workers, progress=lambda share: progress((done + share * len(pending)) / len(jobs))
+    )
+    for name, row in fresh.items():
+        if "error" in row:  # its process died, and died again
+            _write(pending[name], crashed(RuntimeError(row["error"])))
+    return [json.loads(job.part.read_text("utf-8")) for job in jobs]
 
 
-def _part(parts: Path, case: Case, method: str) -> Path:
-    return parts / f"{case.name}-{method}.json"
+@dataclass(frozen=True)
+class Job:
+    """One case by one method, and the folder of its part."""
+
+    parts: Path
+    case: Case
+    method_name: str
+    method: Method
+
+    @property
+    def name(self) -> str:
+        """Of its unit."""
+        return f"{self.case.name}-{self.method_name}"
+
+    @property
+    def part(self) -> Path:
+        """Its file."""
+        return self.parts / f"{self.name}.json"
 
 
-def _work(parts: Path, case: Case, name: str, method: Method) -> None:
-    fault = FAULTS[case.fault]
-    size = getattr(fault, case.strength)
-    log = record(case.motion, case.seed, fault, size, case.fault)
+def work(job: Job) -> Row:
+    """The row of a job, which is also written to its part."""
+    case, fault = job.case, FAULTS[job.case.fault]
+    log = record(case.motion, case.seed, fault, getattr(fault, case.strength), case.fault)
     try:
-        result = score(method(log.recording(case.name)), body_R_sensor=log.body_R_sensor)
+        result = score(job.method(log.recording(case.name)), body_R_sensor=log.body_R_sensor)
     except MagycError as problem:
         result = refused(str(problem))
     except Exception as error:  # noqa: BLE001 - counted, and the study ends with exit code 1
         result = crashed(error)
-    row = {**vars(case), "size": size, "unit": fault.unit, "shows": fault.shows, "method": name, **result.row()}
+    return _write(job, result)
+
+
+def _write(job: Job, result: Score) -> Row:
+    fault = FAULTS[job.case.fault]
+    made = {"size": getattr(fault, job.case.strength), "unit": fault.unit, "shows": fault.shows}
+    row = {**vars(job.case), **made, "method": job.method_name, **result.row()}
     row = {
         key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in row.items()
     }
-    with whole(_part(parts, case, name)) as file:
+    with whole(job.part) as file:
         file.write_text(json.dumps(row), "utf-8")
+    return row
 
 
 def cells(rows: Iterable[Mapping[str, Any]]) -> list[Cell]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.level_turn import LevelTurn
+from magyc_gtsam.level_turn import Askew, LevelTurn
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import FIELD, HARD_IRON, SOFT_IRON
 
@@ -91,4 +91,5 @@ def _heading(calibration: Calibration, body_R_sensor: Array) -> tuple[Array, Arr
     )
     turn = LevelTurn(np.degrees(angle), scale * body, np.eye(3)[0], np.eye(3)[1], dip, "the body's z axis")
     assert calibration.covariance is not None
-    return error, np.maximum(turn.systematic(calibration.covariance, calibration.soft_iron), 1e-6)
+    stated = turn.systematic(calibration.covariance, calibration.soft_iron, Askew.of(calibration))
+    return error, np.maximum(stated, 1e-6)

@@ -1,0 +1,117 @@
+"""What the windows of a fit say of the motion, and columns of unmodelled things on either sensor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.beside import Columns
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.chain.vech import unvech
+
+SLOW = (1, 7)  # half waves in the recording of a slow variation
+ALIKE = 1e-9  # rad/s, below which nothing turns
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What the windows of a fit say of the motion, all (…, n) with the windows last.
+
+    Attributes:
+        time: (n,) s.
+        rotation: (3, 3, n) integrated world → sensor.
+        seen: (3, 3, n) T, the reading of the world's axes with the field's strength: soft iron times rotation.
+        unit: (3, n) the field's direction in the sensor; change: (3, n) 1/s, its derivative in time.
+        rate: (3, n) rad/s, of turn; relative: the same over its deviation, `spread` rad/s an axis.
+        direction: (3, n) of the field in the integrated world.
+        reading: (3, n) T, as the model has it; reading_change: (3, n) T/s, its derivative in time.
+        strength: T; soft_iron: (3, 3) T, times it.
+        delay: s, of the magnetometer behind the gyroscope; gyroscope_step: s between its samples.
+    """
+
+    time: Array
+    rotation: Array
+    seen: Array
+    unit: Array
+    change: Array
+    rate: Array
+    direction: Array
+    reading: Array
+    reading_change: Array
+    strength: float
+    soft_iron: Array
+    delay: float
+    gyroscope_step: float
+
+    @classmethod
+    def of(cls, fit: Fit) -> Motion:
+        """Of a fit at its minimum."""
+        windows, parameters = fit.chain.windows, fit.state.parameters
+        soft = unvech(parameters[:6])
+        rotation = fit.chain.rotation(parameters)
+        turning = np.einsum("ijn,kjn->ikn", windows.rotation_rate, rotation)  # [ω]×
+        rate = 0.5 * np.array(
+            [turning[2, 1] - turning[1, 2], turning[0, 2] - turning[2, 0], turning[1, 0] - turning[0, 1]]
+        )
+        g = fit.state.direction
+        unit, change = np.einsum("ijn,jn->in", rotation, g), np.einsum("ijn,jn->in", windows.rotation_rate, g)
+        return cls(
+            time=windows.time,
+            rotation=rotation,
+            seen=(soft @ rotation.reshape(3, -1)).reshape(rotation.shape),
+            unit=unit,
+            change=change,
+            rate=rate,
+            direction=g,
+            reading=parameters[6:9, None] + soft @ unit,
+            reading_change=soft @ change,
+            strength=float(np.cbrt(abs(np.linalg.det(soft)))),
+            soft_iron=soft,
+            delay=float(parameters[DELAY]),
+            gyroscope_step=float(np.median(windows.link_time / np.maximum(np.diff(windows.time), 1e-9))),
+        )
+
+    @cached_property
+    def spread(self) -> float:
+        """rad/s, root mean square of the rate of turn, an axis."""
+        return max(float(np.sqrt(np.mean(self.rate**2))), ALIKE)
+
+    @cached_property
+    def relative(self) -> Array:
+        """(3, n) the rate of turn over `spread`."""
+        return self.rate / self.spread
+
+    def in_sensor(self, profiles: Array) -> Columns:
+        """Profiles (k, n) along each of the sensor's axes, in units of the field strength."""
+        columns = profiles[:, None, None, :] * (np.eye(3) * self.strength)[:, :, None]
+        return Columns(columns.reshape(3 * len(profiles), 3, -1), None)
+
+    def in_world(self, profiles: Array) -> Columns:
+        """Profiles (k, n) along each of the world's axes."""
+        columns = profiles[:, None, None, :] * self.seen.swapaxes(0, 1)
+        return Columns(columns.reshape(3 * len(profiles), 3, -1), None)
+
+    def on_gyroscope(self, profiles: Array) -> Columns:
+        """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""
+        turned = np.einsum("jin,kjn->kin", self.rotation, profiles)
+        angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
+        link = -cross(self.direction[:, None, :-1], angle.swapaxes(0, 1))
+        return Columns(None, np.ascontiguousarray(link.swapaxes(0, 1)))
+
+    def waves(self, first: int, stop: int) -> Array:
+        """(stop − first, n) cosines of unit deviation with `first` to `stop` − 1 half waves in the recording."""
+        if stop <= SLOW[1]:
+            return self._slow_waves[first - SLOW[0] : stop - SLOW[0]]
+        return self._waves(first, stop)
+
+    @cached_property
+    def _slow_waves(self) -> Array:
+        return self._waves(*SLOW)
+
+    def _waves(self, first: int, stop: int) -> Array:
+        share = (self.time - self.time[0]) / max(float(self.time[-1] - self.time[0]), 1e-9)
+        return np.sqrt(2) * np.cos(np.pi * np.arange(first, stop)[:, None] * share)

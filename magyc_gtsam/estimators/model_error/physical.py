@@ -1,0 +1,199 @@
+"""What sensors are known to do, a column or a few each, in the units of data sheets.
+
+The families of `families` are general, so that each has many columns and what it shows must be much. What has one
+column is seen much earlier, and its amplitude is known beforehand: the linearity of magnetometers is stated as 0.1 to
+1 % of the full scale, scales of low-cost gyroscopes as 1 to 3 %, and filters of compasses take 0.01 to 0.5 s. So each
+also has odds beforehand, and counts by those that the data leave it (`averaging`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.estimators.model_error.families import EVEN, USUAL, Family
+from magyc_gtsam.estimators.model_error.motion import ALIKE, Motion
+from magyc_gtsam.estimators.smoother.beside import Columns
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.rotations import Array
+
+_LATE = 0.3  # s, the lag of an axis at which the first and the second order have their true proportion
+_BAND = 0.02  # rad/s, half of a gyroscope's dead band
+_LEAST_FILTER = 1e-3  # s², of 45 ms, below which none moves anything
+_SHARP = 0.05  # share of the field strength, or of the deviation of its change, within which a sign is open
+
+
+def _one(profile: Array) -> Array:
+    """(1, 3, n): the three axes alike."""
+    return profile[None]
+
+
+def _each_axis(profile: Array) -> Array:
+    """(3, 3, n): each axis by itself."""
+    return profile[None] * np.eye(3)[:, :, None]
+
+
+def _derivative(motion: Motion, values: Array) -> Array:
+    return np.asarray(np.gradient(values, motion.time, axis=-1))
+
+
+def _sign(values: Array, within: Array | float) -> Array:
+    return np.asarray(values / np.sqrt(values**2 + np.square(within)))
+
+
+def _bend(motion: Motion) -> Columns:
+    """The cube of the reading over its largest."""
+    share = motion.reading / float(np.abs(motion.reading).max())
+    return Columns(_one(motion.strength * share * share * share), None)
+
+
+def _dead_zone(motion: Motion) -> Columns:
+    return Columns(_one(motion.strength * _sign(motion.reading, _SHARP * motion.strength)), None)
+
+
+def _play(motion: Motion) -> Columns:
+    """The reading stays behind the field by a width, whichever way it goes, and its sweep is narrower by as much."""
+    change = motion.reading_change
+    spread = np.sqrt(np.mean(change**2, axis=1, keepdims=True))
+    behind = _sign(change, _SHARP * np.maximum(spread, ALIKE * motion.strength))
+    low, high = motion.reading.min(axis=1, keepdims=True), motion.reading.max(axis=1, keepdims=True)
+    narrower = (2 * motion.reading - low - high) / np.maximum(high - low, 1e-3 * motion.strength)
+    return Columns(motion.strength * np.concatenate([_each_axis(behind), _each_axis(narrower)]), None)
+
+
+def _late_axis(motion: Motion) -> Columns:
+    """Per s: each axis later than the others, to the second order for a lag of some size."""
+    first, second = motion.reading_change, _derivative(motion, motion.reading_change)
+    return Columns(np.concatenate([_each_axis(first), 0.5 * _LATE * _each_axis(second)]), None)
+
+
+def _filter(motion: Motion) -> Columns:
+    """Per s²: the second order of a filter, whose first is a delay."""
+    return Columns(_one(_derivative(motion, motion.reading_change)), None)
+
+
+def _gain_drift(motion: Motion) -> Columns:
+    """Each axis' gain moves evenly."""
+    share = np.linspace(-1, 1, len(motion.time))
+    return Columns(_each_axis(share * (motion.soft_iron @ motion.unit)), None)
+
+
+def _gain_at_end(motion: Motion) -> Array:
+    """(P, 3) by how much the soft iron is another one at the end."""
+    result = np.zeros((PARAMETERS, 3))
+    rows, columns = np.triu_indices(3)
+    for axis in range(3):
+        turned = np.zeros((3, 3))
+        turned[axis] = motion.soft_iron[axis]
+        result[:6, axis] = (0.5 * (turned + turned.T))[rows, columns]
+    return result
+
+
+def _gyroscope_scale(motion: Motion) -> Columns:
+    return motion.on_gyroscope(_one(motion.rate))
+
+
+def _gyroscope_scales(motion: Motion) -> Columns:
+    return motion.on_gyroscope(_each_axis(motion.rate))
+
+
+def _gyroscope_bend(motion: Motion) -> Columns:
+    share = motion.rate / max(float(np.abs(motion.rate).max()), ALIKE)
+    return motion.on_gyroscope(_one(motion.rate * share * share))
+
+
+def _dead_band(motion: Motion) -> Columns:
+    return motion.on_gyroscope(_one(np.clip(motion.rate / _BAND, -1.0, 1.0)))
+
+
+def _gyroscope_filter(motion: Motion) -> Columns:
+    """Per s²: also what samples too far apart leave of a rate's integral, a twelfth of their step squared."""
+    return motion.on_gyroscope(_one(_derivative(motion, _derivative(motion, motion.rate))))
+
+
+def _by_delay(motion: Motion) -> float:
+    """s²: a filter of the first order with the delay τ has τ²/2, a mean has τ²/6, and a delay without filter none."""
+    return _if_felt(0.5 * max(motion.delay, 0.0) ** 2)
+
+
+def _by_lead(motion: Motion) -> float:
+    """s²: the same of the gyroscope, and the twelfth of the squared step that the trapezoidal rule leaves."""
+    return _if_felt(max(0.5 * max(-motion.delay, 0.0) ** 2, motion.gyroscope_step**2 / 12))
+
+
+def _if_felt(amplitude: float) -> float:
+    return amplitude if amplitude > _LEAST_FILTER else 0.0
+
+
+PHYSICAL = (
+    Family("bend", "the reading bends by {} of the field", _bend, 0.02, prior=USUAL),
+    Family(
+        "dead zone",
+        "the reading jumps by {} about zero",
+        _dead_zone,
+        0.1,
+        prior=USUAL,
+    ),
+    Family("play", "the reading stays behind the field by {}", _play, 0.05, prior=USUAL),
+    Family(
+        "late axis",
+        "axes of the magnetometer are late by {}",
+        _late_axis,
+        0.5,
+        prior=USUAL,
+        unit="time",
+    ),
+    Family(
+        "filter",
+        "the magnetometer is filtered by {}",
+        _filter,
+        0.5,
+        prior=EVEN,
+        unit="filter",
+        expected=_by_delay,
+        octaves=2,
+    ),
+    Family(
+        "gain drift",
+        "the magnetometer's gain drifts by {}",
+        _gain_drift,
+        0.03,
+        prior=USUAL,
+        unit="share",
+        at_end=_gain_at_end,
+    ),
+    Family(
+        "gyroscope:scale",
+        "the gyroscope's scale is off by {}",
+        _gyroscope_scale,
+        0.03,
+        prior=USUAL,
+        unit="share",
+    ),
+    Family(
+        "gyroscope:scales",
+        "the scales of the gyroscope's axes are off by {}",
+        _gyroscope_scales,
+        0.03,
+        prior=USUAL,
+        unit="share",
+    ),
+    Family("gyroscope:bend", "the gyroscope bends by {}", _gyroscope_bend, 0.05, prior=USUAL, unit="share"),
+    Family(
+        "gyroscope:dead band",
+        "the gyroscope loses {} about zero",
+        _dead_band,
+        0.05,
+        prior=USUAL,
+        unit="rate",
+    ),
+    Family(
+        "gyroscope:filter",
+        "the gyroscope is filtered by {}",
+        _gyroscope_filter,
+        0.5,
+        prior=EVEN,
+        unit="filter",
+        expected=_by_lead,
+        octaves=2,
+    ),
+)

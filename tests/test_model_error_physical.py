@@ -1,0 +1,99 @@
+"""What sensors are known to do: seen by few columns, weighed by odds, and silent on clean logs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from magyc_gtsam import calibrate
+from magyc_gtsam.estimators.model_error.averaging import averaged
+from magyc_gtsam.estimators.model_error.samples import flickers
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.scoring import score
+from magyc_gtsam.study.faults.signals import record
+
+
+def by_quadrature(normal: np.ndarray, score: np.ndarray, square: float, freedom: float, variance: float) -> float:
+    """ln of the mean of the profiled likelihood over β ~ N(0, φ v), by its determinant and square."""
+    inverse = np.linalg.inv(normal + np.eye(len(score)) / variance)
+    left = square - score @ inverse @ score
+    determinant = np.linalg.slogdet(np.eye(len(score)) + variance * normal)[1]
+    return float(-0.5 * (freedom * np.log(left / square) + determinant))
+
+
+def test_the_average_is_that_of_its_octaves() -> None:
+    random = np.random.default_rng(4)
+    rows, residual = random.normal(size=(3, 200)), random.normal(size=200)
+    residual += 0.3 * rows[0]
+    products = rows @ rows.T, rows @ residual, float(residual @ residual)
+    most = 0.5
+    variances = [(most * 0.5**k) ** 2 * 200.0 / products[2] for k in range(4)]
+    nats = np.array([by_quadrature(*products, 200.0, v) for v in variances])
+    found = averaged(*products, 200.0, most, 4)
+    assert found.evidence == pytest.approx(np.log(np.mean(np.exp(nats))))
+    share = np.exp(nats) / np.exp(nats).sum()
+    second = np.zeros((3, 3))
+    for each, variance in zip(share, variances, strict=True):
+        inverse = np.linalg.inv(products[0] + np.eye(3) / variance)
+        mean = inverse @ products[1]
+        second += each * ((products[2] - products[1] @ mean) / 200.0 * inverse + np.outer(mean, mean))
+    np.testing.assert_allclose(found.second, second, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "motion", "told"),
+    [
+        ("cubic", "low", "bends"),
+        ("dead-zone", "wide", "about zero"),
+        ("hysteresis", "low", "behind the field"),
+        ("late-axis", "moderate", "late by"),
+        ("gyroscope-scale", "low", "scale"),
+        ("gyroscope-cubic", "low", "gyroscope bends"),
+        ("scale-drift", "wide", "gain drifts"),
+    ],
+)
+def test_what_a_sensor_does_is_named_and_covered(name: str, motion: str, told: str) -> None:
+    """Trusted and beyond three sigmas in nearly all of these cells before there were such columns."""
+    fault = FAULTS[name]
+    log = record(motion, 1, fault, fault.strong, name)
+    calibration = calibrate(log.recording(name))
+    assert score(calibration).outcome != "wrong and trusted"
+    components = calibration.diagnostics["model_error"]["components"]
+    assert any(told in component["sentence"] for component in components), components
+
+
+def test_a_delay_says_that_there_may_be_a_filter() -> None:
+    """On a motion that shows nothing of its second order; 2 µT off at a sigma of noise of 0.5."""
+    fault = FAULTS["low-pass"]
+    calibration = calibrate(record("moderate", 1, fault, fault.weak, "low-pass").recording("filtered"))
+    clean = calibrate(record("moderate", 1).recording("clean"))
+    assert calibration.delay == pytest.approx(0.1, abs=0.01)
+    whole, noise = (np.sqrt(matrix[8, 8]) for matrix in (calibration.covariance, calibration.noise_covariance))
+    assert whole > 1.2 * noise
+    assert np.sqrt(clean.covariance[8, 8] / clean.noise_covariance[8, 8]) < 1.01
+
+
+def test_an_axis_that_flickers_between_two_values_is_not_trusted() -> None:
+    for name, sensor in (("flickering-axis", "magnetometer"), ("flickering-gyroscope-axis", "gyroscope")):
+        fault = FAULTS[name]
+        recording = record("moderate", 0, fault, fault.weak, name).recording(name)
+        assert f"of the {sensor} has but two values" in flickers(recording)
+        assert not calibrate(recording).trusted
+    for name in ("clean", "coarse", "coarse-gyroscope", "dead-gyroscope"):
+        fault = FAULTS[name]
+        assert flickers(record("wide", 3, fault, fault.strong, name).recording(name)) == ""
+
+
+def test_a_step_that_leaves_out_the_end_is_not_trusted() -> None:
+    """The greater part is before the step; a calibration is used after it."""
+    fault = FAULTS["iron-step"]
+    refused = [
+        calibrate(record("wide", seed, fault, fault.strong, "iron-step").recording("step")) for seed in range(3)
+    ]
+    assert not any(score(calibration).outcome == "wrong and trusted" for calibration in refused)
+    assert any("the field jumped at" in calibration.message for calibration in refused)
+
+
+def test_a_clean_log_keeps_its_covariance() -> None:
+    calibration = calibrate(record("wide", 5).recording("clean"))
+    np.testing.assert_allclose(calibration.covariance, calibration.noise_covariance, rtol=1e-3, atol=1e-20)
