@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sending import free_port, listened_to, rows, taken_in
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
@@ -30,7 +31,6 @@ from magyc_gtsam.live.source import Batch, LiveSource
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.simulation import simulate
 
-EPOCH = 1_620_000_000.0
 IFG = ("--method", "magyc-ifg", "--option", "estimate=current")  # quick, and bit for bit
 RAW = 0.1e-6, np.pi / 180 / 16  # T and rad/s per count of MotionCal's lines
 
@@ -38,14 +38,6 @@ RAW = 0.1e-6, np.pi / 180 / 16  # T and rad/s per count of MotionCal's lines
 @pytest.fixture(scope="module")
 def recording() -> mg.Recording:
     return simulate("wide", duration=90, rate=20, seed=1).recording
-
-
-def rows(recording: mg.Recording) -> list[dict[str, Any]]:
-    assert recording.angular_rate is not None
-    return [
-        {"time": EPOCH + t, "magnetic_field": m.tolist(), "angular_rate": w.tolist()}
-        for t, m, w in zip(recording.time.tolist(), recording.magnetic_field, recording.angular_rate, strict=True)
-    ]
 
 
 @pytest.fixture
@@ -83,39 +75,6 @@ def direct(samples: list[dict[str, Any]]) -> mg.Calibration:
 def same(found: mg.Calibration, expected: mg.Calibration) -> None:
     for name in ("soft_iron", "hard_iron", "gyro_bias"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-def free_port(kind: int = socket.SOCK_DGRAM) -> int:
-    with socket.socket(socket.AF_INET, kind) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def listened_to(port: int) -> None:
-    """Wait until somebody has the port."""
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("127.0.0.1", port))
-            except OSError:
-                return
-        time.sleep(0.02)
-    raise AssertionError("nobody listens")
-
-
-def taken_in(port: int) -> None:
-    """Wait until the system keeps little that the port's owner has not read: loopback, too, drops what is too much."""
-    sockets = Path("/proc/net/udp")
-    until = time.monotonic() + 60
-    while time.monotonic() < until:
-        if not sockets.exists():
-            time.sleep(0.05)
-            return
-        lines = [line.split() for line in sockets.read_text().splitlines()[1:]]
-        if all(int(line[4].split(":")[1], 16) < 50_000 for line in lines if line[1].endswith(f":{port:04X}")):
-            return
-        time.sleep(0.01)
 
 
 def test_datagrams(recording: mg.Recording, online: Any) -> None:

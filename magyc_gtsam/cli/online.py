@@ -74,6 +74,14 @@ def run(
     ] = None,
     quiet: given.Quiet = False,
     json: Annotated[bool, typer.Option("--json", help="A line of JSON per report on standard output.")] = False,
+    picture: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SECONDS",
+            min=0.1,
+            help="With --json: lines this often as well, with what a page draws: directions, next move, residual.",
+        ),
+    ] = None,
 ) -> int:
     """Calibrate while the vehicle moves.
 
@@ -106,7 +114,10 @@ def run(
     online = _calibrator(state, method, options)
     if idle is None and is_file(log):
         idle = _PATIENCE
-    with closing(open_source(log, request)) as source, view(source, online, quiet=quiet, json=json) as shown:
+    with (
+        closing(open_source(log, request)) as source,
+        view(source, online, quiet=quiet, json=json, picture=picture) as shown,
+    ):
         session = Session(
             source, online, output=output, state=state, every=every, idle=idle, axes=axes, view=shown
         )

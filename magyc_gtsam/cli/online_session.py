@@ -15,7 +15,6 @@ import numpy as np
 
 from magyc_gtsam.cli.files import refuse_unwritable
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.live.health import Monitor
 from magyc_gtsam.live.source import Batch, LiveSource
 from magyc_gtsam.recording import Array, Samples
 
@@ -36,9 +35,10 @@ class End(str, Enum):
 
 
 class View(Protocol):
-    """What a run shows while it goes on, and how its source does."""
+    """What a run shows while it goes on."""
 
-    monitor: Monitor
+    def take(self, batch: Batch) -> None:
+        """Called with all that is read, before it is learnt from."""
 
     def refresh(self) -> None:
         """Called after every read."""
@@ -94,8 +94,10 @@ class Session:
             try:
                 self._loop(stopped)
             finally:
-                self._tell()
-                self.write()
+                try:
+                    self._tell()
+                finally:  # whoever listened may be gone
+                    self.write()
 
     def _loop(self, stopped: list[int]) -> None:
         received, grown = -1, time.monotonic()
@@ -103,7 +105,7 @@ class Session:
         while True:
             batch = self.source.read(_WAIT)
             self._tell()
-            self._view.monitor.take(batch, time.monotonic(), getattr(self.source, "round_trip", None))
+            self._view.take(batch)
             self._take(batch)
             self._view.refresh()
             now = time.monotonic()

@@ -26,7 +26,7 @@ class Health:
         rate: Hz of magnetometer and gyroscope by their stamps over the last five seconds of arrival.
         taken: samples so far.
         missing: samples that the steps of the stamps miss so far.
-        late: s by which the last samples came later after their stamps than the quickest of the last minute.
+        late: s by which the last samples came later after their stamps than the quickest of the minute before.
         link: s from there to here, where the source measures it.
     """
 
@@ -77,10 +77,11 @@ class Monitor:
             steps.take(samples.time)
         behind = arrived - max(float(samples.time[-1]) for samples in batch if len(samples.time))
         counts = (len(batch.magnetometer.time), len(batch.gyroscope.time))
-        self._blocks.append((arrived, behind, counts, (self._steps[0].last, self._steps[1].last)))
         while self._quickest and self._quickest[-1][1] >= behind:
             self._quickest.pop()
         self._quickest.append((arrived, behind))
+        late = behind - self._quickest[0][1]
+        self._blocks.append((arrived, late, counts, (self._steps[0].last, self._steps[1].last)))
 
     def _forget(self, now: float) -> None:
         while self._blocks and self._blocks[0][0] < now - _MEMORY:
@@ -91,8 +92,7 @@ class Monitor:
     @property
     def health(self) -> Health:
         """As it is now."""
-        late = max((behind for _, behind, _, _ in self._blocks), default=0.0)
-        late = late - self._quickest[0][1] if self._quickest and self._blocks else 0.0
+        late = max((late for _, late, _, _ in self._blocks), default=0.0)
         rates = []
         for sensor in range(2):
             ends = [lasts[sensor] for _, _, _, lasts in self._blocks]
@@ -102,7 +102,7 @@ class Monitor:
             (rates[0], rates[1]),
             sum(steps.count for steps in self._steps),
             sum(steps.missing for steps in self._steps),
-            float(max(late, 0.0)),
+            late,
             self._link,
         )
 

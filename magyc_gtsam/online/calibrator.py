@@ -127,6 +127,12 @@ class OnlineCalibrator:
         return with_faults(self._intake.counted(self._engine.progress()), self._faults)
 
     @property
+    def field(self) -> Array:
+        """(n, 3) T, the magnetometer's samples that are kept, or a part of them; a copy."""
+        self._catch_up()
+        return self._engine.field().copy()
+
+    @property
     def changes(self) -> tuple[Change, ...]:
         """Steps in hard iron found so far, oldest first."""
         self._catch_up()

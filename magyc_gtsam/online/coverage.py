@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.recording import Array
+from magyc_gtsam.recording import Array, Mask
 
-_BANDS, _SECTORS = 6, 10  # cells of equal area
+BANDS, SECTORS = 6, 10  # cells of equal area, from −z to +z, and about z from −x on
 _MOST = 2000  # directions that are enough
 
 
@@ -15,6 +16,17 @@ def coverage(calibration: Calibration, field: Array) -> float:
     """Share of 60 equal cells that the directions of the calibrated field, of `field` (n, 3), visited."""
     direction = calibration.apply(field[:: max(len(field) // _MOST, 1)])
     direction /= np.maximum(np.linalg.norm(direction, axis=1), 1e-300)[:, None]
-    band = np.minimum((_BANDS / 2 * (direction[:, 2] + 1)).astype(int), _BANDS - 1)
+    return float(cells(direction).mean())
+
+
+def cells(direction: Array) -> Mask:
+    """(60,) whether a cell was visited, by unit vectors (n, 3); the cells band by band."""
+    return np.bincount(cell_of(direction), minlength=BANDS * SECTORS) > 0
+
+
+def cell_of(direction: Array) -> NDArray[np.intp]:
+    """(n,) the cells of unit vectors."""
+    band = np.clip((BANDS / 2 * (direction[:, 2] + 1)).astype(np.intp), 0, BANDS - 1)
     turn = np.arctan2(direction[:, 1], direction[:, 0]) / (2 * np.pi) + 0.5
-    return len(np.unique(_SECTORS * band + (turn * _SECTORS).astype(int) % _SECTORS)) / (_BANDS * _SECTORS)
+    cell: NDArray[np.intp] = SECTORS * band + (turn * SECTORS).astype(np.intp) % SECTORS
+    return cell

@@ -88,6 +88,9 @@ class Engine(Protocol):
     def progress(self) -> Progress:
         """How far it is and what is missing. Does not change the state."""
 
+    def field(self) -> Array:
+        """(n, 3) T, the samples of the magnetometer that are kept, oldest first. Does not change the state."""
+
     def changes(self) -> tuple[Change, ...]:
         """Steps in hard iron found so far, oldest first; empty where the method looks for none."""
 

@@ -165,6 +165,10 @@ class IncrementalMagyc:
         visited = coverage(calibration, self._visited[:, 1:])
         return Progress(None, 0.0, len(self._graph), converged, sentence, weak, visited)
 
+    def field(self) -> Array:
+        """See `Engine.field`."""
+        return self._visited[:, 1:]
+
     def changes(self) -> tuple[Change, ...]:
         """See `Engine.changes`; this method looks for none."""
         return ()

@@ -183,6 +183,10 @@ class OnlineSmoother:
         """See `Engine.progress`."""
         return progress_of(self._online, self.calibration())
 
+    def field(self) -> Array:
+        """See `Engine.field`."""
+        return self._online.buffer.magnetometer.value
+
     def changes(self) -> tuple[Change, ...]:
         """See `Engine.changes`."""
         return changes_until(self._online, self.calibration()) if self._online.belief.changes else ()

@@ -16,8 +16,10 @@ function drawSphere(figure, spec) {
   canvas.tabIndex = 0;
   canvas.setAttribute("aria-label", "Turn by dragging or with the arrow keys");
   place.append(canvas);
-  const clouds = spec.clouds.map((each) => ({ ...each, points: numbers(each.points), shown: true }));
-  const cells = spec.cells && { ...spec.cells, seconds: numbers(spec.cells.seconds), shown: true };
+  const unpacked = (each) => ({ ...each, points: numbers(each.points), shown: true });
+  const counted = (found) => found && { ...found, seconds: numbers(found.seconds), shown: true };
+  let clouds = spec.clouds.map(unpacked);
+  let cells = counted(spec.cells);
   let view = OBLIQUE;
   let zoom = 1;
   let size = 0;
@@ -79,6 +81,17 @@ function drawSphere(figure, spec) {
         ctx.globalAlpha = near > 0 ? 0.75 : 0.25;
         ctx.fillRect(x - 1.2, y - 1.2, 2.4, 2.4);
       }
+      ctx.globalAlpha = 1;
+    }
+    if (spec.now) {
+      const [x, y, near] = seen(...spec.now);
+      ctx.strokeStyle = colourOf("ink");
+      ctx.globalAlpha = near > 0 ? 1 : 0.35;
+      ctx.lineWidth = 3;
+      ctx.beginPath();
+      ctx.arc(x, y, 8, 0, 2 * Math.PI);
+      ctx.stroke();
+      ctx.lineWidth = 1;
       ctx.globalAlpha = 1;
     }
     ctx.font = "13px system-ui, sans-serif";
@@ -172,5 +185,12 @@ function drawSphere(figure, spec) {
   }
   const resize = (width) => { size = Math.min(width, 420); draw(); };
   resize(place.clientWidth);
-  return { resize, redraw: draw };
+  /** Other points, cells and present direction, seen from where it is looked at. */
+  const update = (next) => {
+    clouds = next.clouds.map(unpacked);
+    cells = counted(next.cells);
+    spec.now = next.now;
+    draw();
+  };
+  return { resize, redraw: draw, update };
 }

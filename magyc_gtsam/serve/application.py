@@ -21,10 +21,12 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.events import Events
 from magyc_gtsam.serve.jobs import Job, Jobs
 from magyc_gtsam.serve.limits import Limits
-from magyc_gtsam.serve.orders import order
+from magyc_gtsam.serve.live import STATE, Live
+from magyc_gtsam.serve.orders import order, reading
 from magyc_gtsam.serve.page import page
 from magyc_gtsam.serve.results import details
 from magyc_gtsam.serve.safety import Guard
+from magyc_gtsam.serve.sources import serial_ports, source_of
 from magyc_gtsam.serve.store import Full, Store
 
 # A report's own script may run, and reach nothing: not this server, not the network, not the page beside it.
@@ -47,10 +49,22 @@ class Server:
         self.store = Store(folder, limits)
         self.events = Events(self.snapshot, limits)
         self.jobs = Jobs(self.store.folder, limits, self.events.changed, self._done)
+        self.live = Live(self.store.folder, self.events.changed, self._frozen)
+        left = next((folder for folder in self.store.found().values() if (folder / STATE).exists()), None)
+        if left is not None:
+            self.live.found(left)
 
     def snapshot(self) -> dict[str, Any]:
         """What changes while the page is open."""
-        return {"jobs": self.jobs.listed()}
+        return {"jobs": self.jobs.listed(), "live": self.live.snapshot()}
+
+    def _frozen(self, folder: Path, last: dict[str, Any] | None) -> None:
+        """Keep what the page will want to know of a live run."""
+        last = last or {}
+        trusted = bool(last.get("converged")) and last.get("exit_code") == 0
+        sentence = None if trusted else f"✘ Not yet: {last.get('sentence', 'no samples came')}"
+        record = {"logs": self.live.source, "sentence": sentence, "trusted": trusted}
+        self.store.keep(folder, record)
 
     def _done(self, job: Job) -> None:
         """Keep what the page will want to know of a result."""
@@ -138,6 +152,28 @@ class Server:
             raise
         return JSONResponse(job.to_dict(), 201)
 
+    async def live_run(self, request: Request) -> Response:
+        """Start a live run, freeze it, or go on with it."""
+        asked = await self._body(request)
+        what = asked.get("do") if isinstance(asked, dict) else None
+        if what == "start":
+            source = source_of(asked.get("source"), await run_in_threadpool(self.store.logs))
+            arguments = reading(asked)
+            if self.live.state == "running":
+                raise MagycError("a live run is going on; freeze it first")
+            await self.live.start(self.store.new_result(asked["source"]["kind"], "live"), source, arguments)
+        elif what == "freeze":
+            await self.live.freeze()
+        elif what == "go on":
+            self.live.go_on()
+        else:
+            raise MagycError('do: one of "start", "freeze", "go on" is expected')
+        return JSONResponse(self.live.snapshot())
+
+    async def ports(self, request: Request) -> Response:
+        """The serial ports that can be chosen."""
+        return JSONResponse({"ports": await run_in_threadpool(serial_ports)})
+
     async def _body(self, request: Request) -> Any:
         data = b""
         async for part in request.stream():
@@ -174,9 +210,8 @@ class Server:
     async def result(self, request: Request) -> Response:
         """A result in numbers and texts."""
         folder = self._folder(request)
-        found = await run_in_threadpool(details, folder)
         known = {name: value for name, value in self.store.described(folder).items() if value is not None}
-        return JSONResponse(found | known)
+        return JSONResponse(await run_in_threadpool(details, folder, known.get("trusted")) | known)
 
     async def file(self, request: Request) -> Response:
         """A file of a result: a page to look at, anything else to keep."""
@@ -195,6 +230,7 @@ class Server:
         @asynccontextmanager
         async def lifespan(_: Starlette) -> AsyncIterator[None]:
             yield
+            await self.live.freeze()
             await self.jobs.close()
             self.store.remove_old(age=0.0)
 
@@ -206,6 +242,8 @@ class Server:
             Route("/api/jobs", self.start, methods=["POST"]),
             Route("/api/jobs/{key}", self.job, methods=["GET"]),
             Route("/api/jobs/{key}", self.cancel, methods=["DELETE"]),
+            Route("/api/live", self.live_run, methods=["POST"]),
+            Route("/api/ports", self.ports),
             Route("/api/results/{key}", self.result),
             Route("/results/{key}/{name}", self.file),
             WebSocketRoute("/api/events", self.events.socket),

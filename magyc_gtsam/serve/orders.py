@@ -72,7 +72,7 @@ def order(asked: Any, logs: Mapping[str, Log], limits: Limits) -> Order:
     if absent := [key for key in keys if key not in logs]:
         raise MagycError(f"{len(absent)} of the logs are not there any more; reload the page")
     start, end = (_seconds(asked, name) for name in ("start", "end"))
-    return Order(kind, tuple(logs[key] for key in dict.fromkeys(keys)), start, end, tuple(_reading(asked)))
+    return Order(kind, tuple(logs[key] for key in dict.fromkeys(keys)), start, end, tuple(reading(asked)))
 
 
 def _seconds(asked: Mapping[str, Any], name: str) -> float | None:
@@ -89,7 +89,12 @@ def _seconds(asked: Mapping[str, Any], name: str) -> float | None:
     return float(value)
 
 
-def _reading(asked: Mapping[str, Any]) -> Sequence[str]:
+def reading(asked: Mapping[str, Any]) -> Sequence[str]:
+    """Options of the command line for `asked["reading"]`: units and topics.
+
+    Raises:
+        MagycError: other options, or values that cannot be one.
+    """
     given = asked.get("reading") or {}
     if not isinstance(given, dict) or not given.keys() <= {*_TEXTS, *_UNITS}:
         raise MagycError(f"reading: only {', '.join((*_TEXTS, *_UNITS))} can be given")

@@ -16,6 +16,8 @@ _SCRIPTS = (
     (_OWN, "strip.js"),
     (_OWN, "logs.js"),
     (_OWN, "results.js"),
+    (_OWN, "vehicle.js"),
+    (_OWN, "live.js"),
     (_OWN, "start.js"),
 )
 

@@ -28,9 +28,10 @@ function parameters(rows) {
 
 function exported(key, { name, file, text }) {
   const copy = element("button", { type: "button", textContent: "Copy", onclick: () => copied(copy, text) });
-  const keep = element("a", { className: "button", href: `/results/${key}/${encodeURIComponent(file)}`, download: file, textContent: "Download" });
+  const there = file ? `/results/${key}/${encodeURIComponent(file)}` : URL.createObjectURL(new Blob([text], { type: "text/plain" }));
+  const keep = element("a", { className: "button", href: there, download: file || `${name}.txt`, textContent: "Download" });
   return element("div", { className: "export" }, element("div", { className: "row" }, element("b", { textContent: name }), copy, keep),
-    element("details", {}, element("summary", { textContent: file }), element("pre", { textContent: text })));
+    element("details", {}, element("summary", { textContent: file || "Text" }), element("pre", { textContent: text })));
 }
 
 async function openResult(key, scroll = true) {

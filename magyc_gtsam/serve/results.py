@@ -7,8 +7,9 @@ from typing import Any
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.report import words
 from magyc_gtsam.report.verdict import judged
-from magyc_gtsam.report.words import parameter_rows
+from magyc_gtsam.serve.live import CALIBRATION
 
 _SHOWN = {  # files whose text can be copied, in this order, and what they are called
     "px4.params": "PX4",
@@ -17,14 +18,14 @@ _SHOWN = {  # files whose text can be copied, in this order, and what they are c
     "ros.yaml": "ROS",
     "next.yaml": "calibration.yaml",
     "calibration.yaml": "calibration.yaml",
-    "online-calibration.yaml": "calibration.yaml",
+    CALIBRATION: "calibration.yaml",
 }
-_CALIBRATIONS = ("calibration.yaml", "next.yaml", "online-calibration.yaml")
+_CALIBRATIONS = ("calibration.yaml", "next.yaml", CALIBRATION)
 _MOST = 200_000  # bytes of a text that is shown
 
 
-def details(folder: Path) -> dict[str, Any]:
-    """Numbers and texts of a result, JSON types."""
+def details(folder: Path, converged: bool | None) -> dict[str, Any]:
+    """Numbers and texts of a result, JSON types; `converged` is what the last line of a live run said."""
     files = {
         path.name: path for path in sorted(folder.iterdir()) if path.is_file() and not path.name.startswith(".")
     }
@@ -41,7 +42,10 @@ def details(folder: Path) -> dict[str, Any]:
         except MagycError as problem:
             return found | {"sentence": str(problem), "trusted": False}
         verdict = judged(calibration)
-        rows = [[name, *values] for name, values in parameter_rows(calibration)]
+        rows = [[name, *values] for name, values in words.parameter_rows(calibration)]
+        if path.name == CALIBRATION and converged:  # no files are beside it, as a run goes on
+            texts = [(name, text) for name, text, usable in words.exports(calibration) if usable]
+            exports[:0] = [{"name": name, "file": "", "text": text} for name, text in texts]
         found |= {
             "rows": rows,
             "sentence": verdict.sentence,

@@ -6,13 +6,14 @@ for (const button of document.querySelectorAll("#tabs button")) {
 }
 $("#problem button").addEventListener("click", () => complain(""));
 listen(drawJobs);
+listen(drawLive);
 
 (async () => {
   const { tab, log: key, result } = place();
   const state = await refresh();
   for (const job of state.jobs) if (!["waiting", "running"].includes(job.state)) drawn_jobs.set(job.key, job.state);
   for (const job of state.jobs) if (["waiting", "running"].includes(job.state)) mine.add(job.key);
-  show(tab === "results" ? "results" : "logs");
+  show(["live", "results"].includes(tab) ? tab : "logs");
   const before = known.logs.find((each) => each.key === key);
   if (before) open(before, true);
   if (known.results.some((each) => each.key === result)) await openResult(result, false);

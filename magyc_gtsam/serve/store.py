@@ -30,7 +30,7 @@ _KINDS = {
     "history.yaml": "history",
     "calibration.yaml": "calibrate",
 }
-_LIVE = "online-calibration.yaml"
+_LIVE = "live.json"
 
 
 class Full(MagycError):

@@ -1,0 +1,63 @@
+"""Live sources as the page names them: each part is checked or looked up, and put together here."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.live.mavlink import ADDRESS
+from magyc_gtsam.live.udp import LOOPBACK
+from magyc_gtsam.serve.store import Log
+
+KINDS = ("udp", "mavlink", "serial", "file", "ros2")
+_BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
+_NETWORK = re.compile(r"(?:udpin|udpout|tcp):[A-Za-z0-9.-]{1,100}:\d{1,5}")
+
+
+def serial_ports() -> list[str]:
+    """The serial ports of this machine; none without pyserial."""
+    try:
+        from serial.tools.list_ports import comports
+    except ImportError:
+        return []
+    return sorted(port.device for port in comports())
+
+
+def source_of(asked: Any, logs: Mapping[str, Log]) -> str:
+    """The SOURCE of `magyc-gtsam online`.
+
+    Args:
+        asked: {"kind": "udp", "port", "everywhere"}, {"kind": "mavlink", "address"} or with a serial "port" and "baud",
+            {"kind": "serial", "port", "baud"}, {"kind": "file", "log"} or {"kind": "ros2"}.
+        logs: of the folder.
+
+    Raises:
+        MagycError: something that is not possible, or not there.
+    """
+    kind = asked.get("kind") if isinstance(asked, dict) else None
+    if kind == "udp":
+        port = asked.get("port")
+        if not isinstance(port, int) or not 1024 <= port <= 65535:
+            raise MagycError("port: a number from 1024 to 65535 is expected")
+        return f"udp://{'0.0.0.0' if asked.get('everywhere') is True else LOOPBACK}:{port}"
+    if kind == "mavlink" and asked.get("port") is None:
+        address = asked.get("address")
+        if not isinstance(address, str) or not _NETWORK.fullmatch(address) or not ADDRESS.fullmatch(address):
+            raise MagycError("address: udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT is expected")
+        return f"mavlink://{address}"
+    if kind in ("serial", "mavlink"):
+        if asked.get("port") not in serial_ports():
+            raise MagycError("port: no such serial port here; plug it in, and choose it anew")
+        if asked.get("baud") not in _BAUDS:
+            raise MagycError(f"baud: one of {', '.join(map(str, _BAUDS))} is expected")
+        return f"{kind}://{asked['port']}?baud={asked['baud']}"
+    if kind == "file":
+        log = logs.get(str(asked.get("log")))
+        if log is None or log.path.suffix.lower() != ".mcap":
+            raise MagycError("log: an MCAP file of the folder is expected")
+        return str(log.path)
+    if kind == "ros2":
+        return "ros2://"
+    raise MagycError(f"kind: one of {', '.join(KINDS)} is expected")

@@ -1,0 +1,67 @@
+"""What sends samples to sources of `magyc-gtsam online`, and does not send faster than they are taken."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import magyc_gtsam as mg
+
+EPOCH = 1_620_000_000.0
+
+
+def rows(recording: mg.Recording) -> list[dict[str, Any]]:
+    assert recording.angular_rate is not None
+    return [
+        {"time": EPOCH + t, "magnetic_field": m.tolist(), "angular_rate": w.tolist()}
+        for t, m, w in zip(recording.time.tolist(), recording.magnetic_field, recording.angular_rate, strict=True)
+    ]
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def listened_to(port: int, by: bool = True) -> None:
+    """Wait until somebody has the port; or, where `by` is False, until nobody has."""
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("127.0.0.1", port))
+                taken = False
+            except OSError:
+                taken = True
+        if taken == by:
+            return
+        time.sleep(0.02)
+    raise AssertionError(f"port {port} is {'free' if by else 'taken'} still")
+
+
+def taken_in(port: int) -> None:
+    """Wait until the system keeps little that the port's owner has not read: loopback, too, drops what is too much."""
+    sockets = Path("/proc/net/udp")
+    until = time.monotonic() + 60
+    while time.monotonic() < until:
+        if not sockets.exists():
+            time.sleep(0.05)
+            return
+        lines = [line.split() for line in sockets.read_text().splitlines()[1:]]
+        if all(int(line[4].split(":")[1], 16) < 50_000 for line in lines if line[1].endswith(f":{port:04X}")):
+            return
+        time.sleep(0.01)
+
+
+def send_lines(port: int, lines: Sequence[dict[str, Any]]) -> None:
+    """As datagrams of one line each."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for number, line in enumerate(lines):
+            sender.sendto(json.dumps(line).encode(), ("127.0.0.1", port))
+            if number % 50 == 0:
+                taken_in(port)

@@ -1,0 +1,196 @@
+"""Live in a browser's server: over UDP, frozen and gone on with, killed in the middle; the end is that of Python."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sending import free_port, listened_to, rows, send_lines
+from served import DIVE, PATIENCE, Served
+
+import magyc_gtsam as mg
+
+pytest.importorskip("starlette", reason="pip install 'magyc-gtsam[serve]'")
+pytest.importorskip("uvicorn", reason="pip install 'magyc-gtsam[serve]'")
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[dict[str, Any]]:
+    """Four minutes of a dive, after which it has converged."""
+    return rows(mg.read(DIVE, end=240.0))
+
+
+@pytest.fixture(scope="module")
+def expected(lines: list[dict[str, Any]]) -> mg.Calibration:
+    """What Python gives on the same samples in one block."""
+    online = mg.OnlineCalibrator()
+    online.update(
+        *(np.array([line[name] for line in lines]) for name in ("time", "magnetic_field", "angular_rate"))
+    )
+    assert online.converged
+    assert online.calibration is not None
+    return online.calibration
+
+
+def same(path: Path, expected: mg.Calibration) -> None:
+    found = mg.Calibration.load(path)
+    for name in ("soft_iron", "hard_iron", "gyro_bias", "covariance"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def until(server: Served, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The live run, when the condition holds."""
+    limit = time.monotonic() + PATIENCE
+    while time.monotonic() < limit:
+        run = server.ask("GET", "/api/state")[1]["live"]
+        if condition(run):
+            return dict(run)
+        time.sleep(0.05)
+    raise AssertionError(run)
+
+
+def has(seconds: float) -> Callable[[dict[str, Any]], bool]:
+    """A run that has taken so much of the log."""
+    return lambda run: bool(run["latest"]) and run["latest"]["duration"] >= seconds
+
+
+def test_a_server_that_is_killed_in_the_middle(
+    tmp_path: Path, lines: list[dict[str, Any]], expected: mg.Calibration
+) -> None:
+    """The next one finds the run and goes on, bit for bit; what was sent while nobody listened is all that is lost."""
+    port = free_port()
+    server = Served(tmp_path)
+    source = {"kind": "udp", "port": port}
+    assert server.ask("POST", "/api/live", {"do": "start", "source": source})[0] == 200
+    listened_to(port)
+    send_lines(port, lines[:1000])
+    until(server, has(99.0))
+    assert server.ask("POST", "/api/live", {"do": "start", "source": source})[0] == 400, "one at a time"
+    server.stop(signal.SIGKILL)
+    listened_to(port, by=False)
+
+    server = Served(tmp_path)
+    try:
+        assert until(server, lambda run: True)["state"] == "frozen"
+        run = server.ask("POST", "/api/live", {"do": "go on"})[1]
+        listened_to(port)
+        send_lines(port, lines[1000:1500])
+        until(server, has(149.0))
+        assert server.ask("POST", "/api/live", {"do": "freeze"})[1]["state"] == "frozen"
+        server.ask("POST", "/api/live", {"do": "go on"})
+        listened_to(port)
+        send_lines(port, lines[1500:])
+        last = until(
+            server,
+            lambda run: has(239.0)(run) and run["latest"]["duration"] >= lines[-1]["time"] - lines[0]["time"],
+        )
+        assert last["latest"]["picture"]["next"]
+        server.ask("POST", "/api/live", {"do": "freeze"})
+        same(tmp_path / "results" / run["result"] / "online-calibration.yaml", expected)
+        found = server.ask("GET", f"/api/results/{run['result']}")[1]
+        assert (found["kind"], found["trusted"]) == ("live", True)
+        texts = {each["name"]: each["text"] for each in found["exports"]}
+        assert texts["PX4"] == expected.export("px4")
+    finally:
+        assert "Traceback" not in server.stop()
+
+
+@pytest.mark.parametrize(
+    ("asked", "says"),
+    [
+        ({"do": "start", "source": {"kind": "file", "log": "/etc/passwd"}}, "MCAP file of the folder"),
+        ({"do": "start", "source": {"kind": "serial", "port": "/dev/sda", "baud": 9600}}, "no such serial port"),
+        ({"do": "start", "source": {"kind": "mavlink", "address": "/etc/passwd"}}, "is expected"),
+        ({"do": "start", "source": {"kind": "mavlink", "address": "tcp:a b:1"}}, "is expected"),
+        ({"do": "start", "source": {"kind": "udp", "port": 22}}, "1024 to 65535"),
+        ({"do": "start", "source": {"kind": "udp", "port": "14560 --force"}}, "1024 to 65535"),
+        ({"do": "start", "source": "-"}, "is expected"),
+        ({"do": "start", "source": {"kind": "udp", "port": 14999}, "reading": {"state": "/tmp/x"}}, "reading"),
+        ({"do": "go on"}, "no run to go on with"),
+        ({"do": "rm"}, "is expected"),
+        ([], "is expected"),
+    ],
+)
+def test_sources_that_are_refused(idle: Served, asked: Any, says: str) -> None:
+    status, answer, _ = idle.ask("POST", "/api/live", asked)
+    assert status == 400
+    assert says in answer["problem"]
+    assert idle.ask("POST", "/api/live", asked, origin="https://evil.example")[0] == 403
+    assert not (idle.folder / "results").exists()
+
+
+@pytest.fixture(scope="module")
+def idle(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    server = Served(tmp_path_factory.mktemp("idle"))
+    yield server
+    server.stop()
+
+
+def test_a_port_that_another_program_has(tmp_path: Path) -> None:
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        server = Served(tmp_path)
+        try:
+            server.ask("POST", "/api/live", {"do": "start", "source": {"kind": "udp", "port": port}})
+            run = until(server, lambda run: run["state"] == "failed")
+            assert "cannot be listened on" in run["said"][-1]
+        finally:
+            server.stop()
+
+
+@pytest.mark.parametrize("width", [400])
+def test_in_a_browser_with_a_reload_in_the_middle(
+    tmp_path: Path, browser: Any, lines: list[dict[str, Any]], expected: mg.Calibration, width: int
+) -> None:
+    """The sphere fills, the verdict changes, a reload loses nothing, and what is copied is what Python exports."""
+    port = free_port()
+    server = Served(tmp_path)
+    context = browser.new_context(
+        viewport={"width": width, "height": 850}, permissions=["clipboard-read", "clipboard-write"]
+    )
+    context.set_default_timeout(1e3 * PATIENCE)
+    wrong: list[str] = []
+    try:
+        page = context.new_page()
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.goto(server.address)
+        page.locator("[data-tab=live]").click()
+        page.locator("#udp-port").fill(str(port))
+        page.locator("#begin").click()
+        page.locator("#live-verdict h1", has_text="Waiting for samples").wait_for()
+        listened_to(port)
+        send_lines(port, lines[:600])
+        page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
+        page.locator("#map .seen").nth(3).wait_for()
+        assert (
+            page.locator("#vehicle svg").get_attribute("aria-label")
+            in page.locator("#move .worth").text_content().lower()
+        )
+        page.reload()
+        page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
+        send_lines(port, lines[600:])
+        page.locator("#live-verdict.good").wait_for()
+        page.locator("#residual", has_text="Quiet").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        duration = lines[-1]["time"] - lines[0]["time"]
+        until(server, has(duration))
+        page.locator("#freeze").click()
+        page.locator("#live-result").click()
+        page.locator("#result header.good").wait_for()
+        page.locator(".export", has_text="PX4").locator("button").click()
+        page.locator(".export button", has_text="Copied").wait_for()
+        assert page.evaluate("navigator.clipboard.readText()") == expected.export("px4")
+        (file,) = tmp_path.glob("results/*/online-calibration.yaml")
+        same(file, expected)
+    finally:
+        context.close()
+        server.stop()
+    assert wrong == []
