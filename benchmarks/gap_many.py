@@ -4,8 +4,8 @@
 
 A set is of one instrument: soft iron, hard iron, gyroscope bias, noise and the effect's directions are drawn once; the
 motion, the noise, the surroundings and the place's field anew for each log. What is of the place or the day (a jump, a
-drift, a passed object, a gradient) is drawn anew for each log as well. Effects that add to a reading are hidden one at
-a time at FACTOR of their published strengths, and nothing at all in the sets `--clean`. Rows are Parquet parts in
+drift, a passed object, a gradient) is drawn anew for each log as well. The catalogue's effects are hidden one at a time
+at FACTOR of their published strengths, and nothing at all in the sets `--clean`. Rows are Parquet parts in
 FOLDER; a run that was stopped goes on. Beside it `--one` asks each set's first log alone.
 """
 
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import sensors
 from magyc_gtsam.engine import Row, run_many
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.many.model import OF_THE_PLACE
 from magyc_gtsam.simulation.environment import CHANNELS
 
@@ -43,7 +43,8 @@ def log_of(unit: Unit, number: int) -> mg.Recording:
     """One log of a set."""
     seed = 1000 * unit.instrument + number
     own = sensors(unit.instrument) | {"field": sensors(seed + 500)["field"]}
-    effects = [] if unit.effect == CLEAN else [(unit.effect, unit.factor)]
+    factor = 1.0 if unit.effect == "axis-order" else unit.factor  # there is no half of it
+    effects = [] if unit.effect == CLEAN else [(unit.effect, factor)]
     drawn = seed if unit.effect in OF_THE_PLACE else unit.instrument
     simulation = mg.simulate(unit.motion, seed=seed, effects=effects, channels=CHANNELS, effects_seed=drawn, **own)
     return replace(simulation.recording, attitude=None)
@@ -77,11 +78,11 @@ def main() -> None:
     parser.add_argument("--motion", default="wide")
     parser.add_argument("--clean", type=int, default=4)
     parser.add_argument("--first", type=int, default=101, help="number of the first instrument")
-    parser.add_argument("--effect", action="append", help="may be repeated; default all that add to a reading")
+    parser.add_argument("--effect", action="append", help="may be repeated; default all")
     parser.add_argument("--one", action="store_true", help="only the first log of each set, alone")
     parser.add_argument("--workers", type=int, default=1)
     given = parser.parse_args()
-    cases = [(effect, given.first + k) for k in range(given.sets) for effect in given.effect or TERMS]
+    cases = [(effect, given.first + k) for k in range(given.sets) for effect in given.effect or NAMES]
     cases += [(CLEAN, given.first + k) for k in range(given.clean)]
     units = [Unit(given.motion, effect, given.factor, k, given.logs, given.one) for effect, k in cases]
     rows = run_many(worked, {unit.name: unit for unit in units}, workers=given.workers, parts=given.folder)

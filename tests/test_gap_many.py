@@ -14,7 +14,7 @@ from magyc_gtsam import cli
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.many.one_log import Test as OneTest
-from magyc_gtsam.gap.many.weighing import weigh
+from magyc_gtsam.gap.many.weighing import mixture, weigh
 from magyc_gtsam.io import write_mcap
 
 LOGS = 10
@@ -65,6 +65,17 @@ def test_what_one_log_has_on_its_own_is_told_from_what_all_have() -> None:
     assert np.delete(weighed.present, 4).max() < 0.5
 
 
+def test_a_few_of_many_logs_are_no_property_of_all() -> None:
+    for count, everywhere in ((1, False), (10, True)):
+        nats = np.full((1, 1, LOGS), -1.0)
+        nats[..., :count] = 8.0
+        total, present, share = mixture(nats)
+        assert total > MODEL.sure or count == 1
+        assert (share > 0.5) == everywhere
+        assert (present[:count] > 0.9).all()
+        assert (present[count:] < 0.5).all()
+
+
 @pytest.fixture(scope="module")
 def late() -> list[mg.Recording]:
     """Three logs of one instrument that is late by 20 ms."""
@@ -86,6 +97,16 @@ def test_many_logs_are_one_comparison(late: list[mg.Recording], tmp_path: Path) 
     assert "of the instrument" in gap.sentence
     assert all(c.delay == pytest.approx(0.02, abs=0.02) for c in gap.calibrations.values())
     assert json.loads(json.dumps(gap.to_dict()))["effects"][0]["logs"][1]["log"] == "dive 1"
+
+
+def test_rows_that_are_held_are_the_instruments() -> None:
+    held = [
+        replace(mg.simulate("wide", 100, 10, seed=seed, effects=["sample-hold"]).recording, attitude=None)
+        for seed in range(2)
+    ]
+    gap = mg.find_gap(held, candidates=["sample-hold", "axis-order"])
+    assert [(effect.name, effect.of) for effect in gap.effects] == [("sample-hold", "instrument")]
+    assert len(gap.effects[0].logs) == 2
 
 
 def test_the_command_takes_many_logs(late: list[mg.Recording], tmp_path: Path) -> None:

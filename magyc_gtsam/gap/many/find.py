@@ -9,9 +9,10 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.many.model import MODEL, MOMENTS
+from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
+from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
-from magyc_gtsam.gap.many.result import GapOfMany, Own, Weight
+from magyc_gtsam.gap.many.result import GapOfMany, Own, SharedEffect, Weight
 from magyc_gtsam.gap.many.told import Added, told
 from magyc_gtsam.gap.many.weighing import Weighed, weigh
 from magyc_gtsam.gap.refit import as_calibration, widened
@@ -56,8 +57,9 @@ def find_gap_of_many(
             report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
             if not going:
                 break
+    noise = noise_effects(course.logs, candidates) if len(course.logs) >= _LEAST else ()
     report(1.0)
-    return _result(course)
+    return _result(course, noise)
 
 
 def _begun(recordings: Sequence[Recording], names: Sequence[str], report: Progress) -> _Course:
@@ -169,11 +171,11 @@ def _with(course: _Course, chosen: Weighed, rivals: tuple[str, ...]) -> _Course:
             settings.append(None)
             present.append(float(probability))
             continue
-        common = bool(instrument and len(chosen.value) == len(best.score))
-        references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
-        shared = {k: v for k, v in chosen.setting.items() if not k.startswith("reference")}
-        setting = references | shared if common else dict(best.setting)
-        value = chosen.value if common else np.linalg.pinv(best.information, hermitian=True) @ best.score
+        setting, value = dict(best.setting), np.linalg.pinv(best.information, hermitian=True) @ best.score
+        if instrument and chosen.name not in OF_THE_INSTRUMENT:
+            references = {k: v for k, v in best.setting.items() if k.startswith("reference")}
+            setting = references | {k: v for k, v in chosen.setting.items() if not k.startswith("reference")}
+            value = chosen.value
         try:
             logs.append(log.with_effect(chosen.name, setting, value))
         except MagycError as problem:
@@ -195,8 +197,8 @@ def _with(course: _Course, chosen: Weighed, rivals: tuple[str, ...]) -> _Course:
     return replace(course, logs=tuple(logs), own=(*course.own, *own), added=(*before, one))
 
 
-def _result(course: _Course) -> GapOfMany:
-    effects = told(course.added, course.logs)
+def _result(course: _Course, noise: Sequence[SharedEffect]) -> GapOfMany:
+    effects = (*told(course.added, course.logs), *noise)
     weights = tuple(Weight(each.name, each.shared, each.apart) for each in course.weighed)
     calibrations = {log.name: as_calibration(widened(log.refitted), None) for log in course.logs}
     named = "; ".join(effect.sentence for effect in effects)

@@ -22,6 +22,9 @@ class ManyModel:
         remain: share of what was explained that may remain, for effects are not quite of the catalogue's form.
         few: share of the logs up to which what no name explains is these logs' own.
         most: effects, at which a search ends.
+        longest: s, correlation time from which noise that hangs together is a drift of something unknown.
+        one_way: share of it along one axis, from which it is no noise.
+        settled: nats for and against what is seen or not seen at once: exchanged axes, held values, coarse steps.
     """
 
     sizes: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
@@ -33,6 +36,9 @@ class ManyModel:
     remain: float = 0.08
     few: float = 0.34
     most: int = 5
+    longest: float = 4.0
+    one_way: float = 0.75
+    settled: float = 20.0
 
 
 MODEL = ManyModel()

@@ -16,6 +16,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.fine import fine_innovations, noise_scores
+from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Problem
 from magyc_gtsam.gap.refit import Refit, refit, with_term
 from magyc_gtsam.gap.score import Projector, Variant, candidates, variants
@@ -23,6 +25,7 @@ from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _WINDOW = 1.0  # s
+_LIMIT = 6.0  # nats from which one log alone names an effect on the noise
 _LEAST = 1e-10  # of the largest variance of a value, below which it is no direction of its own
 _PLAIN = 60.0  # statistic from which an effect is taken out before the colour is measured
 _OF_THE_LOG = ("start", "end")  # settings that are this recording's, beside the references of channels
@@ -62,6 +65,7 @@ class OneLog:
 
     Attributes:
         name: of the log.
+        recording: with the axes and rows as they were settled.
         problem, short_term: its data, and the noise that its samples show.
         refitted: the model at its minimum.
         discrete: what was found and mended before anything was estimated.
@@ -69,10 +73,11 @@ class OneLog:
     """
 
     name: str
+    recording: Recording
     problem: Problem
     short_term: SensorNoise
     refitted: Refit
-    discrete: tuple[str, ...] = ()
+    discrete: tuple[NoiseScore, ...] = ()
     notes: tuple[str, ...] = ()
 
     @classmethod
@@ -92,8 +97,7 @@ class OneLog:
         base = base_model(data, None, short_term)
         still = moving(data)
         problem = Problem.of(still, preintegrate(still, _WINDOW))
-        found = tuple(score.name for score in discrete if score.significant)
-        return cls(name, problem, short_term, base, found, (*usable.left_out, *unlogged))
+        return cls(name, data, problem, short_term, base, discrete, (*usable.left_out, *unlogged))
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
         """With one more effect in the model, everything refitted.
@@ -129,6 +133,11 @@ class OneLog:
         made = [one for one in variants(twin, project, name, asked) if len(one.unit)]
         colour = self._colour({}, innovation)
         return tuple(_test(one, innovation, colour) for one in made)
+
+    def noise(self) -> dict[str, NoiseScore]:
+        """{effect on the noise, or settled before: its test}, against the model as it is."""
+        fine = fine_innovations(self.recording, self.refitted.model)
+        return {score.name: score for score in (*self.discrete, *noise_scores(self.recording, fine, _LIMIT))}
 
     @property
     def _innovation(self) -> tuple[Projector, Array]:

@@ -22,6 +22,8 @@ from magyc_gtsam.gap.many.one_log import Test
 Tests = Mapping[str, tuple[Test, ...]]
 _SIZES = np.array(MODEL.sizes)
 _WALK = 6  # modes of a drift: a random walk, whose k-th has the variance 1/k²
+_FAR = 300.0  # nats beyond which the share no longer counts
+_CORRELATED = 2.0  # knots over which a field that wanders in the world is alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,10 +78,11 @@ def weigh(name: str, logs: Sequence[Tests]) -> Weighed:
 
 
 def _surprise(test: Test) -> float:
-    return float(np.max(_nats(test.statistic, test.rank, _SIZES)))
+    return float(np.max(nats_of(test.statistic, test.rank, _SIZES)))
 
 
-def _nats(statistic: Array | float, rank: Array | int, size: Array) -> Array:
+def nats_of(statistic: Array | float, rank: Array | int, size: Array) -> Array:
+    """Of a score of squared length `statistic` in its sigmas, at prior variances `size`."""
     result: Array = 0.5 * size / (1 + size) * statistic - 0.5 * rank * np.log1p(size)
     return result
 
@@ -98,7 +101,7 @@ def _shared(of_log: Sequence[Sequence[Test]]) -> tuple[float, Mapping[str, float
         information = np.sum([test.information for test in tests], axis=0)
         score = np.sum([test.score for test in tests], axis=0)
         value, rank = _solved(information, score)
-        nats.append(_nats(float(score @ value), rank, len(tests) * _SIZES))
+        nats.append(nats_of(float(score @ value), rank, len(tests) * _SIZES))
         found.append((tests[0].setting, value))
     if not nats:
         return -np.inf, {}, np.zeros(0)
@@ -119,20 +122,27 @@ def _apart(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Array]:
 
     What is searched over is either of one kind in all logs, as a jump or something attached and taken off, or not.
     """
-    tables = _by_kind(name, of_log)  # (kinds, sizes, logs)
+    total, present, _ = mixture(_by_kind(name, of_log))
+    return total, present
+
+
+def mixture(tables: Array) -> tuple[float, Array, float]:
+    """Over tables (kinds, sizes, logs) of each log's nats: those of all logs, the probability of each log to have the
+    effect, and that of the largest share of the logs."""
     share = np.array(MODEL.shares)[:, None, None, None]
-    mixed = np.log1p(share * np.expm1(np.minimum(tables, 300.0))) + np.maximum(tables - 300.0, 0.0)
+    mixed = np.log1p(share * np.expm1(np.minimum(tables, _FAR))) + np.maximum(tables - _FAR, 0.0)
     nats = mixed.sum(axis=-1)  # (shares, kinds, sizes)
-    total = float(logsumexp(nats) - np.log(nats.size))
-    weight = np.exp(nats - logsumexp(nats))[..., None]
+    weight = np.exp(nats - logsumexp(nats))
     odds = tables + np.log(share) - np.log1p(-share)
-    return total, (weight * expit(odds)).sum(axis=(0, 1, 2))
+    present = (weight[..., None] * expit(odds)).sum(axis=(0, 1, 2))
+    return float(logsumexp(nats) - np.log(nats.size)), present, float(weight[-1].sum())
 
 
 def _by_kind(name: str, of_log: Sequence[Sequence[Test]]) -> Array:
     """(kinds, sizes, logs) nats of each log by itself, averaged over the settings of a kind."""
-    if name == "hard-iron-drift":
-        return np.array([[_walk(tests) for tests in of_log]]).transpose(0, 2, 1)
+    smooth = _walk if name == "hard-iron-drift" else _wandering if name.startswith("time:world") else None
+    if smooth is not None:
+        return np.array([[smooth(tests) for tests in of_log]]).transpose(0, 2, 1)
     kinds = sorted({_kind(name, test) for tests in of_log for test in tests}) or [()]
     result = np.zeros((len(kinds), len(_SIZES), len(of_log)))
     for i, kind in enumerate(kinds):
@@ -141,7 +151,7 @@ def _by_kind(name: str, of_log: Sequence[Sequence[Test]]) -> Array:
             if own:
                 statistic = np.array([test.statistic for test in own])[:, None]
                 rank = np.array([test.rank for test in own])[:, None]
-                result[i, :, k] = logsumexp(_nats(statistic, rank, _SIZES), axis=0) - np.log(len(own))
+                result[i, :, k] = logsumexp(nats_of(statistic, rank, _SIZES), axis=0) - np.log(len(own))
     return result
 
 
@@ -157,11 +167,27 @@ def _walk(tests: Sequence[Test]) -> Array:
     test = next((test for test in tests if test.setting.get("order") == _WALK), None)
     if test is None:
         return np.zeros(len(_SIZES))
-    modes = np.repeat(np.arange(1, _WALK + 1), 3)
-    result = []
-    for size in _SIZES:
-        deviation = np.sqrt(3 * size / np.trace(test.information[:3, :3])) / modes
-        widened = np.eye(len(modes)) + deviation[:, None] * test.information * deviation
-        pull = deviation * test.score
-        result.append(0.5 * pull @ np.linalg.solve(widened, pull) - 0.5 * np.linalg.slogdet(widened)[1])
-    return np.array(result)
+    variance = np.repeat(1.0 / np.arange(1, _WALK + 1) ** 2, 3)
+    return _likelihood(test, np.diag(variance), 3 * _SIZES / np.trace(test.information[:3, :3]))
+
+
+def _wandering(tests: Sequence[Test]) -> Array:
+    """(sizes,) nats of a field that wanders in the world, knot by knot, along the vehicle's way."""
+    whole = [test for test in tests if not test.setting]
+    if not whole:
+        return np.zeros(len(_SIZES))
+    test = whole[0]
+    knots = len(test.score) // 3
+    apart = np.abs(np.arange(knots)[:, None] - np.arange(knots))
+    kernel = np.kron(np.exp(-apart / _CORRELATED), np.eye(3))
+    return _likelihood(test, kernel, len(test.score) * _SIZES / np.trace(test.information))
+
+
+def _likelihood(test: Test, kernel: Array, variances: Array) -> Array:
+    """(sizes,) nats of values whose prior covariance is each of the variances times the kernel."""
+    root = np.linalg.cholesky(kernel)
+    weight, vector = np.linalg.eigh(root.T @ test.information @ root)
+    weight, pull = np.maximum(weight, 0.0), vector.T @ (root.T @ test.score)
+    widened = 1 + variances[:, None] * weight
+    result: Array = 0.5 * (variances[:, None] * pull**2 / widened - np.log(widened)).sum(axis=1)
+    return result

@@ -1,0 +1,96 @@
+"""Effects that change the noise or the rows, over many logs: the instrument's where most logs have them.
+
+Each log's gain in log-likelihood has two parameters of its own and is weighed as a score of rank 2. A tone is the
+largest of many lines: its p-value p weighs ∫ κ p^(κ−1) dκ = (1 − p + p ln p) / (p ln² p) against nothing (Sellke,
+Bayarri and Berger 2001). Axes, held values and coarse steps are seen at once or not at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import LABELS
+from magyc_gtsam.gap.many.model import MODEL
+from magyc_gtsam.gap.many.one_log import OneLog
+from magyc_gtsam.gap.many.result import InLog, SharedEffect
+from magyc_gtsam.gap.many.weighing import mixture, nats_of
+from magyc_gtsam.gap.noise_effects import NoiseScore
+
+_NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "coloured-noise")
+_FITTED = ("coloured-noise", "spikes")
+_IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
+_RANK = 2
+_HAS_IT = 0.5
+_LEAST = 1e-3  # nats of evidence, at which a p-value is 1
+
+
+def noise_effects(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[SharedEffect, ...]:
+    """What the logs have beside their models, the surest first; a weak one beside a sure one is its shadow."""
+    scores = [log.noise() for log in logs]
+    found = [_effect(name, logs, scores) for name in _NAMES if name in names]
+    kept: list[SharedEffect] = []
+    for each in sorted((one for one in found if one is not None), key=lambda one: -one.evidence):
+        if each.evidence > MODEL.sure + MODEL.remain * sum(before.evidence for before in kept):
+            kept.append(each)
+    return tuple(kept)
+
+
+def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, NoiseScore]]) -> SharedEffect | None:
+    sizes = np.array(MODEL.sizes)
+    own = [each.get(name) for each in scores]
+    rows = [np.full(len(sizes), -MODEL.settled) if one is None else _nats(one, sizes) for one in own]
+    evidence, present, everywhere = mixture(np.array([rows]).transpose(0, 2, 1))
+    here = [
+        (log, one, float(p))
+        for log, one, p in zip(logs, own, present, strict=True)
+        if one is not None and p > _HAS_IT
+    ]
+    if not here or not _of_its_form(name, [one for _, one, _ in here]):
+        return None
+    scale = 1e6 if name in _IN_TESLA else 1.0
+    each = np.array([np.linalg.norm(one.value) * scale for _, one, _ in here])
+    instrument = everywhere >= 0.5
+    inside = tuple(
+        InLog(log.name, p, value[None], np.full(1, np.nan), dict(one.setting))
+        for (log, one, p), value in zip(here, each, strict=True)
+    )
+    whose = "of the instrument, in" if instrument else "of the place or the day, in"
+    return SharedEffect(
+        name,
+        LABELS[name],
+        "instrument" if instrument else "place",
+        everywhere,
+        np.array([np.median(each)]) if instrument and name in _IN_TESLA else np.zeros(0),
+        np.array([each.std() / np.sqrt(len(each))]) if instrument and name in _IN_TESLA else np.zeros(0),
+        ("size",) if name in _IN_TESLA else (),
+        "µT" if name in _IN_TESLA else "",
+        {},
+        evidence,
+        float("nan"),
+        (),
+        inside,
+        f"{whose} {len(here)} of {len(logs)} logs: {LABELS[name]}",
+    )
+
+
+def _nats(score: NoiseScore, sizes: Array) -> Array:
+    """(sizes,) of one log."""
+    if score.name in _FITTED:
+        return nats_of(score.statistic, _RANK, sizes)
+    if score.name == "tone":
+        surprise = max(score.evidence, _LEAST)
+        p = np.exp(-min(surprise, 600.0))
+        return np.full(len(sizes), np.log(1 - p - p * surprise) + surprise - 2 * np.log(surprise))
+    return np.full(len(sizes), MODEL.settled if score.significant else -MODEL.settled)
+
+
+def _of_its_form(name: str, scores: Sequence[NoiseScore]) -> bool:
+    """Whether what hangs together is noise, and no drift of something unknown, nor along one axis."""
+    if name != "coloured-noise":
+        return True
+    times = [score.setting["correlation_time"] for score in scores]
+    ways = [score.setting["one_way"] for score in scores]
+    return bool(np.median(times) < MODEL.longest and np.median(ways) < MODEL.one_way)
