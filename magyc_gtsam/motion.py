@@ -6,7 +6,7 @@ those of the MAGYC paper (section V).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -38,17 +38,17 @@ def kinematics(angle: Array, derivative: Array) -> tuple[Rotation, Array]:
     return Rotation.from_euler("ZYX", angle[:, ::-1]), angular_rate
 
 
-def _sinusoids(motion: str) -> Motion:
-    """angle = A sin(w/A t + φ), so that w is the largest rate of each axis."""
+def sinusoids(amplitude: Sequence[float]) -> Motion:
+    """angle = A sin(w/A t + φ), so that w is the largest rate of each axis; (3,) roll, pitch, heading in degrees."""
 
     def draw(random: np.random.Generator) -> Path:
-        amplitude = np.deg2rad(AMPLITUDES[motion])
-        frequency = random.uniform(*np.transpose(RATES)) / amplitude
+        largest = np.deg2rad(amplitude)
+        frequency = random.uniform(*np.transpose(RATES)) / largest
         phase = random.uniform(-np.pi, np.pi, 3)
 
         def angles(time: Array) -> Angles:
             argument = time[:, None] * frequency + phase
-            return amplitude * np.sin(argument), amplitude * frequency * np.cos(argument)
+            return largest * np.sin(argument), largest * frequency * np.cos(argument)
 
         return angles
 
@@ -146,7 +146,7 @@ def _survey(random: np.random.Generator) -> tuple[Array, Array]:
 
 
 MOTIONS: dict[str, Motion] = {
-    **{name: _sinusoids(name) for name in AMPLITUDES},
+    **{name: sinusoids(amplitude) for name, amplitude in AMPLITUDES.items()},
     "level": _level(1.0, 1.0, RATES[2]),
     "ship": _level(2.0, 1.0, (0.03, 0.03)),
     "multi": _multi,

@@ -26,6 +26,7 @@ class Study(str, Enum):
     GAP_STRENGTHS = "gap-strengths"
     FAULTS = "faults"
     KNOWN = "known"
+    DURATION = "duration"
     LEADERBOARD = "leaderboard"
 
     __str__ = str.__str__
@@ -41,9 +42,10 @@ def run(
             "review (Table 2 of the review of magnetometer-only methods; it takes 250 runs), gap (blind test of "
             "the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out), "
             "faults (wrong and trusted, right, or refused under faults of sensors, clocks, surroundings and "
-            "motion), known (skews of the chips; an earlier calibration and the field's strength as facts), autocal "
-            "(Fig. 5 and 6 of the Autocal paper, and one-sided data) or leaderboard (all methods on public recordings, "
-            "judged on others of the same unit by optics).",
+            "motion), known (skews of the chips; an earlier calibration and the field's strength as facts), "
+            "duration (heading error against minutes and amplitude), autocal (Fig. 5 and 6 of the Autocal paper, and "
+            "one-sided data) or leaderboard (all methods on public recordings, judged on others of the same unit by "
+            "optics).",
             show_default=False,
         ),
     ],
@@ -81,10 +83,12 @@ def run(
     by: Annotated[
         list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="faults, known, leaderboard: processes.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="faults, known, duration, leaderboard: processes.")] = 2,
     engine: Annotated[
         str,
-        typer.Option(metavar="local|tcp://…", help="leaderboard: this machine, or a dask.distributed cluster."),
+        typer.Option(
+            metavar="local|tcp://…", help="duration, leaderboard: this machine, or a dask.distributed cluster."
+        ),
     ] = "local",
     folder: Annotated[
         Path | None,
@@ -110,8 +114,8 @@ def run(
             "--output",
             "-o",
             metavar="DIR",
-            help="gap, faults, known, leaderboard: an interrupted study goes on there; default results/blindtest, "
-            "results/faults, results/known or results/leaderboard.",
+            help="gap, faults, known, duration, leaderboard: an interrupted study goes on there; default "
+            "results/blindtest, results/faults, results/known, results/duration or results/leaderboard.",
         ),
     ] = None,
 ) -> int:
@@ -121,6 +125,8 @@ def run(
         _efficiency(runs, disturbed, noise)
     elif study is Study.KNOWN:
         _known(output or Path("results/known"), runs, workers)
+    elif study is Study.DURATION:
+        _duration(output or Path("results/duration"), runs, engine, workers)
     elif study is Study.LEADERBOARD:
         from magyc_gtsam.cli.study_leaderboard import leaderboard
 
@@ -206,6 +212,24 @@ def _known(folder: Path, runs: int, workers: int) -> None:
     show_table(["motion", "known", "hard iron error µT", "stated µT", "error²/σ²", "refused"], table)
     low, high = known.band(runs, 3)
     show(f"error²/σ², 95 % band {low / 3:.2f} to {high / 3:.2f}; rows in {folder / 'known.parquet'}", "")
+
+
+def _duration(folder: Path, runs: int, engine: str, workers: int) -> None:
+    from magyc_gtsam.study import duration
+
+    with stages() as stage:
+        rows = duration.duration_rows(duration.units(runs), folder, engine, workers, stage(f"{runs} runs a cell"))
+    for heading in duration.HEADINGS:
+        found = duration.cells(rows, heading)
+        show("", f"heading ±{heading:g}°: root-mean-square heading error ° (stated), in brackets not trusted", "")
+        table = []
+        for pitch in duration.PITCHES:
+            own = [found[pitch, minutes] for minutes in duration.MINUTES]
+            texts = [f"{c.error:.2f} ({c.stated:.2f})" + (f" [{c.refused:.0%}]" if c.refused else "") for c in own]
+            table.append([f"pitch ±{pitch:g}°", *texts])
+        show_table(["", *(f"{minutes:g} min" for minutes in duration.MINUTES)], table)
+    duration.draw(folder / "duration.svg", rows)
+    show("", f"{folder / 'duration.parquet'}, {folder / 'duration.svg'}")
 
 
 def _fact(cell: FactCell) -> list[str]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.motion import MOTIONS, kinematics
+from magyc_gtsam.motion import MOTIONS, Motion, kinematics, sinusoids
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation.effects import chosen
 from magyc_gtsam.simulation.environment import CHANNELS, GRAVITY, measured
@@ -45,7 +45,7 @@ class Simulation:
 
 
 def simulate(
-    motion: str,
+    motion: str | tuple[float, float, float],
     duration: float = 600.0,
     rate: float = 10.0,
     seed: int = 0,
@@ -67,7 +67,8 @@ def simulate(
         motion: "wide", "moderate", "low", "tiny" (sinusoids of the paper with random rates and
             phases), "level" and "ship" (a vehicle that cannot tilt, turning at 0.2 to 0.4 or at 0.03 rad/s),
             "multi" (several frequencies on every angle), "dive" (a calibration dive: turns at
-            several roll and pitch attitudes) or "survey" (lawn-mower legs, nearly level).
+            several roll and pitch attitudes) or "survey" (lawn-mower legs, nearly level). Three numbers are the
+            amplitudes of roll, pitch and heading in degrees, moved as "wide" is.
         duration, rate: s and Hz; duration·rate samples.
         seed: of motion, noise, surroundings and effects.
         effects: beyond the sensor model: names of `simulation.effects.STRENGTHS`, or (name, factor) with a
@@ -88,8 +89,7 @@ def simulate(
     Raises:
         MagycError: unknown motion, effect or channel, or too few samples.
     """
-    if motion not in MOTIONS:
-        raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
+    path, called = _path(motion)
     wanted = chosen(effects, seed if effects_seed is None else effects_seed)
     recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])
     if not 2.5 < duration * rate <= _MOST_SAMPLES:
@@ -102,7 +102,7 @@ def simulate(
     finer = max(1, int(np.ceil(_GRID / rate))) if wanted or recorded else 1
     time = np.arange(samples * finer) / (rate * finer)
     rows = np.arange(samples) * finer
-    angles = MOTIONS[motion](random)
+    angles = path(random)
     attitude, angular_rate = kinematics(*angles(time))
     then, _ = kinematics(*angles(time - delay))
     field, soft_iron, hard_iron, gyro_bias = (
@@ -130,7 +130,7 @@ def simulate(
         acceleration=_acceleration(scene, seed, dynamic=bool(wanted or recorded)),
         attitude=attitude[rows].as_quat(),
         channels={name: measured(scene.environment, name, rows, seed) for name in recorded},
-        name="-".join([motion, str(seed), *(w.name for w in wanted)]),
+        name="-".join([called, str(seed), *(w.name for w in wanted)]),
     )
     scale = float(np.cbrt(np.linalg.det(soft_iron)))
     truth = Calibration(
@@ -143,6 +143,18 @@ def simulate(
         field_strength=scale * float(np.linalg.norm(field)),
     )
     return Simulation(recording, truth, field, tuple(chain.applied))
+
+
+def _path(motion: str | tuple[float, float, float]) -> tuple[Motion, str]:
+    """The motion, and what it is called."""
+    if isinstance(motion, str):
+        if motion not in MOTIONS:
+            raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
+        return MOTIONS[motion], motion
+    amplitude = np.asarray(motion, dtype=float)
+    if amplitude.shape != (3,) or not ((amplitude > 0) & (amplitude <= 360)).all():
+        raise MagycError(f"motion: {motion!r}; amplitudes of roll, pitch and heading are over 0 to 360 degrees")
+    return sinusoids(motion), " ".join(f"{each:g}°" for each in motion)
 
 
 def _channels(asked: Sequence[str] | None, needed: Sequence[str]) -> tuple[str, ...]:

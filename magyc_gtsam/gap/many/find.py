@@ -57,7 +57,9 @@ def find_gap_of_many(
             report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
             if not going:
                 break
-    noise = noise_effects(course.logs, candidates) if len(course.logs) >= _LEAST else ()
+    # What hangs together or stands out beside something unknown is its misfit, and no noise.
+    looked = len(course.logs) >= _LEAST and not course.unknown
+    noise = noise_effects(course.logs, candidates) if looked else ()
     report(1.0)
     return _result(course, noise)
 

@@ -29,8 +29,8 @@ class Added:
 
 
 def told(added: Sequence[Added], logs: Sequence[OneLog]) -> tuple[SharedEffect, ...]:
-    """The effects of a search at its end."""
-    return tuple(_effect(each, logs) for each in added)
+    """The effects of a search at its end, but those whose logs were all left out later."""
+    return tuple(_effect(each, logs) for each in added if any(s is not None for s in each.settings))
 
 
 def _effect(each: Added, logs: Sequence[OneLog]) -> SharedEffect:

@@ -1,0 +1,142 @@
+"""How good a calibration of so many minutes and so large a motion is: what a navigator plans a dive with.
+
+Simulated motions of the paper's kind, with pitch and heading of several amplitudes, are calibrated after several times.
+What counts is the heading over a level turn that the calibration then gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.engine import Progress, Row, run_many, write_rows
+from magyc_gtsam.estimators import calibrate
+from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.recording import Array
+from magyc_gtsam.simulation import simulate
+
+PITCHES = (2.0, 5.0, 10.0, 20.0, 45.0)  # deg
+HEADINGS = (90.0, 360.0)  # deg
+MINUTES = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
+_ROLL = 5.0  # deg
+_CONTOURS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0)  # deg
+
+
+class Unit(NamedTuple):
+    """One recording: amplitudes of heading and pitch in degrees, and its seed; calibrated at all times."""
+
+    heading: float
+    pitch: float
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of its row."""
+        return f"{self.heading:g}-{self.pitch:g}-{self.seed}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Over the runs of one motion and time: heading error over a level turn (deg) and hard iron error of an axis (T),
+    both root mean square, the heading's stated sigma (deg, likewise), and the share that is not trusted."""
+
+    error: float
+    hard_iron: float
+    stated: float
+    refused: float
+
+
+def units(runs: int) -> list[Unit]:
+    """Of the whole study."""
+    return [Unit(heading, pitch, seed) for seed in range(runs) for heading in HEADINGS for pitch in PITCHES]
+
+
+def duration_rows(
+    chosen: Sequence[Unit],
+    folder: Path | None = None,
+    engine: str = "local",
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """One row for each unit and time; with a folder in `duration.parquet` there, and a run that was stopped goes on.
+
+    Raises:
+        MagycError: as `run_many`.
+    """
+    named = {unit.name: unit for unit in chosen}
+    parts = None if folder is None else folder / "parts"
+    found = run_many(worked, named, engine=engine, workers=workers, parts=parts, progress=progress)
+    rows = [
+        unit._asdict() | {"minutes": minutes} | {name: found[key][name][place] for name in _COLUMNS}
+        for key, unit in named.items()
+        for place, minutes in enumerate(MINUTES)
+    ]
+    if folder is not None:
+        write_rows(folder / "duration.parquet", rows)
+    return rows
+
+
+_COLUMNS = ("error", "hard_iron", "stated", "refused")
+
+
+def worked(unit: Unit) -> Row:
+    """{column: one number for each of `MINUTES`}; errors squared."""
+    simulation = simulate((_ROLL, unit.pitch, unit.heading), 60 * max(MINUTES), seed=unit.seed)
+    whole = replace(simulation.recording, attitude=None)
+    truth = simulation.truth
+    turn = turn_of(simulation.recording, truth)
+    raw = turn.field @ truth.soft_iron.T + truth.hard_iron
+    row: dict[str, list[float]] = {name: [] for name in _COLUMNS}
+    for minutes in MINUTES:
+        calibration = calibrate(whole.between(0, 60 * minutes))
+        field = (raw - calibration.hard_iron) @ np.linalg.inv(calibration.soft_iron).T
+        angle = np.arctan2(field @ turn.left, field @ turn.ahead)
+        away = np.angle(np.exp(1j * (angle - np.arctan2(turn.field @ turn.left, turn.field @ turn.ahead))))
+        stated = np.full(1, np.nan)
+        if calibration.covariance is not None:
+            stated = turn.systematic(calibration.covariance, calibration.soft_iron)
+        row["error"].append(float(np.degrees(np.sqrt(np.mean(away**2))) ** 2))
+        row["hard_iron"].append(float(np.mean((calibration.hard_iron - truth.hard_iron) ** 2)))
+        row["stated"].append(float(np.mean(stated**2)))
+        row["refused"].append(float(not calibration.trusted))
+    return row
+
+
+def cells(rows: Sequence[Row], heading: float) -> Mapping[tuple[float, float], Cell]:
+    """{(pitch, minutes): what came out}."""
+    result = {}
+    for pitch in PITCHES:
+        for minutes in MINUTES:
+            own = [
+                row for row in rows if (row["heading"], row["pitch"], row["minutes"]) == (heading, pitch, minutes)
+            ]
+
+            def mean(name: str, own: Sequence[Row] = own) -> float:
+                return float(np.mean([row[name] for row in own]))
+
+            result[pitch, minutes] = Cell(
+                mean("error") ** 0.5, mean("hard_iron") ** 0.5, mean("stated") ** 0.5, mean("refused")
+            )
+    return result
+
+
+def draw(target: Path, rows: Sequence[Row]) -> None:
+    """Contours of the heading error over minutes and pitch, a panel for each amplitude of heading."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    for axes, heading in zip(figure.subplots(1, len(HEADINGS), sharey=True), HEADINGS, strict=True):
+        of_motion = cells(rows, heading)
+        error: Array = np.array([[of_motion[pitch, minutes].error for minutes in MINUTES] for pitch in PITCHES])
+        lines = axes.contour(MINUTES, PITCHES, error, levels=_CONTOURS, colors="#2b8cdb")
+        axes.clabel(lines, fmt="%g°", fontsize=8)
+        axes.set(xscale="log", yscale="log", xlabel="minutes", title=f"heading ±{heading:g}°")
+        axes.set_xticks(MINUTES, [f"{each:g}" for each in MINUTES])
+        axes.set_yticks(PITCHES, [f"{each:g}" for each in PITCHES])
+        axes.minorticks_off()
+    figure.axes[0].set_ylabel("pitch, ±°")
+    figure.savefig(target, metadata={"Date": None})
