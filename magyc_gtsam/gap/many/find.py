@@ -22,6 +22,7 @@ from magyc_gtsam.recording import Recording
 _HAS_IT = 0.5  # probability from which a log gets an effect of the place
 _PLAIN = 0.9  # from which what no name explains is a log's own
 _LEAST = 2  # logs that can be compared
+_MOSTLY = 0.5  # share of the logs, in which a value must be possible
 Progress = Callable[[float], None]
 
 
@@ -119,7 +120,22 @@ def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[Weighed, ...]:
                 found[name] = (*found[name], *log.tests_at(name, pooled))
     every = dict.fromkeys(name for found in tests for name in found)
     weighed = [weigh(name, tests) for name in every]
-    return tuple(sorted(weighed, key=lambda each: -each.nats))
+    return tuple(sorted((w for w in weighed if _possible(w, logs)), key=lambda each: -each.nats))
+
+
+def _possible(weighed: Weighed, logs: Sequence[OneLog]) -> bool:
+    """Whether an effect that the data want has values that it can have, in most of the logs that have it."""
+    if not weighed.named or weighed.nats < MODEL.sure:
+        return True
+    shared = weighed.instrument >= 0.5 and weighed.name not in OF_THE_INSTRUMENT
+    said = []
+    for log, best, present in zip(logs, weighed.best, weighed.present, strict=True):
+        if best is None or not (shared or present > _HAS_IT):
+            continue
+        value = np.linalg.pinv(best.information, hermitian=True) @ best.score
+        value, setting = (weighed.value, weighed.setting) if shared else (value, best.setting)
+        said.append(TERMS[weighed.name].possible(log.refitted.twin, value, setting))
+    return not said or float(np.mean(said)) >= _MOSTLY
 
 
 def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
