@@ -24,7 +24,8 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.given_signals import as_signals, given_signals, vectors
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.stored import dump_yaml, load_mapping, replace_text
+from magyc_gtsam.storage.mapping import dump_yaml, load_mapping
+from magyc_gtsam.storage.whole_file import write_text
 
 _PLAUSIBLE = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with the scale unknown by 2.5 either way
 _FORMAT = "magyc-gtsam calibration 1"
@@ -269,7 +270,7 @@ class Calibration:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML (.yaml, .yml) or JSON (.json), bit for bit, replacing the file in one step."""
         path = Path(path)
-        replace_text(path, _dump(path.suffix, self.to_dict()))
+        write_text(path, _dump(path.suffix, self.to_dict()))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Calibration:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.stored import numbers
+from magyc_gtsam.storage.mapping import numbers
 from magyc_gtsam.validation import FIELD_RANGE
 
 _LARGEST_RATE = 70.0  # rad/s, twice the range of the fastest common gyroscopes

@@ -14,12 +14,12 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.storage.whole_file import whole_file
 
 Row: TypeAlias = dict[str, Any]
 Work: TypeAlias = Callable[[Any], Row]
@@ -170,23 +170,8 @@ def write_rows(file: Path, rows: Sequence[Row]) -> None:
         MagycError: the extra `parquet` is not installed.
     """
     arrow = _parquet()
-    with whole(file) as part:
+    with whole_file(file) as part:
         arrow.parquet.write_table(arrow.Table.from_pylist(list(rows)), part)
-
-
-@contextmanager
-def whole(file: Path) -> Iterator[Path]:
-    """A file to write to, which takes the place of `file` if the block ends well and is removed otherwise.
-
-    What a kill leaves of it is overwritten by the next run, which has the same unit to do.
-    """
-    part = file.with_name(file.name + ".part")
-    try:
-        yield part
-        os.replace(part, file)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 def as_worker() -> None:

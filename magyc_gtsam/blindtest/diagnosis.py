@@ -74,7 +74,7 @@ def slim(result: dict[str, Any]) -> dict[str, Any]:
 def diagnose(path: Path) -> dict[str, Any]:
     """What `find_gap` says about one recording, or why it refused."""
     import magyc_gtsam as mg
-    from magyc_gtsam.json_types import json_types
+    from magyc_gtsam.storage.json_types import json_types
 
     began, used = time.perf_counter(), time.process_time()
     answer: dict[str, Any]
@@ -93,13 +93,13 @@ def main(arguments: Sequence[str]) -> int:
     """Diagnose the numbers given; a line on standard output for each that is done."""
     folder = Path(arguments[0])
     blindfold(folder / "sealed")
+    from magyc_gtsam.storage.whole_file import write_text
+
     for number in arguments[1:]:
         target = folder / "results" / f"{number}.json"
         if not target.exists():
             answer = diagnose(folder / "recordings" / f"{number}.npz")
-            part = target.with_suffix(".part")
-            part.write_text(json.dumps(answer), encoding="utf-8")
-            os.replace(part, target)
+            write_text(target, json.dumps(answer))
         print(number, flush=True)
     return 0
 

@@ -15,11 +15,12 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.blindtest.visibility import factor_in
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
-from magyc_gtsam.json_types import json_types
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import MILLIGAUSS, inject, simulate
 from magyc_gtsam.simulation.environment import CHANNELS
 from magyc_gtsam.simulation.scene import Applied
+from magyc_gtsam.storage.json_types import json_types
+from magyc_gtsam.storage.whole_file import whole_file
 
 _NOISE = (10 * MILLIGAUSS, 5e-3)
 _CUT = 0.03  # share of a real recording that may be left out at either end
@@ -126,10 +127,8 @@ def write(path: Path, recording: Recording) -> None:
     if recording.acceleration is not None:
         arrays["acceleration"] = recording.acceleration
     arrays |= {f"channel {k}": v for k, v in recording.channels.items()}
-    part = path.with_suffix(".part")
-    with open(part, "wb") as file:
+    with whole_file(path) as part, part.open("wb") as file:
         np.savez(file, **arrays)
-    part.replace(path)
 
 
 def _shortened(real: Recording, seed: int) -> Recording:

@@ -8,7 +8,6 @@ number says nothing.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,9 +17,10 @@ import numpy as np
 from magyc_gtsam.blindtest.from_outside import Function
 from magyc_gtsam.blindtest.generator import generate, truth_of, write
 from magyc_gtsam.blindtest.scenarios import Scenario, fingerprint
-from magyc_gtsam.checksum import sha256
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.storage.checksum import sha256
+from magyc_gtsam.storage.whole_file import write_text
 
 RECORDINGS, SEALED, RESULTS, MANIFEST = "recordings", "sealed", "results", "manifest.json"
 
@@ -68,9 +68,7 @@ def seal(
         entries[number] = {"recording": sha256(recording_file), "truth": sha256(truth_file)}
         progress((done + 1) / len(order))
     manifest = {"scenarios": print_of, "count": len(entries), "sha256": entries}
-    unfinished = target.with_suffix(".part")
-    unfinished.write_text(json.dumps(manifest, indent=1), encoding="utf-8")
-    os.replace(unfinished, target)
+    write_text(target, json.dumps(manifest, indent=1))
     return manifest
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
@@ -15,6 +14,7 @@ from magyc_gtsam.blindtest.gates import Gate, gates, missing
 from magyc_gtsam.blindtest.scenarios import SETS
 from magyc_gtsam.blindtest.scoring import IN_SET, OUTCOMES, REFUSED, RIGHT, SILENT, UNKNOWN, WRONG, Outcome
 from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test
+from magyc_gtsam.storage.whole_file import whole_file
 
 _STANDING = (0.0, 4.0, 5.0, 6.0, 8.0, 12.0, 20.0, np.inf)  # sigmas
 _SAID = {RIGHT: "named", IN_SET: "named", REFUSED: SILENT}
@@ -106,14 +106,12 @@ def write_tables(folder: Path, outcomes: Sequence[Outcome], title: str) -> list[
         for o in outcomes
     ]
     listing = folder / "outcomes.csv"
-    part = listing.with_suffix(".part")
-    with open(part, "w", newline="", encoding="utf-8") as file:
+    with whole_file(listing) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(
             ["number", "scenario", "seed", "kind", "verdict", "named", "sigmas", "heading before", "after"]
         )
         writer.writerows(rows)
-    os.replace(part, listing)
     page = folder / "report.md"
     page.write_text(markdown(outcomes, title), encoding="utf-8")
     return [listing, page]

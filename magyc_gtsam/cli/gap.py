@@ -185,8 +185,8 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
 
     recording = simulate(motion, channels=CHANNELS).recording
     from magyc_gtsam.gap.isolability import isolability
-    from magyc_gtsam.json_types import json_types
     from magyc_gtsam.report.gap_words import PLAN, plan_rows
+    from magyc_gtsam.storage.json_types import json_types
 
     table = isolability(recording)
     if json:
@@ -221,7 +221,7 @@ def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Val
 
 
 def _values(gap: Gap, validation: Validation | None, judged: Verdict) -> dict[str, Any]:
-    from magyc_gtsam.json_types import json_types
+    from magyc_gtsam.storage.json_types import json_types
 
     values: dict[str, Any] = json_types(gap)
     return values | {"judgement": judged.to_dict(), "validation": json_types(validation)}

@@ -110,7 +110,7 @@ def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
     if not pairs:
         return {}
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.stored import parse_yaml
+    from magyc_gtsam.storage.mapping import parse_yaml
 
     result = {}
     for pair in pairs:

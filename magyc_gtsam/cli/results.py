@@ -98,7 +98,7 @@ def _versions(*names: str) -> dict[str, str]:
 def run_description(reading: Reading, recording: Recording, arguments: Sequence[str]) -> dict[str, Any]:
     """The command, its versions, the log with its checksum and how it was read; JSON types."""
     from magyc_gtsam import __version__
-    from magyc_gtsam.checksum import sha256
+    from magyc_gtsam.storage.checksum import sha256
 
     return {
         "magyc_gtsam": __version__,

@@ -62,8 +62,8 @@ def run(
     from magyc_gtsam.estimators.gauge import check_field_strength
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.io import write_mcap
-    from magyc_gtsam.json_types import json_types
     from magyc_gtsam.simulation import FIELD, simulate
+    from magyc_gtsam.storage.json_types import json_types
 
     if output.suffix.lower() != ".mcap":
         raise MagycError(f"--output: {output} does not end in .mcap")

@@ -22,7 +22,7 @@ from magyc_gtsam.history.log_factor import MICROTESLA, LogFactor, compress, date
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.stored import replace_text
+from magyc_gtsam.storage.whole_file import write_text
 
 _FORMAT = "magyc-gtsam history 1"
 Progress = Callable[[float], None]
@@ -169,7 +169,7 @@ class History:
         text = yaml.safe_dump(
             self.to_dict(), sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
         )
-        replace_text(Path(path), text)
+        write_text(Path(path), text)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> History:

@@ -8,7 +8,6 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array
+from magyc_gtsam.storage.whole_file import whole_file
 
 _FORMAT = "magyc-gtsam online state 8"
 
@@ -31,17 +31,13 @@ def write(
     """
     path = Path(path)
     header = json.dumps({"format": _FORMAT, "method": method, "options": dict(options)})
-    part = path.with_name(path.name + ".part")
     arrays: dict[str, Any] = dict(state)
     try:
-        with part.open("wb") as file:
+        with whole_file(path) as part, part.open("wb") as file:
             np.savez(file, header=np.array(header), **arrays)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(part, path)
     except OSError as error:
-        with suppress(OSError):
-            part.unlink()
         raise MagycError(f"{path}: cannot be written ({error.strerror})") from None
 
 

@@ -25,7 +25,7 @@ from magyc_gtsam.report.analysis import (
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart, clock, origin, over_time, sphere
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict, degrees, judged
-from magyc_gtsam.stored import replace_text
+from magyc_gtsam.storage.whole_file import write_text
 
 _MICRO = 1e6
 _MOST_RESIDUALS = 1500  # windows drawn
@@ -89,7 +89,7 @@ def write_report(
     if path.suffix != ".html":
         path = path / "report.html"
     path.parent.mkdir(parents=True, exist_ok=True)
-    replace_text(path, render(recording, calibration, residuals, verdict))
+    write_text(path, render(recording, calibration, residuals, verdict))
     return path
 
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.json_types import json_types
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.report.analysis import summary
+from magyc_gtsam.storage.json_types import json_types
 
 _STEPS = 400
 _DIGITS = 4

@@ -14,7 +14,7 @@ from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.jobs import command, environment
-from magyc_gtsam.stored import replace_text
+from magyc_gtsam.storage.whole_file import write_text
 
 CALIBRATION, STATE, RUN = "online-calibration.yaml", "online.state", "live.json"
 _PICTURE, _EVERY = 0.4, 5.0  # s between two pictures, and two writings of calibration and state
@@ -78,7 +78,7 @@ class Live:
         self.folder, self.source, self._arguments = folder, source, tuple(arguments)
         self.latest = None
         run = {"source": source, "arguments": list(arguments), "begun": time.time()}
-        replace_text(folder / RUN, json.dumps(run))
+        write_text(folder / RUN, json.dumps(run))
         self._begin()
 
     def go_on(self) -> None:

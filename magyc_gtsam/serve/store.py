@@ -16,7 +16,7 @@ from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.limits import Limits
-from magyc_gtsam.stored import replace_text
+from magyc_gtsam.storage.whole_file import write_text
 
 RECORD = "serve.json"  # what the server knows of a result
 _UPLOADS = ".magyc-gtsam-uploads"
@@ -171,7 +171,7 @@ class Store:
     def keep(self, folder: Path, record: dict[str, Any]) -> None:
         """Write down what is known of a result."""
         if folder.is_dir() and any(folder.iterdir()):
-            replace_text(folder / RECORD, json.dumps(record, indent=1, ensure_ascii=False))
+            write_text(folder / RECORD, json.dumps(record, indent=1, ensure_ascii=False))
 
     def discard_empty(self, folder: Path) -> None:
         """Remove the folder of a job that left nothing."""

@@ -26,7 +26,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.kernels import kernel as kernel_of
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.recording import Array, Mask, Recording, Samples
-from magyc_gtsam.stored import dump_yaml, load_mapping, numbers, replace_text
+from magyc_gtsam.storage.mapping import dump_yaml, load_mapping, numbers
+from magyc_gtsam.storage.whole_file import write_text
 
 STANDARD_GRAVITY = 9.80665  # m/s²
 _FORMAT = "magyc-gtsam accelerometer calibration 1"
@@ -95,7 +96,7 @@ class AccelerometerCalibration:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write YAML, bit for bit, replacing the file in one step."""
-        replace_text(Path(path), dump_yaml(self.to_dict()))
+        write_text(Path(path), dump_yaml(self.to_dict()))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> AccelerometerCalibration:

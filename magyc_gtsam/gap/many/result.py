@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.json_types import json_types
+from magyc_gtsam.storage.json_types import json_types
 
 Verdict = Literal["none", "closed", "unknown", "not enough information"]
 

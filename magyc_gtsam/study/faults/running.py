@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.engine import Row, run_many, whole
+from magyc_gtsam.engine import Row, run_many
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.storage.whole_file import whole_file
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import OUTCOMES, Score, crashed, refused, score
 from magyc_gtsam.study.faults.signals import record
@@ -141,7 +142,7 @@ def _write(job: Job, result: Score) -> Row:
     row = {
         key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in row.items()
     }
-    with whole(job.part) as file:
+    with whole_file(job.part) as file:
         file.write_text(json.dumps(row), "utf-8")
     return row
 
@@ -170,11 +171,11 @@ def write(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
         from pyarrow import parquet
 
         path = folder / "faults.parquet"
-        with whole(path) as part:
+        with whole_file(path) as part:
             parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), part)
         return path
     path = folder / "faults.csv"
-    with whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)

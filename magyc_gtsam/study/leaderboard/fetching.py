@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from magyc_gtsam.checksum import sha256
-from magyc_gtsam.engine import Progress, whole
+from magyc_gtsam.engine import Progress
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.storage.checksum import sha256
+from magyc_gtsam.storage.whole_file import whole_file
 from magyc_gtsam.study.leaderboard.collections import COLLECTIONS
 from magyc_gtsam.study.leaderboard.reading import FORMS
 
@@ -118,5 +119,5 @@ def _registry(file: Path) -> Mapping[str, str]:
 
 
 def _note(file: Path, known: Mapping[str, str | None]) -> None:
-    with whole(file) as part:
+    with whole_file(file) as part:
         part.write_text("".join(f"{name} {digest}\n" for name, digest in known.items()), encoding="utf-8")

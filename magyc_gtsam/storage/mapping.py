@@ -1,4 +1,4 @@
-"""Files that were saved and come back: read within limits, each key once, nothing that expands."""
+"""Mappings in YAML and JSON: read within limits, each key once, nothing that expands; and written."""
 
 from __future__ import annotations
 
@@ -73,17 +73,6 @@ def parse_json(text: str) -> Any:
         raise MagycError("not readable as .json (nested without end)") from None
     except ValueError as error:
         raise MagycError(f"not readable as .json ({shortened(error)})") from None
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Write a file, or put it in the place of another, in one step."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError:
-        part.unlink(missing_ok=True)
-        raise
 
 
 class _Loader(yaml.SafeLoader):
