@@ -43,6 +43,7 @@ class Family:
         prior: odds, before the data, that an instrument has it at all; 0 where it counts by its evidence alone.
         expected: of a motion, the largest amplitude that what is known otherwise leaves; None where that is `most`.
         octaves: of amplitude, downwards from the largest, each as likely as the other.
+        from_rate: whether the columns are made of changes of the measured rate of turn.
         at_end: of a motion, (13, k) by how much the parameters at the end of the recording differ from their mean.
         waves: half waves in the recording, from and up to; None where it is not one of time.
     """
@@ -61,6 +62,7 @@ class Family:
     at_end: Callable[[Motion], Array] | None = None
     expected: Callable[[Motion], float] | None = None
     octaves: int = 6
+    from_rate: bool = False
 
     def likely(self, motion: Motion) -> float:
         """The largest amplitude that is believed before the data show one."""
@@ -244,7 +246,7 @@ FAMILIES = (
     Family("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),
     Family("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
     Family("rate × field", _TURNS, _rate_times_field, 0.02, 9),
-    Family("delay", _DELAYED, _delays, 0.03, 7, first=True),
+    Family("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
     Family("gyroscope:linear", _SCALED, lambda m: m.on_gyroscope(_each(m.rate)), 0.03, first=True, unit="share"),
     _in_time("gyroscope:drift", _BIASED, _bias, 0.015, _SLOWEST, unit="rate", first=True),
     _in_time("gyroscope:wander", _BIASED, _bias, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"),

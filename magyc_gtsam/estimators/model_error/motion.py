@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,12 +25,13 @@ class Motion:
         time: (n,) s.
         rotation: (3, 3, n) integrated world → sensor.
         seen: (3, 3, n) T, the reading of the world's axes with the field's strength: soft iron times rotation.
-        unit: (3, n) the field's direction in the sensor; change: (3, n) 1/s, its derivative in time.
+        unit: (3, n) the field's direction in the sensor; change: (3, n) 1/s, its derivative by the delay, −d/dt.
         rate: (3, n) rad/s, of turn; relative: the same over its deviation, `spread` rad/s an axis.
         direction: (3, n) of the field in the integrated world.
-        reading: (3, n) T, as the model has it; reading_change: (3, n) T/s, its derivative in time.
+        reading: (3, n) T, as the model has it; reading_change: (3, n) T/s, its derivative by the delay.
         strength: T; soft_iron: (3, 3) T, times it.
         delay: s, of the magnetometer behind the gyroscope; gyroscope_step: s between its samples.
+        rate_noise: rad/s, deviation of a window's rate of turn by the gyroscope's noise, an axis.
     """
 
     time: Array
@@ -46,6 +47,7 @@ class Motion:
     soft_iron: Array
     delay: float
     gyroscope_step: float
+    rate_noise: float
 
     @classmethod
     def of(cls, fit: Fit) -> Motion:
@@ -59,6 +61,7 @@ class Motion:
         )
         g = fit.state.direction
         unit, change = np.einsum("ijn,jn->in", rotation, g), np.einsum("ijn,jn->in", windows.rotation_rate, g)
+        step = np.maximum(np.diff(windows.time), 1e-9)
         return cls(
             time=windows.time,
             rotation=rotation,
@@ -72,7 +75,20 @@ class Motion:
             strength=float(np.cbrt(abs(np.linalg.det(soft)))),
             soft_iron=soft,
             delay=float(parameters[DELAY]),
-            gyroscope_step=float(np.median(windows.link_time / np.maximum(np.diff(windows.time), 1e-9))),
+            gyroscope_step=float(np.median(windows.link_time / step)),
+            rate_noise=fit.chain.noise.gyroscope * float(np.sqrt(np.median(windows.link_time / step**2))),
+        )
+
+    @cached_property
+    def noisier(self) -> Motion:
+        """The same with once more of the gyroscope's noise in the rate of turn and in what is derived from it."""
+        rate = np.random.default_rng(0).normal(0.0, self.rate_noise, self.rate.shape)
+        change = cross(rate, self.unit)
+        return replace(
+            self,
+            rate=self.rate + rate,
+            change=self.change + change,
+            reading_change=self.reading_change + self.soft_iron @ change,
         )
 
     @cached_property

@@ -141,6 +141,7 @@ PHYSICAL = (
         0.5,
         prior=USUAL,
         unit="time",
+        from_rate=True,
     ),
     Family(
         "filter",
@@ -151,6 +152,7 @@ PHYSICAL = (
         unit="filter",
         expected=_by_delay,
         octaves=2,
+        from_rate=True,
     ),
     Family(
         "gain drift",
@@ -195,5 +197,6 @@ PHYSICAL = (
         unit="filter",
         expected=_by_lead,
         octaves=2,
+        from_rate=True,
     ),
 )

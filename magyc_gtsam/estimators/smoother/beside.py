@@ -37,6 +37,19 @@ class Columns(NamedTuple):
     window: Array | None
     link: Array | None
 
+    def less(self, other: Columns) -> Columns:
+        """By how much each differs from another's on the same sensors."""
+        window = None if self.window is None or other.window is None else self.window - other.window
+        link = None if self.link is None or other.link is None else self.link - other.link
+        return Columns(window, link)
+
+    def only(self, kept: np.ndarray) -> Columns:
+        """With zeros in place of those that are not kept, (k,) bool."""
+        share = kept[:, None, None]
+        return Columns(
+            None if self.window is None else share * self.window, None if self.link is None else share * self.link
+        )
+
 
 class New(NamedTuple):
     """Columns beside the model.
