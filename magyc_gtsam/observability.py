@@ -10,7 +10,7 @@ import numpy as np
 
 from magyc_gtsam.level_turn import Askew, level_turn
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.validation import EARTH_FIELD
+from magyc_gtsam.recording.checks import EARTH_FIELD
 
 HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading in a mid-latitude field
 SOFT_IRON_LIMIT = 0.05

@@ -13,8 +13,8 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.refit import unmoved
 from magyc_gtsam.recording import Array
+from magyc_gtsam.recording.checks import no_values
 from magyc_gtsam.simulation.environment import CHANNELS
-from magyc_gtsam.validation import no_values
 
 _DEPTH = "depth"
 

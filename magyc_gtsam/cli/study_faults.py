@@ -69,7 +69,7 @@ def faults(
         0 where nothing crashed and no cell that data can show has more than one of thirty wrong and trusted, else 1.
     """
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.motion import AMPLITUDES
+    from magyc_gtsam.simulation.motion import AMPLITUDES
     from magyc_gtsam.study.faults.catalogue import FAULTS
     from magyc_gtsam.study.faults.running import cases, cells, run, write
     from magyc_gtsam.study.faults.scoring import OUTCOMES

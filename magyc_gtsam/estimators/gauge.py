@@ -9,7 +9,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
-from magyc_gtsam.validation import EARTH_FIELD
+from magyc_gtsam.recording.checks import EARTH_FIELD
 
 _SCALE = 2.5  # by which an instrument's own scale may be off
 

@@ -28,9 +28,9 @@ from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.search import Search, search
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
-from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 
 _WINDOW = 1.0  # s

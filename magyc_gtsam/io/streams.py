@@ -14,7 +14,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.validation import FIELD_RANGE, given_away
+from magyc_gtsam.recording.checks import FIELD_RANGE, given_away
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration
-from magyc_gtsam.growing_rows import GrowingRows
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording.growing_rows import GrowingRows
 
 _MARGIN = 4  # gyroscope samples beyond a window's own that its integration looks at
 _LATENESS = 0.1  # s by which a magnetometer may lag, beyond the estimate

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.given_data import check_seconds
 from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording.stamps import check_seconds
 
 _LATE = 1.0  # s by which a stamp may lie before the last one and be left out; more is a clock set back
 _LEAP = 3.0  # times the step before, and at least `_LATE`, by which a stamp may be ahead without being confirmed

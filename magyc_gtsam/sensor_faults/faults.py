@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from magyc_gtsam.growing_rows import GrowingRows
 from magyc_gtsam.recording import Array, Recording, Samples
+from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
 from magyc_gtsam.sensor_faults.gate import Gate

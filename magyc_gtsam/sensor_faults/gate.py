@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from magyc_gtsam.growing_rows import GrowingRows
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording.growing_rows import GrowingRows
 
 
 class Detector(Protocol):

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from magyc_gtsam.growing_rows import GrowingRows
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.sensor_faults.stuck import LEAST_DURATION, LEAST_SAMPLES, Stretch
 
 _LONGER = 10.0  # times the mean interval of its samples, for which a held magnetometer does not repeat itself

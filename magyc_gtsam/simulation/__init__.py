@@ -5,9 +5,9 @@ The diagnosing code (`magyc_gtsam.gap`) must not import this package: it would r
 
 from __future__ import annotations
 
-from magyc_gtsam.motion import AMPLITUDES, MOTIONS, RATES
 from magyc_gtsam.simulation.disturbance import disturb
 from magyc_gtsam.simulation.injection import inject
+from magyc_gtsam.simulation.motion import AMPLITUDES, MOTIONS, RATES
 from magyc_gtsam.simulation.sensor import (
     FIELD,
     GYRO_BIAS,

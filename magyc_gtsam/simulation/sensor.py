@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.motion import MOTIONS, Motion, kinematics, sinusoids
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation.effects import chosen
 from magyc_gtsam.simulation.environment import CHANNELS, GRAVITY, measured
+from magyc_gtsam.simulation.motion import MOTIONS, Motion, kinematics, sinusoids
 from magyc_gtsam.simulation.scene import MILLIGAUSS, Applied, Chain, Scene, Stage
 
 FIELD = np.array([227.207, 51.796, 411.731]) * MILLIGAUSS

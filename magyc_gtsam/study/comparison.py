@@ -10,8 +10,8 @@ import numpy as np
 from magyc_gtsam.estimators import calibrate, methods
 from magyc_gtsam.estimators.method import Method
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.study.judging import judge
 from magyc_gtsam.study.outcome import Comparison, Outcome, Status
 

@@ -16,8 +16,8 @@ from magyc_gtsam.gap.many.result import GapOfMany, Own, SharedEffect, Weight
 from magyc_gtsam.gap.many.told import Added, told
 from magyc_gtsam.gap.many.weighing import Weighed, weigh
 from magyc_gtsam.gap.refit import as_calibration, widened
-from magyc_gtsam.given_data import expect_recording
 from magyc_gtsam.recording import Recording
+from magyc_gtsam.recording.expected import expect_recording
 
 _HAS_IT = 0.5  # probability from which a log gets an effect of the place
 _PLAIN = 0.9  # from which what no name explains is a log's own

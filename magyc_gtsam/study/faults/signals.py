@@ -14,9 +14,9 @@ from zlib import crc32
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam.motion import MOTIONS, kinematics
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import FIELD, GYRO_BIAS, HARD_IRON, SOFT_IRON
+from magyc_gtsam.simulation.motion import MOTIONS, kinematics
 from magyc_gtsam.simulation.scene import lagged
 
 FINER = 10  # points of the fine grid per logged row

@@ -1,4 +1,4 @@
-"""`Calibration`: the result of every method; immutable, applied to data, saved and loaded without loss."""
+"""The calibration itself."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from magyc_gtsam.calibration_file import check
+from magyc_gtsam.calibration.limits import check
+from magyc_gtsam.calibration.signals import as_signals, given_signals, vectors
 from magyc_gtsam.export import do_not_use, export, parts_of
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate, shifted
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.given_signals import as_signals, given_signals, vectors
 from magyc_gtsam.observability import Observability
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.storage.mapping import dump_yaml, load_mapping

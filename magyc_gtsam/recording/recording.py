@@ -1,4 +1,4 @@
-"""`Recording`: what a vehicle recorded, validated once and never changed afterwards.
+"""The recording itself.
 
 One table, one row per instant. Where the sensors have clocks or rates of their own the rows are the
 union of their time stamps, and two masks say which rows carry a sample of which sensor: every sample
@@ -16,9 +16,7 @@ import numpy as np
 
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.given_data import check_seconds, origin_of, seconds
-from magyc_gtsam.time_base import Stream, unite
-from magyc_gtsam.validation import (
+from magyc_gtsam.recording.checks import (
     Array,
     Mask,
     check_ascending,
@@ -28,6 +26,8 @@ from magyc_gtsam.validation import (
     unit_quaternions,
     without_no_values,
 )
+from magyc_gtsam.recording.stamps import check_seconds, origin_of, seconds
+from magyc_gtsam.recording.time_base import Stream, unite
 
 _HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope counts as sample-held
 _LONGEST_HOLD = 0.2  # s; a rate that repeats for longer stands still and is measured all the same

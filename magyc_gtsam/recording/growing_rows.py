@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.validation import Array
+from magyc_gtsam.recording.checks import Array
 
 
 class GrowingRows:

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.given_data import columns_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -52,6 +51,13 @@ def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = Fals
         )
     array.flags.writeable = False
     return array
+
+
+def columns_of(value: Any) -> str:
+    """The columns of a data frame, in words; "" of anything else."""
+    if not (hasattr(value, "columns") and hasattr(value, "iloc")):
+        return ""
+    return ", ".join(map(str, list(value.columns)[:20]))
 
 
 def given_away(array: Array) -> Array:

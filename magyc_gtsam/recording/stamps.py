@@ -1,8 +1,7 @@
-"""What people hand over in place of arrays in seconds: calendar stamps, data frames, names of files."""
+"""Time stamps in seconds: calendar stamps converted (numpy, pandas, datetime), counts of another unit refused."""
 
 from __future__ import annotations
 
-import os
 from datetime import datetime
 from typing import Any
 
@@ -82,35 +81,3 @@ def check_seconds(name: str, time: NDArray[np.float64]) -> None:
             f"{name}: steps by {step:g} from row to row, which is no sensor's in seconds; likely unit: {likely}; "
             f"divide by {per_second:g}, or pass datetime64"
         )
-
-
-def columns_of(value: Any) -> str:
-    """The columns of a data frame, in words; "" of anything else."""
-    if not (hasattr(value, "columns") and hasattr(value, "iloc")):
-        return ""
-    return ", ".join(map(str, list(value.columns)[:20]))
-
-
-def expect_recording(function: str, value: Any) -> None:
-    """Say what to do where something else than a recording was handed over.
-
-    Raises:
-        MagycError: it was.
-    """
-    from magyc_gtsam.recording import Recording
-
-    if isinstance(value, Recording):
-        return
-    if isinstance(value, str | os.PathLike):
-        raise MagycError(
-            f"{function}: {os.fspath(value)!r} is a file; read it first: {function}(mg.read({os.fspath(value)!r}))"
-        )
-    if columns := columns_of(value):
-        raise MagycError(
-            f"{function}: a table with the columns {columns}; say which are which: mg.Recording(table['time'], "
-            "table[['mx', 'my', 'mz']], table[['gx', 'gy', 'gz']]), in s, T and rad/s"
-        )
-    raise MagycError(
-        f"{function}: a {type(value).__name__}, a Recording is expected: mg.read(path), or "
-        "mg.Recording(time, magnetic_field, angular_rate) in s, T and rad/s"
-    )

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.given_data import origin_of, seconds
-from magyc_gtsam.validation import (
+from magyc_gtsam.recording.checks import (
     Array,
     check_ascending,
     frozen,
@@ -19,6 +18,7 @@ from magyc_gtsam.validation import (
     unit_quaternions,
     without_no_values,
 )
+from magyc_gtsam.recording.stamps import origin_of, seconds
 
 Stream = tuple[ArrayLike, ArrayLike]
 

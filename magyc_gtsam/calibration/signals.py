@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.given_data import columns_of
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.checks import columns_of
 
 
 def given_signals(value: ArrayLike | Recording, name: str, signals: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording.checks import FIELD_RANGE
 from magyc_gtsam.storage.mapping import numbers
-from magyc_gtsam.validation import FIELD_RANGE
 
 _LARGEST_RATE = 70.0  # rad/s, twice the range of the fastest common gyroscopes
 _LONGEST_DELAY = 60.0  # s
