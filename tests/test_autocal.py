@@ -1,6 +1,6 @@
 """`autocal`: its algebra against the paper's, its minimum against GTSAM's, its results against simulated truth."""
 
-from functools import partial
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -16,7 +16,8 @@ from magyc_gtsam.factors import KERNELS
 from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.factors.sphere import SHAPES, sphere_error
 from magyc_gtsam.simulation import disturb
-from magyc_gtsam.study.autocal import model_error, outlier_study, synthetic, triangular, vehicle_study
+from magyc_gtsam.study import autocal as study
+from magyc_gtsam.study.autocal import model_error, synthetic, triangular
 from magyc_gtsam.study.efficiency import nees
 
 MICROTESLA = 1e-6
@@ -246,7 +247,8 @@ def test_the_triangular_model_has_the_gram_of_the_calibration():
 def test_one_sided_data_with_outliers_spoil_the_l2_methods_only():
     """What the paper blames for the failures on its real tracks (section III-C3)."""
     names = ("ellipsoid", "kok-schon", "autocal, cauchy", "autocal, geman-mcclure")
-    scores = outlier_study(4, one_sided=True, names=names, shares=(0.03,))[0.03]
+    rows = study.autocal_rows(study.units(4, ("one-sided",), (0.03,)), names=names)
+    scores = study.method_scores(rows, "one-sided")[0.03]
     for name in names[:2]:
         assert scores[name].median > 0.1
     for name in names[2:]:
@@ -256,18 +258,25 @@ def test_one_sided_data_with_outliers_spoil_the_l2_methods_only():
 
 def test_the_smoother_bears_the_same_disturbances():
     names = ("ellipsoid", "kok-schon", "autocal, cauchy")
-    scores = vehicle_study(2, names=names, shares=(0.03,))[0.03]
+    rows = study.autocal_rows(study.units(2, ("vehicle",), (0.03,)), names=names)
+    scores = study.method_scores(rows, "vehicle")[0.03]
     assert scores["ellipsoid"].median > 0.1
     assert scores["kok-schon"].median > 0.1
     assert scores["autocal, cauchy"].median < 0.06
     assert scores["smoother"].median < 0.006
 
 
-def test_the_command_prints_the_tables(monkeypatch, capsys):
-    small = partial(outlier_study, names=("ellipsoid", "autocal, cauchy"), shares=(0.0, 0.3))
-    monkeypatch.setattr("magyc_gtsam.study.autocal.STUDIES", {"A small one": small})
-    assert cli.main(["study", "autocal", "--runs", "1"]) == 0
+def test_the_command_prints_the_tables(monkeypatch, capsys, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    small = replace(study.PARTS["outliers"], title="A small one", values=(0.0, 0.3))
+    monkeypatch.setattr(study, "PARTS", {"outliers": small})
+    monkeypatch.setattr(
+        study, "VARIANTS", {name: study.VARIANTS[name] for name in ("ellipsoid", "autocal, cauchy")}
+    )
+    assert cli.main(["study", "autocal", "--runs", "1", "--workers", "1", "-o", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "A small one" in printed
     assert "(100%)" in next(line for line in printed.splitlines() if line.startswith("ellipsoid"))
     assert "%" not in next(line for line in printed.splitlines() if line.startswith("autocal, cauchy"))
+    assert len(parquet.read_table(tmp_path / "autocal.parquet").to_pylist()) == 4
+    assert "<svg" in (tmp_path / "autocal.svg").read_text(encoding="utf-8")

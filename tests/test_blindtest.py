@@ -32,7 +32,7 @@ from magyc_gtsam.blindtest.scoring import Outcome, beyond, confusion, judged, sc
 from magyc_gtsam.blindtest.sealing import MANIFEST, RECORDINGS, SEALED, opened, seal
 from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test, stands_out
 from magyc_gtsam.blindtest.tables import markdown, outcome_rows, standing_rows
-from magyc_gtsam.cli.study_gap import _recordings
+from magyc_gtsam.cli.study_logs import recordings_of
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import simulate
@@ -386,7 +386,7 @@ def test_the_command_refuses_what_it_does_not_know(capsys: pytest.CaptureFixture
 
 def test_a_part_of_a_log_is_taken(tmp_path: Path) -> None:
     write_mcap(tmp_path / "log.mcap", simulate("wide", 30, seed=1).recording)
-    read = _recordings([str(tmp_path / "log.mcap"), f"{tmp_path / 'log.mcap'}@5:20.5"])
+    read = recordings_of([str(tmp_path / "log.mcap"), f"{tmp_path / 'log.mcap'}@5:20.5"])
     assert read.keys() == {"log", "log@5:20.5"}
     assert read["log"].duration == pytest.approx(30, abs=0.2)
     assert read["log@5:20.5"].duration == pytest.approx(15.5, abs=0.2)

@@ -20,8 +20,10 @@ class Study(str, Enum):
     EFFICIENCY = "efficiency"
     TABLE_ONE = "table-one"
     SETTLING = "settling"
+    DIVE_SURVEY = "dive-survey"
     AUTOCAL = "autocal"
     REVIEW = "review"
+    REAL_TRACKS = "real-tracks"
     GAP = "gap"
     GAP_STRENGTHS = "gap-strengths"
     FAULTS = "faults"
@@ -38,9 +40,10 @@ def run(
         typer.Argument(
             metavar="STUDY",
             help="efficiency (error over the Cramér–Rao bound, NEES), table-one (Table I of the MAGYC paper), settling "
-            "(share of the data after which magyc-ifg stands still) or "
-            "review (Table 2 of the review of magnetometer-only methods; it takes 250 runs), gap (blind test of "
-            "the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out), "
+            "(share of the data after which magyc-ifg stands still), dive-survey (its Fig. 3b), "
+            "review (Table 2 and Figs 2 to 5 of the review of magnetometer-only methods; it takes 250 runs), "
+            "real-tracks (its Fig. 6, and Tables IV and V of the Autocal paper, on logs of one unit), gap (blind test "
+            "of the gap workflow), gap-strengths (the strengths of its effects, and how far they stand out), "
             "faults (wrong and trusted, right, or refused under faults of sensors, clocks, surroundings and "
             "motion), known (skews of the chips; an earlier calibration and the field's strength as facts), "
             "duration (heading error against minutes and amplitude), autocal (Fig. 5 and 6 of the Autocal paper, and "
@@ -68,9 +71,13 @@ def run(
         list[str] | None,
         typer.Option(
             metavar="LOG[@START:END]",
-            help="gap: real recording to put effects into, of which seconds START to END; may be repeated.",
+            help="gap: real recording to put effects into, of which seconds START to END; may be repeated. "
+            "real-tracks: logs of one unit, first the one that the others are held against.",
         ),
     ] = None,
+    sensor: Annotated[
+        str, typer.Option(metavar="magnetometer|accelerometer", help="real-tracks: which one is calibrated.")
+    ] = "magnetometer",
     edition: Annotated[int, typer.Option(min=0, help="gap: of the seeds.")] = 1,
     foreign: Annotated[
         Path | None,
@@ -83,11 +90,12 @@ def run(
     by: Annotated[
         list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="faults, known, duration, leaderboard: processes.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Processes, of all but efficiency and gap.")] = 2,
     engine: Annotated[
         str,
         typer.Option(
-            metavar="local|tcp://…", help="duration, leaderboard: this machine, or a dask.distributed cluster."
+            metavar="local|tcp://…",
+            help="This machine, or a dask.distributed cluster; of the papers, duration, leaderboard.",
         ),
     ] = "local",
     folder: Annotated[
@@ -114,8 +122,8 @@ def run(
             "--output",
             "-o",
             metavar="DIR",
-            help="gap, faults, known, duration, leaderboard: an interrupted study goes on there; default "
-            "results/blindtest, results/faults, results/known, results/duration or results/leaderboard.",
+            help="An interrupted study goes on there; default results/ and its name (gap: results/blindtest). "
+            "Of all but efficiency and gap-strengths.",
         ),
     ] = None,
 ) -> int:
@@ -131,10 +139,6 @@ def run(
         from magyc_gtsam.cli.study_leaderboard import leaderboard
 
         return leaderboard(output or Path("results/leaderboard"), folder, base_url, method, engine, workers)
-    elif study is Study.SETTLING:
-        _settling(runs, noise)
-    elif study is Study.REVIEW:
-        _review(runs)
     elif study is Study.GAP:
         from magyc_gtsam.cli.study_gap import blind_test
 
@@ -147,10 +151,22 @@ def run(
         from magyc_gtsam.cli.study_gap import strengths
 
         strengths(runs)
-    elif study is Study.AUTOCAL:
-        _autocal(runs)
     else:
-        _table_one(runs, noise)
+        from magyc_gtsam.cli import study_papers as papers
+
+        place = papers.Place(output or Path(f"results/{study}"), engine, workers)
+        if study is Study.SETTLING:
+            papers.settling(place, runs, noise)
+        elif study is Study.DIVE_SURVEY:
+            papers.dive_survey(place, runs)
+        elif study is Study.REVIEW:
+            papers.review(place, runs)
+        elif study is Study.REAL_TRACKS:
+            papers.real_tracks(place, log or (), sensor)
+        elif study is Study.AUTOCAL:
+            papers.autocal(place, runs)
+        else:
+            papers.table_one(place, runs, noise)
     return 0
 
 
@@ -234,95 +250,3 @@ def _duration(folder: Path, runs: int, engine: str, workers: int) -> None:
 
 def _fact(cell: FactCell) -> list[str]:
     return [f"{cell.error * 1e6:.3f}", f"{cell.stated * 1e6:.3f}", f"{cell.ratio:.2f}", f"{cell.refused:.0%}"]
-
-
-def _table_one(runs: int, gyroscope_noise: float) -> None:
-    from magyc_gtsam.study.table_one import PUBLISHED, table_one
-
-    def spread(values: tuple[float, float, float]) -> str:
-        return "–" if values[0] != values[0] else f"{values[0]:.2f} ({values[1]:.2f} to {values[2]:.2f})"
-
-    def printed(method: str, value: float | None) -> str:
-        return ("N/A" if method in PUBLISHED else "") if value is None else f"{value:.3f}"
-
-    with stages() as stage:
-        result = table_one(runs, gyroscope_noise=gyroscope_noise, progress=stage(f"{runs} runs"))
-    rows = []
-    for row in result:
-        heading, field = PUBLISHED.get(row.method, {}).get(row.motion, (None, None))
-        rows.append(
-            [
-                f"{row.method}, {row.motion}",
-                spread(row.heading),
-                printed(row.method, heading),
-                spread(row.spread),
-                printed(row.method, field),
-                spread(row.systematic),
-                f"{row.failed}" if row.failed else "",
-            ]
-        )
-    show_table(["median (5 to 95 %)", "heading °", "paper", "field mG", "paper", "systematic °", "failed"], rows)
-
-
-def _settling(runs: int, gyroscope_noise: float) -> None:
-    from magyc_gtsam.study.settling import settling
-
-    with stages() as stage:
-        result = settling(runs, gyroscope_noise=gyroscope_noise, progress=stage(f"{runs} runs"))
-    rows = [[row.motion, f"{row.share[0]:.0%}", "{1:.0%} to {2:.0%}".format(*row.share)] for row in result]
-    show_table(["magyc-ifg settles after", "median", "5 to 95 %"], rows)
-
-
-def _review(runs: int) -> None:
-    from magyc_gtsam.study.review import PUBLISHED, STRICT, review
-
-    with stages() as stage:
-        result, bound = review(runs, progress=stage(f"{runs} runs"))
-    reference = result[0].scores.time
-    rows = []
-    for row in result:
-        accuracy, robustness, speed = PUBLISHED[row.method]
-        rows.append(
-            [
-                row.method,
-                f"{row.scores.accuracy:.3g}",
-                f"{accuracy:.3g}",
-                f"{row.scores.robustness:.1%}",
-                f"{robustness:.1f}%",
-                f"{row.strict.robustness:.1%}",
-                f"{row.refused}",
-                f"{row.scores.time / reference:.2g}",
-                f"{PUBLISHED[result[0].method][2] / speed:.2g}",
-            ]
-        )
-    rows.append(["bound", f"{bound:.3g}", *[""] * 7])
-    show_table(
-        [
-            "",
-            "1/ρ",
-            "paper",
-            "robust",
-            "paper",
-            f"δ = {STRICT:g}",
-            "refused",
-            f"time / {result[0].method}",
-            "paper",
-        ],
-        rows,
-    )
-
-
-def _autocal(runs: int) -> None:
-    from magyc_gtsam.study.autocal import STUDIES, Score
-
-    def cell(score: Score) -> str:
-        error = "–" if score.failed == 1 and not score.median < 10 else f"{100 * score.median:.2f}"
-        return error if not score.failed else f"{error} ({score.failed:.0%})"
-
-    with stages() as stage:
-        tables = {title: study(runs, stage(title)) for title, study in STUDIES.items()}
-    for title, table in tables.items():
-        show("", f"{title}: median error in %, in brackets the share of runs that are off by more than 10 %", "")
-        names = next(iter(table.values()))
-        rows = [[name, *(cell(scores[name]) for scores in table.values())] for name in names]
-        show_table(["", *(f"{condition:g}" for condition in table)], rows)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from magyc_gtsam.cli.study_logs import recordings_of
 from magyc_gtsam.cli.terminal import show, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.recording import Recording
 
 WORKERS = 2
-_PART = re.compile(r"(.+)@(\d+(?:\.\d+)?):(\d+(?:\.\d+)?)")
 
 
 def blind_test(
@@ -54,7 +53,7 @@ def blind_test(
         for motion in motions or MOTIONS:
             tests[motion] = scenarios(motion, runs, edition, sets or SETS[:-1]), {}
     if logs:
-        recordings = _recordings(logs)
+        recordings = recordings_of(logs)
         tests["real"] = real_scenarios(list(recordings), max(1, round(runs / 50)), edition), recordings
     for name, (scenario_list, recordings) in tests.items():
         place = folder / name
@@ -98,18 +97,3 @@ def strengths(runs: int) -> None:
         for name, strength in STRENGTHS.items()
     ]
     show_table(["effect", "strength × 1", *(f"σ, {m}" for m in MOTIONS), "because"], rows)
-
-
-def _recordings(logs: Sequence[str]) -> dict[str, Recording]:
-    """{stem, with what part of it: recording}."""
-    from magyc_gtsam.io import read
-
-    result = {}
-    with stages() as stage:
-        for log in logs:
-            path, start, end = log, None, None
-            if part := _PART.fullmatch(log):
-                path, start, end = part[1], float(part[2]), float(part[3])
-            name = Path(path).stem + log[len(path) :]
-            result[name] = read(path, start=start, end=end, progress=stage(f"reading {name}"))
-    return result

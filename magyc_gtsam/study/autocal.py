@@ -10,16 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate, methods
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.metrics import model, normalised_model_error
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import disturb, simulate
+from magyc_gtsam.study.drawing import Panel, draw_panels
+from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 UNIT = 1e-6  # T
 SCALE, OFFSET, OUTLIER = 100.0, 20.0, 100.0  # σ_K, σ_b and ζ of (35), (36) and below (38)
@@ -28,7 +32,6 @@ OUTLIERS = (0.0, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5)  # η of Fig. 6
 SHARES = (0.0, 0.01, 0.03, 0.1, 0.3)  # η of the one-sided data
 FAILED = 0.1  # model error from which a method has failed
 
-Progress = Callable[[float], None]
 Rows = Mapping[str, tuple[str, Mapping[str, Any]]]
 
 VARIANTS: Rows = {
@@ -40,6 +43,22 @@ VARIANTS: Rows = {
     "autocal, cauchy, τ = √3 units": ("autocal", {"width": float(np.sqrt(3)) * UNIT}),
 }
 """Row of the tables → method and its options; those of the registry only are run."""
+
+
+SAID = {
+    "Fig. 5": "without outliers all alike, autocal a little worse above σ = 1.2; from 1 % of outliers on autocal is "
+    "best and magical the best of the others; geman-mcclure falls behind as σ grows",
+    "Fig. 6": "cauchy and geman-mcclure alike, huber behind as η grows; the l1 start worse than autocal",
+}
+"""What the paper's text says of its figures, which it prints as pictures only."""
+
+
+class Unit(NamedTuple):
+    """One recording: which part of the study, the value of its condition, and the seed."""
+
+    part: str
+    value: float
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -113,108 +132,112 @@ def variants(names: Iterable[str] | None = None) -> Rows:
     return {name: row for name, row in wanted.items() if row[0] in methods()}
 
 
-def condition(
-    recordings: Iterable[tuple[Recording, Calibration]],
-    rows: Rows,
-    error: Callable[[Calibration, Calibration], float] = model_error,
-) -> dict[str, Score]:
-    """Run all methods on the same recordings (recording, truth) and score them by `error`."""
-    errors: dict[str, list[float]] = {name: [] for name in rows}
-    for recording, truth in recordings:
-        for name, (method, options) in rows.items():
-            try:
-                errors[name].append(error(calibrate(recording, method, **options), truth))
-            except MagycError:
-                errors[name].append(np.inf)
-    return {name: _score(np.array(values)) for name, values in errors.items()}
+@dataclass(frozen=True)
+class Part:
+    """One figure, or one kind of one-sided data.
+
+    Attributes:
+        title: of its table.
+        symbol: of the condition.
+        values: of the condition.
+        draw: (value, seed) → recording and truth.
+        error: of an estimate against the truth.
+        smoother: whether `smoother` is among the methods, beside those of VARIANTS.
+    """
+
+    title: str
+    symbol: str
+    values: tuple[float, ...]
+    draw: Callable[[float, int], tuple[Recording, Calibration]]
+    error: Callable[[Calibration, Calibration], float] = model_error
+    smoother: bool = False
+
+
+def _noisy(value: float, seed: int, *, outliers: float) -> tuple[Recording, Calibration]:
+    return synthetic(seed, noise=value, outliers=outliers)
+
+
+def _spoilt(value: float, seed: int, *, one_sided: bool = False) -> tuple[Recording, Calibration]:
+    return synthetic(seed, outliers=value, one_sided=one_sided)
+
+
+def _vehicle(value: float, seed: int) -> tuple[Recording, Calibration]:
+    """With gyroscope; up to 50 µT added in a share of its seconds."""
+    simulation = simulate("wide", seed=seed)
+    return disturb(simulation.recording, value, seed=seed), simulation.truth
+
+
+def hard_iron_error(estimate: Calibration, truth: Calibration) -> float:
+    """Length of the hard iron's error over the field strength: a vehicle's field has no known scale."""
+    return float(np.linalg.norm(estimate.hard_iron - truth.hard_iron) / (truth.field_strength or np.nan))
+
+
+PARTS: dict[str, Part] = {
+    "noise": Part("Fig. 5 without outliers", "σ", NOISES, partial(_noisy, outliers=0.0)),
+    "noise-1": Part("Fig. 5 with 1 % of outliers", "σ", NOISES, partial(_noisy, outliers=0.01)),
+    "noise-10": Part("Fig. 5 with 10 % of outliers", "σ", NOISES, partial(_noisy, outliers=0.1)),
+    "outliers": Part("Fig. 6", "η", OUTLIERS, _spoilt),
+    "one-sided": Part("Directions on one side", "η", SHARES, partial(_spoilt, one_sided=True)),
+    "vehicle": Part(
+        "Vehicle that never turns over, hard iron",
+        "share disturbed",
+        SHARES,
+        _vehicle,
+        hard_iron_error,
+        smoother=True,
+    ),
+}
+
+
+def units(runs: int, parts: Iterable[str] | None = None, values: Sequence[float] | None = None) -> list[Unit]:
+    """Of so many recordings a condition (25 in the paper), seeds 0 to runs − 1, at all values of a part or at those."""
+    return [
+        Unit(part, value, seed)
+        for part in (PARTS if parts is None else parts)
+        for value in (PARTS[part].values if values is None else values)
+        for seed in range(runs)
+    ]
+
+
+def autocal_rows(chosen: Sequence[Unit], running: Running = HERE, names: Sequence[str] | None = None) -> list[Row]:
+    """One row for each recording and method of VARIANTS, or those of them that are named."""
+    return study_rows("autocal", partial(worked, names=names), chosen, running)
+
+
+def worked(unit: Unit, names: Sequence[str] | None = None) -> Row:
+    """All methods on one recording; the error is infinite where one gave no calibration."""
+    part = PARTS[unit.part]
+    recording, truth = part.draw(unit.value, unit.seed)
+    rows = dict(variants(names)) | ({"smoother": ("smoother", {})} if part.smoother else {})
+    errors = []
+    for method, options in rows.values():
+        try:
+            errors.append(part.error(calibrate(recording, method, **options), truth))
+        except MagycError:
+            errors.append(np.inf)
+    return {"method": list(rows), "model_error": errors}
+
+
+def method_scores(rows: Sequence[Row], part: str) -> dict[float, dict[str, Score]]:
+    """{value: {method: score}} of a part."""
+    errors: dict[float, dict[str, list[float]]] = {}
+    for row in rows:
+        if row["part"] == part:
+            errors.setdefault(row["value"], {}).setdefault(row["method"], []).append(row["model_error"])
+    return {value: {name: _score(np.array(each)) for name, each in own.items()} for value, own in errors.items()}
 
 
 def _score(values: Array) -> Score:
     return Score(float(np.median(values)), float(np.mean(values)), float((values > FAILED).mean()))
 
 
-def noise_study(
-    runs: int,
-    progress: Progress | None = None,
-    *,
-    outliers: float,
-    names: Iterable[str] | None = None,
-    noises: Sequence[float] = NOISES,
-) -> dict[float, dict[str, Score]]:
-    """Fig. 5: {σ: scores} at a share of outliers."""
-
-    def recordings(noise: float) -> Iterable[tuple[Recording, Calibration]]:
-        return (synthetic(seed, noise=noise, outliers=outliers) for seed in range(runs))
-
-    return _table(noises, recordings, variants(names), model_error, progress)
-
-
-def outlier_study(
-    runs: int,
-    progress: Progress | None = None,
-    *,
-    one_sided: bool = False,
-    names: Iterable[str] | None = None,
-    shares: Sequence[float] | None = None,
-) -> dict[float, dict[str, Score]]:
-    """Fig. 6, or the same with all directions on one side: {η: scores} at σ = 1."""
-
-    def recordings(share: float) -> Iterable[tuple[Recording, Calibration]]:
-        return (synthetic(seed, outliers=share, one_sided=one_sided) for seed in range(runs))
-
-    wanted = (SHARES if one_sided else OUTLIERS) if shares is None else shares
-    return _table(wanted, recordings, variants(names), model_error, progress)
-
-
-def vehicle_study(
-    runs: int,
-    progress: Progress | None = None,
-    *,
-    motion: str = "wide",
-    names: Iterable[str] | None = None,
-    shares: Sequence[float] = SHARES,
-) -> dict[float, dict[str, Score]]:
-    """A vehicle with gyroscope that never turns over: {share of seconds with up to 50 µT added: scores}.
-
-    `smoother` is among the methods. Scored by the hard iron's error over the field strength, because the field
-    of a magnetometer with gyroscope has no known scale.
-    """
-
-    def recordings(share: float) -> Iterable[tuple[Recording, Calibration]]:
-        for seed in range(runs):
-            simulation = simulate(motion, seed=seed)
-            yield disturb(simulation.recording, share, seed=seed), simulation.truth
-
-    rows = {**variants(names), "smoother": ("smoother", {})}
-    return _table(shares, recordings, rows, hard_iron_error, progress)
-
-
-def hard_iron_error(estimate: Calibration, truth: Calibration) -> float:
-    """Length of the hard iron's error over the field strength."""
-    return float(np.linalg.norm(estimate.hard_iron - truth.hard_iron) / (truth.field_strength or np.nan))
-
-
-def _table(
-    conditions: Sequence[float],
-    recordings: Callable[[float], Iterable[tuple[Recording, Calibration]]],
-    rows: Rows,
-    error: Callable[[Calibration, Calibration], float],
-    progress: Progress | None,
-) -> dict[float, dict[str, Score]]:
-    table = {}
-    for index, value in enumerate(conditions):
-        table[value] = condition(recordings(value), rows, error)
-        if progress:
-            progress((index + 1) / len(conditions))
-    return table
-
-
-STUDIES: Mapping[str, Callable[[int, Progress | None], dict[float, dict[str, Score]]]] = {
-    "Fig. 5 without outliers, by σ": partial(noise_study, outliers=0.0),
-    "Fig. 5 with 1 % of outliers, by σ": partial(noise_study, outliers=0.01),
-    "Fig. 5 with 10 % of outliers, by σ": partial(noise_study, outliers=0.1),
-    "Fig. 6, by the share of outliers": outlier_study,
-    "Directions on one side, by the share of outliers": partial(outlier_study, one_sided=True),
-    "Vehicle that never turns over, by the share of disturbed seconds; error of the hard iron": vehicle_study,
-}
-"""What `magyc-gtsam study autocal` prints: title → function of (runs, progress)."""
+def draw(target: Path, rows: Sequence[Row]) -> None:
+    """The mean error over the condition, as the paper draws it, a panel for each part."""
+    panels = []
+    for name, part in PARTS.items():
+        table = method_scores(rows, name)
+        if table:
+            x = sorted(table)
+            lines = {method: [table[value][method].mean for value in x] for method in table[x[0]]}
+            panels.append(Panel(part.title, part.symbol, "mean error", x, lines))
+    draw_panels(target, panels)

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.simulation import simulate
+from magyc_gtsam.study.drawing import Panel, draw_panels
+from magyc_gtsam.study.rows import HERE, Running, study_rows
 from magyc_gtsam.study.table_one import PUBLISHED, RATE, SAMPLES
+
+_SHARES = tuple(np.round(np.arange(0.0, 1.01, 0.1), 1))
+
+
+class Unit(NamedTuple):
+    """One recording of Table I."""
+
+    motion: str
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -24,23 +39,37 @@ class Settling:
     share: tuple[float, float, float]
 
 
-def settling(
-    runs: int = 100,
-    *,
-    gyroscope_noise: float = 5e-3,
-    samples: int = SAMPLES,
-    progress: Callable[[float], None] | None = None,
-) -> list[Settling]:
+def settling_rows(
+    runs: int = 100, *, gyroscope_noise: float = 5e-3, samples: int = SAMPLES, running: Running = HERE
+) -> list[Row]:
     """Run MAGYC-IFG over `runs` recordings of each motion of Table I; see `table_one` for the arguments."""
-    motions = list(PUBLISHED["raw"])
-    result: list[Settling] = []
-    for motion in motions:
-        shares = []
-        for seed in range(runs):
-            recording = simulate(motion, samples / RATE, RATE, seed, gyroscope_noise=gyroscope_noise).recording
-            shares.append(calibrate(recording, "magyc-ifg").diagnostics["settled_after"])
-            if progress:
-                progress((len(result) + (seed + 1) / runs) / len(motions))
-        middle, low, high = np.percentile(shares, [50, 5, 95])
+    work = partial(worked, gyroscope_noise=gyroscope_noise, samples=samples)
+    return study_rows(
+        "settling", work, [Unit(motion, seed) for seed in range(runs) for motion in PUBLISHED["raw"]], running
+    )
+
+
+def worked(unit: Unit, gyroscope_noise: float, samples: int) -> Row:
+    """One recording."""
+    recording = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=gyroscope_noise).recording
+    return {"share": [calibrate(recording, "magyc-ifg").diagnostics["settled_after"]]}
+
+
+def settlings(rows: Sequence[Row]) -> list[Settling]:
+    """One for each motion."""
+    result = []
+    for motion in PUBLISHED["raw"]:
+        middle, low, high = np.percentile([row["share"] for row in rows if row["motion"] == motion], [50, 5, 95])
         result.append(Settling(motion, (float(middle), float(low), float(high))))
     return result
+
+
+def draw(target: Path, rows: Sequence[Row]) -> None:
+    """Share of the runs that have settled over the share of the data."""
+    lines = {}
+    for motion in PUBLISHED["raw"]:
+        own = np.array([row["share"] for row in rows if row["motion"] == motion])
+        lines[motion] = [float(np.mean(own <= share)) for share in _SHARES]
+    draw_panels(
+        target, [Panel("magyc-ifg has settled", "share of the data", "share of the runs", _SHARES, lines, False)]
+    )

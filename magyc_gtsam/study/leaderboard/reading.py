@@ -14,7 +14,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
 Reader = Callable[[Path], Recording]
-FORMS = (".npz", ".mat", ".mcap")
+ARRAYS = (".npz", ".mat")
+FORMS = (*ARRAYS, ".mcap")
 _MICROTESLA = 1e-6
 _NEEDED = {".npz": ("tm", "m", "w"), ".mat": ("imu_gyr", "imu_acc", "imu_mag", "opt_quat", "sampling_rate")}
 

@@ -1,0 +1,231 @@
+"""The papers' studies of `magyc-gtsam study`: their tables with ours beside, a plot, and every run as Parquet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from magyc_gtsam.cli.study_logs import recordings_of
+from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.factors.errors import MagycError
+
+if TYPE_CHECKING:
+    from magyc_gtsam.study.review import Score
+    from magyc_gtsam.study.rows import Running
+    from magyc_gtsam.study.table_one import Cell
+
+
+class Place(NamedTuple):
+    """Where a study leaves its files and where it runs; see `engine`."""
+
+    folder: Path
+    engine: str
+    workers: int
+
+    @contextmanager
+    def running(self, title: str) -> Iterator[Running]:
+        """With its progress shown."""
+        from magyc_gtsam.study.rows import Running
+
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with stages() as stage:
+            yield Running(self.folder, self.engine, self.workers, stage(title))
+
+    def drawn(self, name: str, draw: Callable[[Path], None]) -> None:
+        """Draw `<name>.svg`, and say where the files are."""
+        draw(self.folder / f"{name}.svg")
+        show("", f"{self.folder}: {name}.svg, and every run as Parquet")
+
+
+def review(place: Place, runs: int) -> None:
+    """Table 2 and Figs 2 to 5 of the review."""
+    from magyc_gtsam.study import review as study
+
+    conditions = [condition for each in study.FIGURES.values() for condition in each]
+    with place.running(f"{runs} runs a condition") as running:
+        rows = study.review_rows(study.units(runs, conditions), running)
+    table = study.method_scores(rows)
+    reference, first = table[0].scores.time, study.PUBLISHED[table[0].method][2]
+    show("Table 2: the baseline (80)")
+    header = ["", "1/ρ", "paper", "robust", "paper", f"δ = {study.STRICT:g}", "refused"]
+    shown = []
+    for score in table:
+        accuracy, robustness, speed = study.PUBLISHED[score.method]
+        own = [
+            f"{score.scores.accuracy:.3g}",
+            f"{accuracy:.3g}",
+            f"{score.scores.robustness:.1%}",
+            f"{robustness:.1f}%",
+        ]
+        own += [f"{score.strict.robustness:.1%}", f"{score.refused}"]
+        shown.append([score.method, *own, f"{score.scores.time / reference:.2g}", f"{first / speed:.2g}"])
+    shown.append(["bound", f"{table[0].bound:.3g}", *[""] * 7])
+    show_table([*header, f"time / {table[0].method}", "paper"], shown)
+
+    def cell(score: Score) -> str:
+        share = score.scores.robustness
+        return f"{score.scores.accuracy:.3g}" + (f" ({share:.0%})" if share < 1 else "") if share else "–"
+
+    for number, (parameter, moved) in enumerate(study.FIGURES.items(), start=2):
+        symbol = study.SYMBOLS[parameter]
+        show("", f"Fig. {number}, by {symbol}: 1/ρ, in brackets the share that is robust where it is not all", "")
+        shown = []
+        each = [study.method_scores(rows, condition) for condition in moved]
+        drawn = [study.method_scores(rows, condition, centred=False) for condition in moved]
+        for i, name in enumerate(study.PUBLISHED):
+            shown.append([name, *(cell(found[i]) for found in each)])
+        for i, name in enumerate(study.PUBLISHED):
+            shown.append([f"{name}, as drawn", *(cell(found[i]) for found in drawn)])
+        shown.append(["bound", *(f"{found[0].bound:.3g}" for found in each)])
+        show_table(["", *(f"{symbol} = {getattr(condition, parameter):g}" for condition in moved)], shown)
+        show(f"the paper: {study.SAID[parameter]}")
+    place.drawn("review", lambda target: study.draw_figures(target, rows))
+
+
+def autocal(place: Place, runs: int) -> None:
+    """Figs 5 and 6 of the Autocal paper, and one-sided data."""
+    from magyc_gtsam.study import autocal as study
+
+    def cell(score: study.Score) -> str:
+        error = "–" if score.failed == 1 and not score.median < 10 else f"{100 * score.median:.2f}"
+        return error if not score.failed else f"{error} ({score.failed:.0%})"
+
+    with place.running(f"{runs} runs a condition") as running:
+        rows = study.autocal_rows(study.units(runs), running)
+    for name, part in study.PARTS.items():
+        table = study.method_scores(rows, name)
+        show(
+            "",
+            f"{part.title}, by {part.symbol}: median error in %, in brackets the share of runs off by more than 10 %",
+            "",
+        )
+        methods = next(iter(table.values()))
+        shown = [[method, *(cell(scores[method]) for scores in table.values())] for method in methods]
+        show_table(["", *(f"{value:g}" for value in table)], shown)
+        said = study.SAID.get(part.title[:6])
+        if said:
+            show(f"the paper: {said}")
+    place.drawn("autocal", lambda target: study.draw(target, rows))
+
+
+def real_tracks(place: Place, logs: Sequence[str], sensor: str) -> None:
+    """Fig. 6 of the review, and Tables IV and V of the Autocal paper."""
+    from magyc_gtsam.study import real_tracks as study
+
+    if sensor not in ("magnetometer", "accelerometer"):
+        raise MagycError(f"--sensor: {sensor!r} is neither 'magnetometer' nor 'accelerometer'")
+    if not logs:
+        raise MagycError(
+            "study real-tracks: which logs? Give --log LOG for each, first the one to hold them against"
+        )
+    recordings = recordings_of(logs)
+    with place.running(f"{len(recordings)} tracks") as running:
+        rows = study.real_rows(
+            recordings, "magnetometer" if sensor == "magnetometer" else "accelerometer", running
+        )
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    tracks = [f"{i}" for i in range(1, len(recordings) + 1)]
+    show(*(f"track {i}: {name}" for i, name in zip(tracks, recordings, strict=True)))
+
+    def table(column: str, shown: Callable[[float], str]) -> list[list[str]]:
+        return [
+            [
+                method,
+                *(shown(row[column]) + ("" if row["trusted"] else "*") for row in rows if row["method"] == method),
+            ]
+            for method in methods
+        ]
+
+    show("", "Fig. 6 of the review: 1/J_r (81) on the track itself; * not trusted by the method", "")
+    show_table(["", *tracks], table("cost", lambda value: f"{1 / value:.3g}" if value > 0 else "∞"))
+    published = study.PUBLISHED["magnetometer" if sensor == "magnetometer" else "accelerometer"]
+    for column, title, place_in_paper in (
+        ("deviation", "Table IV of Autocal: deviation (40) in % from the method's own model of track 1", 0),
+        ("error", "Table V of Autocal: error (41) on track 1, in % of the field", 1),
+    ):
+        show("", f"{title}; beside, the paper's: its clean track and the worst with outliers", "")
+        shown = table(column, lambda value: f"{100 * value:.2f}" if value < 10 else "–")
+        for row in shown:
+            paper = published.get(row[0])
+            row += [f"{part[place_in_paper]:g}" for part in paper] if paper else ["", ""]
+        show_table(["", *tracks, "paper, clean", "paper, worst"], shown)
+    place.drawn(f"real-{sensor}", lambda target: study.draw(target, rows))
+
+
+def table_one(place: Place, runs: int, gyroscope_noise: float) -> None:
+    """Table I of the MAGYC paper, by this project's conventions and by the authors'."""
+    from magyc_gtsam.study import table_one as study
+
+    def spread(values: tuple[float, float, float]) -> str:
+        return "–" if values[0] != values[0] else f"{values[0]:.2f} ({values[1]:.2f} to {values[2]:.2f})"
+
+    def printed(cell: Cell, column: int) -> str:
+        if cell.method not in study.PUBLISHED:
+            return ""
+        value = study.PUBLISHED[cell.method][cell.motion][column]
+        return "N/A" if value is None else f"{value:.3f}"
+
+    ours: list[Cell] = []
+    for convention in study.CONVENTIONS:
+        with place.running(f"{convention}, {runs} runs") as running:
+            found = study.table_one(runs, convention=convention, gyroscope_noise=gyroscope_noise, running=running)
+        ours = ours or found
+        shown = [
+            [
+                f"{cell.method}, {cell.motion}",
+                spread(cell.heading),
+                f"{cell.averaged[0]:.2f}",
+                printed(cell, 0),
+                spread(cell.spread),
+                f"{cell.averaged[1]:.1f}",
+                printed(cell, 1),
+                spread(cell.systematic),
+                f"{cell.failed}" if cell.failed else "",
+            ]
+            for cell in found
+        ]
+        header = ["median (5 to 95 %)", "heading °", "averaged", "paper", "field mG", "averaged", "paper"]
+        show("", f"Conventions: {convention}; averaged: the mean of all runs' parameters", "")
+        show_table([*header, "systematic °", "failed"], shown)
+    place.drawn("table-one", lambda target: study.draw(target, ours))
+
+
+def settling(place: Place, runs: int, gyroscope_noise: float) -> None:
+    """When MAGYC-IFG stands still."""
+    from magyc_gtsam.study import settling as study
+
+    with place.running(f"{runs} runs") as running:
+        rows = study.settling_rows(runs, gyroscope_noise=gyroscope_noise, running=running)
+    shown = [
+        [each.motion, f"{each.share[0]:.0%}", "{1:.0%} to {2:.0%}".format(*each.share), "lost"]
+        for each in study.settlings(rows)
+    ]
+    show_table(["magyc-ifg settles after", "median", "5 to 95 %", "paper"], shown)
+    place.drawn("settling", lambda target: study.draw(target, rows))
+
+
+def dive_survey(place: Place, runs: int) -> None:
+    """Fig. 3b of the MAGYC paper."""
+    from magyc_gtsam.study import dive_survey as study
+
+    with place.running(f"{runs} pairs at each noise") as running:
+        rows = study.dive_survey_rows(study.units(runs), running)
+    each = [study.cells(rows, noise) for noise in study.NOISES]
+
+    def text(cell: study.Cell) -> str:
+        heading = "none" if cell.heading == float("inf") else f"{cell.heading:.2f}"
+        cost = "" if cell.cost != cell.cost else f" [{cell.cost:.4f}]"
+        return heading + cost + (f" ({cell.trusted:.0%})" if cell.trusted < 1 else "")
+
+    for way in next(iter(each[0].values())):
+        show(
+            "",
+            f"{way}: heading deviation in °, in [] the cost (7) over that of the truth, in () the share trusted",
+            "",
+        )
+        shown = [[method, *(text(found[method][way]) for found in each)] for method in each[0]]
+        show_table(["", *(f"{noise:g} × noise" for noise in study.NOISES)], shown)
+    show(f"the paper: {study.SAID}")
+    place.drawn("dive-survey", lambda target: study.draw(target, rows))

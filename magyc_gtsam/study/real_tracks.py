@@ -1,0 +1,156 @@
+"""The papers' studies on real recordings, which need no truth: the review's Fig. 6, and Tables IV and V of Autocal.
+
+The first recording is the reference, M1 of the Autocal paper: one without outliers of the same unit as the others.
+An accelerometer is calibrated as a magnetometer is, gravity in place of the field (section III-C1 of that paper).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.engine import Row
+from magyc_gtsam.estimators import calibrate
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.metrics import model, normalised_model_error, real_data_cost, sensor_estimation_error
+from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.study.autocal import VARIANTS, triangular, variants
+from magyc_gtsam.study.drawing import Panel, draw_panels
+from magyc_gtsam.study.review import PUBLISHED as REVIEWED
+from magyc_gtsam.study.rows import HERE, Running, study_rows
+
+Sensor = Literal["magnetometer", "accelerometer"]
+METHODS = {**{name: (name, {}) for name in REVIEWED}, **VARIANTS}
+_GRAVITY = 50e-6 / 9.80665  # T per m/s²: an accelerometer's readings as those of a magnetometer
+_THIN = 5000  # samples of a track; the papers' have 300 to 600
+
+# Autocal, Tables IV and V: deviation (40) and error (41) in % of the paper's unit of 100, without outliers (M2, A2) and
+# the worst of the tracks with outliers.
+PUBLISHED: dict[Sensor, dict[str, tuple[tuple[float, float], tuple[float, float]]]] = {
+    "magnetometer": {
+        "ellipsoid": ((2.0, 0.73), (48.8, 11.01)),
+        "dorveaux": ((55.8, 18.08), (136.4, 25.51)),
+        "kok-schon": ((2.1, 0.71), (26.6, 6.65)),
+        "vasconcelos": ((2.0, 0.71), (41604.4, 17.95)),
+        "magical": ((2.1, 0.71), (205.5, 27.76)),
+        "l1-ellipsoid": ((2.5, 0.75), (6.4, 1.47)),
+        "autocal, l1": ((1.9, 0.72), (3.8, 1.01)),
+        "autocal, cauchy": ((2.0, 0.72), (2.2, 0.81)),
+        "autocal, geman-mcclure": ((1.9, 0.73), (2.6, 0.84)),
+        "autocal, huber": ((2.0, 0.71), (5.3, 1.19)),
+    },
+    "accelerometer": {
+        "ellipsoid": ((0.6, 1.35), (15.1, 9.00)),
+        "dorveaux": ((0.6, 1.34), (8.2, 5.16)),
+        "kok-schon": ((0.5, 1.34), (9.8, 4.82)),
+        "vasconcelos": ((0.6, 1.34), (8.2, 5.16)),
+        "magical": ((0.5, 1.34), (4.1, 2.78)),
+        "l1-ellipsoid": ((0.6, 1.34), (1.2, 1.41)),
+        "autocal, l1": ((0.6, 1.34), (1.1, 1.40)),
+        "autocal, cauchy": ((0.6, 1.34), (1.3, 1.43)),
+        "autocal, geman-mcclure": ((1.0, 1.35), (1.9, 1.47)),
+        "autocal, huber": ((0.5, 1.34), (0.9, 1.39)),
+    },
+}
+
+
+class Unit(NamedTuple):
+    """One method on one track."""
+
+    sensor: Sensor
+    track: str
+    method: str
+
+
+def real_rows(
+    recordings: Mapping[str, Recording], sensor: Sensor = "magnetometer", running: Running = HERE
+) -> list[Row]:
+    """One row for each track and method.
+
+    Args:
+        recordings: {name: recording}, the reference first.
+        sensor: which one of them is calibrated.
+        running: where it runs.
+
+    Raises:
+        MagycError: no recording, or one without the sensor.
+    """
+    if not recordings:
+        raise MagycError("real tracks: no recordings; give one or more logs, the reference first")
+    tracks = {name: track_of(recording, sensor) for name, recording in recordings.items()}
+    names = [name for name in METHODS if name in variants() or name in REVIEWED]
+    chosen = [Unit(sensor, track, method) for track in tracks for method in names]
+    return study_rows(f"real-{sensor}", partial(worked, tracks=tracks), chosen, running)
+
+
+def track_of(recording: Recording, sensor: Sensor) -> Recording:
+    """The sensor's own samples alone, thinned to what the methods can take."""
+    if sensor == "magnetometer":
+        time, value = recording.magnetometer.time, recording.magnetometer.value
+    else:
+        if recording.acceleration is None:
+            raise MagycError(
+                f"{recording.name}: has no accelerometer; choose another log, or --sensor magnetometer"
+            )
+        time, value = recording.time, recording.acceleration * _GRAVITY
+    step = -(-len(time) // _THIN)
+    return Recording(time[::step], value[::step], name=recording.name)
+
+
+def worked(unit: Unit, tracks: Mapping[str, Recording]) -> Row:
+    """What a method makes of one track, by all three measures."""
+    reference = next(iter(tracks.values()))
+    found, own = _calibrated(unit.method, tracks[unit.track]), _calibrated(unit.method, reference)
+    samples = tracks[unit.track].magnetic_field
+    row: dict[str, list[object]] = {
+        "trusted": [found is not None and found.converged],
+        "cost": [np.inf],  # (81)
+        "trivial": [_trivial_cost(samples)],
+        "deviation": [np.inf],  # (40)
+        "error": [np.inf],  # (41)
+    }
+    if found is not None:
+        row["cost"] = [real_data_cost(*model(found), samples)]
+        row["error"] = [sensor_estimation_error(*model(found), reference.magnetic_field) / _strength(samples)]
+        if own is not None:
+            row["deviation"] = [
+                normalised_model_error(triangular(found), found.hard_iron, triangular(own), own.hard_iron)
+            ]
+    return row
+
+
+def _calibrated(name: str, track: Recording) -> Calibration | None:
+    method, options = METHODS[name]
+    try:
+        return calibrate(track, method, **options)
+    except MagycError:
+        return None
+
+
+def _strength(samples: Array) -> float:
+    """Half the width of the middle of the samples."""
+    low, high = np.quantile(samples, [0.01, 0.99], axis=0)
+    return float(np.median(np.linalg.norm(samples - 0.5 * (low + high), axis=1)))
+
+
+def _trivial_cost(samples: Array) -> float:
+    """(81) of no calibration: T = I and h = 0 in units of the mean field."""
+    strength = float(np.mean(np.linalg.norm(samples, axis=1)))
+    return real_data_cost(np.eye(3) * strength, np.zeros(3), samples)
+
+
+def draw(target: Path, rows: list[Row]) -> None:
+    """(81), (40) and (41) of each method over the tracks, counted from 1 in their order."""
+    tracks = list(dict.fromkeys(row["track"] for row in rows))
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    x = list(range(1, len(tracks) + 1))
+    panels = []
+    for column, title in (("cost", "J_r (81)"), ("deviation", "deviation (40)"), ("error", "error (41)")):
+        lines = {method: [row[column] or np.nan for row in rows if row["method"] == method] for method in methods}
+        panels.append(Panel(title, "track", "", x, lines))
+    draw_panels(target, panels)
