@@ -136,7 +136,7 @@ def _axis_name(axis: Array) -> str:
     if np.abs(axis).max() > 0.95:
         return "xyz"[int(np.argmax(np.abs(axis)))]
     parts = [f"{a:+.1f} {n}" for a, n in zip(axis, "xyz", strict=True) if abs(a) > 0.15]
-    return " ".join(parts).removeprefix("+").replace(" +", " + ").replace(" -", " − ")
+    return " ".join(parts).removeprefix("+").replace(" +", " + ").replace(" -", " − ").replace("-", "−")
 
 
 def _vertical(recording: Recording) -> Array | None:

@@ -418,10 +418,11 @@ def test_export(result: tuple[Finished, Path], tmp_path: Path) -> None:
 def test_info(logs: Path, tmp_path: Path) -> None:
     finished = run("info", logs / "dive.mcap", cwd=tmp_path)
     assert (finished.returncode, finished.stderr) == (0, "")
-    for text in ("/imu/mag", "sensor_msgs/msg/Imu", "10.0", "can be read: yes;", "motion: turned by about"):
+    for text in ("/imu/mag", "/imu/data_raw", "10.0", "can be read: yes;", "motion: the sensor turned by about"):
         assert text in finished.stdout
     answer = json.loads(run("info", logs / "still.mcap", "--json", cwd=tmp_path).stdout)
     assert answer["readable"]
+    assert "sensor_msgs/msg/Imu" in {source["type"] for source in answer["sources"]}
     assert answer["turned"] < 1.0  # rad, the noise of 30 s
     assert {s["name"]: s["count"] for s in answer["sources"]}["/imu/mag"] == 300
     finished = run("info", logs / "field.mcap", cwd=tmp_path)

@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.foreign_text import with_minus
 from magyc_gtsam.level_turn import turn_of
 from magyc_gtsam.observability import Observability, Weakness
 from magyc_gtsam.recording import Recording
@@ -26,7 +27,6 @@ from magyc_gtsam.report.analysis import (
     summary,
 )
 from magyc_gtsam.report.charts import packed
-from magyc_gtsam.report.html import with_minus
 from magyc_gtsam.report.page import render
 from magyc_gtsam.report.words import advice, stretch, uncertain
 
@@ -298,9 +298,10 @@ def test_untrusted_page_escapes_a_hostile_name(opened: Any, tmp_path: Path) -> N
     assert "ard iron along z ±14 µT (limit 1): pitch by 20° or more while turning" in page.inner_text("#verdict")
     assert page.title().startswith("Calibration of <script>")
     assert drawn_figures(page) == 2 + 1
+    page.locator("#parameters summary").click()
     text = page.inner_text("main")
-    assert "There is nothing to paste: the result must not be trusted." in text
-    assert "This method states no uncertainty." in text
+    assert "No parameters are offered for copying, because the result must not be trusted." in text
+    assert "This method gives no uncertainty." in text
     assert "Neither an accelerometer nor a reference attitude was recorded" in text
     assert "The method twostep does not work on windows" in text
 
@@ -347,8 +348,8 @@ def test_one_line_of_advice_for_each_remedy() -> None:
     calibration = replace(bad(), observability=Observability(False, weak))
     lines = advice(simulated(), calibration, ())
     assert lines[:2] == [
-        "Turn through all headings: for hard iron along x, hard iron along y.",
-        "Pitch: for hard iron along z.",
+        "Turn through all headings, to determine hard iron along x, hard iron along y.",
+        "Pitch, to determine hard iron along z.",
     ]
 
 

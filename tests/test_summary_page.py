@@ -30,7 +30,8 @@ def history() -> History:
 def test_history_is_drawn_by_the_browser(history: History, dated: bool, opened: Any, tmp_path: Path) -> None:
     factors = [replace(f, time=1.75e9 + k * 9 * 86400.0) for k, f in enumerate(history.factors)]
     page = opened(_written(tmp_path, history_page(History(factors) if dated else history)))
-    assert page.locator("#verdict h1").inner_text() == "6 logs, 1 jump of the hard iron"
+    assert page.locator("#verdict h1").inner_text() == "6 logs of one instrument"
+    assert "The hard iron jumped once" in page.locator("#verdict").inner_text()
     assert drawn_figures(page) == 3
     assert page.locator("svg").count() == 0
     page.locator("figure.chart .u-over").first.hover()
@@ -41,9 +42,9 @@ def test_history_is_drawn_by_the_browser(history: History, dated: bool, opened: 
 
 @pytest.mark.parametrize("width", [390, 1280])
 def test_a_folder_is_drawn_by_the_browser(width: int, opened: Any, tmp_path: Path) -> None:
-    names, iron = [f"a {HOSTILE}", "b", "c"], np.array([[1.0, 2, 3], [1.5, 2, 3], [np.nan] * 3])
+    names, iron = [f"a {HOSTILE}", "b", "c"], np.array([[1.0, 2, 3], [1.5, 2, 3], [1.2, 2, 3]])
     table = Section("Logs", ("log", "verdict"), [[Link(names[0], "a/report.html"), "word " * 40]])
-    figures = by_log(names, iron, 0 * iron + 0.2, [True, False, False])
+    figures = by_log(names, iron, 0 * iron + 0.2)
     text = summary_page("Many", "1 of 3", False, ["one"], [table, Section("Hard iron", figures=figures)])
     page = opened(_written(tmp_path, text), width=width)
     assert drawn_figures(page) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -56,7 +57,10 @@ def run(
         rate = recording.angular_rate
         if rate is not None and calibration.gyro_bias is not None:
             rate = calibration.apply_gyroscope(recording)
-        calibrated = replace(recording, magnetic_field=calibration.apply(recording), angular_rate=rate)
+        with warnings.catch_warnings(record=True) as noticed:
+            warnings.simplefilter("always")
+            field = calibration.apply(recording)
+        calibrated = replace(recording, magnetic_field=field, angular_rate=rate)
         writing = stage("writing")
         copied = ""
         if output.suffix.lower() == ".mcap":
@@ -66,6 +70,7 @@ def run(
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field{copied}")
+        show(*(f"warning: {each.message}" for each in noticed))
     return concluded(judged(calibration))
 
 

@@ -136,7 +136,7 @@ def run(
             f"results: {folder}",
             f"page: {folder / 'report.html'}",
         )
-    return concluded(verdict)
+    return concluded(verdict, shown=not (quiet or json))
 
 
 def calibrate_log(

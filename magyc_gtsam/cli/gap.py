@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from magyc_gtsam.report.gap_verdict import Validation
     from magyc_gtsam.report.verdict import Verdict
 
-_SHOWN = 12  # hypotheses on the terminal; page and gap.json have all
-
 
 @with_groups
 def run(
@@ -146,7 +144,7 @@ def run(
     elif not quiet:
         show(verdict.sentence, f"{reading.log.name}: {recording.duration:.1f} s", "")
         show_details(verdict, verbose)
-        _show(gap, validation)
+        _show(gap, validation, verbose)
         show(
             *(f"left out: {fault}" for fault in gap.diagnostics["left_out"]),
             *(f"note: {note}" for note in recording.notes),
@@ -154,7 +152,7 @@ def run(
             f"results: {folder}",
             f"page: {folder / 'report.html'}",
         )
-    return concluded(verdict)
+    return concluded(verdict, shown=not (quiet or json))
 
 
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
@@ -233,20 +231,23 @@ def _json(values: dict[str, Any]) -> str:
     return json.dumps(values, indent=2, ensure_ascii=False) + "\n"
 
 
-def _show(gap: Gap, validation: Validation | None) -> None:
+def _show(gap: Gap, validation: Validation | None, every: bool) -> None:
+    """What the gap is worth and what to do next; with `every` the evidence of the hypotheses as well."""
     from magyc_gtsam.report import gap_words as words
 
     if gap.verdict == "not enough information":
         return
-    show("", "What each would explain by itself, beside the model that the search began with:")
-    rows = words.hypothesis_rows(gap.hypotheses)
-    show_table(words.HYPOTHESES, rows[:_SHOWN])
-    if len(rows) > _SHOWN:
-        show(f"  and {len(rows) - _SHOWN} more, in gap.json")
     show("")
+    if every:
+        show("Evidence of each hypothesis, added alone to the twelve-parameter model:")
+        show_table(words.HYPOTHESES, words.hypothesis_rows(gap.hypotheses), words=(1,))
+        show("")
     if gap.effects:
         show(*words.confusion_sentences(gap), "")
-    show(*(f"not tested: {c.label}: {c.reason}" for c in gap.untested))
+    if gap.untested and every:
+        show(*(f"not tested: {c.label}: {c.reason}" for c in gap.untested), "")
+    elif gap.untested:
+        show(f"not tested, no channel in the log: {', '.join(c.label for c in gap.untested)}", "")
     show_table(words.METRICS, words.metric_rows(gap.before, gap.after))
     if validation is not None:
         show("", f"on {validation.name}:")

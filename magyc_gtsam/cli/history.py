@@ -17,7 +17,8 @@ from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_exports
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.cli.terminal import concluded, show, show_table, stages
+from magyc_gtsam.foreign_text import with_minus
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -70,7 +71,7 @@ def run(
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor
     from magyc_gtsam.io.many import find_logs
-    from magyc_gtsam.report.summary_page import history_page
+    from magyc_gtsam.report.summary_page import history_page, judged_history
 
     logs = find_logs([reading.log, *(more or [])])
     before = None if add is None else History.load(add)
@@ -95,16 +96,13 @@ def run(
         history.next.save(part / "next.yaml")
         write_exports(part, history.next)
         (part / "report.html").write_text(history_page(history), encoding="utf-8")
-    several = sum(len(group) > 1 for group in history.groups) > 1
+    verdict = judged_history(history)
     if json:
         typer.echo(json_text.dumps(_as_dict(history, folder), indent=2))
     elif not quiet:
+        show(verdict.sentence, "")
         _show(history, folder)
-    if several:
-        typer.echo(
-            "magyc-gtsam: the logs are of several instruments (groups above); give those of one alone", err=True
-        )
-    return 1 if several else 0
+    return concluded(verdict, shown=not (quiet or json))
 
 
 def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
@@ -145,13 +143,18 @@ def _show(history: History, folder: Path) -> None:
         rows.append([name, ", ".join(f"{value * 1e6:.2f}" for value in iron), f"{sigma:.2f}"])
     show_table(header, rows)
     show("")
-    show(*(f"jump before {' '.join(map(str, row))}" for row in history_rows(history)))
+    show(*(with_minus(f"jump before {' '.join(map(str, row))}") for row in history_rows(history)))
     show(*(f"contradicts: {each.name}: {each.sentence}" for each in history.contradictions))
     if len(history.groups) > 1:
         show(*(f"group: {', '.join(history.names[i] for i in group)}" for group in history.groups))
     iron, sigma = history.next.hard_iron * 1e6, history.next.sigma["hard_iron"] * 1e6
     listed = ", ".join(f"{value:.2f} ± {deviation:.2f}" for value, deviation in zip(iron, sigma, strict=True))
-    show(f"next log: hard iron {listed} µT; {history.next.message}", "", f"results: {folder}")
+    show(
+        with_minus(f"next log: hard iron {listed} µT; {history.next.message}"),
+        "",
+        f"results: {folder}",
+        f"page: {folder / 'report.html'}",
+    )
 
 
 def _as_dict(history: History, folder: Path) -> dict[str, Any]:

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 def run(
     reading: Reading,
     strip: Annotated[
-        bool, typer.Option("--strip", help="With --json: strength of the field and turn rate over time as well.")
+        bool, typer.Option("--strip", help="With --json: also the field strength and the turn rate over time.")
     ] = False,
     json: given.Json = False,
 ) -> int:
-    """Say what a log holds, how much it turned, and whether it can be read; nothing is calibrated.
+    """Show what a log holds, how far the sensor turned, and whether the log can be read; nothing is calibrated.
 
-    Exit code 0 wherever the file is a log, whatever the answer is.
+    Exit code 0 for every file that is a log, also for one that cannot be calibrated.
     """
     from magyc_gtsam.io import info_and_recording
 
@@ -44,19 +44,25 @@ def run(
 def _show(described: LogInfo) -> None:
     show(f"{described.path}: {described.format}, {described.duration:.1f} s", "")
     rows = []
+    unused = [source.name for source in described.sources if not source.serves_as]
     for source in described.sources:
+        if not source.serves_as:
+            continue
         span = "" if source.span is None else f"{source.span[0]:.1f}–{source.span[1]:.1f}"
         rate = "" if source.rate is None else f"{source.rate:.1f}"
-        rows.append((source.name, source.type, str(source.count), rate, span, ", ".join(source.serves_as)))
-    show_table(("source", "type", "samples", "Hz", "s", "serves as"), rows)
+        rows.append((source.name, str(source.count), rate, span, ", ".join(source.serves_as)))
+    if rows:
+        show_table(("source", "samples", "Hz", "s", "serves as"), rows, words=(4,))
+    if unused:
+        show("", f"not used: {', '.join(unused)}")
     show("", *(f"note: {warning}" for warning in described.warnings))
     if described.problem is not None:
         show(f"can be read: no, {spelled(described.problem)}")
     elif described.turned is None:
-        show("can be read: yes, without a gyroscope; see which methods can use it: magyc-gtsam compare")
+        show("can be read: yes, without a gyroscope; `magyc-gtsam compare` runs the methods that need none")
     else:
-        show(f"motion: turned by about {described.turned * 57.29578:.0f}° in all")
-        show("can be read: yes; whether the motion suffices is what magyc-gtsam calibrate says")
+        show(f"motion: the sensor turned by about {described.turned * 57.29578:.0f}° in total")
+        show("can be read: yes; run `magyc-gtsam calibrate` to see whether the motion is sufficient")
 
 
 def _show_json(described: LogInfo, recording: Recording | None) -> None:

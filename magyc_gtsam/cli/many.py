@@ -141,12 +141,13 @@ def calibrate_logs(named: Mapping[str, Task], output: Path | None, engine: str, 
     if as_json:
         typer.echo(json.dumps({"folder": str(folder), "logs": table}, indent=2))
     elif not quiet:
-        show_table(*_shown(table))
+        show(_headline(table)[1], "")
+        show_table(*_shown(table, short=True), words=(5,))
         show("", f"results: {folder}", f"page: {folder / 'index.html'}")
     code = max(row["exit_code"] for row in table)
     if code:
         bad = [row for row in table if row["exit_code"]]
-        typer.echo(f"magyc-gtsam: {len(bad)} of {len(table)} logs have no calibration to be trusted", err=True)
+        typer.echo(f"magyc-gtsam: {len(bad)} of {len(table)} logs have no trusted calibration", err=True)
         for row in bad:
             typer.echo(f"magyc-gtsam: {row['log']}: {row['sentence']}", err=True)
     return int(code)
@@ -227,25 +228,46 @@ def _as_row(task: Task, row: Row) -> Row:
     return {column: whole.get(column) for column in _COLUMNS}
 
 
-def _shown(table: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
-    """Header and rows for the terminal and the page."""
-    header = ["log", "s", "hard iron x, y, z (µT)", "±", "heading (°)", "verdict"]
+def _headline(table: Sequence[Row]) -> tuple[str, str]:
+    """How many logs were calibrated: as a title, and as the first line of the terminal."""
+    good = sum(row["exit_code"] == 0 for row in table)
+    title = f"{good} of {len(table)} logs calibrated"
+    return title, f"{'✔' if good == len(table) else '✘'} {title}"
+
+
+def _shown(table: Sequence[Row], short: bool = False) -> tuple[list[str], list[list[str]]]:
+    """Header and rows for the page, and `short` for the terminal; no numbers of what must not be trusted."""
+    header = ["log", "s", "hard iron x, y, z (µT)", "± (1σ)", "heading (°, 1σ)", "verdict"]
+    if short:
+        header = ["log", "s", "hard iron (µT)", "±", "heading (°)", "verdict"]
     rows = []
     for row in table:
         iron = [row[f"hard_iron_{axis}_uT"] for axis in _AXES]
         sigma = [row[f"hard_iron_{axis}_sigma_uT"] for axis in _AXES]
-        verdict = {0: "✔", 1: f"✘ {row['sentence']}", 2: f"refused: {row['sentence']}"}[row["exit_code"]]
+        verdict = {0: "✔ calibrated", 1: f"✘ {row['sentence']}", 2: f"refused: {row['sentence']}"}[
+            row["exit_code"]
+        ]
+        if short:
+            verdict = {0: "✔", 1: "✘ not trusted", 2: "✘ refused"}[row["exit_code"]]
+        good = row["exit_code"] == 0
         rows.append(
             [
-                f"{row['log']} {row['magnetometer'] or ''}".strip(),
+                _label(row),
                 "" if row["seconds"] is None else f"{row['seconds']:.0f}",
-                "" if None in iron else ", ".join(f"{value:.2f}" for value in iron),
-                "" if None in sigma else f"{max(sigma):.2f}",
-                "" if row["heading_deg"] is None else f"{row['heading_deg']:.2f}",
+                "" if None in iron or not good else ", ".join(f"{value:.2f}" for value in iron),
+                "" if None in sigma or not good else f"{max(sigma):.2f}",
+                "" if row["heading_deg"] is None else f"{row['heading_deg']:.2g}",
                 verdict,
             ]
         )
     return header, rows
+
+
+def _lead(table: Sequence[Row]) -> list[str]:
+    """What to do about the logs without a calibration."""
+    if all(row["exit_code"] == 0 for row in table):
+        return []
+    return ["Use the calibrations marked ✔; the table gives the reason and the remedy for each of the others."]
 
 
 def _label(row: Row) -> str:
@@ -272,22 +294,20 @@ def _write(folder: Path, table: Sequence[Row]) -> None:
     except MagycError:  # the extra `parquet` is not installed; the same rows are in the CSV
         (folder / "calibrations.parquet").unlink(missing_ok=True)
     header, shown = _shown(table)
+    header = [header[0], header[-1], *header[1:-1]]  # the verdict where a phone shows it
     linked = [
-        [Link(_label(each), each["page"]) if each["page"] else row[0], *row[1:]]
+        [Link(_label(each), each["page"]) if each["page"] else row[0], row[-1], *row[1:-1]]
         for row, each in zip(shown, table, strict=True)
     ]
-    good = sum(row["exit_code"] == 0 for row in table)
-    headline = f"{good} of {len(table)} logs calibrated"
     sections = [Section("Logs", header, linked)]
-    known = [row for row in table if row["hard_iron_x_uT"] is not None]
+    known = [row for row in table if row["exit_code"] == 0]
     if known:
         iron, sigma = (
             np.array([[row[f"hard_iron_{axis}_{what}"] for axis in _AXES] for row in known], dtype=np.float64)
             for what in ("uT", "sigma_uT")
         )
-        trusted = [row["exit_code"] == 0 for row in known]
-        figures = by_log([_label(row) for row in known], iron, sigma, trusted)
+        figures = by_log([_label(row) for row in known], iron, sigma)
         sections.append(Section("Hard iron, each log by itself", figures=figures))
-    page = summary_page("Calibrations of many logs", headline, good == len(table), [], sections)
+    page = summary_page("Calibrations of many logs", _headline(table)[0], not _lead(table), _lead(table), sections)
     with replacing(folder / "index.html") as part:
         part.write_text(page, encoding="utf-8")

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magyc_gtsam.foreign_text import printable
+from magyc_gtsam.foreign_text import printable, with_minus
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -76,22 +76,27 @@ def show(*sentences: str) -> None:
         output.print(printable(sentence), markup=False, highlight=False, soft_wrap=not output.is_terminal)
 
 
-def show_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table; the first column to the left, the others to the right."""
+def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = ()) -> None:
+    """A table; the first column and those of `words` to the left, the others to the right, with minus signs."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     for index, name in enumerate(header):
-        table.add_column(name, justify="left" if index == 0 else "right", overflow="fold")
+        table.add_column(name, justify="left" if index == 0 or index in words else "right", overflow="fold")
     for row in rows:
-        table.add_row(*map(printable, row))
+        table.add_row(*map(printable, (row[0], *map(with_minus, row[1:]))))
     console().print(table, markup=False, highlight=False)
 
 
-def concluded(verdict: Verdict) -> int:
-    """The exit code of a verdict; says on standard error why a result must not be trusted."""
+def concluded(verdict: Verdict, shown: bool = False) -> int:
+    """The exit code of a verdict; writes to standard error why a result must not be trusted.
+
+    `shown`: the verdict is on standard output already, and is not repeated on the same terminal.
+    """
     if verdict.trusted:
         return 0
+    if shown and sys.stdout.isatty() and sys.stderr.isatty():
+        return 1
     called = f"{verdict.called[:1].lower()}{verdict.called[1:]}: " if verdict.called else ""
     print(f"magyc-gtsam: the result must not be trusted: {printable(called + verdict.reason)}", file=sys.stderr)
     return 1

@@ -13,6 +13,15 @@ function numbers(packed) {
 
 const orNull = (values) => Array.from(values, (v) => (Number.isNaN(v) ? null : v));
 const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
+/** Labels of a time axis in UTC, by the step between them (s): ISO dates, 24 hours. */
+const DATES = [
+  [31536000, "{YYYY}", null, null, null, null, null, null, 1],
+  [2419200, "{YYYY}-{MM}", null, null, null, null, null, null, 1],
+  [86400, "{MM}-{DD}", "\n{YYYY}", null, null, null, null, null, 1],
+  [60, "{HH}:{mm}", "\n{YYYY}-{MM}-{DD}", null, "\n{MM}-{DD}", null, null, null, 1],
+  [1, "{HH}:{mm}:{ss}", "\n{YYYY}-{MM}-{DD}", null, "\n{MM}-{DD}", null, null, null, 1],
+  [0.001, ":{ss}.{fff}", "\n{YYYY}-{MM}-{DD} {HH}:{mm}", null, "\n{MM}-{DD} {HH}:{mm}", null, "\n{HH}:{mm}", null, 1],
+];
 const MINUTES = [60, 120, 300, 600, 1200, 1800, 3600, 7200, 14400, 36000];
 
 function rounded(value, span) {
@@ -140,9 +149,10 @@ function drawLines(figure, spec) {
     width: place.clientWidth, height: spec.height || 230, legend: { show: false }, series, bands,
     scales: { x: { time: spec.dates !== undefined, distr: spec.logx ? 3 : 1, ...(spec.xlim ? { range: (u, a, b) => (u.zoomed ? [a, b] : spec.xlim) } : {}) }, y: range },
     axes: [
-      axis(spec.xlabel, { divide, axis: spec.dates !== undefined ? { values: undefined } : spec.names ? { incrs: WHOLE } : divide > 1 ? { incrs: MINUTES } : {} }),
+      axis(spec.xlabel, { divide, axis: spec.dates !== undefined ? { values: DATES, space: 70 } : spec.names ? { incrs: WHOLE } : divide > 1 ? { incrs: MINUTES } : {} }),
       axis(spec.ylabel, { axis: { size: 58 } }),
     ],
+    ...(spec.dates !== undefined ? { tzDate: (seconds) => uPlot.tzDate(new Date(seconds * 1e3), "UTC") } : {}),
     cursor: { y: false, points: { size: 6 }, drag: { x: true, y: false, setScale: !spec.strip } },
     hooks: {
       ...decorations(spec),

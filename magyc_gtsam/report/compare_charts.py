@@ -16,6 +16,15 @@ _BEYOND = 1.5  # times the spread of the trusted methods, from which an estimate
 
 
 @dataclass(frozen=True)
+class Scale:
+    """The dots of one axis, and what stands at both ends and in the middle of their scale."""
+
+    axis: str
+    dots: list[Dot]
+    ticks: tuple[str, str, str]
+
+
+@dataclass(frozen=True)
 class Dot:
     """One method's estimate on a scale: its place, and its bar from `start` over `width`, in %; and in words."""
 
@@ -76,7 +85,7 @@ def heading(comparison: Comparison, outcome: Outcome) -> Figure:
     )
 
 
-def hard_irons(comparison: Comparison, axis: int) -> list[Dot]:
+def hard_irons(comparison: Comparison, axis: int) -> Scale:
     """Hard iron of every method along an axis, on a scale that shows where the trusted ones differ."""
     outcomes = [o for o in comparison.by_trust if o.calibration is not None]
     scale, unit = comparison.recording.field_shown
@@ -90,7 +99,7 @@ def hard_irons(comparison: Comparison, axis: int) -> list[Dot]:
     place = 100 * (value - low) / (2 * reach)
     half = 50 * np.nan_to_num(sigma) / reach
     start, end = np.clip(place - half, 0, 100), np.clip(place + half, 0, 100)
-    return [
+    dots = [
         Dot(
             o.method,
             float(np.clip(at, 1, 99)),
@@ -102,6 +111,9 @@ def hard_irons(comparison: Comparison, axis: int) -> list[Dot]:
         )
         for o, at, first, last, v, s, good in zip(outcomes, place, start, end, value, sigma, trusted, strict=True)
     ]
+    decimals = int(np.clip(2 - np.floor(np.log10(reach)), 0, 6))
+    left, middle, right = (f"{low + share * reach:.{decimals}f}" for share in (0, 1, 2))
+    return Scale("xyz"[axis], dots, (left, middle, f"{right} {unit}"))
 
 
 def _estimates(outcomes: Sequence[Outcome], axis: int, scale: float) -> tuple[Array, Array]:

@@ -34,8 +34,10 @@ def render_comparison(comparison: Comparison) -> str:
         verdict=verdict,
         result_header=compare_words.result_header(comparison),
         result_rows=compare_words.result_rows(comparison),
-        parameter_header=compare_words.parameter_header(),
-        parameter_rows=compare_words.parameter_rows(comparison),
+        soft_iron_header=compare_words.SOFT_IRON,
+        soft_iron=compare_words.soft_iron_rows(comparison),
+        motion_header=compare_words.GYROSCOPE,
+        motion_rows=compare_words.gyroscope_rows(comparison),
         footnotes=compare_words.footnotes(comparison),
         overview=_overview(comparison),
         linked=[outcome.method for outcome in comparison.calibrated],
@@ -46,10 +48,10 @@ def render_comparison(comparison: Comparison) -> str:
     )
 
 
-def _overview(comparison: Comparison) -> list[tuple[str, list[compare_charts.Dot]]]:
+def _overview(comparison: Comparison) -> list[compare_charts.Scale]:
     if not comparison.calibrated:
         return []
-    return [(name, compare_charts.hard_irons(comparison, axis)) for axis, name in enumerate("xyz")]
+    return [compare_charts.hard_irons(comparison, axis) for axis in range(3)]
 
 
 def _card(comparison: Comparison, outcome: Outcome) -> Card:

@@ -168,14 +168,12 @@ def result_rows(comparison: Comparison) -> list[list[str]]:
     return rows
 
 
-def parameter_header() -> list[str]:
-    """Names of the columns of `parameter_rows`."""
-    soft_iron = [f"soft iron {name}" for name in _UPPER]
-    return ["method", *soft_iron, *(f"gyro bias {axis} (mrad/s)" for axis in "xyz"), "delay (ms)"]
+SOFT_IRON = ("method", *(f"soft iron {name}" for name in _UPPER))
+GYROSCOPE = ("method", *(f"gyroscope bias {axis} (mrad/s)" for axis in "xyz"), "delay (ms)")
 
 
-def parameter_rows(comparison: Comparison) -> list[list[str]]:
-    """Soft iron, gyroscope bias and delay, each ± σ, of the methods that gave parameters."""
+def soft_iron_rows(comparison: Comparison) -> list[list[str]]:
+    """Soft iron ± σ of the methods that gave parameters; see `SOFT_IRON`."""
     rows = []
     upper = np.triu_indices(3)
     for outcome in comparison.by_trust:
@@ -184,12 +182,23 @@ def parameter_rows(comparison: Comparison) -> list[list[str]]:
             continue
         sigma = calibration.sigma.get("soft_iron", np.full((3, 3), np.nan))
         soft_iron = [uncertain(v, s) for v, s in zip(calibration.soft_iron[upper], sigma[upper], strict=True)]
+        rows.append([outcome.method, *soft_iron])
+    return rows
+
+
+def gyroscope_rows(comparison: Comparison) -> list[list[str]]:
+    """Gyroscope bias and delay, each ± σ, of the methods that estimate one of them; see `GYROSCOPE`."""
+    rows = []
+    for outcome in comparison.by_trust:
+        calibration = outcome.calibration
+        if calibration is None or (calibration.gyro_bias is None and calibration.delay_sigma is None):
+            continue
         delay = (
             ""
             if calibration.delay_sigma is None
             else uncertain(calibration.delay * 1e3, calibration.delay_sigma * 1e3)
         )
-        rows.append([outcome.method, *soft_iron, *_triple(outcome, "gyro_bias", 1e3), delay])
+        rows.append([outcome.method, *_triple(outcome, "gyro_bias", 1e3), delay])
     return rows
 
 

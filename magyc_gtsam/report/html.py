@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from magyc_gtsam.foreign_text import with_minus
 from magyc_gtsam.recording import Recording
 
 _PACKAGE = "magyc_gtsam.report"
 _SCRIPTS = ("uplot/uPlot.iife.min.js", "charts.js", "sphere.js", "page.js")
 _STYLES = ("uplot/uPlot.min.css", "style.css")
-_HYPHEN = re.compile(r"(?<![\w.)\]-])-(?=\.?\d)")
 
 
 def rendered(template: str, recording: Recording | None = None, **values: Any) -> str:
@@ -35,11 +34,6 @@ def rendered(template: str, recording: Recording | None = None, **values: Any) -
     environment.filters["minus"] = with_minus
     style, script = (Markup("\n".join(map(_text, names))) for names in (_STYLES, _SCRIPTS))
     return environment.get_template(template).render(recording=recording, style=style, script=script, **values)
-
-
-def with_minus(text: str) -> str:
-    """With a minus sign where a hyphen stands before a number."""
-    return _HYPHEN.sub("−", text)
 
 
 def _text(name: str) -> str:

@@ -135,9 +135,9 @@ def _sphere_figure(calibration: Calibration, history: FieldHistory, visited: Cov
     radius = history.strength * _MICRO
     fitted = (calibration.soft_iron * radius, calibration.hard_iron * _MICRO, "raw")
     return sphere(
-        f"The field in sensor axes, and the {visited.share:.0%} of its directions that were visited",
-        "Drag to turn. Raw points belong on the ellipsoid fitted to them, calibrated points on the sphere about "
-        "zero. Where the sphere is bare, the motion said nothing.",
+        f"The field in sensor axes (µT); {visited.share:.0%} of its directions visited",
+        "Drag to turn. Raw points should lie on the fitted ellipsoid, calibrated points on the sphere about zero. "
+        "Bare areas of the sphere are directions that the field did not take.",
         [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
         radius,
         outlines=[fitted, (np.eye(3) * radius, np.zeros(3), "calibrated")],
@@ -151,7 +151,7 @@ def _strength_figure(
     raw, calibrated = (np.linalg.norm(field, axis=1) * _MICRO for field in (history.raw, history.calibrated))
     return over_time(
         "Strength of the field",
-        "Drag over an interval to copy it for the command line and to see it in the charts below. Lines: means; bands: "
+        "Drag over an interval to copy it for the command line and to zoom the charts below. Lines: means; bands: "
         "range of the samples; dashed: strength of the calibrated field; shaded: disturbed.",
         recording,
         time,
@@ -185,8 +185,8 @@ def _time_figures(recording: Recording, history: FieldHistory, time: Array) -> l
         figures.append(
             over_time(
                 "Heading error against the reference",
-                f"Standard deviation {np.nanstd(raw):.2f}° raw, {np.nanstd(calibrated):.2f}° calibrated, with the "
-                "noise of each sample but without the mean.",
+                f"Standard deviation {np.nanstd(raw):.2f}° raw, {np.nanstd(calibrated):.2f}° calibrated: sensor noise "
+                "included, mean removed.",
                 recording,
                 time,
                 [("raw", "raw", raw), ("calibrated", "calibrated", calibrated)],
@@ -205,7 +205,7 @@ def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -
     figures = [
         chart(
             "Level turn: error of the raw compass",
-            f"{about} Off by up to {np.abs(error).max():.1f}°.",
+            f"{about} The largest error is {np.abs(error).max():.1f}°.",
             turn.heading,
             [Series("raw", "raw", np.where(jumps, np.nan, error))],
             frame,
@@ -216,8 +216,8 @@ def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -
     sigma = np.minimum(turn.systematic(calibration.covariance, calibration.soft_iron), 180.0)
     figures.append(
         chart(
-            "Level turn: what the calibration leaves",
-            f"±1σ of the systematic error, at worst {degrees(verdict.heading.systematic)}, by the covariance.",
+            "Level turn: error after calibration",
+            f"±1σ of the systematic error from the covariance; at worst {degrees(verdict.heading.systematic)}.",
             turn.heading,
             [Series("calibrated ±1σ", "calibrated", low=-sigma, high=sigma)],
             frame,
@@ -267,8 +267,8 @@ def _residuals_over_time(
     series.append(Series("disturbed", "disturbed", np.where(fits, np.nan, worst), style="dots"))
     return chart(
         f"{name}: residual over time",
-        f"In units of its own σ, drawn up to ±10; dashed: ±3. Below half the weight: {(~kept).sum()} of {len(kept)} "
-        f"windows. Mean weight {weight.mean():.2f}.",
+        f"Residual of each window over its σ, clipped at ±10; dashed: ±3σ. {(~kept).sum()} of {len(kept)} windows have "
+        f"less than half the weight; the mean weight is {weight.mean():.2f}.",
         time,
         series,
         clock(recording, time, "Residual (σ)", levels=(-3.0, 3.0)),
@@ -281,8 +281,8 @@ def _histogram(name: str, whitened: Array, kept: Mask) -> Figure:
     x = (edges[1:] + edges[:-1]) / 2
     return chart(
         f"{name}: residual against noise",
-        f"Line: what the stated noise alone would give. Standard deviation {noise.std():.2f}: up to about 1 is noise, "
-        "more is not.",
+        f"Line: expected from the stated noise alone. The standard deviation is {noise.std():.2f}; a value well above "
+        "1 is more than noise.",
         x,
         [
             Series("found", "calibrated", share, style="bars"),

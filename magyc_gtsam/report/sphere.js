@@ -24,36 +24,37 @@ function drawSphere(figure, spec) {
   let zoom = 1;
   let size = 0;
 
-  /** Half the width of what is shown, and its middle. */
+  /** The fitted ellipsoids, without those whose points are hidden. */
+  const outlines = () => (spec.outlines || []).filter((o) => !clouds.some((c) => c.colour === o.colour && !c.shown));
+
+  /** The middle of what is shown, and the radius of a ball about it that holds all of it, however it is turned. */
   function extent() {
-    let middle = [0, 0, 0];
-    let reach = spec.radius;
     const boxes = clouds.filter((c) => c.shown && c.points.length);
-    if (boxes.length) {
-      const low = [Infinity, Infinity, Infinity];
-      const high = [-Infinity, -Infinity, -Infinity];
-      for (const cloud of boxes) {
-        for (let k = 0; k < cloud.points.length; k++) {
-          low[k % 3] = Math.min(low[k % 3], cloud.points[k]);
-          high[k % 3] = Math.max(high[k % 3], cloud.points[k]);
-        }
+    if (!boxes.length) return { middle: [0, 0, 0], reach: 1.3 * spec.radius };
+    const low = [Infinity, Infinity, Infinity];
+    const high = [-Infinity, -Infinity, -Infinity];
+    for (const cloud of boxes) {
+      for (let k = 0; k < cloud.points.length; k++) {
+        low[k % 3] = Math.min(low[k % 3], cloud.points[k]);
+        high[k % 3] = Math.max(high[k % 3], cloud.points[k]);
       }
-      if (boxes.some((c) => c.colour === "calibrated") || (cells && cells.shown)) {
-        for (let k = 0; k < 3; k++) { low[k] = Math.min(low[k], -spec.radius); high[k] = Math.max(high[k], spec.radius); }
-      }
-      // Fitted ellipsoids too, unless one is so large that the points would vanish.
-      const size = Math.max(...low.map((l, k) => high[k] - l));
-      for (const { matrix, centre } of spec.outlines || []) {
-        for (let k = 0; k < 3; k++) {
-          const half = Math.hypot(...matrix[k]);
-          low[k] = Math.min(low[k], Math.max(centre[k] - half, low[k] - size));
-          high[k] = Math.max(high[k], Math.min(centre[k] + half, high[k] + size));
-        }
-      }
-      middle = low.map((l, k) => (l + high[k]) / 2);
-      reach = Math.hypot(...low.map((l, k) => (high[k] - l) / 2)) * 0.68;
     }
-    return { middle, reach: Math.max(reach, 1e-9) };
+    const aboutZero = boxes.some((c) => c.colour === "calibrated") || (cells && cells.shown);
+    if (aboutZero) {
+      for (let k = 0; k < 3; k++) { low[k] = Math.min(low[k], -spec.radius); high[k] = Math.max(high[k], spec.radius); }
+    }
+    const middle = low.map((l, k) => (l + high[k]) / 2);
+    const away = (x, y, z) => Math.hypot(x - middle[0], y - middle[1], z - middle[2]);
+    let reach = aboutZero ? away(0, 0, 0) + 1.2 * spec.radius : 0;
+    for (const { points } of boxes) {
+      for (let k = 0; k < points.length; k += 3) reach = Math.max(reach, away(points[k], points[k + 1], points[k + 2]));
+    }
+    // Fitted ellipsoids too, unless one is so large that the points would vanish.
+    const most = 2 * reach;
+    for (const { matrix, centre } of outlines()) {
+      reach = Math.max(reach, Math.min(most, away(...centre) + Math.max(...matrix.map((row) => Math.hypot(...row)))));
+    }
+    return { middle, reach: Math.max(1.05 * reach, 1e-9) };
   }
 
   function draw() {
@@ -72,7 +73,7 @@ function drawSphere(figure, spec) {
       return [size / 2 + scale * right, size / 2 - scale * up, near];
     };
     if (cells && cells.shown) paintCells(ctx, seen);
-    for (const outline of spec.outlines || []) drawOutline(ctx, seen, outline);
+    for (const outline of outlines()) drawOutline(ctx, seen, outline);
     for (const cloud of clouds) {
       if (!cloud.shown) continue;
       ctx.fillStyle = colourOf(cloud.colour);

@@ -12,11 +12,14 @@ from magyc_gtsam.history import History
 from magyc_gtsam.history.log_factor import HARD_IRON
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart
+from magyc_gtsam.report.gap_verdict import said
 from magyc_gtsam.report.html import rendered
+from magyc_gtsam.report.verdict import Verdict
 
 _DAY = 86400.0
 _AXES = ("x", "y", "z")
 _BAND = 1.96  # sigmas
+_BARS = "Bars: 95% interval (±1.96σ)."
 
 
 @dataclass(frozen=True)
@@ -43,25 +46,21 @@ def summary_page(title: str, headline: str, good: bool, lead: Sequence[str], sec
     return rendered("summary.html", about=title, headline=headline, good=good, lead=lead, sections=sections)
 
 
-def by_log(names: Sequence[str], hard_iron: Array, sigma: Array, trusted: Sequence[bool]) -> list[Figure]:
-    """Hard iron of each log by itself, an axis each.
+def by_log(names: Sequence[str], hard_iron: Array, sigma: Array) -> list[Figure]:
+    """Hard iron of each log by itself, one figure per axis.
 
     Args:
         names: (k,) of the logs.
-        hard_iron, sigma: (k, 3) µT, NaN where a log has none.
-        trusted: (k,) whether a log's is.
+        hard_iron, sigma: (k, 3) µT, of trusted calibrations.
     """
-    good = np.array(trusted, dtype=bool)
     at = np.arange(1, len(names) + 1, dtype=np.float64)
     figures = []
     for axis, value, deviation in zip(_AXES, hard_iron.T, _BAND * sigma.T, strict=True):
-        series = []
-        for label, colour, rows in (("trusted", "calibrated", good), ("not to be trusted", "disturbed", ~good)):
-            if rows.any():
-                shown = np.where(rows, value, np.nan)
-                series.append(Series(label, colour, shown, shown - deviation, shown + deviation, style="errors"))
+        series = [Series("", "calibrated", value, value - deviation, value + deviation, style="errors")]
         frame = Frame("Log", f"{axis} (µT)", xlim=(0.5, len(names) + 0.5), more={"names": list(names)})
-        figures.append(chart(f"Hard iron along {axis}", f"Bars: ±{_BAND} sigma.", at, series, frame))
+        figures.append(
+            chart(f"Hard iron along {axis}", f"{_BARS} Hover for the name of the log.", at, series, frame)
+        )
     return figures
 
 
@@ -90,14 +89,29 @@ def history_page(history: History, title: str = "History of an instrument") -> s
         ),
         Section("For the next log", ("hard iron x", "y", "z"), [cells], [following.message]),
     ]
+    verdict = judged_history(history)
+    return summary_page(title, verdict.title, verdict.trusted, [said(verdict.reason)], sections)
+
+
+def judged_history(history: History) -> Verdict:
+    """The verdict on a history, for page, terminal and exit code."""
     instruments = len([group for group in history.groups if len(group) > 1]) or 1
-    headline = f"{len(history)} logs, {len(jumps)} jump{'s' if len(jumps) != 1 else ''} of the hard iron"
-    lead = [
-        f"The hard iron walks by {history.walk * 1e6:.2g} µT per √{'day' if _dated(history) else 'log'}.",
-    ]
+    jumps = len(history.jumps)
     if instruments > 1:
-        lead.append(f"The logs are of {instruments} instruments; the largest group is shown as the instrument's.")
-    return summary_page(title, headline, instruments == 1, lead, sections)
+        return Verdict(
+            False,
+            f"the logs are of {instruments} instruments",
+            "give the logs of one instrument alone",
+            called="The logs do not belong together",
+        )
+    times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
+    scatter = f"{history.walk * 1e6:.2g} µT per square root of a {'day' if _dated(history) else 'log'}"
+    between = "otherwise " if jumps else ""
+    return Verdict(
+        True,
+        worth=f"the hard iron {times}; it {between}changes by {scatter} (1σ)",
+        called=f"{len(history)} logs of one instrument" if len(history) > 1 else "1 log",
+    )
 
 
 def history_rows(history: History) -> list[list[str | Link]]:
@@ -153,6 +167,6 @@ def _hard_iron(history: History) -> list[Figure]:
         frame = Frame("Date" if dated else "Log", f"{axis} (µT)", more=more)
         dashed = " Dashed: jumps." if more["marks"] else ""
         figures.append(
-            chart(f"Hard iron along {axis}", f"Band: ±{_BAND} sigma.{dashed}", at - first, series, frame)
+            chart(f"Hard iron along {axis}", f"Band: 95% interval (±{_BAND}σ).{dashed}", at - first, series, frame)
         )
     return figures

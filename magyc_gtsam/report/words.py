@@ -70,13 +70,15 @@ def key_numbers(
         Number(
             "Systematic heading error",
             degrees(heading.systematic),
-            f"1σ at worst in a level turn; a single sample {degrees(heading.per_sample)}",
+            f"1σ, the worst heading of a level turn; single samples {degrees(heading.per_sample)}",
         )
     )
     numbers += [
         Number("Field strength", f"{history.strength * _MICRO:.2f} µT", "of the calibrated field"),
         Number(
-            "Hard iron", f"{_three_digits(float(np.linalg.norm(calibration.hard_iron)) * _MICRO)} µT", "its length"
+            "Hard iron",
+            f"{_three_digits(float(np.linalg.norm(calibration.hard_iron)) * _MICRO)} µT",
+            "length of the vector",
         ),
         Number(
             "Directions visited",
@@ -143,13 +145,16 @@ def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[t
         remedies: dict[str, list[str]] = {}
         for weakness in calibration.observability.weak:
             remedies.setdefault(weakness.remedy, []).append(weakness.what)
-        lines += [f"{remedy[0].upper()}{remedy[1:]}: for {', '.join(weak)}." for remedy, weak in remedies.items()]
+        lines += [
+            f"{remedy[0].upper()}{remedy[1:]}, to determine {', '.join(weak)}."
+            for remedy, weak in remedies.items()
+        ]
     if disturbed:
         listed = ", ".join(stretch(seconds) for seconds in disturbed[:5])
         more = f" and {len(disturbed) - 5} more" if len(disturbed) > 5 else ""
         lines.append(
             f"Look at what was near the sensor or switched on at {listed}{more}: "
-            "these windows do not fit and counted for less."
+            "these windows do not fit the model and were given less weight."
         )
     gaps = recording.gaps
     if gaps:
@@ -159,7 +164,7 @@ def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[t
             f"{longest.duration:.1f} s after {longest.start - recording.time[0]:.0f} s."
         )
     if calibration.trusted:
-        lines.append("Paste the parameters, then record again: the raw field strength should now stay flat.")
+        lines.append("Paste the parameters and record again: the strength of the field should then stay constant.")
     return lines
 
 
