@@ -298,7 +298,6 @@ def test_untrusted_page_escapes_a_hostile_name(opened: Any, tmp_path: Path) -> N
     assert "ard iron along z ±14 µT (limit 1): pitch by 20° or more while turning" in page.inner_text("#verdict")
     assert page.title().startswith("Calibration of <script>")
     assert drawn_figures(page) == 2 + 1
-    page.locator("#parameters summary").click()
     text = page.inner_text("main")
     assert "No parameters are offered for copying, because the result must not be trusted." in text
     assert "This method gives no uncertainty." in text
