@@ -7,12 +7,12 @@ import json
 import re
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
-COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
+from commands import COMMAND
+
 DIVE = Path(__file__).parents[1] / "datasets" / "calibration_dive.mcap"
 PATIENCE = 120.0  # s
 

@@ -1,14 +1,12 @@
 """Accelerometer self-calibration: simulated truth with motion, refusals, files, and real instruments."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from commands import run
 from scipy.spatial.transform import Rotation, Slerp
 
 from magyc_gtsam import (
@@ -23,7 +21,6 @@ from magyc_gtsam import (
 from magyc_gtsam.estimators.autocal.accelerometer import STANDARD_GRAVITY, accelerometer_samples
 from magyc_gtsam.io import write_mcap
 
-COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
 SCALE = np.array([[1.02, 0.005, -0.003], [0.005, 0.985, 0.004], [-0.003, 0.004, 1.01]])
 BIAS = np.array([0.15, -0.25, 0.08])
 
@@ -139,15 +136,8 @@ def test_a_calibration_is_saved_and_loaded_bit_for_bit(tmp_path):
         AccelerometerCalibration.load(tmp_path / "other.yaml")
 
 
-def run(*arguments, cwd):
-    return subprocess.run(
-        [COMMAND, "calibrate", *map(str, arguments), "--sensor", "accelerometer"],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=300,
-    )
+def calibrated(*arguments, cwd):
+    return run("calibrate", *arguments, "--sensor", "accelerometer", cwd=cwd)
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +148,7 @@ def log(tmp_path_factory):
 
 
 def test_the_command_writes_a_folder_for_an_accelerometer(log, tmp_path):
-    result = run(log, "-o", "out", "--option", "gravity=9.81", cwd=tmp_path)
+    result = calibrated(log, "-o", "out", "--option", "gravity=9.81", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert {f.name for f in (tmp_path / "out").iterdir()} == {
         "calibration.yaml",

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from commands import COMMAND, Finished, installed, run
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
@@ -30,7 +31,6 @@ from magyc_gtsam.cli.reading import Reading, parse_axes, parse_pairs
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.simulation import simulate
 
-COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
 DATASETS = Path(__file__).parents[1] / "datasets"
 FILES = {
     "calibration.yaml",
@@ -42,14 +42,6 @@ FILES = {
     "ros.yaml",
 }
 UNTRUSTED = {"calibration.yaml", "configuration.yaml", "report.html"}
-Finished = subprocess.CompletedProcess[str]
-
-
-def run(*arguments: object, cwd: Path) -> Finished:
-    """The installed command, with the environment of a plain pipe."""
-    return subprocess.run(
-        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=300
-    )
 
 
 def refused(result: Finished) -> str:
@@ -88,7 +80,7 @@ def quiet_logging() -> Iterator[None]:
 def result(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Finished, Path]:
     """The plainest call, and the folder it made."""
     cwd = tmp_path_factory.mktemp("plain")
-    finished = run("calibrate", logs / "dive.mcap", cwd=cwd)
+    finished = installed("calibrate", logs / "dive.mcap", cwd=cwd)
     (folder,) = (cwd / "results").iterdir()
     return finished, folder
 

@@ -10,7 +10,6 @@ import re
 import select
 import signal
 import subprocess
-import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import COMMAND, PATIENCE, installed, run
 from mcap.writer import Writer as McapWriter
 
 import magyc_gtsam as mg
@@ -26,9 +26,7 @@ from magyc_gtsam.io import write_mcap
 from magyc_gtsam.io.ros2 import definition, encode
 from magyc_gtsam.simulation import simulate
 
-COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
 EPOCH = 1_620_000_000_000_000_000
-PATIENCE = 300.0  # s, for a machine under load; nothing is waited for that has come
 IFG = ("--method", "magyc-ifg", "--option", "estimate=current")  # quick, and bit for bit
 
 
@@ -89,18 +87,6 @@ def inside(
     logging.disable(logging.NOTSET)  # `main` silences the libraries of its process; here the process goes on
 
 
-def run(*arguments: object, cwd: Path, stdin: str | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [COMMAND, "online", *map(str, arguments)],
-        cwd=cwd,
-        input=stdin,
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        timeout=PATIENCE,
-    )
-
-
 def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [COMMAND, "online", *map(str, arguments)],
@@ -153,7 +139,7 @@ def reported(process: subprocess.Popen[str], duration: float) -> None:
 def test_a_whole_file(tmp_path: Path) -> None:
     simulation = simulate("dive", duration=300, rate=10, seed=1)
     write_mcap(tmp_path / "whole.mcap", simulation.recording, epoch=EPOCH)
-    finished = run("whole.mcap", "--every", "60", cwd=tmp_path)
+    finished = run("online", "whole.mcap", "--every", "60", cwd=tmp_path)
     assert finished.returncode == 0, finished.stderr
     calibration = mg.Calibration.load(tmp_path / "online-calibration.yaml")
     assert calibration.method == "smoother"
@@ -212,7 +198,7 @@ def test_stopped_while_the_file_grows_and_gone_on_with(
         assert process.returncode in (0, 1)
         assert json.loads(output.splitlines()[-1])["end"] == "interrupted"
     recorder.write(1.0)
-    finished = run("growing.mcap", "--state", "run.state", "--quiet", cwd=tmp_path)
+    finished = run("online", "growing.mcap", "--state", "run.state", "--quiet", cwd=tmp_path)
     assert re.search(r"\d+ samples were in the saved state already", finished.stderr)
     same(tmp_path / "online-calibration.yaml", expected)
 
@@ -242,7 +228,7 @@ def test_interrupted_before_there_is_a_calibration(log: Path, tmp_path: Path) ->
 def test_a_recorder_that_died(log: Path, tmp_path: Path) -> None:
     """No footer ever comes; after --idle the run ends with what there is."""
     (tmp_path / "cut.mcap").write_bytes(log.read_bytes()[:-30_000])
-    finished = run("cut.mcap", *IFG, "--idle", "0.5", "--json", "--every", "1e9", cwd=tmp_path)
+    finished = run("online", "cut.mcap", *IFG, "--idle", "0.5", "--json", "--every", "1e9", cwd=tmp_path)
     (line,) = finished.stdout.splitlines()
     assert json.loads(line)["end"] == "no growth"
     assert json.loads(line)["windows"] > 80
@@ -261,7 +247,7 @@ def test_lines_of_json_in_gauss_with_a_bad_one(simulation: mg.Simulation, tmp_pa
     lines = json_lines(recording)
     lines.insert(100, '{"time": 5.0, "magnetic_field": [1, 2]}')
     lines.insert(1000, "Segmentation fault (core dumped)")
-    finished = run("-", *IFG, "--magnetic-unit", "gauss", cwd=tmp_path, stdin="\n".join(lines))
+    finished = installed("online", "-", *IFG, "--magnetic-unit", "gauss", cwd=tmp_path, stdin="\n".join(lines))
     assert "standard input, line 101: " in finished.stderr
     assert "standard input, line 1001: not JSON" in finished.stderr
     found = mg.Calibration.load(tmp_path / "online-calibration.yaml")
@@ -284,7 +270,7 @@ def test_a_pipe_that_is_interrupted_keeps_what_came(simulation: mg.Simulation, t
     process.communicate(timeout=PATIENCE)
     assert process.returncode in (0, 1)
     rest = "\n".join(json_lines(simulation.recording)[1500:])
-    run("-", "--magnetic-unit", "gauss", "--state", "s", "--quiet", cwd=tmp_path, stdin=rest)
+    installed("online", "-", "--magnetic-unit", "gauss", "--state", "s", "--quiet", cwd=tmp_path, stdin=rest)
     found = mg.Calibration.load(tmp_path / "online-calibration.yaml")
     direct = mg.OnlineCalibrator("magyc-ifg", estimate="current")
     at = simulation.recording
@@ -388,7 +374,7 @@ def test_numbers_of_options_need_no_point(
 def test_a_wrong_unit_and_a_state_of_another_method(
     log: Path, simulation: mg.Simulation, tmp_path: Path, inside: Callable[..., tuple[int, str]]
 ) -> None:
-    finished = run("-", cwd=tmp_path, stdin="\n".join(json_lines(simulation.recording, 50)))
+    finished = installed("online", "-", cwd=tmp_path, stdin="\n".join(json_lines(simulation.recording, 50)))
     assert finished.returncode == 2
     assert "say the unit (--magnetic-unit)" in finished.stderr
     mg.OnlineCalibrator("magyc-ifg", window=0.5).save(tmp_path / "ifg.state")

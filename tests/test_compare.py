@@ -9,8 +9,6 @@ import logging
 import os
 import re
 import signal
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -20,6 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from commands import run
 from test_report import drawn_figures
 
 import magyc_gtsam as mg
@@ -34,7 +33,6 @@ from magyc_gtsam.study.heading import heading_error
 from magyc_gtsam.study.judging import UNCALIBRATED
 from magyc_gtsam.study.outcome import Comparison, Outcome, Status
 
-COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
 HOSTILE = "<script>document.title = 'taken'</script>"
 QUICK = ("smoother", "magfactor3", "sar-ls", "ellipsoid", "autocal")
 
@@ -394,13 +392,6 @@ def here(
     with warnings.catch_warnings():
         yield call
     logging.disable(logging.NOTSET)
-
-
-def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """The installed command."""
-    return subprocess.run(
-        [COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, encoding="utf-8", timeout=300
-    )
 
 
 def test_command(dive: mg.Simulation, tmp_path: Path) -> None:

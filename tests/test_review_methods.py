@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from commands import run
 from scipy.optimize import least_squares
 
 import magyc_gtsam as mg
@@ -395,11 +394,6 @@ def test_the_bound_follows_the_noise():
 
 
 # --- as a user calls them ---
-
-
-def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = Path(sys.executable).with_name("magyc-gtsam")
-    return subprocess.run([command, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300)
 
 
 def test_a_log_without_gyroscope_from_log_to_page(tmp_path):

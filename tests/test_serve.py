@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from served import COMMAND, DIVE, PATIENCE, Served
+from commands import COMMAND
+from served import DIVE, PATIENCE, Served
 
 from magyc_gtsam.serve.limits import Limits
 

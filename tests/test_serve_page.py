@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from served import COMMAND, DIVE, PATIENCE, Served
+from commands import COMMAND
+from served import DIVE, PATIENCE, Served
 
 import magyc_gtsam as mg
 

@@ -61,10 +61,15 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 def _unraisable(lost: sys.UnraisableHookArgs) -> None:
     """A request to end that was met where Python drops exceptions, as in a destructor, is made once more."""
-    if isinstance(lost.exc_value, Stopped):
-        threading.Timer(0.01, os.kill, (os.getpid(), lost.exc_value.number)).start()
-    else:
+    met = lost.exc_value
+    if not isinstance(met, Stopped):
         sys.__unraisablehook__(lost)
+    while isinstance(met, Stopped):
+        try:
+            threading.Timer(0.01, os.kill, (os.getpid(), met.number)).start()
+            met = None
+        except Stopped as again:  # a busy machine may take longer to start the timer than it runs
+            met = again
 
 
 def interrupted(stop: KeyboardInterrupt) -> int:

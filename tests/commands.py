@@ -1,0 +1,39 @@
+"""The command line, in this process and as it is installed."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+from magyc_gtsam import cli
+
+COMMAND = str(Path(sys.executable).with_name("magyc-gtsam"))
+PATIENCE = 300.0  # s
+Finished = subprocess.CompletedProcess[str]
+
+
+def installed(*arguments: object, cwd: Path, stdin: str | None = None) -> Finished:
+    """The installed command, with the environment of a plain pipe."""
+    return subprocess.run(
+        [COMMAND, *map(str, arguments)],
+        cwd=cwd, input=stdin, capture_output=True, text=True, encoding="utf-8", timeout=PATIENCE,
+    )  # fmt: skip
+
+
+def run(*arguments: object, cwd: Path) -> Finished:
+    """The same in this process, which spares the second that a new one takes to import everything."""
+    command = [*map(str, arguments)]
+    output, errors = io.StringIO(), io.StringIO()
+    assert threading.current_thread() is threading.main_thread()  # the folder is that of all threads
+    disabled = logging.root.manager.disable
+    try:
+        with contextlib.chdir(cwd), contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+            code = cli.main(command)
+    finally:
+        logging.disable(disabled)  # `main` silences the libraries of its process
+    return Finished(command, code, output.getvalue(), errors.getvalue())
