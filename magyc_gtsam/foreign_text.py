@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
+from itertools import islice
 
 LONGEST = 200  # characters of a foreign text in a message
+_MOST_LISTED = 20  # names that a message lists
+_LONGEST_LISTED = 60  # characters of each
+_MOST_SENTENCES = 40  # of a report
+_LONGEST_SENTENCE = 500  # characters of each
 MOST_WORDS = 30  # of the cause and the action that a verdict gives
 # What a terminal would obey rather than show, and what turns the direction of a text or has no width.
 _OBEYED = re.compile(
@@ -14,10 +20,24 @@ _OBEYED = re.compile(
 _HYPHEN = re.compile(r"(?<![\w.)\]-])-(?=\.?\d)")
 
 
-def shortened(text: object) -> str:
-    """A foreign text on one line, without control characters, cut at 200 characters."""
-    line = printable(" ".join(str(text)[: 10 * LONGEST].split()))
-    return line if len(line) <= LONGEST else f"{line[:LONGEST]}…"
+def shortened(text: object, longest: int = LONGEST) -> str:
+    """A foreign text on one line, without control characters, cut at so many characters."""
+    line = printable(" ".join(str(text)[: 10 * longest].split()))
+    return line if len(line) <= longest else f"{line[:longest]}…"
+
+
+def listed(names: Collection[object], separator: str = ", ") -> str:
+    """Names out of a file for a message: the first twenty, each cut at 60 characters, and how many more there are."""
+    shown = [shortened(name, _LONGEST_LISTED) for name in islice(names, _MOST_LISTED)]
+    more = len(names) - len(shown)
+    return separator.join(shown) + (f" and {more} more" if more else "")
+
+
+def first_of(sentences: Collection[str], what: str) -> tuple[str, ...]:
+    """Sentences for a report, each cut at 500 characters: the first forty, and how many more there are."""
+    shown = tuple(shortened(sentence, _LONGEST_SENTENCE) for sentence in islice(sentences, _MOST_SENTENCES))
+    more = len(sentences) - len(shown)
+    return (*shown, f"and {more} more {what}") if more else shown
 
 
 def printable(text: str) -> str:

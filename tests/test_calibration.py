@@ -304,6 +304,16 @@ def test_files_that_expand_or_nest_without_end_are_refused_at_once(tmp_path):
             Calibration.load(tmp_path / name)
 
 
+def test_a_key_that_is_no_name_is_refused(tmp_path):
+    path = tmp_path / "a.yaml"
+    path.write_text("? [1, 2]\n: 3\n")
+    with pytest.raises(MagycError, match="is no name"):
+        Calibration.load(path)
+    path.write_text("a: [" + "1, " * 1_000_000 + "]\n")  # minutes in a YAML reader
+    with pytest.raises(MagycError, match="at most 2097152 are read"):
+        Calibration.load(path)
+
+
 def test_what_is_held_twice_is_written_without_an_alias(tmp_path):
     shared = [1.0, 2.0]
     Calibration(SOFT_IRON, HARD_IRON, diagnostics={"a": shared, "b": shared}).save(tmp_path / "cal.yaml")

@@ -173,6 +173,19 @@ def test_a_configuration_is_read_back(logs: Path, tmp_path: Path) -> None:
     assert (tmp_path / "other" / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.parametrize(
+    "written", ["options: {noise: 5}", "options: {delay: x}", "options: {field_strength: [1]}", "a: &x [1]\nb: *x",
+                "reading: {}", "[" * 3000]
+)  # fmt: skip
+def test_a_configuration_of_another_kind(tmp_path: Path, written: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "configuration.yaml"
+    path.write_text(f"reading: {{log: a.mcap}}\nmethod: smoother\n{written}\n")
+    assert cli.main(["calibrate", "--config", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert "--config" in said
+    assert "internal error" not in said
+
+
 def test_the_field_of_a_place(logs: Path, tmp_path: Path) -> None:
     place = ("--location", -33.4, -70.6, "--altitude", 500, "--date", "2024-06-01")
     finished = run("calibrate", logs / "dive.mcap", "-o", "here", "-q", *place, cwd=tmp_path)

@@ -292,3 +292,49 @@ def test_stamps_are_exact_however_they_are_written(tmp_path: Path, written: str)
     (tmp_path / "a.csv").write_text("t,mx,my,mz\n" + "\n".join(rows))
     expected = [int(Decimal(c.strip()) * 10**9) for c in cells]
     np.testing.assert_array_equal(np.round(read(tmp_path / "a.csv").time * 1e9), np.array(expected) - expected[0])
+
+
+@pytest.mark.parametrize("name", ["(" * 100_000, "a" + " " * 100_000 + "b", "mag_" * 25_000])
+def test_a_name_without_end_is_of_no_sensor(tmp_path: Path, name: str) -> None:
+    """Nor is it looked through for a unit, which takes the square of its length."""
+    path = write(tmp_path / "a.csv", f"t,mx,my,mz,{name}", TIME, FIELD, TIME)
+    np.testing.assert_array_equal(read(path).magnetic_field, FIELD)
+
+
+def test_a_table_of_very_many_columns(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(",".join(["t"] * 50_000) + "\n" + ",".join(["1"] * 50_000) + "\n")
+    with pytest.raises(MagycError, match="50000 columns in the header"):
+        read(path)
+
+
+def test_two_columns_of_one_name(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t,mx,my,mz,mx,my,mz", TIME, FIELD, RATE)
+    with pytest.raises(MagycError, match="the columns mx and mx have one name"):
+        read(path)
+    np.testing.assert_array_equal(read(path, columns="t,mx,my,mz,gx,gy,gz").angular_rate, RATE)
+
+
+@pytest.mark.parametrize("stamp", ["1e999999", "1e99999999999", "9999-01-01T00:00:00", "0001-01-01", "1" * 5000])
+def test_stamps_beyond_all_clocks(tmp_path: Path, stamp: str) -> None:
+    path = write(tmp_path / "a.csv", "t,mx,my,mz", TIME, FIELD, tail=f"{stamp},1e-5,1e-5,1e-5\n")
+    with pytest.raises(MagycError, match=f"line {N + 2}"):
+        read(path)
+
+
+def test_a_cell_in_quotation_marks_without_end(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t,mx,my,mz", TIME, FIELD, tail='"' + "1" * 200_000 + ",1,1,1\n")
+    with pytest.raises(MagycError, match="cannot be split into cells") as caught:
+        read(path)
+    assert len(str(caught.value)) < 500
+
+
+@pytest.mark.parametrize(
+    "option",
+    [{"rate": "fast"}, {"rate": [1]}, {"rate": True}, {"rate": float("nan")}, {"columns": 5}, {"columns": ["t", 5]},
+     {"time": 5}, {"time_unit": ["s"]}, {"magnetic_unit": ["T"]}, {"start": "now"}, {"end": float("nan")}],
+)  # fmt: skip
+def test_options_of_another_kind(tmp_path: Path, option: dict[str, object]) -> None:
+    path = write(tmp_path / "a.csv", "t,mx,my,mz", TIME, FIELD)
+    with pytest.raises(MagycError, match=next(iter(option)).replace("magnetic_unit", "magnetic_field")):
+        read(path, **option)  # type: ignore[arg-type]

@@ -273,3 +273,112 @@ def test_information_of_what_cannot_be_decoded(log: Path) -> None:
         "/imu/data_raw": 120,
         "/battery/current": 120,
     }
+
+
+def _text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def _record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def _topic(number: int, name: str, kind: str, definition: str, encoding: str = "cdr") -> bytes:
+    schema = struct.pack("<H", number) + _text(kind) + _text("ros2msg") + _text(definition)
+    channel = struct.pack("<HH", number, number) + _text(name) + _text(encoding) + struct.pack("<I", 0)
+    return _record(3, schema) + _record(4, channel)
+
+
+def _messages(number: int, contents: list[bytes]) -> bytes:
+    return b"".join(
+        _record(5, struct.pack("<HIQQ", number, 0, EPOCH + k * 5_000_000, 0) + content)
+        for k, content in enumerate(contents)
+    )
+
+
+def _with(log: Path, records: bytes) -> Path:
+    data = log.read_bytes()
+    path = log.with_name("more.mcap")
+    path.write_bytes(data[:8] + records + data[8:])
+    return path
+
+
+def _packed(records: bytes) -> bytes:
+    return chunk(b"", len(records), "zstd", zstandard.compress(records))
+
+
+TRUTHS = _topic(50, "/truths", "a/msg/B", "\n".join(f"bool f{k}" for k in range(2000)))
+
+
+@pytest.mark.parametrize("kept", ["numbers of one byte, which become eight", "messages without a channel so far"])
+def test_what_is_kept_is_bounded_by_the_size_of_the_file(
+    log: Path, monkeypatch: pytest.MonkeyPatch, kept: str
+) -> None:
+    """However small it is packed."""
+    if kept.startswith("numbers"):
+        path = _with(log, TRUTHS + _packed(_messages(50, [b"\0\1\0\0" + bytes(2000)] * 1000)))
+    else:
+        path = _with(log, _packed(_messages(60, [bytes(2000)] * 1000)))
+    read(path)
+    monkeypatch.setattr("magyc_gtsam.io.ros_log._KEPT", (1, 1 << 20))
+    with pytest.raises(MagycError, match="holds more numbers than"):
+        read(path)
+
+
+def test_records_that_no_chunk_holds(log: Path) -> None:
+    """Nine zero bytes are a record; a hundred million of them pack to some kB."""
+    back = read(_with(log, _packed(bytes(9) * 200_000)))
+    assert any("records that are no messages" in note for note in back.notes)
+
+
+def test_messages_of_many_channels_are_split_in_one_pass(log: Path) -> None:
+    heads = np.zeros(100_000, dtype=[("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("rest", "S20")])
+    heads["op"], heads["length"], heads["channel"] = 5, 22, 1000 + np.arange(len(heads)) % 20_000
+    back = read(_with(log, _packed(heads.tobytes())))
+    assert any("100000 messages of channels without a record" in note for note in back.notes)
+    assert max(map(len, back.notes)) < 600
+
+
+def test_messages_of_very_many_layouts_are_no_channel(log: Path) -> None:
+    def message(first: int, second: int) -> bytes:
+        content = struct.pack("<I", first) + bytes(first)
+        content += bytes(-len(content) % 4) + struct.pack("<I", second) + bytes(second)
+        return b"\0\1\0\0" + content + bytes(-len(content) % 8) + struct.pack("<d", 1.0)
+
+    topic = _topic(50, "/texts", "a/msg/S", "string a\nstring b\nfloat64 x")
+    few = read(_with(log, topic + _messages(50, [message(k % 20, k % 7) for k in range(400)])))
+    assert few.channels["texts"][20] == 1.0
+    many = read(_with(log, topic + _messages(50, [message(k % 40, k // 40) for k in range(1600)])))
+    assert "texts" not in many.channels
+    assert any("more than 1000 layouts" in note for note in many.notes)
+
+
+@pytest.mark.parametrize("array", ["", "[2000000000]"])
+def test_types_without_fields_within_each_other(log: Path, array: str) -> None:
+    """They take no bytes, so that none are missing at any number of them."""
+    kinds = ["a/T1 x"]
+    for k in range(1, 8):
+        kinds += [f"===\nMSG: a/T{k}", *(f"a/T{k + 1}{array} x{j}" for j in range(60))]
+    definition = "\n".join([*kinds, "===\nMSG: a/T8", ""])
+    topic = _topic(50, "/nested", "a/msg/S", definition, "ros1").replace(b"ros2msg", b"ros1msg")
+    back = read(_with(log, topic + _messages(50, [bytes(2000)])))
+    assert "nested" not in back.channels
+
+
+def test_damage_is_told_in_few_words(log: Path) -> None:
+    """However much there is of it, and whatever the file calls things."""
+    topics = [_topic(k, f"/t{k}" * 100, "a/msg/S", "what is this") for k in range(100, 400)]
+    messages = [_messages(k, [bytes(8)]) for k in range(100, 400)]
+    back = read(_with(log, b"".join([*topics, *messages, *[_record(6, b"x" * 50)] * 3000])))
+    assert any("3000 chunks are damaged" in note for note in back.notes)
+    assert any(note.endswith("more notes") for note in back.notes)
+    assert sum(map(len, back.notes)) < 30_000
+    with pytest.raises(MagycError, match="no topic 'absent'") as caught:
+        read(log.with_name("more.mcap"), magnetic_field="absent")
+    assert len(str(caught.value)) < 3000
+
+
+def test_a_message_shorter_than_its_head_costs_itself(log: Path) -> None:
+    back = read(_with(log, _record(5, b"short")))
+    assert any("a message is damaged and was left out" in note for note in back.notes)
+    np.testing.assert_array_equal(back.magnetic_field, recording().magnetic_field)

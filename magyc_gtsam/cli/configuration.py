@@ -25,23 +25,26 @@ def defaults(path: Path) -> dict[str, Any]:
     Raises:
         MagycError: no such file, or none that `calibrate` wrote.
     """
-    import yaml
-
     from magyc_gtsam.factors.errors import MagycError
+    from magyc_gtsam.stored import load_mapping
 
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as problem:
-        reason = getattr(problem, "strerror", None) or "it is no YAML"
-        raise MagycError(f"--config: {path} cannot be read ({reason}); give a configuration.yaml") from None
-    if not isinstance(values, dict) or not isinstance(values.get("reading"), dict) or "method" not in values:
+        values = load_mapping(path, "configuration")
+    except MagycError as problem:
+        raise MagycError(f"--config: {problem}; it is no configuration.yaml of calibrate") from None
+    if not isinstance(values.get("reading"), dict) or "method" not in values:
         raise MagycError(
             f"--config: {path} is no configuration.yaml of calibrate; it has no 'reading' and 'method'"
         )
     options = values.get("options") or {}
     if not isinstance(options, dict):
         raise MagycError(f"--config: {path}: options must be names with values, got {options!r}")
-    return {**values["reading"], "method": values["method"], **_as_options(options)}
+    try:
+        return {**values["reading"], "method": values["method"], **_as_options(options)}
+    except (TypeError, ValueError) as problem:
+        raise MagycError(
+            f"--config: {path}: an option is of another kind than its name says ({problem})"
+        ) from None
 
 
 def _as_options(options: Mapping[str, Any]) -> dict[str, Any]:

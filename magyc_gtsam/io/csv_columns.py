@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import listed, shortened
 from magyc_gtsam.io.request import Selection
 from magyc_gtsam.io.units import lookup
 
@@ -21,6 +22,8 @@ _WORDS = {
 }
 _TIME = re.compile(r"^%?(?:time[ _.]?stamp|stamp|time|t|sec(?:ond)?s?)$")
 _QUATERNION = re.compile(r"^(.*?)(?:q|quat|quaternion|orientation)[ _.]?([xyzw])$")
+_LONGEST_NAME = 200  # characters; a longer one is of no sensor, and is not looked through for a unit
+_MOST_COLUMNS = 10_000  # of a table
 _BRACKETS = re.compile(r"^(.*?)\s*[(\[]\s*([^)\]]*?)\s*[)\]]\s*$")
 
 
@@ -55,12 +58,20 @@ class Columns:
 
 
 def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:
-    """Names and units, from "Gyroscope X (deg/s)", "mag_x [uT]", "magnetic_field_x_T", "timestamp_ns", ..."""
+    """Names and units, from "Gyroscope X (deg/s)", "mag_x [uT]", "magnetic_field_x_T", "timestamp_ns", ...
+
+    Raises:
+        MagycError: more columns than a log has.
+    """
+    if len(fields) > _MOST_COLUMNS:
+        raise MagycError(f"{len(fields)} columns in the header, at most {_MOST_COLUMNS} are read; is it a log?")
     columns = []
     for index, raw in enumerate(fields):
         written = raw.strip().strip('"').strip()
         name, unit = written, None
-        if match := _BRACKETS.match(written):
+        if len(written) > _LONGEST_NAME:
+            name = ""
+        elif match := _BRACKETS.match(written):
             name, unit = match[1], match[2] or None
         else:
             for quantity, words in (("time", (r"t|time|stamp|time[ _.]?stamp",)), *_WORDS.items()):
@@ -83,7 +94,7 @@ def find_time(columns: Sequence[Column], named: str | None) -> Column | None:
         return _named(columns, named)
     found = [c for c in columns if _TIME.match(c.name) or re.match(r"^time(?:us|ms)$", c.name)]
     if len(found) > 1:
-        raise MagycError(f"time: columns {', '.join(c.written for c in found)} could be meant; name one (time=)")
+        raise MagycError(f"time: columns {_listed(found)} could be meant; name one (time=)")
     return found[0] if found else None
 
 
@@ -108,15 +119,14 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
         groups = {k: v for k, v in groups.items() if k.startswith(prefix)}
         if not groups:
             raise MagycError(
-                f"{sensor}: no columns {selection!r} with axes {', '.join(axes)}; "
-                f"the file has {', '.join(c.written for c in columns)}"
+                f"{sensor}: no columns {selection!r} with axes {', '.join(axes)}; the file has {_listed(columns)}"
             )
     elif selection is not None:
         names = selection.split(",") if isinstance(selection, str) else selection
         if len(names) != len(axes):
             raise MagycError(f"{sensor}: {len(names)} columns named, {len(axes)} are needed ({', '.join(axes)})")
         found = tuple(_named(columns, n) for n in names)
-        return Columns(", ".join(c.written for c in found), found)
+        return Columns(_listed(found), found)
     elif sensor == "attitude":
         groups = _groups(columns, _QUATERNION, axes)
     else:
@@ -124,8 +134,8 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
         pattern = re.compile(rf"^((?:(?:.*[^a-z])?(?:{word})|{letter}))[ _.\-/]?([xyz])$")
         groups = _groups(columns, pattern, axes)
     if len(groups) > 1:
-        listed = "; ".join(", ".join(c.written for c in g.columns) for g in groups.values())
-        raise MagycError(f"{sensor}: {len(groups)} sets of columns could be meant: {listed}; name one ({sensor}=)")
+        sets = listed([", ".join(c.written for c in g.columns) for g in groups.values()], "; ")
+        raise MagycError(f"{sensor}: {len(groups)} sets of columns could be meant: {sets}; name one ({sensor}=)")
     return next(iter(groups.values()), None)
 
 
@@ -134,7 +144,13 @@ def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> d
     found: dict[str, dict[str, Column]] = {}
     for column in columns:
         if match := pattern.match(column.name):
-            found.setdefault(match[1], {}).setdefault(match[2], column)
+            group = found.setdefault(match[1], {})
+            if match[2] in group:
+                raise MagycError(
+                    f"the columns {shortened(group[match[2]].written)} and {shortened(column.written)} have one name; "
+                    "which one is meant? name all columns anew (columns=)"
+                )
+            group[match[2]] = column
     return {k: Columns(k, tuple(v[a] for a in axes)) for k, v in found.items() if len(v) == len(axes)}
 
 
@@ -143,4 +159,8 @@ def _named(columns: Sequence[Column], name: str) -> Column:
     for column in columns:
         if wanted in (column.written.lower(), column.name):
             return column
-    raise MagycError(f"no column {name!r}; the file has {', '.join(c.written for c in columns)}")
+    raise MagycError(f"no column {name!r}; the file has {_listed(columns)}")
+
+
+def _listed(columns: Sequence[Column]) -> str:
+    return listed([c.written for c in columns])

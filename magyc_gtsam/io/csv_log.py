@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.csv_columns import Column, Columns, find_sensor, find_time, parse_header
 from magyc_gtsam.io.csv_stamps import StampColumn
 from magyc_gtsam.io.csv_table import Stamps, Table, is_number, load
@@ -20,6 +23,7 @@ from magyc_gtsam.recording import Recording
 
 Array = NDArray[np.float64]
 
+_HIGHEST_RATE = 1e6  # Hz
 OPTIONS = ("time", "time_unit", "rate", "columns")
 
 
@@ -34,6 +38,7 @@ def read(path: Path, request: Request) -> Recording:
             numbers, with their number in the file.
     """
     request.only("text", *OPTIONS)
+    _check(request.options)
     table = load(path, request.options.get("columns"))
     notes: list[str] = []
     found: dict[str, Columns | None] = {}
@@ -79,6 +84,19 @@ def read(path: Path, request: Request) -> Recording:
     return recording
 
 
+def _check(options: Mapping[str, Any]) -> None:
+    for name in ("time", "time_unit", "columns"):
+        value = options.get(name)
+        several = name == "columns" and isinstance(value, list | tuple) and all(isinstance(v, str) for v in value)
+        if not (value is None or isinstance(value, str) or several):
+            raise MagycError(f"{name}: {value!r} is no text")
+    rate = options.get("rate")
+    if rate is not None and (
+        isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate <= _HIGHEST_RATE
+    ):
+        raise MagycError(f"rate: {rate!r} is no number of Hz between 0 and {_HIGHEST_RATE:g}")
+
+
 _TARGETS = ("magnetic_field", "angular_rate", "acceleration")
 
 
@@ -119,7 +137,7 @@ def _require(table: Table, magnetometer: Columns | None, time: Column | None, re
         missing.append("a header with column names")
         remedies.append(f"name its {table.width} columns (columns='time,mx,my,mz,gx,gy,gz' or alike)")
     elif magnetometer is None:
-        missing.append(f"magnetometer columns among {', '.join(c.written for c in table.columns)}")
+        missing.append(f"magnetometer columns among {listed([c.written for c in table.columns])}")
         remedies.append("name them (magnetic_field='x,y,z')")
     if time is None and request.options.get("rate") is None:
         missing.append("a column of time stamps")
@@ -136,11 +154,8 @@ def _read(
 ) -> tuple[GrowingColumns[np.float64], Stamps, tuple[str, ...]]:
     """The cells of the columns, the stamps of all lines in ns, and notes."""
     if time is None:
-        rate = float(request.options["rate"])
-        if not 0 < rate < 1e6:
-            raise MagycError(f"rate: {rate:g} Hz is not between 0 and 1 MHz")
         numbers, _, count, notes = table.read(wanted, None, None, request.report)
-        return numbers, np.round(np.arange(count) * (1e9 / rate)).astype(np.int64), notes
+        return numbers, np.round(np.arange(count) * (1e9 / request.options["rate"])).astype(np.int64), notes
     unit = request.options.get("time_unit") or time.unit or {"timeus": "us", "timems": "ms"}.get(time.name)
     column = StampColumn(table.path, unit)
     numbers, stamp, _, notes = table.read(wanted, time.index, column, request.report)
@@ -153,12 +168,12 @@ def _channel_columns(table: Table, used: set[int], request: Request, notes: list
     if request.channels is not None:
         missing = [w for w in request.channels if w not in {c.written for c in free}]
         if missing:
-            raise MagycError(f"channels: no column {missing[0]!r}; free are {', '.join(c.written for c in free)}")
+            raise MagycError(f"channels: no column {missing[0]!r}; free are {listed([c.written for c in free])}")
         return [c for c in free if c.written in request.channels]
     first = table.first
     text = [c for c in free if first[c.index].strip() and not is_number(first[c.index])]
     if text:
-        notes.append(f"columns left out, which hold text: {', '.join(c.written for c in text)}")
+        notes.append(f"columns left out, which hold text: {listed([c.written for c in text])}")
     return [c for c in free if c not in text]
 
 

@@ -14,6 +14,7 @@ from magyc_gtsam.io.csv_table import Stamps
 from magyc_gtsam.io.units import factor
 
 _LONGEST_STEP = 2.0  # s; a table of larger steps counts in another unit, unless its header says seconds
+_LATEST = 1 << 63  # ns since 1970, of an int64
 _MOST_DIGITS = 18  # that an int64 holds
 
 
@@ -44,7 +45,7 @@ class StampColumn:
             cell = cell.strip()
             try:
                 stamp[row] = int((Decimal(cell) * self._scale).to_integral_value())
-            except (OverflowError, InvalidOperation, ValueError):
+            except (ArithmeticError, ValueError):  # of decimals: no number, or beyond all exponents
                 stamp[row] = self._other(cell, numbers[row])
         return stamp
 
@@ -77,7 +78,12 @@ class StampColumn:
                 f"{self.path}, line {number}: {cell[:80]!r} is no time stamp; repair or remove the line"
             ) from None
         seconds = int(moment.astype(np.int64)) - (int(zone.total_seconds()) if zone else 0)
-        return seconds * 1_000_000_000 + int(fraction)
+        stamp = seconds * 1_000_000_000 + int(fraction)
+        if abs(stamp) >= _LATEST:
+            raise MagycError(
+                f"{self.path}, line {number}: {cell[:80]!r} is not within 292 years of 1970; repair or remove the line"
+            )
+        return stamp
 
     def check(self, stamp: Stamps, name: str) -> None:
         """Refuse steps that no recording has, where the unit was a guess.

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.csv_columns import Column, parse_header
 from magyc_gtsam.io.growing import GrowingColumns
 
@@ -264,7 +265,12 @@ def _separator(lines: Sequence[str]) -> str | None:
 def _split(line: str, separator: str | None) -> list[str]:
     if separator is None:
         return line.split()
-    return next(csv.reader([line], delimiter=separator)) if '"' in line else line.split(separator)
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator))
+    except csv.Error as error:  # a cell in quotation marks without an end
+        raise MagycError(f"a line cannot be split into cells ({error}): {shortened(line)}") from None
 
 
 def _is_row(cells: Sequence[str]) -> bool:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.mcap_records import Damage, decompressed
 from magyc_gtsam.io.ros_fields import NANOSECONDS, Array, short_type
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
 from magyc_gtsam.recording import Recording
@@ -144,13 +146,13 @@ def copy_mcap(
     with open(source, "rb") as read, open(target, "wb") as written:
         copy = _Copy(Writer(written), replaced, named, by_log_time)
         try:
-            for k, record in enumerate(StreamReader(read).records):
+            for k, record in enumerate(_records(read)):
                 if isinstance(record, Header):
                     copy.writer.start(record.profile, record.library)
                 copy.take(record)
                 if k % 4096 == 0:
                     progress(read.tell() / size)
-        except (McapError, EOFError, struct.error) as error:
+        except (McapError, EOFError, struct.error, UnicodeDecodeError, Damage) as error:
             raise MagycError(
                 f"{source}: is damaged ({type(error).__name__}), and only a whole MCAP file can be copied; mend it "
                 "with `mcap recover`, or write a table (--output OUT.csv)"
@@ -160,6 +162,16 @@ def copy_mcap(
         target.unlink()
         return None
     return copy.count
+
+
+def _records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """The records of the file in order, those in chunks unpacked within what is granted."""
+    for record in StreamReader(file, emit_chunks=True).records:
+        if isinstance(record, Chunk):
+            data = decompressed(record.data, record.compression, record.uncompressed_size, record.uncompressed_crc)
+            yield from breakup_chunk(replace(record, compression="", data=data))
+        else:
+            yield record
 
 
 def _vectors(time: Array, value: Array, epoch: int) -> dict[int, bytes]:

@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from array import array
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -35,6 +36,7 @@ _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", 
 _LARGEST_CHUNK = 1 << 28  # bytes, unpacked; recorders write chunks of 1 to 16 MB
 _LARGEST_RECORD = 1 << 24  # bytes of a schema, a channel or metadata, and of a message outside of chunks
 _BEYOND_ANY = 1 << 32  # bytes; a record that announces more was not written so
+_MOST_OTHERS = 100_000  # schemas, channels and records of other kinds in a chunk
 _AT_ONCE = 1 << 22  # bytes of messages outside of chunks
 _UNPACKED = (100, 1 << 26)  # times the file, and bytes: measurements pack to a fifth, their headers to a tenth
 
@@ -66,6 +68,7 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
     size = os.path.getsize(path)
     budget = _UNPACKED[0] * size + _UNPACKED[1]
     whole = damaged = False
+    losses: dict[str, list[str]] = {"chunk": [], "record": [], "message": []}
     with open(path, "rb") as file:
         place = file.seek(len(MAGIC))
         loose = _Loose(file)
@@ -75,11 +78,15 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
             if end > size:
                 damaged = length > _BEYOND_ANY
                 break
-            if opcode == Opcode.MESSAGE and length <= _LARGEST_RECORD:
+            if opcode == Opcode.MESSAGE and _MESSAGE_HEAD.itemsize <= length <= _LARGEST_RECORD:
                 yield from loose.add(place + HEAD.size, length)
             else:
                 yield from loose.taken()
-            if opcode == Opcode.CHUNK or (opcode in _PARSED and length <= _LARGEST_RECORD):
+            if opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD.itemsize:
+                losses["message"].append("it is cut off")
+            elif opcode == Opcode.CHUNK and length > _LARGEST_CHUNK:
+                losses["chunk"].append(f"it is of {length} bytes, {_LARGEST_CHUNK} are granted")
+            elif opcode == Opcode.CHUNK or (opcode in _PARSED and length <= _LARGEST_RECORD):
                 content = file.read(length)
                 try:
                     if opcode == Opcode.CHUNK:
@@ -95,13 +102,17 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
                     else:
                         yield parsed(opcode, content)
                 except Damage as error:
-                    what = "chunk" if opcode == Opcode.CHUNK else "record"
-                    notes.append(f"a {what} is damaged and was left out ({shortened(error)})")
+                    losses["chunk" if opcode == Opcode.CHUNK else "record"].append(shortened(error))
             whole = opcode == Opcode.FOOTER
             place = file.seek(end)
         yield from loose.taken()
     if place <= len(MAGIC):
         raise MagycError(f"{path}: not an MCAP file (it ends too early)")
+    for what, reasons in losses.items():
+        if len(reasons) == 1:
+            notes.append(f"a {what} is damaged and was left out ({reasons[0]})")
+        elif reasons:
+            notes.append(f"{len(reasons)} {what}s are damaged and were left out (the first: {reasons[0]})")
     if damaged:
         notes.append(f"the file is damaged at byte {place} (a record of {length} bytes is announced)")
     elif not whole:
@@ -132,7 +143,7 @@ class _Loose:
         self._file.seek(back)
         places = [(start - first, length) for start, length in self._places if start + length - first <= len(data)]
         self._places = []
-        yield from block_of(data, places)
+        yield from block_of(data, [start for start, _ in places], [length for _, length in places])
 
 
 def unpacked(content: bytes) -> bytes:
@@ -150,6 +161,15 @@ def unpacked(content: bytes) -> bytes:
     data = content[_CHUNK_HEAD.size + name + 8 :][:length]
     if len(data) < length:
         raise Damage("its records are cut off")
+    return decompressed(data, compression, size, checksum)
+
+
+def decompressed(data: bytes, compression: str, size: int, checksum: int) -> bytes:
+    """The records in a chunk, as they lie in `data`, of which it says that they are so many bytes.
+
+    Raises:
+        Damage: as `unpacked`.
+    """
     if compression in ("zstd", "lz4"):
         if size > _LARGEST_CHUNK:
             raise Damage(f"it asks for {size} bytes, {_LARGEST_CHUNK} are granted")
@@ -186,11 +206,15 @@ def broken_up(data: bytes) -> list[Record]:
     """The schemas, channels and messages in the records of a chunk.
 
     Raises:
-        Damage: a record is cut off or cannot be read.
+        Damage: a record is cut off or cannot be read, or there are many that no chunk holds.
     """
     found: list[Record] = []
-    places: list[tuple[int, int]] = []
-    place, size, unpack = 0, len(data), HEAD.unpack_from
+    others = 0
+    starts, lengths = (
+        array("q"),
+        array("q"),
+    )  # of messages; an object of Python's for each would take ten times as much
+    place, size, unpack, add_start, add_length = 0, len(data), HEAD.unpack_from, starts.append, lengths.append
     while place < size:
         try:
             opcode, length = unpack(data, place)
@@ -200,35 +224,38 @@ def broken_up(data: bytes) -> list[Record]:
         if place + length > size:
             raise Damage("a record in it is cut off")
         if opcode == 5:  # a message
-            places.append((place, length))
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            found.append(parsed(opcode, data[place : place + length]))
+            add_start(place)
+            add_length(length)
+        else:
+            others += 1
+            if others > _MOST_OTHERS:
+                raise Damage(f"it holds more than {_MOST_OTHERS} records that are no messages")
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                found.append(parsed(opcode, data[place : place + length]))
         place += length
-    return [*found, *block_of(data, places)]
+    return [*found, *block_of(data, starts, lengths)]
 
 
-def block_of(data: bytes, places: list[tuple[int, int]]) -> list[Block]:
-    """The messages at these places (start, length) of their records in `data`; none where there are none.
+def block_of(data: bytes, starts: Sequence[int], lengths: Sequence[int]) -> list[Block]:
+    """The messages whose records begin at these places in `data`; none where there are none.
 
     Raises:
         Damage: one is shorter than its head.
     """
-    if not places:
+    if not len(starts):
         return []
-    table = np.array(places, dtype=np.int64)
-    start, length = table.T
+    start, length = np.asarray(starts, dtype=np.int64), np.asarray(lengths, dtype=np.int64)
     if length.min() < _MESSAGE_HEAD.itemsize:
         raise Damage("a message in it is cut off")
     content = np.frombuffer(data, dtype=np.uint8)
     everywhere: NDArray[np.void] = np.ndarray(
         (len(content) - _MESSAGE_HEAD.itemsize + 1,), dtype=_MESSAGE_HEAD, buffer=content, strides=(1,)
     )
-    head = everywhere[start]
     return [
         Block(
             content,
-            head["channel"],
-            head["log_time"].astype(np.int64),
+            everywhere["channel"][start],
+            everywhere["log_time"][start].astype(np.int64),
             start + _MESSAGE_HEAD.itemsize,
             length - _MESSAGE_HEAD.itemsize,
         )

@@ -7,11 +7,13 @@ from collections.abc import Callable
 import numpy as np
 from mcap.records import Channel, Schema
 
+from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.mcap_records import Block
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_fields import short_type
 from magyc_gtsam.io.ros_topic import Topic
 
+_HEAD = 34  # bytes beside each message that is kept
 NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
 
 
@@ -23,6 +25,7 @@ class Topics(dict[str, Topic]):
         request: its stamps.
         notes: what had to be left out.
         announced: whether a channel without messages so far is a topic.
+        grant: asked for bytes before they are kept; raises where there are too many.
     """
 
     def __init__(
@@ -31,8 +34,10 @@ class Topics(dict[str, Topic]):
         request: Request,
         notes: list[str],
         announced: bool = False,
+        grant: Callable[[int], None] = lambda _: None,
     ) -> None:
         super().__init__()
+        self._grant = grant
         self._announced = announced
         self._wanted, self._by_log_time, self._notes = wanted, request.stamps == "log", notes
         self._attitude = request.named("attitude") is not None
@@ -49,8 +54,9 @@ class Topics(dict[str, Topic]):
             if self._announced:
                 self._topic(record)
         else:
-            for identifier in np.unique(record.channel).tolist():
-                rows = record.channel == identifier
+            order = np.argsort(record.channel, kind="stable")
+            ends = np.flatnonzero(np.diff(record.channel[order])) + 1
+            for rows in np.split(order, ends):
                 block = Block(
                     record.data,
                     record.channel[rows],
@@ -58,12 +64,13 @@ class Topics(dict[str, Topic]):
                     record.start[rows],
                     record.length[rows],
                 )
-                self._messages(identifier, block)
+                self._messages(int(block.channel[0]), block)
 
     def _messages(self, identifier: int, block: Block) -> None:
         channel = self._channels.get(identifier)
         if channel is None or (channel.schema_id and channel.schema_id not in self._schemas):
             # Where a chunk is damaged its channels stand in the summary alone, at the end of the file.
+            self._grant(int(block.length.sum()) + _HEAD * len(block.length))
             self._early.setdefault(identifier, []).append(_compact(block))
             return
         for early in self._early.pop(identifier, []):
@@ -76,7 +83,13 @@ class Topics(dict[str, Topic]):
             schema = self._schemas.get(channel.schema_id, NO_SCHEMA)
             wanted = self._wanted(channel.topic, short_type(schema.name))
             topic = self[channel.topic] = Topic(
-                channel.topic, channel.message_encoding, schema, wanted, self._by_log_time, self._attitude
+                channel.topic,
+                channel.message_encoding,
+                schema,
+                wanted,
+                self._by_log_time,
+                self._attitude,
+                self._grant,
             )
         return topic
 
@@ -93,19 +106,27 @@ class Topics(dict[str, Topic]):
 
     def finish(self) -> None:
         """Take in what had no channel until the end."""
+        lost: dict[int, int] = {}
         for identifier, blocks in self._early.items():
             channel = self._channels.get(identifier)
             if channel is None:
-                count = sum(len(b.start) for b in blocks)
-                self._notes.append(f"{count} messages of a channel without a record ({identifier}) were left out")
+                lost[identifier] = sum(len(b.start) for b in blocks)
                 continue
             for block in blocks:
                 self._add(channel, block)
         self._early = {}
+        if lost:
+            which = f"{'a channel' if len(lost) == 1 else 'channels'} without a record ({listed([*lost])})"
+            self._notes.append(f"{sum(lost.values())} messages of {which} were left out")
 
 
 def _compact(block: Block) -> Block:
     """The block without the bytes between its messages."""
-    pieces = [block.data[s : s + n] for s, n in zip(block.start.tolist(), block.length.tolist(), strict=True)]
     start = np.concatenate([[0], np.cumsum(block.length)[:-1]])
-    return Block(np.concatenate(pieces), block.channel, block.log_time, start, block.length)
+    if (block.length == block.length[0]).all():
+        data = block.data[block.start[:, None] + np.arange(block.length[0])].ravel()
+    else:
+        data = np.empty(int(block.length.sum()), dtype=np.uint8)
+        for to, place, length in zip(start, block.start, block.length, strict=True):
+            data[to : to + length] = block.data[place : place + length]
+    return Block(data, block.channel, block.log_time, start, block.length)

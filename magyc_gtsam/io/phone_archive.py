@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.foreign_text import shortened
+from magyc_gtsam.foreign_text import listed, shortened
 from magyc_gtsam.io import csv_table
 from magyc_gtsam.io.csv_columns import Column
 from magyc_gtsam.io.csv_stamps import StampColumn
@@ -55,11 +55,10 @@ def read(path: Path, request: Request) -> Recording:
                 continue
             sensors[sensor] = _stream(archive, path, name, sensor, request, notes)
             if len(found.get(sensor, [])) > 1:
-                notes.append(f"{sensor} is from {name}; {', '.join(found[sensor][1:])} could be named instead")
+                notes.append(f"{sensor} is from {name}; {listed(found[sensor][1:])} could be named instead")
             request.report((done + 1) / len(_TABLES))
     if "magnetic_field" not in sensors:
-        listed = ", ".join(shortened(name) for name in archive.namelist()[:20])
-        raise MagycError(f"{path}: no magnetometer's table in the archive; it has {listed}")
+        raise MagycError(f"{path}: no magnetometer's table in the archive; it has {listed(archive.namelist())}")
     return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes))
 
 
@@ -121,8 +120,8 @@ def _columns(columns: tuple[Column, ...], where: str) -> tuple[Column, list[Colu
     time = next((c for c in columns if c.name in ("time", "t", "timestamp", "seconds_elapsed")), None)
     axes = {m[1]: c for c in reversed(columns) if (m := _AXIS.search(c.name))}
     if time is None or len(axes) < 3:
-        listed = ", ".join(c.written for c in columns) or "no header"
-        raise MagycError(f"{where}: columns of time, x, y and z are needed; it has {listed}")
+        found = listed([c.written for c in columns]) or "no header"
+        raise MagycError(f"{where}: columns of time, x, y and z are needed; it has {found}")
     return time, [axes[a] for a in "xyz"]
 
 
@@ -143,6 +142,6 @@ def _extracted(archive: zipfile.ZipFile, path: Path, name: str, folder: Path) ->
             raise MagycError(f"{path}: {name} unpacks to more than {granted} bytes")
         return target
     except KeyError:
-        raise MagycError(f"{path}: no table {name!r}; it has {', '.join(archive.namelist()[:20])}") from None
+        raise MagycError(f"{path}: no table {name!r}; it has {listed(archive.namelist())}") from None
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
         raise MagycError(f"{path}: {name} cannot be unpacked ({shortened(error)})") from None

@@ -38,6 +38,9 @@ class Request:
             raise MagycError(f"stamps: {self.stamps!r} is neither 'header' nor 'log'")
         for quantity, unit in self.units.items():
             factor(quantity, unit)
+        for name, value in (("start", self.start), ("end", self.end)):
+            if value is not None and not (isinstance(value, int | float) and value == value):
+                raise MagycError(f"{name}: {value!r} is no number of seconds")
 
     def named(self, sensor: str) -> str | None:
         """The one topic or message named for a sensor.

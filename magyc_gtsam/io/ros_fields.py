@@ -30,7 +30,9 @@ _TIME = ((("sec", "int32"), ("nanosec", "uint32")), ("builtin_interfaces/Time", 
 _LINE = re.compile(r"^([\w/]+)(?:<=\d+)?(\[(?:<=)?(\d*)\])?\s+(\w+)\s*(=?)")
 _LONGEST_ARRAY = 16  # numbers; longer ones are images, scans and buffers
 _DEEPEST = 16  # types within types
-_REMEMBERED = 32  # tables of one topic that are tried before a message is looked at by itself
+_MOST_LAYOUTS = 1000  # of one topic's messages; each is tried on all of them
+_MOST_STEPS = 100_000  # fields of one message, those within others counted
+_LONGEST_DEFINITION = 1 << 20  # characters
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,8 @@ def parse_types(name: str, text: str) -> Types:
     Raises:
         MagycError: a line that is no field, or a type without a definition.
     """
+    if len(text) > _LONGEST_DEFINITION:
+        raise MagycError(f"its definition is of {len(text)} characters, at most {_LONGEST_DEFINITION} are read")
     types: dict[str, list[Field]] = {}
     for full in _TIME[1]:
         types[full] = [Field(n, t) for n, t in _TIME[0]]
@@ -127,6 +131,7 @@ class _Walk:
                 f"encapsulation 0x{data[:2].hex()} of CDR is not supported, only plain CDR (0x0000, 0x0001)"
             )
         self.table = Table(len(data), order)
+        self.steps = 0
 
     def message(self, kind: str, prefix: str, depth: int = 0, kept: bool = True) -> None:
         if depth > _DEEPEST:
@@ -137,6 +142,7 @@ class _Walk:
         for one in fields:
             path = f"{prefix}{one.name}"
             count = 1
+            self._step()
             if one.array:
                 count = one.size if one.size is not None else self._length()
                 if count > len(self.data) - self.at:
@@ -153,10 +159,17 @@ class _Walk:
                 self._take(count * int(_PRIMITIVES[one.type][1]))
             elif one.type == "string":
                 for _ in range(count):
+                    self._step()
                     self._take(self._length())
             else:
                 for _ in range(count):
+                    self._step()
                     self.message(one.type, f"{path}.", depth + 1, kept and not one.array)
+
+    def _step(self) -> None:
+        self.steps += 1  # types without fields take no bytes that would end them
+        if self.steps > _MOST_STEPS:
+            raise MagycError(f"a message has more than {_MOST_STEPS} fields")
 
     def _length(self) -> int:
         self._align(4)
@@ -216,14 +229,20 @@ class FieldReader:
         stamp = np.zeros(len(start), dtype=np.int64)
         rest = np.arange(len(start))
         parts: list[tuple[NDArray[np.intp], Array]] = []
-        for table in list(self._tables):
-            rest = self._rows(table, data, start, length, rest, stamp, parts)
+        for table in self._tables:
+            if len(rest):
+                rest = self._rows(table, data, start, length, rest, stamp, parts)
         while len(rest):
+            if len(self._tables) == _MOST_LAYOUTS:
+                raise MagycError(
+                    f"{self.topic} ({self.kind}): its messages have more than {_MOST_LAYOUTS} layouts, by the lengths "
+                    "of texts and lists in them"
+                )
             first = rest[0]
             table = self._look(
                 data[start[first] : start[first] + length[first]].tobytes(), self._seen + int(first)
             )
-            self._tables = [*self._tables[-_REMEMBERED + 1 :], table]
+            self._tables.append(table)
             rest = self._rows(table, data, start, length, rest, stamp, parts)
         self._seen += len(start)
         if len(parts) == 1:

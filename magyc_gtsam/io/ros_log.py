@@ -11,6 +11,7 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.mcap_records import Block
 from magyc_gtsam.io.mcap_topics import Topics
@@ -20,6 +21,9 @@ from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, checked, choose, needed, u
 from magyc_gtsam.io.ros_topic import LARGEST, Topic
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
+
+# What is kept of a file: times its size, and bytes. Numbers of a byte grow eightfold, and pack to a fifth.
+_KEPT = (30, 1 << 26)
 
 
 @dataclass(frozen=True)
@@ -85,9 +89,21 @@ def collected(
     """The topics of all records; `notes` and `metadata` may grow while they come.
 
     Raises:
-        MagycError: there is no message.
+        MagycError: there is no message, or more numbers than are granted for a file of its size.
     """
-    topics = Topics(wanted, request, notes)
+    size = path.stat().st_size
+    left = _KEPT[0] * size + _KEPT[1]
+
+    def grant(count: int) -> None:
+        nonlocal left
+        left -= count
+        if left < 0:
+            raise MagycError(
+                f"{path}: holds more numbers than {_KEPT[0]} times its {size} bytes; read only what is needed of it "
+                "(channels=), or without other channels (channels=[])"
+            )
+
+    topics = Topics(wanted, request, notes, grant=grant)
     for record in records:
         topics.keep(record)
     topics.finish()
@@ -161,5 +177,5 @@ def _channels(topics: dict[str, Topic], used: set[str], request: Request, notes:
             w for w in wanted if not any(k == w.lstrip("/") or k.startswith(f"{w.lstrip('/')}.") for k in result)
         ]
         if missing:
-            raise MagycError(f"channels: the file has no {', '.join(missing)}")
+            raise MagycError(f"channels: the file has no {listed(missing)}")
     return result

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import SENSOR_FIELDS, UNKNOWN
 from magyc_gtsam.io.ros_topic import Topic
@@ -43,13 +44,13 @@ def choose(topics: Mapping[str, Topic], sensor: str, request: Request, notes: li
     if name is not None:
         return checked(topics, sensor, name)
     found = [t for t in topics.values() if t.type == FOUND_BY_TYPE[sensor]]
-    listed = ", ".join(f"{t.name} ({t.count} messages)" for t in found)
+    several = listed([f"{t.name} ({t.count} messages)" for t in found])
     if len(found) == 1:
         return checked(topics, sensor, found[0].name)
     if len(found) > 1 and sensor == "attitude":
-        notes.append(f"attitude left out: {listed} could be meant; name one (attitude=)")
+        notes.append(f"attitude left out: {several} could be meant; name one (attitude=)")
     elif len(found) > 1:
-        raise MagycError(f"{sensor}: {len(found)} topics could be meant: {listed}; name one ({sensor}=)")
+        raise MagycError(f"{sensor}: {len(found)} topics could be meant: {several}; name one ({sensor}=)")
     elif sensor == "magnetic_field":
         raise MagycError(
             f"no topic of type {FOUND_BY_TYPE[sensor]}; the file has {_listed(topics)}; "
@@ -76,7 +77,7 @@ def checked(topics: Mapping[str, Topic], sensor: str, name: str) -> Source:
     if sensor not in fields:
         fitting = [k for k, v in SENSOR_FIELDS.items() if sensor in v]
         inside = _vectors(topic)
-        field = f"; or name a field of it: {', '.join(inside)}" if inside else ""
+        field = f"; or name a field of it: {listed(inside)}" if inside else ""
         raise MagycError(
             f"{sensor}: {name} is of type {topic.schema.name}; one of {', '.join(fitting)} is needed{field}"
         )
@@ -102,7 +103,7 @@ def _nested(topic: Topic, sensor: str, path: str) -> Source:
     if len(found) != len(axes) or (path not in places and not all(parts)):
         raise MagycError(
             f"{sensor}: {topic.name} ({topic.schema.name}) has no field {path!r} of {len(axes)} numbers; "
-            f"it has {', '.join(_vectors(topic)) or 'none'}"
+            f"it has {listed(_vectors(topic)) or 'none'}"
         )
     return Source(topic, found)
 
@@ -118,11 +119,11 @@ def _vectors(topic: Topic) -> list[str]:
 
 def _hint(topics: Mapping[str, Topic]) -> str:
     inside = [v for t in topics.values() if t.type not in SENSOR_FIELDS for v in _vectors(t)]
-    return f", or a vector inside a message: {', '.join(inside[:8])}" if inside else ""
+    return f", or a vector inside a message: {listed(inside)}" if inside else ""
 
 
 def _listed(topics: Mapping[str, Topic]) -> str:
-    return ", ".join(f"{t.name} ({t.schema.name})" for t in topics.values())
+    return listed([f"{t.name} ({t.schema.name})" for t in topics.values()])
 
 
 def unknown(source: Source) -> bool:

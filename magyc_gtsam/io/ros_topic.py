@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from mcap.records import Schema
@@ -15,6 +15,7 @@ from magyc_gtsam.io.ros_fields import Array, FieldReader, Stamps, parse_types, s
 from magyc_gtsam.io.streams import Stream
 
 LARGEST = 2048  # bytes of a message; images, clouds and scans are no channels
+_AT_ONCE = 1 << 22  # bytes of messages that are read together
 _NO_TIME = 1 << 63  # beyond all stamps
 
 
@@ -26,6 +27,7 @@ class Topic:
         wanted: whether to read the messages, or only to count them.
         by_log_time: stamp them by the time of recording, whatever their headers say.
         attitude: whether one that stands beside other sensors is of interest.
+        grant: asked for the bytes of numbers before they are kept; raises where there are too many.
     """
 
     def __init__(
@@ -36,7 +38,9 @@ class Topic:
         wanted: bool,
         by_log_time: bool = False,
         attitude: bool = True,
+        grant: Callable[[int], None] = lambda _: None,
     ) -> None:
+        self._grant = grant
         self.name, self.encoding, self.schema, self.wanted = name, encoding, schema, wanted
         self.fields = fields_of(self.type, attitude) if self.type in SENSOR_FIELDS else ()
         self.count = 0
@@ -66,21 +70,25 @@ class Topic:
         self.span = (min(self.span[0], int(log_time.min())), max(self.span[1], int(log_time.max())))
         if not self.wanted or self.problem is not None:
             return
-        try:
-            if self._reader is None:
-                self._reader = self._field_reader()
-            stamp, value = self._reader.read(data, start, length)
-        except MagycError as error:
-            self.problem = error
-            self._stamp = self._value = None
-            return
-        if self._by_log_time or not self._reader.stamped:
-            stamp = log_time
-        if self._stamp is None or self._value is None:
-            self._stamp = GrowingColumns(1, np.int64)
-            self._value = GrowingColumns(self._reader.width, np.float64)
-        self._stamp.add(stamp)
-        self._value.add(value)
+        rows = max(_AT_ONCE // int(length.max()), 1) if length.any() else len(start)
+        for first in range(0, len(start), rows):
+            part = slice(first, first + rows)
+            try:
+                if self._reader is None:
+                    self._reader = self._field_reader()
+                stamp, value = self._reader.read(data, start[part], length[part])
+            except MagycError as error:
+                self.problem = error
+                self._stamp = self._value = None
+                return
+            self._grant(value.nbytes + stamp.nbytes)
+            if self._by_log_time or not self._reader.stamped:
+                stamp = log_time[part]
+            if self._stamp is None or self._value is None:
+                self._stamp = GrowingColumns(1, np.int64)
+                self._value = GrowingColumns(self._reader.width, np.float64)
+            self._stamp.add(stamp)
+            self._value.add(value)
 
     def _field_reader(self) -> FieldReader:
         kind = self.type

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import first_of, shortened
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
@@ -94,7 +95,6 @@ def assemble(
         except MagycError as error:
             said.append(f"channel left out: {error}")
     zero = max(int(clean[k].stamp[0]) for k in ("magnetic_field", "angular_rate") if k in clean)
-    said.append(_epoch_note(zero))
 
     clocks: list[tuple[Stamps, Array]] = []  # sensors that are stamped alike share their times
 
@@ -115,8 +115,8 @@ def assemble(
         acceleration=relative(clean["acceleration"]) if "acceleration" in clean else None,
         attitude=relative(clean["attitude"]) if "attitude" in clean else None,
         channels={k: relative(s) for k, s in usable.items()},
-        name=name,
-        notes=tuple(said),
+        name=shortened(name),
+        notes=(*first_of(said, "notes"), _epoch_note(zero)),
         angular_rate_is=angular_rate_is,
         magnetic_field_unit="counts" if counts else "T",
     )

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.log_info import LogInfo, Source
 from magyc_gtsam.io.px4_calibration import Parameters, undo
 from magyc_gtsam.io.px4_messages import Array, Message, device_of, load
@@ -107,8 +108,8 @@ def _find(
     if named is not None:
         wanted = [(m, v) for m, v in found if named in (m.label, f"{m.name}[{m.instance}]")]
         if not wanted:
-            listed = ", ".join(f"{m.label} ({m.count} samples)" for m, _ in found) or "none"
-            raise MagycError(f"{sensor}: no message {named!r}; the log has {listed}")
+            held = listed([f"{m.label} ({m.count} samples)" for m, _ in found]) or "none"
+            raise MagycError(f"{sensor}: no message {named!r}; the log has {held}")
         return wanted[0]
     if not found:
         return None
@@ -119,8 +120,8 @@ def _find(
     )
     others = [m for m, _ in found if m is not best]
     if others and notes is not None:
-        listed = ", ".join(f"{m.label} ({m.count} samples)" for m in others)
-        notes.append(f"{sensor} is from {best.label} ({best.count} samples); {listed} could be named instead")
+        held = listed([f"{m.label} ({m.count} samples)" for m in others])
+        notes.append(f"{sensor} is from {best.label} ({best.count} samples); {held} could be named instead")
     return best, value
 
 

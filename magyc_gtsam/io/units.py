@@ -56,7 +56,7 @@ def factor(quantity: str, unit: str | float | None) -> float:
     if unit is None:
         return 1.0
     if not isinstance(unit, str):
-        if not (math.isfinite(unit) and unit > 0):
+        if isinstance(unit, bool) or not isinstance(unit, int | float) or not 0 < unit < math.inf:
             raise MagycError(f"unit of {quantity}: {unit!r} is not a positive factor to SI units")
         return float(unit)
     if is_counts(quantity, unit):

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.foreign_text import shortened
+from magyc_gtsam.foreign_text import listed, shortened
 from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Damage, Record, block_of, broken_up, parsed, unpacked
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
@@ -77,8 +77,8 @@ class McapFollower:
         wanted = " and ".join(
             f"{sensor} ({self._request.named(sensor) or FOUND_BY_TYPE[sensor]})" for sensor in absent
         )
-        listed = ", ".join(f"{t.name} ({t.schema.name})" for t in self._topics.values())
-        return f"no topic of {wanted} yet; the file has {listed or 'no topic'} so far"
+        found = listed([f"{t.name} ({t.schema.name})" for t in self._topics.values()])
+        return f"no topic of {wanted} yet; the file has {found or 'no topic'} so far"
 
     def read(self, wait: float = 0.0) -> Batch:
         """As `LiveSource.read`."""
@@ -128,7 +128,7 @@ class McapFollower:
     def _parsed(self, opcode: int, content: bytes) -> Iterator[Record]:
         try:
             if opcode == Opcode.MESSAGE:
-                yield from block_of(content, [(0, len(content))])
+                yield from block_of(content, [0], [len(content)])
             elif opcode == Opcode.CHUNK:
                 yield from broken_up(unpacked(content))
             else:
