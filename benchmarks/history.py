@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import magyc_gtsam as mg
 from magyc_gtsam.history import History
-from magyc_gtsam.history.coordinates import shape_of
+from magyc_gtsam.history.coordinates import shape_of, soft_iron_of
 from magyc_gtsam.history.log_factor import compress
 from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
 
@@ -51,9 +53,16 @@ def seasons(count: int) -> None:
 
 def one_more(logs: int) -> None:
     """Processor time of adding a log and reading its result, in units of one calibration."""
-    plan = SeasonPlan(dives=logs)
-    history = History(draw_season(0, dive_factors(("wide", "low")), plan).factors)
-    recording = mg.simulate("wide", 600, 10, seed=1).recording
+    season = draw_season(0, dive_factors(("wide", "low")), SeasonPlan(dives=logs))
+    history = History(season.factors)
+    with TemporaryDirectory() as folder:
+        history.save(Path(folder) / "history.yaml")
+        start = time.process_time()
+        history = History.load(Path(folder) / "history.yaml")
+        read = time.process_time() - start
+    instrument = {"soft_iron": soft_iron_of(season.shape), "hard_iron": season.next_hard_iron}
+    recording = mg.simulate("wide", 600, 10, seed=1, **instrument).recording
+    mg.calibrate(recording)  # what is imported and made once
     start = time.process_time()
     mg.calibrate(recording)
     alone = time.process_time() - start
@@ -63,7 +72,9 @@ def one_more(logs: int) -> None:
     start = time.process_time()
     history.next  # noqa: B018
     solved = time.process_time() - start
-    print(f"{logs} logs: add {added / alone:.1f}, then solve {solved / alone:.1f} times one calibration")
+    assert logs in history.groups[0]
+    shares = f"add {added / alone:.1f}, then the next calibration {solved / alone:.1f}"
+    print(f"{logs} logs: {shares} times one calibration; to load the file {read / alone:.1f}")
 
 
 if __name__ == "__main__":

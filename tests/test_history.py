@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import magyc_gtsam as mg
 from magyc_gtsam.factors.chain.vech import unvech, vech
@@ -156,6 +157,34 @@ def test_adding_a_log_is_the_batch(dives: tuple[LogFactor, ...], tmp_path: Path)
     assert batch.jumps == []
 
 
+def test_one_dive_after_the_other_is_the_batch(dives: tuple[LogFactor, ...], tmp_path: Path) -> None:
+    """Bit for bit, with jumps, a wreck and a wrong unit among them and a file in between; and one that comes late."""
+    factors = draw_season(3, dives, SeasonPlan(dives=30)).factors
+    batch = History(factors)
+    history = History(factors[:12])
+    for k in range(12, 30):
+        if k == 20:
+            history.save(tmp_path / "history.yaml")
+            history = History.load(tmp_path / "history.yaml")
+        history.extend(factors[k : k + 1])
+    late = History([*factors[:10], *factors[11:]]).extend(factors[10:11])
+    assert history.groups == batch.groups
+    assert [c.index for c in history.contradictions] == [c.index for c in batch.contradictions]
+    for name in ("hard_iron", "hard_iron_covariance"):
+        np.testing.assert_array_equal(getattr(history, name), getattr(batch, name))
+    for each in (history, late):
+        np.testing.assert_array_equal(each.next.hard_iron, batch.next.hard_iron)
+        np.testing.assert_array_equal(each.next.covariance, batch.next.covariance)
+
+
+def test_a_history_of_the_first_format_is_read(dives: tuple[LogFactor, ...], tmp_path: Path) -> None:
+    history = History(draw_season(1, dives, SeasonPlan(dives=12)).factors)
+    kept = {key: value for key, value in history.to_dict().items() if key not in ("groups", "filters")}
+    kept["format"] = "magyc-gtsam history 1"
+    (tmp_path / "history.yaml").write_text(yaml.safe_dump(kept, sort_keys=False))
+    np.testing.assert_array_equal(History.load(tmp_path / "history.yaml").next.covariance, history.next.covariance)
+
+
 def test_a_log_that_fails_stays_a_row() -> None:
     good = [mg.simulate("wide", 120, 10, seed=seed).recording for seed in range(3)]
     blind = mg.Recording(good[0].time, good[0].magnetic_field)
@@ -186,14 +215,16 @@ def test_two_instruments_are_told_apart(dives: tuple[LogFactor, ...]) -> None:
 
 
 def test_damaged_files_are_refused(tmp_path: Path, dives: tuple[LogFactor, ...]) -> None:
-    history = History(draw_season(0, dives, SeasonPlan(dives=8)).factors)
+    history = History(draw_season(0, dives, SeasonPlan(dives=12, wrecks=0, wrong_units=0)).factors)
     history.save(tmp_path / "history.yaml")
     text = (tmp_path / "history.yaml").read_text()
     for damage, says in (
-        (text.replace("magyc-gtsam history 1", "another"), "not a history"),
-        (text.replace("covariance:", "variance:"), "damaged entry of a log"),
+        (text.replace("magyc-gtsam history 2", "another"), "not a history"),
+        (text.replace('"covariance":', '"variance":'), "damaged entry of a log"),
         ("a: [", "not readable as YAML"),
-        (text.replace("walk: 0.3", "wolk: 0.3"), "a damaged history"),
+        (text.replace('"walk": 0.3', '"wolk": 0.3'), "a damaged history"),
+        (text.replace('"groups": [\n[0, 1', '"groups": [\n[1'), "its groups are not those of its logs"),
+        (text.replace('"order": [0, ', '"order": [99, '), "a damaged filter"),
     ):
         assert damage != text
         (tmp_path / "damaged.yaml").write_text(damage)

@@ -88,10 +88,7 @@ def run(
             LogFactor(name, None, None, None, problem=row["error"]) if "error" in row else LogFactor.from_dict(row)
             for name, row in rows.items()
         ]
-        if before is None:
-            history = History(found, options=options)
-        else:
-            history = History([*before.factors, *found], model=before.model, options=before.options)
+        history = History(found, options=options) if before is None else before.extend(found)
         history.save(part / "history.yaml")
         history.next.save(part / "next.yaml")
         write_exports(part, history.next)

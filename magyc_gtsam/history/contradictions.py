@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.history.coordinates import SHAPE
-from magyc_gtsam.history.instrument import WRONG, Instrument
+from magyc_gtsam.history.forward import WRONG
+from magyc_gtsam.history.instrument import Instrument
 from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, LogFactor
 from magyc_gtsam.recording import Array
 
@@ -43,7 +44,7 @@ def contradictions_of(
     ]
     main = instruments[0]
     for instrument in instruments:
-        for k in np.flatnonzero(instrument.labels.label == WRONG):
+        for k in np.flatnonzero(instrument.label == WRONG):
             i = instrument.order[k]
             if factors[i].mean is not None:
                 off = _largest(factors[i], instrument, int(k))

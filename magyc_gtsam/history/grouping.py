@@ -2,109 +2,169 @@
 
 An instrument keeps its soft iron, skew and gyroscope bias up to a scatter, and its hard iron unless something was
 moved. A log joins the group that predicts it best, or begins one where "another instrument" predicts it better; logs
-are taken out and assigned again until nothing changes (the moves of Neal 2000, algorithm 3, at zero temperature).
+are taken out and assigned again until nothing changes, and groups are split where that is likelier (the moves of Neal
+2000, algorithm 3, and of Jain and Neal 2004, at zero temperature).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.linalg import block_diag
 
+from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.history.coordinates import SHAPE
-from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, MILLIRADIAN, LogFactor
+from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, MILLIRADIAN, SIZE, LogFactor
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
 _SWEEPS = 10
 _KEPT = np.r_[0:SHAPE, GYRO_BIAS]  # what stays
+_WORTH_SPLITTING = 3  # logs
 _STAYED = 0.8  # share of logs of an instrument whose hard iron is that of another of its logs
 
 
-def group_logs(factors: Sequence[LogFactor], model: HistoryModel) -> tuple[tuple[int, ...], ...]:
-    """Groups of indices, the largest first, each ascending; logs without a calibration are in none."""
-    logs = [i for i, factor in enumerate(factors) if factor.mean is not None]
-    if not logs:
-        return ()
-    clusters = _Clusters([factors[i] for i in logs], model)
-    for i in clusters.surest_first:
-        clusters.assign(i)
-    for _ in range(_SWEEPS):
-        before = clusters.partition()
-        for i in clusters.surest_first:
-            clusters.take_out(i)
-            clusters.assign(i)
-        if clusters.partition() == before:
-            break
-    groups = [tuple(logs[i] for i in group) for group in clusters.partition()]
-    return tuple(sorted(groups, key=lambda group: (-len(group), group)))
-
-
-class _Clusters:
+class Grouping:
     """Logs in groups, with what each group says of its instrument."""
 
-    def __init__(self, factors: Sequence[LogFactor], model: HistoryModel) -> None:
+    def __init__(
+        self, factors: Sequence[LogFactor], model: HistoryModel, groups: Sequence[Sequence[int]] | None = None
+    ) -> None:
+        """Group all logs that have a calibration, or put them into groups that are known.
+
+        Raises:
+            MagycError: `groups` are not of these logs.
+        """
         self._model = model
-        mean = np.array([factor.mean for factor in factors])
-        covariance = np.array([factor.covariance for factor in factors])
-        scatter = np.diag(np.r_[np.full(SHAPE, model.scatter**2), np.full(3, model.bias_scatter**2)])
-        kept = mean[:, _KEPT]
-        information = np.linalg.inv(covariance[:, _KEPT[:, None], _KEPT] + scatter)
-        skew, known = _skews(factors, model)
-        self._information = np.array([block_diag(*both) for both in zip(information, known, strict=True)])
-        self._weighted = np.einsum("kij,kj->ki", self._information, np.hstack([kept, skew]))
         self._priors = [
             np.r_[np.full(SHAPE, shape**-2), np.full(3, model.bias**-2), np.full(3, model.skew**-2)]
             for shape, _ in (model.raw, model.calibrated)
         ]
-        self._iron, self._iron_spread = mean[:, HARD_IRON], covariance[:, HARD_IRON, HARD_IRON]
-        self._anywhere = np.logaddexp(
-            *(
-                _log_density(self._iron, self._iron_spread + np.eye(3) * h**2)
-                for _, h in (model.raw, model.calibrated)
-            )
-        ) + np.log(0.5)
-        peak = _log_density(np.zeros(3), self._iron_spread + np.eye(3) * model.hard_iron_scatter**2)
-        self._most_iron = np.logaddexp(np.log(1 - _STAYED), np.log(_STAYED) + peak - self._anywhere)
-        self.surest_first = [int(i) for i in np.argsort(np.linalg.slogdet(covariance)[1])]
         self._groups: list[_Group] = []
         self._group_of: dict[int, _Group] = {}
+        self._seen = len(factors)
+        self._row = {i: row for row, i in enumerate(i for i, f in enumerate(factors) if f.mean is not None)}
+        self._logs = _Logs.of([factors[i] for i in self._row], model)
+        if groups is not None:
+            if sorted(i for group in groups for i in group) != list(self._row):
+                raise MagycError("history: its groups are not those of its logs")
+            for group in groups:
+                self._groups.append(_Group(SHAPE + 6))
+                for i in group:
+                    self._put(i, self._groups[-1])
+            return
+        surest_first = sorted(self._row, key=lambda i: self._logs.log_volume[self._row[i]])
+        for i in surest_first:
+            self._assign(i)
+        self._settle(surest_first)
+        for found in tuple(self._groups):
+            self._split(found)
 
-    def partition(self) -> list[list[int]]:
-        """The groups, in an order of their own."""
-        return sorted(sorted(group.logs) for group in self._groups)
+    def add(self, factors: Sequence[LogFactor]) -> None:
+        """Take more logs. Those of the largest group stay there; all others are assigned again."""
+        more = [self._seen + k for k, factor in enumerate(factors) if factor.mean is not None]
+        self._seen += len(factors)
+        if not more:
+            return
+        self._row |= {i: len(self._row) + k for k, i in enumerate(more)}
+        self._logs = self._logs.with_more(_Logs.of([f for f in factors if f.mean is not None], self._model))
+        for i in more:
+            self._assign(i)
+        largest = set(self.groups[0])
+        self._settle([i for i in self._row if i not in largest or i in more])
 
-    def take_out(self, i: int) -> None:
-        """Remove a log from its group."""
+    @property
+    def groups(self) -> tuple[tuple[int, ...], ...]:
+        """Indices, the largest group first, each ascending; logs without a calibration are in none."""
+        return tuple(sorted((tuple(sorted(g.logs)) for g in self._groups), key=lambda group: (-len(group), group)))
+
+    def _settle(self, logs: Sequence[int]) -> None:
+        """Take logs out and assign them again until nothing changes."""
+        for _ in range(_SWEEPS):
+            before = self.groups
+            for i in logs:
+                self._take_out(i)
+                self._assign(i)
+            if self.groups == before:
+                break
+
+    def _split(self, group: _Group) -> None:
+        """Let the least fitting log of a group begin another, which others may join, where that is likelier.
+
+        One log at a time never leaves a group in which a second one of its own instrument is.
+        """
+        if len(group.logs) < _WORTH_SPLITTING:
+            return
+        before, evidence = [(list(g.logs), g.information, g.weighted) for g in self._groups], self._evidence()
+        fits = {i: self._fit(i, group) for i in group.logs}
+        weakest = min(fits, key=lambda i: fits[i])
+        others = [i for i in group.logs if i != weakest]
+        self._take_out(weakest)
+        begun = _Group(SHAPE + 6)
+        self._groups.append(begun)
+        self._put(weakest, begun)
+        would_follow = sum(max(0.0, self._fit(i, begun, inside=False) - self._fit(i, group)) for i in others)
+        if would_follow > self._model.same + fits[weakest]:
+            self._settle([*others, weakest])
+        if len(begun.logs) < 2 or self._evidence() <= evidence:
+            self._groups = [_Group(SHAPE + 6, *each) for each in before]
+            self._group_of = {i: each for each in self._groups for i in each.logs}
+
+    def _evidence(self) -> float:
+        """Nats of this grouping by what stays."""
+        each = [
+            self._together(g.information, g.weighted) + self._model.same * (len(g.logs) - 1) for g in self._groups
+        ]
+        empty = _Group(SHAPE + 6)
+        return sum(each) - len(each) * self._together(empty.information, empty.weighted)
+
+    def _fit(self, i: int, group: _Group, *, inside: bool = True) -> float:
+        """By how much a log's soft iron and bias are likelier with a group, in which it is or not, than alone."""
+        row = self._row[i]
+        if inside:
+            group = _Group(
+                SHAPE + 6,
+                information=group.information - self._logs.information[row],
+                weighted=group.weighted - self._logs.weighted[row],
+            )
+        return self._kept_given(row, group) - self._kept_given(row, _Group(SHAPE + 6))
+
+    def _take_out(self, i: int) -> None:
         own = self._group_of.pop(i)
-        own.change(i, self._information[i], self._weighted[i], -1)
+        own.change(i, self._logs.information[self._row[i]], self._logs.weighted[self._row[i]], -1)
         if not own.logs:
             self._groups.remove(own)
 
-    def assign(self, i: int) -> None:
+    def _put(self, i: int, group: _Group) -> None:
+        row = self._row[i]
+        group.change(i, self._logs.information[row], self._logs.weighted[row], 1)
+        self._group_of[i] = group
+
+    def _assign(self, i: int) -> None:
         """Put a log where its evidence is greatest."""
         nothing = _Group(SHAPE + 6)
-        alone = self._kept_given(i, nothing)
-        kept = np.array([self._kept_given(i, group) + self._model.same - alone for group in self._groups])
+        row = self._row[i]
+        alone = self._kept_given(row, nothing)
+        kept = np.array([self._kept_given(row, group) + self._model.same - alone for group in self._groups])
         # The hard iron need not be compared where it cannot change the choice.
-        low, high = kept + np.log(1 - _STAYED), kept + self._most_iron[i]
+        low, high = kept + np.log(1 - _STAYED), kept + self._logs.most_iron[row]
         best = int(np.argmax(kept)) if len(kept) else -1
         if len(kept) and low[best] > max(0.0, float(np.delete(high, best).max(initial=0.0))):
             chosen = self._groups[best]
         elif not (high > 0).any():
             chosen = nothing
         else:
-            gains = [one + self._iron_gain(i, group.logs) for one, group in zip(kept, self._groups, strict=True)]
+            gains = [one + self._iron_gain(row, group) for one, group in zip(kept, self._groups, strict=True)]
             chosen = self._groups[int(np.argmax(gains))] if max(gains) > 0 else nothing
         if chosen is nothing:
             self._groups.append(nothing)
-        chosen.change(i, self._information[i], self._weighted[i], 1)
-        self._group_of[i] = chosen
+        self._put(i, chosen)
 
-    def _kept_given(self, i: int, group: _Group) -> float:
+    def _kept_given(self, row: int, group: _Group) -> float:
         """Log density of a log's soft iron and bias given its instrument's others, but for a constant of the log."""
-        with_it = self._together(group.information + self._information[i], group.weighted + self._weighted[i])
+        information, weighted = self._logs.information[row], self._logs.weighted[row]
+        with_it = self._together(group.information + information, group.weighted + weighted)
         return with_it - self._together(group.information, group.weighted)
 
     def _together(self, information: Array, weighted: Array) -> float:
@@ -116,20 +176,75 @@ class _Clusters:
             values.append(0.5 * gain)
         return float(np.logaddexp(*values))
 
-    def _iron_gain(self, i: int, others: list[int]) -> float:
+    def _iron_gain(self, row: int, group: _Group) -> float:
         """By how much a log's hard iron is likelier with others of its instrument than anywhere."""
-        both = self._iron_spread[others] + self._iron_spread[i] + np.eye(3) * self._model.hard_iron_scatter**2
-        stayed = _log_density(self._iron[others] - self._iron[i], both)
-        nearest = float(np.logaddexp.reduce(stayed)) - np.log(len(others)) - float(self._anywhere[i])
+        others = [self._row[i] for i in group.logs]
+        iron, spread = self._logs.iron, self._logs.iron_spread
+        both = spread[others] + spread[row] + np.eye(3) * self._model.hard_iron_scatter**2
+        stayed = _log_density(iron[others] - iron[row], both)
+        nearest = float(np.logaddexp.reduce(stayed)) - np.log(len(others)) - float(self._logs.anywhere[row])
         return float(np.logaddexp(np.log(1 - _STAYED), np.log(_STAYED) + nearest))
+
+
+@dataclass(frozen=True, eq=False)
+class _Logs:
+    """What the comparison needs of each log, one row each.
+
+    Attributes:
+        information, weighted: on what stays, and information times mean.
+        iron, iron_spread: µT, hard iron and covariance; anywhere: its log density among all instruments.
+        most_iron: nats, the most that a comparison of hard irons can give.
+        log_volume: of the covariance, smaller is surer.
+    """
+
+    information: Array
+    weighted: Array
+    iron: Array
+    iron_spread: Array
+    anywhere: Array
+    most_iron: Array
+    log_volume: Array
+
+    @classmethod
+    def of(cls, factors: Sequence[LogFactor], model: HistoryModel) -> _Logs:
+        """Of logs that have a calibration."""
+        mean = np.array([factor.mean for factor in factors]).reshape(-1, SIZE)
+        covariance = np.array([factor.covariance for factor in factors]).reshape(-1, SIZE, SIZE)
+        scatter = np.diag(np.r_[np.full(SHAPE, model.scatter**2), np.full(3, model.bias_scatter**2)])
+        skew, known = _skews(factors, model)
+        information = np.zeros((len(factors), SHAPE + 6, SHAPE + 6))
+        information[:, : SHAPE + 3, : SHAPE + 3] = np.linalg.inv(covariance[:, _KEPT[:, None], _KEPT] + scatter)
+        information[:, SHAPE + 3 :, SHAPE + 3 :] = known
+        iron, spread = mean[:, HARD_IRON], covariance[:, HARD_IRON, HARD_IRON]
+        wide = [_log_density(iron, spread + np.eye(3) * h**2) for _, h in (model.raw, model.calibrated)]
+        anywhere = np.logaddexp(*wide) + np.log(0.5)
+        peak = _log_density(np.zeros(3), spread + np.eye(3) * model.hard_iron_scatter**2)
+        return cls(
+            information,
+            np.einsum("kij,kj->ki", information, np.hstack([mean[:, _KEPT], skew])),
+            iron,
+            spread,
+            anywhere,
+            np.logaddexp(np.log(1 - _STAYED), np.log(_STAYED) + peak - anywhere),
+            np.linalg.slogdet(covariance)[1],
+        )
+
+    def with_more(self, others: _Logs) -> _Logs:
+        """These and the others."""
+        return _Logs(
+            *(np.concatenate([getattr(self, field.name), getattr(others, field.name)]) for field in fields(self))
+        )
 
 
 class _Group:
     """Logs of one instrument, and the sums of what they say of it."""
 
-    def __init__(self, size: int) -> None:
-        self.logs: list[int] = []
-        self.information, self.weighted = np.zeros((size, size)), np.zeros(size)
+    def __init__(
+        self, size: int, logs: Sequence[int] = (), information: Array | None = None, weighted: Array | None = None
+    ) -> None:
+        self.logs = list(logs)
+        self.information = np.zeros((size, size)) if information is None else information
+        self.weighted = np.zeros(size) if weighted is None else weighted
 
     def change(self, i: int, information: Array, weighted: Array, sign: int) -> None:
         """Take a log in (1) or out (−1)."""

@@ -1,172 +1,145 @@
-"""One instrument's logs solved together: labels, walk and scatter by their likelihood, then the posterior.
+"""One instrument's logs solved together: the forward pass (`forward`) says what happened, then all logs what was when.
 
-Labels and the two variances need each other and are found in turn until the labels stand still. The posterior is
-averaged over the walk's deviation, so that a history of few logs, which hardly knows it, is as uncertain
-as it should be.
+The posterior is averaged over the walk's deviation, so that a history of few logs, which hardly knows it, is as
+uncertain as it should be.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from magyc_gtsam.history.chain import Observations, Posterior, solve
 from magyc_gtsam.history.coordinates import SHAPE
-from magyc_gtsam.history.labels import JUMPED, WALKED, WRONG, Labels, label_logs
-from magyc_gtsam.history.log_factor import LogFactor
+from magyc_gtsam.history.forward import (
+    JUMPED,
+    SCATTER_OF_CELL,
+    SCATTERS,
+    WALK_OF_CELL,
+    WALKS,
+    WRONG,
+    Bank,
+    empty_bank,
+    stepped,
+)
+from magyc_gtsam.history.log_factor import OBSERVED, LogFactor
 from magyc_gtsam.history.model import DAY, HistoryModel
 from magyc_gtsam.recording import Array
 
-_WALKS = np.geomspace(0.01, 30.0, 13)  # µT per √day, a first look
-_FINE = 25  # walks in the range that the first look leaves
-_SCATTERS = np.concatenate([[0.0], np.geomspace(5e-4, 0.05, 13)])  # relative
-_BETTER = 3.3  # nats, half of χ² of one degree of freedom at 99 %, from which a scatter is believed
-_ROUNDS = 8
 _NEGLIGIBLE = 1e-3  # weight of a walk that is left out of the average
-_OBSERVED = SHAPE + 3
 _LEAST_ELAPSED = 1e-3  # days between neighbours, so that two logs of one minute are not one
 
 
 @dataclass(frozen=True, eq=False)
 class Instrument:
-    """The solution of one instrument's logs, in the order of time.
+    """The solution of one instrument's logs.
 
     Attributes:
-        order: indices of the logs in the history.
-        labels: of each log (`labels`).
-        posterior: averaged over the walk.
-        walk: µT per √day, its posterior median.
-        ahead: (3, 3) µT², variance of the walk up to the next log after a median interval.
-        scatter: relative, by which soft irons differ from log to log beyond their sigmas.
+        logs: in the order of time.
+        bank: the filters after the last of them.
+        model: what is assumed between the logs.
     """
 
-    order: tuple[int, ...]
-    labels: Labels
-    posterior: Posterior
-    walk: float
-    ahead: Array
-    scatter: float
+    logs: tuple[LogFactor, ...]
+    bank: Bank
+    model: HistoryModel
+
+    @property
+    def order(self) -> tuple[int, ...]:
+        """Indices of the logs in the history."""
+        return self.bank.order
+
+    @property
+    def label(self) -> np.ndarray:
+        """(k,) of each log: WALKED, JUMPED (before it) or WRONG, by the likeliest labelling."""
+        return np.asarray(self.bank.label[0])
+
+    @property
+    def walk(self) -> float:
+        """µT per √day, the posterior's median."""
+        share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=1)
+        return float(WALKS[np.searchsorted(np.cumsum(share), 0.5)])
+
+    @property
+    def scatter(self) -> float:
+        """Relative, by which soft irons differ from log to log beyond their sigmas; the likeliest."""
+        share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=0)
+        return float(SCATTERS[np.argmax(share)])
+
+    @cached_property
+    def ahead(self) -> tuple[Array, Array]:
+        """Mean (8,) and covariance (8, 8) of s and h µT at the log to come, after a median interval without a jump."""
+        elapsed = elapsed_of(self.logs, self.bank.dated)
+        interval = float(np.median(elapsed)) if len(elapsed) else 1.0
+        share = self.bank.share
+        mean: Array = np.einsum("kc,kci->i", share, self.bank.mean)
+        off = self.bank.mean - mean
+        covariance = np.einsum("kc,kcij->ij", share, self.bank.covariance)
+        covariance += np.einsum("kc,kci,kcj->ij", share, off, off)
+        of_cell = share.sum(axis=0)
+        covariance[range(SHAPE), range(SHAPE)] += of_cell @ SCATTER_OF_CELL**2
+        covariance[range(SHAPE, OBSERVED), range(SHAPE, OBSERVED)] += interval * (of_cell @ WALK_OF_CELL**2)
+        return mean, covariance
+
+    @cached_property
+    def posterior(self) -> Posterior:
+        """By all logs, at the likeliest labelling and scatter, averaged over the walk."""
+        elapsed = elapsed_of(self.logs, self.bank.dated)
+        observed = _observations(self.logs, elapsed, self.scatter, self.label != WRONG)
+        weight = self.bank.weight[0][self.scatter == SCATTER_OF_CELL]
+        share = np.exp(weight - weight.max())
+        used = np.flatnonzero(share > _NEGLIGIBLE)
+        jumped = self.model.jump**2 * (self.label[1:] == JUMPED)
+        each = [solve(observed, WALKS[i] ** 2 * observed.elapsed + jumped) for i in used]
+        return _averaged(each, share[used] / share[used].sum())
 
 
-def solve_instrument(factors: Sequence[LogFactor], order: Sequence[int], model: HistoryModel) -> Instrument:
-    """Solve the logs `order` of `factors`; at least one has a calibration."""
-    logs = [factors[i] for i in order]
-    elapsed = _elapsed(logs)
-    scatter = model.scatter if len(logs) > 2 else 0.0
-    walk = model.walk
-    plain = _observations(logs, elapsed, 0.0)
-    shape, shape_covariance = _central(plain), np.zeros((SHAPE, SHAPE))
-    labels: Labels | None = None
-    for _ in range(_ROUNDS):
-        observed = _observations(logs, elapsed, scatter)
-        found = label_logs(observed, shape, shape_covariance, walk**2, model)
-        if labels is not None and np.array_equal(found.label, labels.label):
-            break
-        labels = found
-        scatter = _likeliest_scatter(logs, elapsed, labels, walk, model)
-        observed = _with_labels(_observations(logs, elapsed, scatter), labels)
-        walks, weights = _walk_posterior(observed, labels, model, fine=False)
-        walk = float(walks[np.searchsorted(np.cumsum(weights), 0.5)])
-        posterior = solve(observed, _steps(observed, labels, walk, model), marginals=False)
-        shape, shape_covariance = posterior.shape, posterior.shape_covariance
-    assert labels is not None
-    observed = _with_labels(_observations(logs, elapsed, scatter), labels)
-    walks, weights = _walk_posterior(observed, labels, model)
-    used = np.flatnonzero(weights > _NEGLIGIBLE * weights.max())
-    share = weights[used] / weights[used].sum()
-    each = [solve(observed, _steps(observed, labels, float(walks[i]), model)) for i in used]
-    interval = float(np.median(elapsed)) if len(elapsed) else 1.0
-    ahead = np.eye(3) * float(share @ walks[used] ** 2) * interval
-    return Instrument(tuple(order), labels, _averaged(each, share), walk, ahead, scatter)
+def solve_instrument(
+    factors: Sequence[LogFactor],
+    order: Sequence[int],
+    model: HistoryModel,
+    *,
+    dated: bool,
+    known: Sequence[Bank] = (),
+) -> Instrument:
+    """Solve the logs `order` of `factors`, which are in the order of time.
+
+    Args:
+        factors: of the history.
+        order: at least one of them has a calibration.
+        model: what is assumed.
+        dated: whether all logs of the history know their date.
+        known: filters of earlier times, of which the one that saw the most of these logs goes on.
+    """
+    order = tuple(order)
+    fitting = [bank for bank in known if bank.dated == dated and bank.order == order[: len(bank.order)]]
+    bank = max(fitting, key=lambda each: len(each.order), default=empty_bank(dated, model))
+    for k in range(len(bank.order), len(order)):
+        elapsed = float(elapsed_of([factors[i] for i in order[k - 1 : k + 1]], dated)[0]) if k else 0.0
+        bank = stepped(bank, order[k], factors[order[k]], elapsed, model)
+    return Instrument(tuple(factors[i] for i in order), bank, model)
 
 
-def _elapsed(logs: Sequence[LogFactor]) -> Array:
+def elapsed_of(logs: Sequence[LogFactor], dated: bool) -> Array:
     """(k − 1,) days between neighbours, or 1 each."""
-    times = [log.time for log in logs]
-    if any(time is None for time in times):
+    if not dated:
         return np.ones(len(logs) - 1)
-    return np.maximum(np.diff(np.array(times, dtype=np.float64)) / DAY, _LEAST_ELAPSED)
+    return np.maximum(np.diff(np.array([log.time for log in logs], dtype=np.float64)) / DAY, _LEAST_ELAPSED)
 
 
-def _observations(logs: Sequence[LogFactor], elapsed: Array, scatter: float) -> Observations:
-    """(s, h) of each log, their biases marginalised out, the scatter added."""
-    mean, information = np.zeros((len(logs), _OBSERVED)), np.zeros((len(logs), _OBSERVED, _OBSERVED))
-    says = np.array([log.mean is not None for log in logs])
-    mean[says] = np.array([log.mean[:_OBSERVED] for log in logs if log.mean is not None])
-    own = [log.covariance[:_OBSERVED, :_OBSERVED] for log in logs if log.covariance is not None]
+def _observations(logs: Sequence[LogFactor], elapsed: Array, scatter: float, kept: np.ndarray) -> Observations:
+    """(s, h) of each log, their biases marginalised out, the scatter added; logs that are not kept say nothing."""
+    mean, information = np.zeros((len(logs), OBSERVED)), np.zeros((len(logs), OBSERVED, OBSERVED))
+    says = np.array([log.mean is not None for log in logs]) & kept
+    used = [log for log, said in zip(logs, says, strict=True) if said]
+    mean[says] = np.array([log.mean[:OBSERVED] for log in used if log.mean is not None])
+    own = [log.covariance[:OBSERVED, :OBSERVED] for log in used if log.covariance is not None]
     added = np.diag(np.r_[np.full(SHAPE, scatter**2), np.zeros(3)])
     information[says] = np.linalg.inv(np.array(own) + added)
     return Observations(mean, information, elapsed)
-
-
-def _with_labels(observed: Observations, labels: Labels) -> Observations:
-    """Wrong logs say nothing."""
-    kept = labels.label != WRONG
-    return Observations(observed.mean, observed.information * kept[:, None, None], observed.elapsed)
-
-
-def _steps(observed: Observations, labels: Labels, walk: float, model: HistoryModel) -> Array:
-    """(k − 1,) µT² of each step."""
-    result: Array = walk**2 * observed.elapsed + model.jump**2 * (labels.label[1:] == JUMPED)
-    return result
-
-
-def _central(observed: Observations) -> Array:
-    """The log's shape that most others agree with: the least sum of squared distances, each counting up to a limit."""
-    says = np.flatnonzero(observed.information[:, 0, 0] > 0)
-    mean = observed.mean[says, :SHAPE]
-    variance = np.linalg.inv(observed.information[says])[:, range(SHAPE), range(SHAPE)] + _SCATTERS[-5] ** 2
-    best, chosen = np.inf, mean[0]
-    for candidate, own in zip(mean, variance, strict=True):
-        squared = np.sum((mean - candidate) ** 2 / (variance + own), axis=1)
-        total = float(np.minimum(squared, 20.0).sum() + np.log(own).sum())
-        if total < best:
-            best, chosen = total, candidate
-    return chosen
-
-
-def _walk_posterior(
-    observed: Observations, labels: Labels, model: HistoryModel, fine: bool = True
-) -> tuple[Array, Array]:
-    """Deviations of the walk on a grid that is fine where the posterior is, and their weights, sum 1."""
-
-    def weights_of(walks: Array) -> Array:
-        value = -0.5 * (np.log(walks / model.walk) / model.walk_spread) ** 2
-        if len(observed) > 1:
-            value += [
-                solve(observed, _steps(observed, labels, float(walk), model), marginals=False).log_likelihood
-                for walk in walks
-            ]
-        weights: Array = np.exp(value - value.max())
-        return weights
-
-    first = weights_of(_WALKS)
-    if not fine:
-        return _WALKS, first / first.sum()
-    left = np.flatnonzero(first > _NEGLIGIBLE)
-    low, high = max(left[0] - 1, 0), min(left[-1] + 1, len(_WALKS) - 1)
-    walks = np.geomspace(_WALKS[low], _WALKS[high], _FINE)
-    weights = weights_of(walks)
-    return walks, weights / weights.sum()
-
-
-def _likeliest_scatter(
-    logs: Sequence[LogFactor], elapsed: Array, labels: Labels, walk: float, model: HistoryModel
-) -> float:
-    """0 unless a scatter is believed."""
-    kept = labels.label != WRONG
-    if np.sum([log.mean is not None for log in logs] & kept) < 3:
-        return 0.0
-    values = []
-    for scatter in _SCATTERS:
-        observed = _with_labels(_observations(logs, elapsed, float(scatter)), labels)
-        says = observed.information[:, 0, 0] > 0
-        likelihood = solve(observed, _steps(observed, labels, walk, model), marginals=False).log_likelihood
-        values.append(likelihood + 0.5 * float(np.linalg.slogdet(observed.information[says])[1].sum()))
-    best = int(np.argmax(values))
-    return float(_SCATTERS[best]) if values[best] > values[0] + _BETTER else 0.0
 
 
 def _averaged(each: Sequence[Posterior], share: Array) -> Posterior:
@@ -192,6 +165,3 @@ def _averaged(each: Sequence[Posterior], share: Array) -> Posterior:
         mean([p.change for p in each], off_change, off_change),
         float(share @ [p.log_likelihood for p in each]),
     )
-
-
-__all__ = ["JUMPED", "WALKED", "WRONG", "Instrument", "solve_instrument"]

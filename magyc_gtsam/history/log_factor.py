@@ -22,6 +22,7 @@ from magyc_gtsam.recording import Array, Recording
 
 HARD_IRON = slice(SHAPE, SHAPE + 3)
 GYRO_BIAS = slice(SHAPE + 3, SHAPE + 6)
+OBSERVED = SHAPE + 3  # s and h
 SIZE = SHAPE + 6
 MICROTESLA, MILLIRADIAN = 1e-6, 1e-3
 _SHAPES: dict[str, tuple[int, ...]] = {

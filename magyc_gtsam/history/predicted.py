@@ -10,30 +10,29 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.history.coordinates import SHAPE
-from magyc_gtsam.history.instrument import WRONG, Instrument
-from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, SIZE, LogFactor, calibration_of
+from magyc_gtsam.history.forward import WRONG
+from magyc_gtsam.history.instrument import Instrument
+from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, SIZE, LogFactor, calibration_of
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
-
-_OBSERVED = SHAPE + 3
 
 
 def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int) -> Calibration:
     """Of the k-th log of an instrument: s and h of all logs, and what they say of its bias."""
     factor = factors[instrument.order[k]]
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    mean[:_OBSERVED], covariance[:_OBSERVED, :_OBSERVED] = _shape_and_iron(instrument, k)
-    said = factor.mean is not None and factor.covariance is not None and instrument.labels.label[k] != WRONG
+    mean[:OBSERVED], covariance[:OBSERVED, :OBSERVED] = _shape_and_iron(instrument, k)
+    said = factor.mean is not None and factor.covariance is not None and instrument.label[k] != WRONG
     if said:
         assert factor.mean is not None
         assert factor.covariance is not None
         own = factor.covariance
-        gain = own[GYRO_BIAS, :_OBSERVED] @ np.linalg.inv(own[:_OBSERVED, :_OBSERVED])
-        both = covariance[:_OBSERVED, :_OBSERVED]
-        mean[GYRO_BIAS] = factor.mean[GYRO_BIAS] + gain @ (mean[:_OBSERVED] - factor.mean[:_OBSERVED])
-        covariance[GYRO_BIAS, :_OBSERVED] = gain @ both
-        covariance[:_OBSERVED, GYRO_BIAS] = covariance[GYRO_BIAS, :_OBSERVED].T
-        left = own[GYRO_BIAS, GYRO_BIAS] - gain @ own[:_OBSERVED, GYRO_BIAS]
+        gain = own[GYRO_BIAS, :OBSERVED] @ np.linalg.inv(own[:OBSERVED, :OBSERVED])
+        both = covariance[:OBSERVED, :OBSERVED]
+        mean[GYRO_BIAS] = factor.mean[GYRO_BIAS] + gain @ (mean[:OBSERVED] - factor.mean[:OBSERVED])
+        covariance[GYRO_BIAS, :OBSERVED] = gain @ both
+        covariance[:OBSERVED, GYRO_BIAS] = covariance[GYRO_BIAS, :OBSERVED].T
+        left = own[GYRO_BIAS, GYRO_BIAS] - gain @ own[:OBSERVED, GYRO_BIAS]
         covariance[GYRO_BIAS, GYRO_BIAS] = left + gain @ both @ gain.T
         message = f"with {_said(factors, instrument) - 1} other logs of the instrument"
     else:
@@ -45,11 +44,8 @@ def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int
 
 def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model: HistoryModel) -> Calibration:
     """Of the log to come: the last hard iron, its covariance widened by the walk up to it; jumps are not in it."""
-    last = len(instrument.order) - 1
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    mean[:_OBSERVED], covariance[:_OBSERVED, :_OBSERVED] = _shape_and_iron(instrument, last)
-    covariance[HARD_IRON, HARD_IRON] += instrument.ahead
-    covariance[:SHAPE, :SHAPE] += np.eye(SHAPE) * instrument.scatter**2
+    mean[:OBSERVED], covariance[:OBSERVED, :OBSERVED] = instrument.ahead
     mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, model.bias_scatter)
     strength = next(
         (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
@@ -60,13 +56,13 @@ def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model
 
 def _said(factors: Sequence[LogFactor], instrument: Instrument) -> int:
     """Logs of the instrument that say anything of it."""
-    wrong = instrument.labels.label == WRONG
+    wrong = instrument.label == WRONG
     return sum(factors[i].mean is not None and not bad for i, bad in zip(instrument.order, wrong, strict=True))
 
 
 def _shape_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
     posterior = instrument.posterior
-    covariance = np.zeros((_OBSERVED, _OBSERVED))
+    covariance = np.zeros((OBSERVED, OBSERVED))
     covariance[:SHAPE, :SHAPE] = posterior.shape_covariance
     covariance[SHAPE:, SHAPE:] = posterior.covariance[k]
     covariance[SHAPE:, :SHAPE] = posterior.cross[k]
@@ -76,7 +72,7 @@ def _shape_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
 
 def _bias(factors: Sequence[LogFactor], instrument: Instrument, scatter: float) -> tuple[Array, Array]:
     """Mean of the logs' biases and its deviation from log to log, with `scatter` mrad/s at least."""
-    own = [factors[i] for k, i in enumerate(instrument.order) if instrument.labels.label[k] != WRONG]
+    own = [factors[i] for k, i in enumerate(instrument.order) if instrument.label[k] != WRONG]
     rows = np.array([factor.mean[GYRO_BIAS] for factor in own if factor.mean is not None])
     known = [factor.covariance[GYRO_BIAS, GYRO_BIAS] for factor in own if factor.covariance is not None]
     variance = np.mean(np.diagonal(known, axis1=1, axis2=2), axis=0) / len(rows) + scatter**2

@@ -1,0 +1,180 @@
+"""One instrument's logs, one after the other: a bank of Kalman filters that no later log runs again.
+
+Each log walked, jumped, or is wrong. A labelling of the logs, a walk and a scatter make one Kalman filter on (s, h).
+The bank keeps the `KEPT` likeliest labellings, each at every walk and scatter of a grid (a Gaussian sum filter with
+pruning, Alspach and Sorenson 1972, over multiple models, Magill 1965). A step costs the same however many logs came
+before.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.history.coordinates import SHAPE
+from magyc_gtsam.history.log_factor import OBSERVED, LogFactor
+from magyc_gtsam.history.model import HistoryModel
+from magyc_gtsam.recording import Array
+
+WALKED, JUMPED, WRONG = 0, 1, 2
+KEPT = 8  # labellings
+WALKS = np.geomspace(0.02, 10.0, 16)  # µT per √day
+SCATTERS = np.array([0.0, 0.002, 0.005, 0.012, 0.03])  # relative
+_SCATTERED = 0.1  # prior share of the instruments whose logs scatter by more than they state
+_SHAPE = 0.2  # relative, deviation of the soft iron before the first log
+_ANYWHERE = 1000.0  # µT, that of the hard iron; phones have 400
+_CELLS = len(WALKS) * len(SCATTERS)
+WALK_OF_CELL, SCATTER_OF_CELL = np.repeat(WALKS, len(SCATTERS)), np.tile(SCATTERS, len(WALKS))
+_ON_SHAPE = np.diag(np.r_[np.ones(SHAPE), np.zeros(3)])
+_ON_IRON = np.eye(OBSERVED) - _ON_SHAPE
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """The filters after some logs.
+
+    Attributes:
+        order: indices of the logs in the history, in the order of time.
+        dated: whether elapsed time is in days.
+        label: (k, logs) WALKED, JUMPED (before this log) or WRONG, the likeliest labelling first.
+        weight: (k, cells) logarithm of the posterior probability but for a constant.
+        mean, covariance: (k, cells, 8), (k, cells, 8, 8) of s and h µT after the last log.
+    """
+
+    order: tuple[int, ...]
+    dated: bool
+    label: np.ndarray
+    weight: Array
+    mean: Array
+    covariance: Array
+
+    @property
+    def share(self) -> Array:
+        """(k, cells) posterior probabilities."""
+        share = np.exp(self.weight - self.weight.max())
+        result: Array = share / share.sum()
+        return result
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON types; numbers bit for bit."""
+        rows, columns = np.triu_indices(OBSERVED)
+        return {
+            "order": list(self.order),
+            "dated": self.dated,
+            "label": ["".join(map(str, each)) for each in self.label.tolist()],
+            "weight": _packed(self.weight),
+            "mean": _packed(self.mean),
+            "covariance": _packed(self.covariance[..., rows, columns]),
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], logs: int) -> Bank:
+        """The inverse of `to_dict`, for a history of so many logs.
+
+        Raises:
+            MagycError: something is missing or of a wrong shape.
+        """
+        try:
+            order = tuple(int(each) for each in data["order"])
+            label = np.array([[int(each) for each in row] for row in data["label"]], dtype=np.int8)
+            count, rows = len(label), np.triu_indices(OBSERVED)
+            covariance = np.empty((count, _CELLS, OBSERVED, OBSERVED))
+            half = _unpacked(data["covariance"], (count, _CELLS, len(rows[0])))
+            covariance[..., rows[0], rows[1]] = covariance[..., rows[1], rows[0]] = half
+            bank = cls(
+                order,
+                bool(data["dated"]),
+                label,
+                _unpacked(data["weight"], (count, _CELLS)),
+                _unpacked(data["mean"], (count, _CELLS, OBSERVED)),
+                covariance,
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise MagycError(f"history: a damaged filter ({type(error).__name__}: {error})") from None
+        fits = label.shape == (count, len(order)) and set(np.unique(label)) <= {WALKED, JUMPED, WRONG}
+        if not count or not fits or len(set(order)) != len(order) or not set(order) <= set(range(logs)):
+            raise MagycError("history: a damaged filter (its logs are not those of the history)")
+        return bank
+
+
+def empty_bank(dated: bool, model: HistoryModel) -> Bank:
+    """Before the first log."""
+    weight = -0.5 * (np.log(WALK_OF_CELL / model.walk) / model.walk_spread) ** 2
+    weight = weight + np.where(
+        SCATTER_OF_CELL == 0, np.log(1 - _SCATTERED), np.log(_SCATTERED / (len(SCATTERS) - 1))
+    )
+    wide = _SHAPE**2 * _ON_SHAPE + _ANYWHERE**2 * _ON_IRON
+    return Bank(
+        (),
+        dated,
+        np.zeros((1, 0), dtype=np.int8),
+        weight[None],
+        np.zeros((1, _CELLS, OBSERVED)),
+        np.broadcast_to(wide, (1, _CELLS, OBSERVED, OBSERVED)),
+    )
+
+
+def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: HistoryModel) -> Bank:
+    """With one more log, `elapsed` after the last one (days, or logs where there are no dates)."""
+    order = (*bank.order, index)
+    walked = (
+        bank.covariance + (WALK_OF_CELL**2 * elapsed)[:, None, None] * _ON_IRON if bank.order else bank.covariance
+    )
+    if factor.mean is None or factor.covariance is None:
+        label = np.hstack([bank.label, np.full((len(bank.label), 1), WALKED, dtype=np.int8)])
+        return Bank(order, bank.dated, label, bank.weight, bank.mean, walked)
+    noise = factor.covariance[:OBSERVED, :OBSERVED] + (SCATTER_OF_CELL**2)[:, None, None] * _ON_SHAPE
+    off = factor.mean[:OBSERVED] - bank.mean
+    spoilt = model.wrong_shape**2 * _ON_SHAPE + model.wrong_hard_iron**2 * _ON_IRON
+    prior = np.log([1 - model.jump_share - model.wrong_share, model.jump_share, model.wrong_share])
+    branches = [
+        (WALKED, *_updated(bank.mean, walked, off, noise)),
+        (WRONG, bank.mean, walked, _log_density(off, walked + noise + spoilt)),
+    ]
+    if bank.order:
+        branches.insert(1, (JUMPED, *_updated(bank.mean, walked + model.jump**2 * _ON_IRON, off, noise)))
+    labels = [np.hstack([bank.label, np.full((len(bank.label), 1), each, dtype=np.int8)]) for each, *_ in branches]
+    every = np.concatenate([bank.weight + density + prior[each] for each, _, _, density in branches])
+    best = np.argsort(-np.logaddexp.reduce(every, axis=1), kind="stable")[:KEPT]
+    return Bank(
+        order,
+        bank.dated,
+        np.concatenate(labels)[best],
+        every[best] - every[best].max(),
+        np.concatenate([mean for _, mean, _, _ in branches])[best],
+        np.concatenate([covariance for _, _, covariance, _ in branches])[best],
+    )
+
+
+def _updated(mean: Array, spread: Array, off: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """Kalman update of all filters by one reading of the whole state: means, covariances, log-likelihoods."""
+    total = spread + noise
+    gain = np.linalg.solve(total, spread).swapaxes(-1, -2)  # P (P + R)⁻¹
+    after = gain @ noise  # P (P + R)⁻¹ R: nothing cancels
+    density = _log_density(off, total)
+    return mean + np.einsum("...ij,...j->...i", gain, off), 0.5 * (after + after.swapaxes(-1, -2)), density
+
+
+def _log_density(off: Array, covariance: Array) -> Array:
+    """Of N(0, covariance) at `off`, stacked."""
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, off[..., None])[..., 0]
+    half = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
+    result: Array = -0.5 * (white**2).sum(axis=-1) - half - 0.5 * off.shape[-1] * np.log(2 * np.pi)
+    return result
+
+
+def _packed(values: Array) -> str:
+    return base64.b64encode(np.ascontiguousarray(values, dtype="<f8").tobytes()).decode()
+
+
+def _unpacked(text: str, shape: tuple[int, ...]) -> Array:
+    values = np.frombuffer(base64.b64decode(text, validate=True), dtype="<f8").reshape(shape).astype(np.float64)
+    if not np.isfinite(values).all():
+        raise ValueError("not finite")
+    return values
