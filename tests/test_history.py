@@ -221,7 +221,8 @@ def test_damaged_files_are_refused(tmp_path: Path, dives: tuple[LogFactor, ...])
     for damage, says in (
         (text.replace("magyc-gtsam history 2", "another"), "not a history"),
         (text.replace('"covariance":', '"variance":'), "damaged entry of a log"),
-        ("a: [", "not readable as YAML"),
+        ("a: [", "not readable as .yaml"),
+        ("{", "not readable as .json"),
         (text.replace('"walk": 0.3', '"wolk": 0.3'), "a damaged history"),
         (text.replace('"groups": [\n[0, 1', '"groups": [\n[1'), "its groups are not those of its logs"),
         (text.replace('"order": [0, ', '"order": [99, '), "a damaged filter"),

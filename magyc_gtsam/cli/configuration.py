@@ -26,7 +26,7 @@ def defaults(path: Path) -> dict[str, Any]:
         MagycError: no such file, or none that `calibrate` wrote.
     """
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.stored import load_mapping
+    from magyc_gtsam.storage.mapping import load_mapping
 
     try:
         values = load_mapping(path, "configuration")
