@@ -145,13 +145,6 @@ def show_details(verdict: Verdict, every: bool = False) -> None:
         show(f"  and {len(verdict.details) - _WORST} more, on the page")
 
 
-def show_weak(sentences: Sequence[str]) -> None:
-    """The worst of the weak directions; the files hold all of them."""
-    show(*(f"  weak: {sentence}" for sentence in sentences[:_WORST]))
-    if len(sentences) > _WORST:
-        show(f"  weak: {len(sentences) - _WORST} more")
-
-
 def console(stderr: bool = False) -> Console:
     """A console that outlives its reader, and that cuts nothing in a pipe."""
     from rich.console import Console

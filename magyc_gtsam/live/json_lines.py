@@ -6,13 +6,13 @@ import os
 import select
 
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.live.lines import Lines
+from magyc_gtsam.live.lines import SourceOfLines
 from magyc_gtsam.live.source import Batch, nothing
 
 _AT_ONCE = 1 << 16  # bytes
 
 
-class JsonLines:
+class JsonLines(SourceOfLines):
     """Samples from a pipe, a terminal or a file of JSON lines; a `LiveSource`.
 
     Args:
@@ -22,22 +22,8 @@ class JsonLines:
     """
 
     def __init__(self, descriptor: int, request: Request, name: str = "standard input") -> None:
-        self.name = name
-        self.ended = False
-        self.received = 0
-        self.notes: list[str] = []
+        super().__init__(name, request)
         self._descriptor = descriptor
-        self._lines = Lines(name, request, self.notes)
-
-    @property
-    def lost(self) -> int:
-        """Lines that could not be used."""
-        return self._lines.refused
-
-    @property
-    def waiting_for(self) -> str:
-        """As `LiveSource.waiting_for`."""
-        return self._lines.waiting_for
 
     def read(self, wait: float = 0.0) -> Batch:
         """As `LiveSource.read`."""

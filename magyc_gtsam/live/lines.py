@@ -130,3 +130,28 @@ def _samples(rows: list[list[float]]) -> Samples:
 
 def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, float)
+
+
+class SourceOfLines:
+    """What sources of lines have in common: a `LiveSource` but for `read` and `close`.
+
+    Args:
+        name, request, arrival: as of `Lines`.
+    """
+
+    def __init__(self, name: str, request: Request, arrival: Callable[[], float] | None = None) -> None:
+        self.name = name
+        self.ended = False
+        self.received = 0
+        self.notes: list[str] = []
+        self._lines = Lines(name, request, self.notes, arrival)
+
+    @property
+    def lost(self) -> int:
+        """Lines that could not be used."""
+        return self._lines.refused
+
+    @property
+    def waiting_for(self) -> str:
+        """As `LiveSource.waiting_for`."""
+        return self._lines.waiting_for

@@ -7,13 +7,13 @@ import contextlib
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.arrival import ArrivalClock
-from magyc_gtsam.live.lines import Lines
+from magyc_gtsam.live.lines import SourceOfLines
 from magyc_gtsam.live.source import Batch, nothing
 
 BAUD = 115200
 
 
-class SerialLines:
+class SerialLines(SourceOfLines):
     """Samples from a port; a `LiveSource`. What the port was in the middle of saying when it was opened is left out.
 
     Args:
@@ -32,27 +32,13 @@ class SerialLines:
             raise MagycError(
                 f"{port}: serial ports need pyserial; install it with: pip install 'magyc-gtsam[serial]'"
             ) from None
-        self.name = port
-        self.ended = False
-        self.received = 0
-        self.notes: list[str] = []
         self._problems = (serial.SerialException, OSError)
         try:
             self._port = serial.Serial(port, baud, timeout=0)
         except (*self._problems, ValueError) as error:
             raise MagycError(f"{port}: cannot be opened at {baud} baud ({error}); is it the right port?") from None
-        self._lines = Lines(port, request, self.notes, ArrivalClock())
+        super().__init__(port, request, ArrivalClock())
         self._begun = False
-
-    @property
-    def lost(self) -> int:
-        """Lines that could not be used."""
-        return self._lines.refused
-
-    @property
-    def waiting_for(self) -> str:
-        """As `LiveSource.waiting_for`."""
-        return self._lines.waiting_for
 
     def read(self, wait: float = 0.0) -> Batch:
         """As `LiveSource.read`."""

@@ -7,7 +7,7 @@ import socket
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.live.lines import Lines
+from magyc_gtsam.live.lines import SourceOfLines
 from magyc_gtsam.live.source import Batch, nothing
 
 LOOPBACK = "127.0.0.1"
@@ -16,7 +16,7 @@ _ROOM = 4 << 20  # bytes that the system is asked to keep while nobody reads
 _LARGEST = 65535  # bytes
 
 
-class UdpLines:
+class UdpLines(SourceOfLines):
     """Samples from datagrams; a `LiveSource`. The first sender is listened to, others are not.
 
     Args:
@@ -29,9 +29,6 @@ class UdpLines:
     """
 
     def __init__(self, host: str, port: int, request: Request) -> None:
-        self.ended = False
-        self.received = 0
-        self.notes: list[str] = []
         self._sender: str | None = None
         self._strange: set[str] = set()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -45,18 +42,7 @@ class UdpLines:
             ) from None
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
-        self.name = f"udp://{host or LOOPBACK}:{self.port}"
-        self._lines = Lines(self.name, request, self.notes)
-
-    @property
-    def lost(self) -> int:
-        """Lines that could not be used."""
-        return self._lines.refused
-
-    @property
-    def waiting_for(self) -> str:
-        """As `LiveSource.waiting_for`."""
-        return self._lines.waiting_for
+        super().__init__(f"udp://{host or LOOPBACK}:{self.port}", request)
 
     def read(self, wait: float = 0.0) -> Batch:
         """As `LiveSource.read`."""

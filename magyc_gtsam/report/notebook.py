@@ -26,8 +26,6 @@ from magyc_gtsam.study.outcome import Comparison
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_INK = "#808a94"  # to be read on light and dark ground
-
 
 def plot_calibration(calibration: Calibration, recording: Recording | None = None) -> Figure:
     """The field before and after, its strength, and the heading.
@@ -55,7 +53,7 @@ def plot_calibration(calibration: Calibration, recording: Recording | None = Non
     else:
         plots.level_turn_error(right, turn_of(recording, calibration), calibration)
     figure.suptitle(judged(calibration, recording).sentence, fontsize=10)
-    return _in_ink(figure)
+    return figure
 
 
 def plot_gap(gap: Gap) -> Figure:
@@ -73,7 +71,7 @@ def plot_gap(gap: Gap) -> Figure:
     for part, each in zip(parts, shown, strict=True):
         gap_plots.gap_map(part, each, each if gap.after is gap.before else later.get(each.over, each))
     figure.suptitle(judged_gap(gap).title, fontsize=10)
-    return _in_ink(figure)
+    return figure
 
 
 def report(calibration: Calibration, path: str | os.PathLike[str], recording: Recording | None = None) -> Path:
@@ -128,14 +126,4 @@ def _figure(width: float, height: float) -> Figure:
 
     figure = plt.figure(figsize=(width, height), layout="constrained")
     plt.close(figure)
-    return figure
-
-
-def _in_ink(figure: Figure) -> Figure:
-    """With text and axes that can be read on light and dark ground, in place of the page's own colour."""
-    from magyc_gtsam.report.plots import INK
-
-    artists: list[Any] = figure.findobj(lambda a: hasattr(a, "get_color") and a.get_color() == INK)
-    for artist in artists:
-        artist.set_color(_INK)
     return figure

@@ -12,25 +12,9 @@ from magyc_gtsam.report.analysis import FieldHistory, ellipsoid_outline, spread,
 
 RAW = "#d9730d"  # orange and blue keep apart for colour-blind eyes and on light and dark ground
 CALIBRATED = "#2b8cdb"
-INK = "#010203"  # stands for the page's own text colour
+INK = "#808a94"  # to be read on light and dark ground
 _MICRO = 1e6
 _FLAT = 0.1  # share of the axis below which the calibrated curve gets a scale of its own
-STYLE = {
-    "font.family": "sans-serif",
-    "font.size": 10.5,
-    "axes.titlesize": 10.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.alpha": 0.15,
-    "grid.linewidth": 0.8,
-    "lines.linewidth": 1.2,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "magyc-gtsam",
-} | dict.fromkeys(
-    ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color", "grid.color"), INK
-)
 
 
 def field_projection(

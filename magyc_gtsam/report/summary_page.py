@@ -16,7 +16,6 @@ from magyc_gtsam.report.gap_verdict import said
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict
 
-_DAY = 86400.0
 _AXES = ("x", "y", "z")
 _BAND = 1.96  # sigmas
 _BARS = "Bars: 95% interval (±1.96σ)."

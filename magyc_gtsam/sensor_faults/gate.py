@@ -62,11 +62,6 @@ class Gate:
         passed = decided[~rejected]  # a copy
         return Samples(passed[:, 0], passed[:, 1:])
 
-    @property
-    def waiting_since(self) -> float:
-        """s, stamp of the oldest sample held back; inf where there is none."""
-        return float(self._held.rows[0, 0]) if len(self._held) else np.inf
-
     def state(self) -> Mapping[str, Array]:
         """For `restore`."""
         own = {"held": self._held.rows.copy(), "counts": np.array([self.taken, self.dropped])}
