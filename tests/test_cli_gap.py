@@ -33,7 +33,7 @@ FILES = {"gap.json", "calibration.yaml", "configuration.yaml", "report.html"}
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A plain log, one with a late magnetometer and another of the same instrument."""
+    """A plain log, one with a magnetometer delay and another of the same instrument."""
     folder = tmp_path_factory.mktemp("logs")
     for name, seed, effects in (("plain", 1, ()), ("late", 2, ("timing",)), ("again", 3, ("timing",))):
         write_mcap(folder / f"{name}.mcap", simulate("wide", 400, seed=seed, effects=effects).recording)
@@ -53,7 +53,7 @@ def quiet_terminal() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def late() -> tuple[mg.Recording, Gap]:
-    """A late magnetometer, found."""
+    """A magnetometer delay, found."""
     recording = simulate("wide", 400, seed=2, effects=("timing",)).recording
     return recording, mg.find_gap(recording)
 
@@ -362,7 +362,7 @@ def test_page_of_a_closed_gap(opened: Any, late: tuple[mg.Recording, Gap], tmp_p
     assert page.locator("#verdict h1").inner_text() == "Gap found and closed"
     assert drawn_figures(page) == len(gap.before.maps) + 2 + 1  # over time and heading, and the reference
     text = page.inner_text("main")
-    for words in ("Late magnetometer", "On another recording: other.mcap", "Evidence", "Could not be tested"):
+    for words in ("Magnetometer delay", "On another recording: other.mcap", "Evidence", "Could not be tested"):
         assert words in text
     assert f"{gap.effects[0].statistic:.1f}" in text
 

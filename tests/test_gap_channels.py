@@ -52,7 +52,7 @@ def test_what_a_missing_channel_may_have_done_is_not_corrected() -> None:
     assert passed.name == "local-anomaly"
     assert name in passed.ambiguous_with
     assert not passed.applied
-    assert "not corrected: what nobody recorded may be behind it" in gap.sentence
+    assert "not corrected: an unrecorded channel may be the cause" in gap.sentence
     assert not gap.calibration.terms
     np.testing.assert_allclose(gap.calibration.hard_iron, gap.base.hard_iron, atol=1e-9)
     assert gap.next_manoeuvre is not None

@@ -173,7 +173,7 @@ def test_the_users_simulator_is_compared() -> None:
     gap = mg.find_gap(base, simulated=simulated)
     rejected = {a.what for a in gap.assumptions if a.rejected}
     assert "magnetometer noise per sample" in rejected
-    assert any("late magnetometer" in what for what in rejected)
+    assert any("magnetometer delay" in what for what in rejected)
     assert not any(what.startswith("hard iron") for what in rejected)
 
 
@@ -218,7 +218,7 @@ def test_an_effect_in_data_and_simulator_is_compared_by_its_size() -> None:
     assert said["jump of the hard iron"].rejected
     assert said["jump of the hard iron"].measured == pytest.approx(2.4, abs=0.2)
     assert said["jump of the hard iron"].simulated == pytest.approx(1.2, abs=0.2)
-    assert not said["late magnetometer"].rejected
+    assert not said["magnetometer delay"].rejected
 
 
 def test_isolability_says_what_a_motion_can_tell() -> None:

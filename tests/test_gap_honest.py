@@ -54,7 +54,7 @@ def test_a_term_of_another_log_is_contradicted(clean: mg.Recording) -> None:
     late = mg.find_gap(mg.simulate("wide", 200, seed=5, effects=[("timing", 2.0)]).recording)
     assert late.names == ("timing",)
     gap = mg.find_gap(clean, calibration=late.calibration)
-    assert any(row.name.startswith("late magnetometer") for row in gap.moved)
+    assert any(row.name.startswith("magnetometer delay") for row in gap.moved)
     assert "does not fit" in gap.sentence
 
 

@@ -120,7 +120,7 @@ def test_the_command_takes_many_logs(late: list[mg.Recording], tmp_path: Path) -
     told = json.loads((output / "gap.json").read_text(encoding="utf-8"))
     assert [effect["name"] for effect in told["effects"]] == ["timing"]
     assert [own["log"] for own in told["own"]] == ["bad"]
-    assert "late magnetometer" in (output / "report.html").read_text(encoding="utf-8")
+    assert "magnetometer delay" in (output / "report.html").read_text(encoding="utf-8")
     kept = mg.Calibration.load(output / "calibrations" / "dive 0.yaml")
     assert kept.delay == pytest.approx(0.02, abs=0.02)
 

@@ -42,7 +42,7 @@ def test_what_differs_is_named(calibration: mg.Calibration, motion: str) -> None
     assert worst.after - worst.before == pytest.approx(3.0, abs=4 * worst.sigma)
 
     (late,) = differences(mg.simulate(motion, seed=15, delay=0.1).recording, calibration)
-    assert late.name.startswith("late magnetometer")
+    assert late.name.startswith("magnetometer delay")
     assert late.after == pytest.approx(100, abs=4 * late.sigma)
 
     bent = truth.soft_iron * np.array([[1.05, 1, 1], [1, 1, 1], [1, 1, 1]])

@@ -53,7 +53,7 @@ def test_a_gap_in_a_notebook(tmp_path: Path) -> None:
     assert len(repr(gap)) < 200
     assert gap.verdict in repr(gap)
     assert gap.names == ("timing",)
-    assert "late magnetometer" in gap._repr_html_()
+    assert "magnetometer delay" in gap._repr_html_()
     gap.plot().savefig(tmp_path / "gap.png")
     assert (tmp_path / "gap.png").stat().st_size > 10_000
 

@@ -28,18 +28,17 @@ def run(
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE", help="OUT.mcap or OUT.csv.", show_default=False)
     ],
-    force: Annotated[
-        bool, typer.Option("--force", help="Apply also a calibration that must not be trusted.")
-    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Also apply an untrusted calibration.")] = False,
     quiet: given.Quiet = False,
 ) -> int:
     """Apply a calibration to a log.
 
-    Time stamps and all other data stay as they are. From MCAP to MCAP every message of every other topic is copied
-    byte for byte, and in the sensors' own messages only the vector is replaced (ROS 2, without --gyroscope-axes).
-    The gyroscope's bias is subtracted where the method estimated one, and what `magyc-gtsam gap` found is taken out:
-    a late field is read later. Read the log as it was read for the calibration (units, axes); an effect of a current
-    or a temperature needs that channel. A calibration that must not be trusted is refused with exit code 1.
+    Time stamps and all other data are unchanged. From MCAP to MCAP every message of every other topic is copied byte
+    for byte, and in the sensors' own messages only the vector is replaced (ROS 2, without --gyroscope-axes). The
+    gyroscope bias is subtracted if the method estimated one, and the effects found by `magyc-gtsam gap` are
+    corrected, a delay of the magnetometer too. Use the same reading options (units, axes) as for the calibration; an
+    effect of a current or a temperature needs that channel in the log. An untrusted calibration is refused with exit
+    code 1.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.factors.errors import MagycError

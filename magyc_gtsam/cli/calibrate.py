@@ -35,10 +35,10 @@ def run(
     reading: Reading,
     scale: Scale,
     known: Known,
-    method: Annotated[str, typer.Option(help="One of magyc_gtsam.methods().")] = "smoother",
+    method: Annotated[str, typer.Option(help="Calibration method, one of magyc_gtsam.methods().")] = "smoother",
     sensor: Annotated[
         Literal["magnetometer", "accelerometer"],
-        typer.Option(help="What to calibrate; the accelerometer by gravity, with --option gravity=9.81."),
+        typer.Option(help="Sensor to calibrate; the accelerometer by gravity, with --option gravity=9.81."),
     ] = "magnetometer",
     output: Annotated[
         Path | None,
@@ -48,19 +48,22 @@ def run(
         tuple[float, float] | None,
         typer.Option(
             metavar="µT MRAD/S",
-            help="Deviation per sample of magnetometer and gyroscope. Default: estimated.",
+            help="Standard deviation per sample of magnetometer and gyroscope. Default: estimated.",
         ),
     ] = None,
     delay: Annotated[
         str | None,
-        typer.Option(metavar="MS", help="By which the magnetometer lags the gyroscope, or 'auto' (the default)."),
+        typer.Option(metavar="MS", help="Delay of the magnetometer after the gyroscope, or 'auto' (the default)."),
     ] = None,
     robust: Annotated[
         bool | None,
-        typer.Option("--robust/--no-robust", help="Weigh disturbed windows down. Default: as the method does."),
+        typer.Option(
+            "--robust/--no-robust", help="Give disturbed windows less weight. Default: depends on the method."
+        ),
     ] = None,
     window: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Longest window. Default: as the method has it.")
+        float | None,
+        typer.Option(metavar="SECONDS", help="Longest averaging window. Default: depends on the method."),
     ] = None,
     option: Annotated[
         list[str] | None,
@@ -72,18 +75,21 @@ def run(
             metavar="DEGREES",
             is_eager=True,
             callback=given.needs_no_log,
-            help="Only show which motion, and how long, gives a heading within so many degrees, with and without an "
-            "earlier calibration and the place; with --noise, --prior and the walks as given. Needs no LOG, and writes "
-            "no files.",
+            help="Only list which motion, for how long, gives this heading accuracy, "
+            "with and without an earlier calibration "
+            "and the location. Uses --noise, --prior and the --...-walk options. Needs no LOG and writes no files.",
         ),
     ] = None,
     more: More = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Every magnetometer in the log, each with its page and parameters.")
+        bool,
+        typer.Option(
+            "--all", help="Calibrate every magnetometer in the log, each with its own page and parameters."
+        ),
     ] = False,
     engine: Engine = "local",
     config: given.Config = None,
-    pdf: Annotated[bool, typer.Option("--pdf", help="Write report.pdf beside the page.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Also write report.pdf.")] = False,
     force: given.Force = False,
     open_page: given.Open = False,
     verbose: given.Verbose = False,
@@ -93,7 +99,7 @@ def run(
     """Calibrate the sensors of a log, or of many logs, each by itself.
 
     Writes calibration.yaml, configuration.yaml, report.html and the parameters to paste.
-    Exit code 1: done, but the result must not be trusted; the reason is printed, and there are no parameters to paste.
+    Exit code 1: done, but the result must not be trusted; the reason is printed and no parameters are written.
     """
     options = _method_options(known.options(scale, method), noise, delay, robust, window, option)
     if plan is not None:

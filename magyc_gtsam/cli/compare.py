@@ -32,7 +32,9 @@ def run(
     scale: Scale,
     methods: Annotated[
         str | None,
-        typer.Option(metavar="A,B,C", help="Of magyc_gtsam.methods(). Default: all that the log allows."),
+        typer.Option(
+            metavar="A,B,C", help="Methods to run, from magyc_gtsam.methods(). Default: all that the log allows."
+        ),
     ] = None,
     output: Annotated[
         Path | None,
@@ -42,11 +44,11 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Calibrate a log with every method that it allows, and compare.
+    """Calibrate a log with every method that it allows, and compare the results.
 
-    Writes comparison.csv, comparison.json, configuration.yaml and report.html. A method that fails says why
-    and never stops the others; Ctrl-C ends with the methods done so far. Exit code 1: done, but no method gave a
-    result to trust; 130: interrupted.
+    Writes comparison.csv, comparison.json, configuration.yaml and report.html. If a method fails, its reason is
+    reported and the others still run; Ctrl-C keeps the methods that have finished. Exit code 1: done, but no method
+    gave a trusted result; 130: interrupted.
     """
     from magyc_gtsam.report.compare_page import render_comparison
     from magyc_gtsam.report.compare_words import csv_text, judged_comparison, to_dict

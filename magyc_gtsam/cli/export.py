@@ -16,7 +16,7 @@ def run(
     calibration_file: given.CalibrationFile,
     target: Annotated[
         Literal["px4", "ardupilot", "vectornav", "ros"],
-        typer.Argument(help="Whose parameters.", show_default=False),
+        typer.Argument(help="Format of the parameters.", show_default=False),
     ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Default: standard output.")
@@ -24,14 +24,14 @@ def run(
     per_motor: Annotated[
         bool,
         typer.Option(
-            "--per-motor", help="The currents' channels were the outputs, 0 to 1, of motors 1 to 4 (ArduPilot)."
+            "--per-motor", help="The current channels are the outputs, 0 to 1, of motors 1 to 4 (ArduPilot)."
         ),
     ] = False,
     force: given.Force = False,
 ) -> int:
     """Write a calibration as parameters to paste.
 
-    One that must not be trusted is refused with exit code 1 and the reason.
+    An untrusted calibration is refused with exit code 1 and the reason.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.report.verdict import judged

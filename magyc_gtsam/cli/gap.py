@@ -33,23 +33,25 @@ def run(
         Path | None,
         typer.Option(
             metavar="SIM",
-            help="Recording of your own simulator on a similar motion, to judge as well; read by LOG's options "
-            "where it is of LOG's format.",
+            help="Recording from your own simulator on a similar motion: its "
+            "assumptions are compared with LOG. Read with "
+            "the options of LOG if it has the same format.",
         ),
     ] = None,
     validate: Annotated[
         Path | None,
         typer.Option(
             metavar="OTHER_LOG",
-            help="Another log of the same instrument, to judge the result on; read by LOG's options where it is of "
-            "LOG's format.",
+            help="Another log of the same instrument, on which the result is tested. "
+            "Read with the options of LOG if it has "
+            "the same format.",
         ),
     ] = None,
     calibration: Annotated[
         Path | None,
         typer.Option(
             metavar="CALIBRATION",
-            help="calibration.yaml to start from; what the data contradict in it is said. Default: none.",
+            help="calibration.yaml to start from; parameters that the data contradict are reported. Default: none.",
         ),
     ] = None,
     candidates: Annotated[
@@ -61,8 +63,8 @@ def run(
             metavar="MOTION",
             is_eager=True,
             callback=given.needs_no_log,
-            help="Only show which effects a motion could name, and from which strength: wide, moderate, low, "
-            "tiny, multi, dive or survey. Needs no LOG, and writes no files.",
+            help="Only list which effects a motion can reveal, and from which strength: wide, moderate, low, "
+            "tiny, multi, dive or survey. Needs no LOG and writes no files.",
         ),
     ] = None,
     more: More = None,
@@ -75,14 +77,14 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """Find where model and measurement disagree, name what is missing, add it, and see the gap shrink.
+    """Find where model and measurement disagree, name the missing effect, add it, and show the gap before and after.
 
-    Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html. The options that
-    say how LOG is read hold for a SIM and an OTHER_LOG of its format too, but for --start and --end.
-    Many logs of one instrument are one comparison: what has one value in all is the instrument's, what has one in each
-    is of the place or the day.
-    Exit code 0: nothing is missing, or what was missing is in the model now. 1: the gap is left open, the motion
-    or the noise was too little to look for one, or the result does not hold on OTHER_LOG or cannot be judged on it.
+    Writes gap.json, calibration.yaml (with the effects found), configuration.yaml and report.html. The reading options,
+    except --start and --end, also apply to SIM and OTHER_LOG if they have the format of LOG.
+    Several logs of one instrument are compared with each other: an effect with the same value in all logs belongs to
+    the instrument, one with a different value in each log belongs to the place or the day.
+    Exit code 0: nothing was missing, or what was missing is now in the model. 1: the gap remains open, the log was
+    not sufficient to look for one, or the result does not hold, or cannot be tested, on OTHER_LOG.
     """
     if plan is not None:
         if any(value is not None for value in (reading.log, simulated, validate, calibration, candidates, output)):

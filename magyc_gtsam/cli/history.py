@@ -52,7 +52,7 @@ def run(
     add: Annotated[
         Path | None,
         typer.Option(
-            metavar="HISTORY", help="Add the logs to this history.yaml; its own logs are not read again."
+            metavar="HISTORY", help="Add the logs to this history.yaml, whose own logs are not read again."
         ),
     ] = None,
     output: Annotated[
@@ -63,10 +63,10 @@ def run(
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:
-    """One instrument over many logs: shared soft iron, a hard iron that walks and jumps.
+    """Follow one instrument over many logs: constant soft iron, hard iron that drifts and jumps.
 
-    Writes history.yaml (each log compressed, for --add), next.yaml and the parameters to paste for the next log, and
-    report.html. Exit code 1: done, but the logs are of several instruments, or none could be calibrated but one.
+    Writes history.yaml (a summary of each log, for --add), report.html, and next.yaml with parameters to paste for the
+    next log. Exit code 1: done, but the logs are of several instruments.
     """
     from magyc_gtsam.engine import run_many
     from magyc_gtsam.history import History, LogFactor

@@ -21,11 +21,11 @@ class Known:
     prior: given.Prior = None
     hard_iron_walk: Annotated[
         float | None,
-        typer.Option(metavar="µT", help="By which the hard iron may have changed since --prior. Default: 0."),
+        typer.Option(metavar="µT", help="Possible change (1σ) of the hard iron since --prior. Default: 0."),
     ] = None
     soft_iron_walk: Annotated[
         float | None,
-        typer.Option(metavar="PERCENT", help="By which the soft iron may have changed since --prior. Default: 0."),
+        typer.Option(metavar="PERCENT", help="Possible change (1σ) of the soft iron since --prior. Default: 0."),
     ] = None
 
     def options(self, scale: Scale, method: str) -> dict[str, Any]:

@@ -35,24 +35,27 @@ def run(
     scale: Scale,
     method: Annotated[str | None, typer.Option(help="smoother (the default) or magyc-ifg.")] = None,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE", help="The calibration, .yaml or .json.")
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help="Where to write the calibration, .yaml or .json."),
     ] = Path("online-calibration.yaml"),
     state: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="State to go on from where it exists, and to be saved for the next run."
-        ),
+        typer.Option(metavar="FILE", help="State file: loaded if it exists, and saved for the next run."),
     ] = None,
     every: Annotated[
         float,
-        typer.Option(metavar="SECONDS", min=0.1, help="Write calibration and state, and report, this often."),
+        typer.Option(
+            metavar="SECONDS",
+            min=0.1,
+            help="Interval between reports; calibration and state are written with each.",
+        ),
     ] = 10.0,
     idle: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
             min=0.0,
-            help="End after so long without anything new. Default: 60 for a file; all else is waited for.",
+            help="Stop after this time without new data. Default: 60 for a file; never for other sources.",
         ),
     ] = None,
     magnetic_field: given.MagneticField = None,
@@ -66,28 +69,30 @@ def run(
     prior: given.Prior = None,
     prior_walk: Annotated[
         float | None,
-        typer.Option(metavar="µT", help="By which the hard iron may have changed since --prior. Default: 0."),
+        typer.Option(metavar="µT", help="Possible change (1σ) of the hard iron since --prior. Default: 0."),
     ] = None,
     option: Annotated[
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Another option of the method. May be repeated."),
     ] = None,
     quiet: given.Quiet = False,
-    json: Annotated[bool, typer.Option("--json", help="A line of JSON per report on standard output.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print each report as one line of JSON on standard output.")
+    ] = False,
     picture: Annotated[
         float | None,
         typer.Option(
             metavar="SECONDS",
             min=0.1,
-            help="With --json: lines this often as well, with what a page draws: directions, next move, residual.",
+            help="With --json: also print a line at this interval with directions visited, next move and residual.",
         ),
     ] = None,
 ) -> int:
     """Calibrate while the vehicle moves.
 
-    Ends at the end of the file or the input, after --idle seconds without growth, or by Ctrl-C; the calibration
-    is written then and on the way. Exit code 0: it has converged; 1: it must not be trusted yet, the reason is
-    printed; 130: interrupted before there was one.
+    Stops at the end of the file or input, after --idle seconds without new data, or with Ctrl-C. The calibration is
+    written at the end and with every report. Exit code 0: converged; 1: the result must not be trusted yet, and the
+    reason is printed; 130: interrupted before a first result.
     """
     from magyc_gtsam.cli.known import beforehand
     from magyc_gtsam.cli.online_session import Session

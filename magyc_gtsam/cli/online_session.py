@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import Enum
 from pathlib import Path
 from types import FrameType
@@ -19,6 +20,7 @@ from magyc_gtsam.live.source import Batch, LiveSource
 from magyc_gtsam.recording import Array, Samples
 
 if TYPE_CHECKING:
+    from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.online import OnlineCalibrator
 
 _WAIT = 0.2  # s for which reading may wait: within it an interrupt is heeded
@@ -157,13 +159,21 @@ class Session:
         """State, calibration, and those before each change of the hard iron; each file is replaced in one step."""
         if self.state is not None:
             self.online.save(self.state)
-        calibration = self.online.calibration
+        calibration = judged_online(self.online)
         if calibration is not None:
             calibration.save(self.output)
         for number, change in enumerate(self.online.changes, 1):
             file = self.output.with_name(f"{self.output.stem}-before-change-{number}{self.output.suffix}")
             if change.before is not None:
                 change.before.save(file)
+
+
+def judged_online(online: OnlineCalibrator) -> Calibration | None:
+    """The calibration so far; not to be trusted while the estimate still changes, whatever its covariance is."""
+    calibration = online.calibration
+    if calibration is None or online.converged or not calibration.trusted:
+        return calibration
+    return replace(calibration, converged=False, message=online.progress.sentence)
 
 
 @contextmanager

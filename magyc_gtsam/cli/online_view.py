@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from magyc_gtsam.cli.online_session import End, Session
+from magyc_gtsam.cli.online_session import End, Session, judged_online
 from magyc_gtsam.cli.terminal import concluded, console, show, show_calibration
 from magyc_gtsam.foreign_text import printable
 from magyc_gtsam.live.health import Health, Monitor
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.live.source import Batch, LiveSource
     from magyc_gtsam.online import Change, OnlineCalibrator
+    from magyc_gtsam.report.verdict import Verdict
 
 _REFRESH = 0.5  # s between two looks at the estimate, and no more than a tenth of the time for them
 _SHARE = 10.0
@@ -68,16 +69,13 @@ class Quiet:
             every = "" if session.taken else "all "
             again = "" if session.taken else "; if this is another log with another clock, begin a new --state"
             self.complain(f"{every}{session.skipped} samples were in the saved state already{again}")
-        calibration = self.online.calibration
-        if calibration is None:
-            return self._without(session)
-        self.result(session, calibration)
         from magyc_gtsam.report.verdict import judged
 
-        if calibration.trusted and not self.online.converged:
-            self.complain(f"the result must not be trusted: {self.online.progress.sentence}")
-            return 1
-        return concluded(judged(calibration))
+        calibration = judged_online(self.online)
+        if calibration is None:
+            return self._without(session)
+        verdict = judged(calibration)
+        return concluded(verdict, shown=self.result(session, calibration, verdict))
 
     def _without(self, session: Session) -> int:
         """There is no calibration."""
@@ -91,8 +89,9 @@ class Quiet:
         self.complain(f"no calibration: {self.online.progress.sentence}")
         return 1
 
-    def result(self, session: Session, calibration: Calibration) -> None:
-        """The result, as the files hold it."""
+    def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:
+        """The result, as the files hold it; whether it is on standard output."""
+        return False
 
 
 class Plain(Quiet):
@@ -102,15 +101,21 @@ class Plain(Quiet):
         """As `View.report`."""
         show(line(self.online, self.source, self.monitor.health))
 
-    def result(self, session: Session, calibration: Calibration) -> None:
-        """As `Quiet.result`."""
+    def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:
+        """As `Quiet.result`; no numbers of what must not be trusted."""
         progress = self.online.progress
-        show(f"{self.source.name}: {progress.duration:.1f} s, {calibration.method}; {session.end}", "")
-        show_calibration(_since(calibration, first_stamp(self.online)))
+        show(
+            verdict.sentence,
+            f"{self.source.name}: {progress.duration:.1f} s, {calibration.method}; {session.end}",
+            "",
+        )
+        if verdict.trusted:
+            show_calibration(_since(calibration, first_stamp(self.online)))
         show(*(change_sentence(change, self.online) for change in self.online.changes))
         show("", f"calibration: {session.output}")
         if session.state is not None:
             show(f"state: {session.state}")
+        return True
 
 
 class Live(Plain):

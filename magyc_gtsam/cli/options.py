@@ -16,7 +16,11 @@ _TABLE_ARGUMENT = re.compile(r"\b(time|time_unit|rate|columns)=")
 
 Log = Annotated[
     Path,
-    typer.Argument(metavar="LOG", help="MCAP, text table, PX4 .ulg or ArduPilot .BIN.", show_default=False),
+    typer.Argument(
+        metavar="LOG",
+        help="MCAP, ROS bag, PX4, ArduPilot, MAVLink, Blackbox, phone archive or text table.",
+        show_default=False,
+    ),
 ]
 CalibrationFile = Annotated[
     Path,
@@ -25,68 +29,74 @@ CalibrationFile = Annotated[
 
 MagneticField = Annotated[
     str | None,
-    typer.Option(metavar="TOPIC", help="Topic, message or columns of the magnetometer; where it is not clear."),
+    typer.Option(
+        metavar="TOPIC", help="Topic, message or columns of the magnetometer, where the log has several."
+    ),
 ]
-AngularRate = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise, of the gyroscope.")]
-Acceleration = Annotated[str | None, typer.Option(metavar="TOPIC", help="Likewise, of the accelerometer.")]
+AngularRate = Annotated[str | None, typer.Option(metavar="TOPIC", help="The same for the gyroscope.")]
+Acceleration = Annotated[str | None, typer.Option(metavar="TOPIC", help="The same for the accelerometer.")]
 Attitude = Annotated[
     str | None,
-    typer.Option(metavar="TOPIC", help="Likewise, of a reference attitude."),
+    typer.Option(metavar="TOPIC", help="The same for a reference attitude."),
 ]
 MagneticUnit = Annotated[
     str | None,
     typer.Option(
         metavar="UNIT",
-        help="What the log's field is in: T, mT, uT, nT, gauss, mgauss, tesla per count, or (to compare) counts.",
+        help="Unit of the field in the log: T, mT, uT, nT, gauss, mgauss, tesla per count, or (to compare) counts.",
     ),
 ]
 AngularUnit = Annotated[
-    str | None, typer.Option(metavar="UNIT", help="Likewise, of the angular rate: rad/s, deg/s, mrad/s.")
+    str | None, typer.Option(metavar="UNIT", help="Unit of the angular rate: rad/s, deg/s, mrad/s.")
 ]
-AccelerationUnit = Annotated[
-    str | None, typer.Option(metavar="UNIT", help="Likewise, of the acceleration: m/s^2, g.")
-]
+AccelerationUnit = Annotated[str | None, typer.Option(metavar="UNIT", help="Unit of the acceleration: m/s^2, g.")]
 Start = Annotated[
     float | None,
-    typer.Option(metavar="SECONDS", help="Leave out what is before, counted from the log's first row."),
+    typer.Option(metavar="SECONDS", help="Use the log from this time on, in seconds after its first row."),
 ]
-End = Annotated[float | None, typer.Option(metavar="SECONDS", help="Leave out what is after.")]
+End = Annotated[float | None, typer.Option(metavar="SECONDS", help="Use the log up to this time.")]
 Stamps = Annotated[
-    Literal["header", "log"], typer.Option(help="Time stamps of the sensors, or of the recorder (MCAP).")
+    Literal["header", "log"],
+    typer.Option(help="Use the time stamps of the messages, or those of the recorder (MCAP)."),
 ]
 AngularRateIs = Annotated[
     Literal["instant", "interval-mean"] | None,
     typer.Option(
-        help="Rate at its stamp, or mean since the stamp before (delta angles); default: as the log says."
+        help="Rate at the time stamp, or mean since the previous stamp (delta angles). Default: as given in the log."
     ),
 ]
 GyroscopeAxes = Annotated[
     str | None,
     typer.Option(
         metavar="AXES",
-        help="The gyroscope's axes that lie along the magnetometer's x, y, z, as 'y,-x,z'; the accelerometer "
-        "is turned along.",
+        help="Gyroscope axes along the magnetometer's x, y, z, for example 'y,-x,z'; the accelerometer is rotated "
+        "likewise.",
     ),
 ]
 Read = Annotated[
     list[str] | None,
-    typer.Option(metavar="KEY=VALUE", help="Of text tables: time, time_unit, rate, columns. May be repeated."),
+    typer.Option(
+        metavar="KEY=VALUE", help="How to read a text table: time, time_unit, rate, columns. May be repeated."
+    ),
 ]
 
 Misalignment = Annotated[
     str | None,
     typer.Option(
         metavar="DEGREES",
-        help="Of the two chips: 'auto' (default) asks the data; a number is the prior's deviation; 0 is none.",
+        help="Between the two chips: 'auto' (default) estimates it; a number is its prior standard deviation; 0: none.",
     ),
 ]
 Prior = Annotated[
     Path | None,
-    typer.Option(metavar="CALIBRATION", help="calibration.yaml of the same instrument from earlier, as a prior."),
+    typer.Option(
+        metavar="CALIBRATION",
+        help="calibration.yaml of an earlier result for the same instrument, used as a prior.",
+    ),
 ]
 Force = Annotated[
     bool,
-    typer.Option("--force", help="Write also what must not be trusted: parameters as comments under DO NOT USE."),
+    typer.Option("--force", help="Also write an untrusted result: parameters as comments below DO NOT USE."),
 ]
 Config = Annotated[
     Path | None,
@@ -95,13 +105,15 @@ Config = Annotated[
         metavar="FILE",
         is_eager=True,
         callback=from_file,
-        help="configuration.yaml of an earlier run, for all options (and the LOG) that are not given.",
+        help="configuration.yaml of an earlier run: supplies the options and the LOG that are not given.",
     ),
 ]
-Open = Annotated[bool, typer.Option("--open", help="Show the page in the browser.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="All details, and the method's own numbers.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no table.")]
-Json = Annotated[bool, typer.Option("--json", help="The result as JSON on standard output.")]
+Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", help="Show all details and the diagnostics of the method.")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print neither progress nor result.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 
 
 def needs_no_log(context: typer.Context, planned: Any) -> Any:

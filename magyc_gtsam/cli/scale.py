@@ -17,15 +17,22 @@ class Scale:
 
     field_strength: Annotated[
         float | None,
-        typer.Option(metavar="µT", help="True strength of the field; sets the scale. Default: det soft iron = 1."),
+        typer.Option(
+            metavar="µT", help="True field strength; sets the scale of the soft iron. Default: det(soft iron) = 1."
+        ),
     ] = None
     location: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="LAT LON", help="Degrees; the strength by the World Magnetic Model, with --date."),
+        typer.Option(
+            metavar="LAT LON",
+            help="Position in degrees; with --date the World Magnetic Model gives the field strength.",
+        ),
     ] = None
-    altitude: Annotated[float, typer.Option(metavar="METRES", help="Above the sea, with --location.")] = 0.0
+    altitude: Annotated[
+        float, typer.Option(metavar="METRES", help="Altitude above sea level, with --location.")
+    ] = 0.0
     date: Annotated[
-        str | None, typer.Option(metavar="YYYY-MM-DD", help="Day of the recording, with --location.")
+        str | None, typer.Option(metavar="YYYY-MM-DD", help="Date of the recording, with --location.")
     ] = None
 
     def tesla(self) -> float | None:

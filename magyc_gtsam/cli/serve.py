@@ -13,26 +13,25 @@ _GIGABYTE = 1 << 30
 
 
 def run(
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 takes one that is free.")] = 8642,
-    folder: Annotated[Path, typer.Option(metavar="LOGS", help="Folder of logs; results/ is made in it.")] = Path(
-        "."
-    ),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 chooses a free one.")] = 8642,
+    folder: Annotated[
+        Path, typer.Option(metavar="LOGS", help="Folder of logs; results are written to results/ in it.")
+    ] = Path("."),
     host: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Address to listen on, as 0.0.0.0 for every network; the page then needs the token in the address "
-            "shown. Default: this machine alone.",
+            help="Address to listen on, for example 0.0.0.0 for all networks; the page "
+            "then requires the token in the address "
+            "shown. Default: this machine only.",
         ),
     ] = None,
-    most: Annotated[
-        float, typer.Option(metavar="GB", min=0.001, help="Largest log that may be dropped into the page.")
-    ] = 2.0,
-    open_page: Annotated[bool, typer.Option("--open", help="Show the page in the browser.")] = False,
+    most: Annotated[float, typer.Option(metavar="GB", min=0.001, help="Size limit of a dropped log.")] = 2.0,
+    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
 ) -> int:
-    """Calibrate in a browser: drop a log, choose an interval, look at the report, copy the parameters.
+    """Calibrate in a browser: drop a log, choose an interval, view the report, copy the parameters.
 
-    Needs the extra `serve`. Ends with Ctrl-C. Results are those of the command line, in LOGS/results.
+    Requires the extra `serve`; stop it with Ctrl-C. The results are those of the command line, stored in LOGS/results.
     """
     from magyc_gtsam.serve.limits import Limits
     from magyc_gtsam.serve.run import serve

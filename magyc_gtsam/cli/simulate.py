@@ -25,31 +25,36 @@ def run(
             "--output",
             "-o",
             metavar="FILE",
-            help="FILE.mcap; FILE.truth.yaml goes beside it.",
+            help="FILE.mcap; the truth is written to FILE.truth.yaml.",
             show_default=False,
         ),
     ],
     duration: Annotated[float, typer.Option(metavar="SECONDS")] = 600.0,
     rate: Annotated[float, typer.Option(metavar="HZ")] = 10.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of motion and noise.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of motion and noise.")] = 0,
     field_strength: Annotated[
-        float | None, typer.Option(metavar="µT", help="Default: 47.3, of the MAGYC paper's field.")
+        float | None, typer.Option(metavar="µT", help="Field strength. Default: 47.3, as in the MAGYC paper.")
     ] = None,
     hard_iron: Annotated[
-        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="µT; default 2, 12, 9.")
+        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="Hard iron in µT. Default: 2 12 9.")
     ] = None,
     gyroscope_bias: Annotated[
-        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="mrad/s; default 4, -5, 2.")
+        tuple[float, float, float] | None,
+        typer.Option(metavar="X Y Z", help="Gyroscope bias in mrad/s. Default: 4 -5 2."),
     ] = None,
-    magnetometer_noise: Annotated[float, typer.Option(metavar="µT", help="Deviation per sample and axis.")] = 1.0,
-    gyroscope_noise: Annotated[float, typer.Option(metavar="MRAD/S", help="Likewise.")] = 5.0,
-    delay: Annotated[float, typer.Option(metavar="MS", help="By which the magnetometer lags.")] = 0.0,
+    magnetometer_noise: Annotated[
+        float, typer.Option(metavar="µT", help="Standard deviation per sample and axis.")
+    ] = 1.0,
+    gyroscope_noise: Annotated[
+        float, typer.Option(metavar="MRAD/S", help="Standard deviation per sample and axis.")
+    ] = 5.0,
+    delay: Annotated[float, typer.Option(metavar="MS", help="Delay of the magnetometer.")] = 0.0,
     effect: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME[=FACTOR]",
-            help="Of the gap workflow, with a factor on its published strength; may be repeated. "
-            "FILE.effects.yaml then goes beside.",
+            help="Add an effect of the gap workflow, with a factor on its published strength; may be repeated. "
+            "The effects are written to FILE.effects.yaml.",
         ),
     ] = None,
 ) -> int:

@@ -20,13 +20,13 @@ from magyc_gtsam.gap.step_time import step_time_sigma
 _POWER = 0.8
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
-_OPEN = "named, not corrected: this motion leaves part of it open"
-_UNSURE = "named, not corrected: what nobody recorded may be behind it"
+_OPEN = "named, not corrected: this motion does not determine all of its values"
+_UNSURE = "named, not corrected: an unrecorded channel may be the cause"
 _UNPAID = (
-    "named, not corrected: beside a field that varies the correction gains nothing on data it was not fitted to"
+    "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )
 _VETOED = (
-    "significant, but it predicts nothing on data it was not fitted to",
+    "significant, but it does not improve the prediction of held-out data",
     "significant, but its channel, shifted in time, would explain as much",
 )
 _SPELLED = 3  # effects named one by one
@@ -59,17 +59,17 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
     """What a verdict that nothing was found does not say: what is too small, and could not have been seen."""
     blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
     parts = [
-        f"what may be “{h.label}” is too small to be told from any other weak effect"
+        f"a possible “{h.label}” is too weak to be distinguished from other weak effects"
         for h in hypotheses
         if h.status == "slight"
     ]
     if blind:
         named = ", ".join(blind[:_SPELLED])
         more = f" and {len(blind) - _SPELLED} more" if len(blind) > _SPELLED else ""
-        parts.append(f"this motion could not have shown all that matters of {named}{more}")
+        parts.append(f"this motion could not have shown every relevant value of {named}{more}")
     if untested:
-        parts.append(f"{untested} effects lack their channel")
-    return "; ".join(parts) or "whatever of the effects tested matters would have been seen"
+        parts.append(f"{untested} effects could not be tested, because their channel is not in the log")
+    return "; ".join(parts) or "every relevant value of the tested effects would have been detected"
 
 
 def place_of(left: Sequence[str], last: Look) -> str:
@@ -77,9 +77,9 @@ def place_of(left: Sequence[str], last: Look) -> str:
     names = set(left)
     for score in last.scores:
         if score.name in names and score.generic:
-            return f"something that lives in {score.place} is missing"
+            return f"an effect that varies with {score.place} is missing"
     label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
-    return f"something like “{label}” is missing" if label else "something is missing"
+    return f"an effect similar to “{label}” is missing" if label else "something is missing"
 
 
 def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
@@ -87,11 +87,7 @@ def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
     if CLOCK_DRIFT in left:
         return APART
     where = place_of(left, last)
-    return (
-        f"{where}, but not quite of its form"
-        if "something like" in where
-        else f"{where}, and it is not {catalogue}"
-    )
+    return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
 
 
 def _setting(refitted: Refit, index: int) -> dict[str, float]:
@@ -109,13 +105,13 @@ def _noise_sentence(noise: NoiseScore) -> str:
         return f"a tone of {setting['frequency']:.2f} Hz, {size * 1e6:.2g} µT, is on the magnetometer"
     if noise.name == "coloured-noise":
         return (
-            f"the magnetometer's noise hangs together over {setting['correlation_time']:.2g} s "
-            f"({value * 1e6:.2g} µT): fewer independent samples than it seems"
+            f"the magnetometer's noise is correlated over {setting['correlation_time']:.2g} s "
+            f"({value * 1e6:.2g} µT): there are fewer independent samples than rows"
         )
     if noise.name == "spikes":
         return f"{setting['count']:.0f} single magnetometer samples are wrong by {value * 1e6:.2g} µT and were left out"
     if noise.name == "quantisation":
-        return f"the magnetometer counts in steps of {value * 1e6:.2g} µT, {setting['ratio']:.1f} times its noise"
+        return f"the magnetometer's resolution is {value * 1e6:.2g} µT, {setting['ratio']:.1f} times its noise"
     if noise.name == "sample-hold":
         return f"the magnetometer repeats {setting['share']:.0%} of its rows; held rows were left out"
     arrangement = Arrangement(noise.value.reshape(3, 3), "", 1 - setting["explained"])

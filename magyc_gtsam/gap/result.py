@@ -24,7 +24,7 @@ class Effect:
 
     Attributes:
         name: the row of the catalogue, e.g. "timing".
-        label: the same in words, e.g. "late magnetometer".
+        label: the same in words, e.g. "magnetometer delay".
         value, sigma: (k,) in `unit`, one per parameter.
         parameters: (k,) what each value is, e.g. ("x", "y", "z").
         unit: of the values as shown: "ms", "µT", "µT/A", "mrad", ….

@@ -32,11 +32,11 @@ TERMS: dict[str, EffectTerm] = {
 }
 
 LABELS: dict[str, str] = {name: term.label for name, term in TERMS.items()} | {
-    "coloured-noise": "noise that hangs together in time",
+    "coloured-noise": "time-correlated magnetometer noise",
     "spikes": "single wrong samples",
     "tone": "steady tone (mains or switching supply)",
     "quantisation": "coarse steps of the magnetometer",
-    "sample-hold": "magnetometer values that are held",
+    "sample-hold": "repeated magnetometer values",
     "axis-order": "axes of the two sensors exchanged or turned round",
 }
 

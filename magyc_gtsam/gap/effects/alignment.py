@@ -58,7 +58,7 @@ def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
 
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
     angle = np.rad2deg(np.linalg.norm(value) * 1e-3)
-    return f"the magnetometer is mounted {angle:.2f}° askew of the gyroscope, about {vector(value, sigma)} mrad"
+    return f"the magnetometer is mounted {angle:.2f}° out of line with the gyroscope, about {vector(value, sigma)} mrad"
 
 
 def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
@@ -69,18 +69,18 @@ def _say_timing(value: Array, sigma: Array, setting: Setting) -> str:
 def _say_eddy(value: Array, sigma: Array, setting: Setting) -> str:
     if "x" not in setting:
         most = float(np.abs(value).max())
-        return f"eddy currents in metal near the magnetometer hold the field back, by up to {most:.2g} ms"
+        return f"eddy currents in metal near the magnetometer delay the field by up to {most:.2g} ms"
     normal = [setting[a] for a in AXES]
     size = float(np.linalg.norm(value))
     return (
-        f"eddy currents in a plate across {vector(normal)} hold the field back by "
+        f"eddy currents in a plate across {vector(normal)} delay the field by "
         f"{measured(size, float(np.linalg.norm(sigma)) / 3**0.5)} ms"
     )
 
 
 MISALIGNMENT = EffectTerm(
     name="misalignment",
-    label="magnetometer and gyroscope axes askew",
+    label="misaligned magnetometer and gyroscope axes",
     unit="mrad",
     scale=1e3,
     matters=5e-3,
@@ -95,7 +95,7 @@ MISALIGNMENT = EffectTerm(
 )
 TIMING = EffectTerm(
     name="timing",
-    label="late magnetometer",
+    label="magnetometer delay",
     unit="ms",
     scale=1e3,
     matters=5e-3,

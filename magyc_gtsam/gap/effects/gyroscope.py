@@ -39,11 +39,11 @@ def _say_quadratic(value: Array, sigma: Array, setting: Setting) -> str:
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
     by = vector(value, sigma)
     behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
-    return f"the gyroscope's bias moves with temperature, by {by} mrad/s per unit of the channel{behind}"
+    return f"the gyroscope's bias depends on temperature, by {by} mrad/s per unit of the channel{behind}"
 
 
 def _say_g(value: Array, sigma: Array, setting: Setting) -> str:
-    return f"the gyroscope feels acceleration: up to {np.abs(value).max():.2g} mrad/s per g"
+    return f"the gyroscope's bias depends on acceleration: up to {np.abs(value).max():.2g} mrad/s per g"
 
 
 SCALE = EffectTerm(
@@ -63,7 +63,7 @@ SCALE = EffectTerm(
 )
 QUADRATIC = EffectTerm(
     name="gyro-quadratic",
-    label="gyroscope scale that grows with the rate",
+    label="gyroscope scale that depends on the rate",
     unit="10⁻³ s/rad",
     scale=1e3,
     matters=0.02,
@@ -79,7 +79,7 @@ QUADRATIC = EffectTerm(
 )
 TEMPERATURE = EffectTerm(
     name="temperature-gyro",
-    label="gyroscope bias that moves with temperature",
+    label="gyroscope bias that depends on temperature",
     unit="mrad/s per unit",
     scale=1e3,
     matters=1e-3,
@@ -95,7 +95,7 @@ TEMPERATURE = EffectTerm(
 )
 G_SENSITIVITY = EffectTerm(
     name="g-sensitivity",
-    label="gyroscope that feels acceleration",
+    label="g-sensitivity of the gyroscope",
     unit="mrad/s/g",
     scale=1e3,
     matters=5e-3,

@@ -90,19 +90,21 @@ def _say_current(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_temperature(value: Array, sigma: Array, setting: Setting) -> str:
     behind = f", {setting['lag']:.0f} s behind the thermometer" if setting.get("lag") else ""
-    return f"the hard iron moves with temperature, by {vector(value, sigma)} µT per unit of it{behind}"
+    return f"the hard iron depends on temperature, by {vector(value, sigma)} µT per unit of it{behind}"
 
 
 def _say_step(value: Array, sigma: Array, setting: Setting) -> str:
     when = measured(setting["time"], setting.get("time_sigma", 0.05))
-    return f"the hard iron jumped by {vector(value, sigma)} µT at {when} s: something was moved or switched"
+    return (
+        f"the hard iron jumped by {vector(value, sigma)} µT at {when} s: a magnetic object was moved or switched"
+    )
 
 
 def _say_drift(value: Array, sigma: Array, setting: Setting) -> str:
     if setting["order"] == 0:
         return f"the hard iron drifted by {vector(value[:3], sigma[:3])} µT over the recording"
     spread = np.sqrt((value.reshape(-1, 3) ** 2).sum(axis=0) / 2)
-    return f"the hard iron wandered slowly, by {vector(spread)} µT (standard deviation) over the recording"
+    return f"the hard iron drifted irregularly, by {vector(spread)} µT (standard deviation) over the recording"
 
 
 MOTOR_CURRENT = EffectTerm(
@@ -122,7 +124,7 @@ MOTOR_CURRENT = EffectTerm(
 )
 TEMPERATURE = EffectTerm(
     name="temperature-hard-iron",
-    label="hard iron that moves with temperature",
+    label="hard iron that depends on temperature",
     unit="µT per unit",
     scale=1e6,
     matters=0.3e-6,

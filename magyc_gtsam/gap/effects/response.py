@@ -74,12 +74,12 @@ def _say_cubic(value: Array, sigma: Array, setting: Setting) -> str:
 
 def _say_hysteresis(value: Array, sigma: Array, setting: Setting) -> str:
     by = vector(value, sigma)
-    return f"iron near the magnetometer remembers the last direction (hysteresis), by {by} µT on x, y, z"
+    return f"iron near the magnetometer shows hysteresis of {by} µT on x, y, z"
 
 
 SATURATION = EffectTerm(
     name="saturation",
-    label="magnetometer that clips or saturates",
+    label="magnetometer saturation",
     unit="of what is beyond the level",
     scale=1.0,
     matters=0.3,
@@ -95,7 +95,7 @@ SATURATION = EffectTerm(
 )
 CUBIC = EffectTerm(
     name="cubic",
-    label="magnetometer that is not linear",
+    label="non-linear magnetometer",
     unit="µT at 50 µT",
     scale=1e6,
     matters=0.5e-6,
@@ -108,7 +108,7 @@ CUBIC = EffectTerm(
 )
 HYSTERESIS = EffectTerm(
     name="hysteresis",
-    label="iron that remembers (hysteresis)",
+    label="magnetic hysteresis of nearby iron",
     unit="µT",
     scale=1e6,
     matters=0.3e-6,
