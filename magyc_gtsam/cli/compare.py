@@ -81,8 +81,9 @@ def run(
     if open_page:
         show_page(folder / "report.html")
     if json:
-        sentence = judged_comparison(comparison).sentence
-        typer.echo(_json(to_dict(comparison) | {"sentence": sentence, "folder": str(folder)}), nl=False)
+        verdict = judged_comparison(comparison).to_dict()
+        values = {"sentence": verdict["sentence"], "verdict": verdict, "folder": str(folder)}
+        typer.echo(_json(to_dict(comparison) | values), nl=False)
     elif not quiet:
         _show(comparison, reading.log.name, folder)
     if comparison.interrupted or held:

@@ -95,7 +95,7 @@ def run(
         (part / "report.html").write_text(history_page(history), encoding="utf-8")
     verdict = judged_history(history)
     if json:
-        typer.echo(json_text.dumps(_as_dict(history, folder), indent=2))
+        typer.echo(json_text.dumps(_as_dict(history, folder) | {"verdict": verdict.to_dict()}, indent=2))
     elif not quiet:
         show(verdict.sentence, "")
         _show(history, folder)

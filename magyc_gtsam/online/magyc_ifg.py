@@ -158,7 +158,7 @@ class IncrementalMagyc:
         if converged:
             sentence = "converged"
         elif calibration.converged:
-            sentence = "the estimate still moves: go on turning"
+            sentence = "the estimate still changes: go on turning"
         else:
             sentence = calibration.message
         weak = calibration.observability.weak if calibration.observability else ()

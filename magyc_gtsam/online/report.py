@@ -88,7 +88,7 @@ def progress_of(online: SmootherState, calibration: Calibration | None) -> Progr
     elif not calibration.converged:
         sentence = calibration.message
     elif not converged:
-        sentence = f"the estimate still moves: {weak[0].sentence if weak else 'go on turning'}"
+        sentence = f"the estimate still changes: {weak[0].sentence if weak else 'go on turning'}"
     else:
         sentence = "converged"
     return Progress(None, 0.0, windows, converged, sentence, weak, seen)

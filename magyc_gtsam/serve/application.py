@@ -70,7 +70,7 @@ class Server:
         """Keep what the page will want to know of a result."""
         if job.folder is None:
             return
-        verdict = _verdict(job.kind, job.result)
+        verdict = _verdict(job.result)
         record = {"logs": job.title, "interval": job.extra.get("interval"), **verdict}
         self.store.keep(job.folder, record)
         self.store.discard_empty(job.folder)
@@ -194,7 +194,10 @@ class Server:
     async def job(self, request: Request) -> Response:
         """A job, with what it gave."""
         job = self._job(request)
-        return JSONResponse(job.to_dict() | {"output": job.result if job.kind == "look" else None})
+        output = job.result if job.kind == "look" else None
+        if isinstance(output, dict) and output.get("problem"):
+            output = output | {"problem": job.without_folders(output["problem"])}
+        return JSONResponse(job.to_dict() | {"output": output})
 
     async def cancel(self, request: Request) -> Response:
         """Cancel a job."""
@@ -272,16 +275,12 @@ async def _full(request: Request, error: Exception) -> Response:
     return JSONResponse({"problem": str(error)}, 507, headers={"Connection": "close"})
 
 
-def _verdict(kind: str, result: Any) -> dict[str, Any]:
-    """{"sentence", "trusted"} of a command's JSON; None where it says neither."""
+def _verdict(result: Any) -> dict[str, Any]:
+    """{"sentence", "trusted"} of a command's JSON; None where it has neither."""
     if not isinstance(result, dict):
         return {"sentence": None, "trusted": None}
-    if kind == "history":
-        next_log = result.get("next", {})
-        several = sum(len(group) > 1 for group in result.get("groups", [])) > 1
-        sentence = "The logs are of several instruments" if several else f"Next log: {next_log.get('message', '')}"
-        return {"sentence": sentence, "trusted": not several and bool(next_log.get("converged"))}
-    judgement = result.get("verdict") if kind == "calibrate" else result.get("judgement")
-    if isinstance(judgement, dict):
-        return {"sentence": judgement.get("sentence"), "trusted": judgement.get("trusted")}
+    for name in ("judgement", "verdict"):  # a gap has a verdict of one word beside its judgement
+        judgement = result.get(name)
+        if isinstance(judgement, dict):
+            return {"sentence": judgement.get("sentence"), "trusted": judgement.get("trusted")}
     return {"sentence": result.get("sentence"), "trusted": None}

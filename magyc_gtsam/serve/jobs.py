@@ -91,8 +91,15 @@ class Job:
 
     @property
     def message(self) -> str:
-        """The last thing it said, without the program's name."""
-        return self.said[-1].removeprefix("magyc-gtsam: ") if self.said else ""
+        """The last line on standard error, without the program's name and the folders of the log."""
+        return self.without_folders(self.said[-1].removeprefix("magyc-gtsam: ")) if self.said else ""
+
+    def without_folders(self, text: str) -> str:
+        """A text in which each log is called by its name alone, as the page knows it."""
+        for argument in self.arguments:
+            if os.sep in argument:
+                text = text.replace(argument, Path(argument).name)
+        return text
 
 
 class Jobs:

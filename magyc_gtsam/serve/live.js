@@ -19,7 +19,7 @@ async function chooseSource(kind) {
   if (kind === "serial") {
     const { ports } = await ask("/api/ports");
     $("#serial-port").replaceChildren(...ports.map((name) => element("option", { textContent: name })));
-    if (!ports.length) $("#source-words").textContent = "No serial port found here: plug it in (pip install 'magyc-gtsam[serial]'), and tap Serial again.";
+    if (!ports.length) $("#source-words").textContent = "No serial port found: plug the device in (this needs pip install 'magyc-gtsam[serial]') and tap Serial again.";
   }
 }
 
@@ -62,7 +62,7 @@ function drawLive({ live: run }) {
   $("#source").hidden = going || (over && !live.another && run.latest !== null);
   $("#running").hidden = !going && !(over && run.latest !== null && !live.another);
   $("#go-on").hidden = !over || run.latest !== null;
-  $("#go-on").textContent = `Go on with the last run (${run.source.replace(/^.*\//, (head) => (head.includes("://") ? head : ""))})`;
+  $("#go-on").textContent = `Continue the last run (${run.source.replace(/^.*\//, (head) => (head.includes("://") ? head : ""))})`;
   $("#freeze").hidden = !going;
   $("#continue").hidden = going;
   $("#another").hidden = going;
@@ -128,7 +128,7 @@ function drawSeen(picture) {
 function drawBand(residual) {
   $("#band").hidden = !residual;
   if (!residual) {
-    $("#residual").textContent = "Said once there is a calibration.";
+    $("#residual").textContent = "Shown as soon as there is a calibration.";
     return;
   }
   const wide = 3 * residual.limit_ut;
@@ -139,8 +139,8 @@ function drawBand(residual) {
   $("#band").className = residual.disturbed ? "bad" : "";
   const [mean, allowed, rms] = [residual.mean_ut, residual.limit_ut, residual.rms_ut].map((v) => minus(v.toPrecision(2)));
   $("#residual").textContent = residual.disturbed
-    ? `Disturbed: the field is ${mean} µT off, more than the ${allowed} µT that noise and calibration explain. Is there iron or current near?`
-    : `Quiet: ${mean} µT off in the mean of the last seconds, within ±${allowed} µT; samples scatter by ${rms} µT.`;
+    ? `Disturbed: the field differs by ${mean} µT, more than the ${allowed} µT that noise and calibration explain. Check for iron or current nearby.`
+    : `Undisturbed: mean difference ${mean} µT over the last seconds, within ±${allowed} µT; scatter of the samples ${rms} µT.`;
 }
 
 for (const button of document.querySelectorAll("[data-kind]")) button.addEventListener("click", () => chooseSource(button.dataset.kind));

@@ -30,7 +30,7 @@ function open(each, again = false) {
   $("#log h2").textContent = each.name;
   $("#remove").hidden = !each.uploaded;
   if (!same) {
-    $("#holds").textContent = "looking …";
+    $("#holds").textContent = "reading …";
     $("#content").hidden = true;
     drawStrip(null);
     for (const field of document.querySelectorAll("#reading [name]")) field.value = "";
@@ -62,7 +62,7 @@ function drawCommand() {
 
 /** What `magyc-gtsam info` says of a log. */
 function drawLook(found) {
-  const turned = found.turned === null ? "no gyroscope" : `turned by ${Math.round((found.turned * 180) / Math.PI)}° in all`;
+  const turned = found.turned === null ? "no gyroscope" : `turned by ${Math.round((found.turned * 180) / Math.PI)}° in total`;
   const long = found.duration > 120 ? `${(found.duration / 60).toFixed(1)} min` : `${found.duration.toFixed(1)} s`;
   $("#holds").textContent = [found.format, long, found.problem === null ? turned : `cannot be read: ${found.problem}`].join(" · ");
   $("#holds").className = found.problem === null ? "soft" : "caution";
@@ -87,7 +87,7 @@ async function drawJobs({ jobs }) {
   $("#jobs").replaceChildren(...shown.map((job) => {
     const share = job.state === "running" && job.share > 0 ? Math.round(100 * job.share) : null;
     const left = job.left_s === null ? "" : `, about ${job.left_s < 90 ? `${Math.ceil(job.left_s)} s` : `${Math.ceil(job.left_s / 60)} min`} left`;
-    const words = job.state === "waiting" ? `waits: ${job.ahead} in the queue, one per core` : `${job.stage || "starting"}${share === null ? "" : ` ${share} %`}${left}`;
+    const words = job.state === "waiting" ? `waiting: number ${job.ahead} in the queue (one job per core)` : `${job.stage || "starting"}${share === null ? "" : ` ${share} %`}${left}`;
     return element("div", { className: "job" }, element("p", {}, element("b", { textContent: `${RUNS[job.kind]} ${job.title}` }), element("br"), element("span", { className: "soft", textContent: words })),
       element("button", { type: "button", textContent: "Cancel", onclick: () => ask(`/api/jobs/${job.key}`, { method: "DELETE" }) }),
       element("progress", { max: 100, ...(share === null ? {} : { value: share }) }));

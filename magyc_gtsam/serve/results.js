@@ -7,7 +7,7 @@ function drawResults() {
   const rows = known.results.map((each) => element("li", {}, element("button", { type: "button", onclick: () => openResult(each.key) },
     element("span", { className: each.trusted === null ? "" : each.trusted ? "good" : "bad", textContent: `${each.logs || each.key}` }),
     element("span", { className: "soft", textContent: `${KINDS[each.kind]} · ${new Date(each.time * 1000).toLocaleString()}${each.sentence ? ` · ${each.sentence.replace(/^[✔✘] /, "")}` : ""}` }))));
-  $("#results").replaceChildren(...(rows.length ? rows : [element("li", { className: "soft", textContent: "None yet. What is calibrated is kept in the folder and listed here." })]));
+  $("#results").replaceChildren(...(rows.length ? rows : [element("li", { className: "soft", textContent: "No results yet. Every result is kept in the folder and listed here." })]));
 }
 
 async function refresh() {
@@ -34,19 +34,22 @@ function exported(key, { name, file, text }) {
     element("details", {}, element("summary", { textContent: file || "Text" }), element("pre", { textContent: text })));
 }
 
+/** With a capital and a full stop. */
+const asSentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.` : "");
+
 async function openResult(key, scroll = true) {
   const found = await ask(`/api/results/${key}`);
   go({ result: key });
   const [title, ...rest] = (found.sentence || "Done").replace(/^[✔✘] /, "").split(": ");
   const interval = found.interval ? `, ${found.interval[0] ?? "start"} to ${found.interval[1] ?? "end"} s` : "";
-  const head = element("header", { className: found.trusted ? "good" : found.trusted === false ? "bad" : "" }, element("h1", { textContent: title }), element("p", { textContent: rest.join(": ") }),
+  const head = element("header", { className: found.trusted ? "good" : found.trusted === false ? "bad" : "" }, element("h1", { textContent: title }), element("p", { textContent: asSentence(rest.join(": ")) }),
     element("p", { className: "soft origin", textContent: `${found.logs || key}${interval} · ${KINDS[found.kind]} · ${new Date(found.time * 1000).toLocaleString()}` }));
   const actions = element("div", { className: "actions" },
     found.page ? element("a", { className: "button main", href: `/results/${key}/report.html`, target: "_blank", rel: "noopener", textContent: "Open the report" }) : null,
     element("button", { type: "button", className: "quiet", textContent: "Close", onclick: () => { $("#result").hidden = true; go({ result: "" }); } }));
   const listed = new Set(found.exports.map((each) => each.file));
   const others = found.files.filter((file) => !listed.has(file) && file !== "report.html" && file !== "serve.json");
-  const texts = found.exports.length ? element("section", {}, element("h2", { textContent: "To copy" }), ...found.exports.map((each) => exported(key, each)),
+  const texts = found.exports.length || others.length ? element("section", {}, element("h2", { textContent: found.exports.length ? "To copy" : "Files" }), ...found.exports.map((each) => exported(key, each)),
     ...(others.length ? [element("p", { className: "soft", textContent: "Other files: " }, ...others.flatMap((file) => [element("a", { href: `/results/${key}/${encodeURIComponent(file)}`, download: file, textContent: file }), " "]))] : [])) : null;
   const numbers = found.rows.length ? element("section", {}, element("h2", { textContent: "Parameters" }), ...parameters(found.rows)) : null;
   $("#result").replaceChildren(head, actions, ...[numbers, texts].filter(Boolean));

@@ -47,7 +47,8 @@ def details(folder: Path, converged: bool | None) -> dict[str, Any]:
             texts = [(name, text) for name, text, usable in words.exports(calibration) if usable]
             exports[:0] = [{"name": name, "file": "", "text": text} for name, text in texts]
         found |= {
-            "rows": rows,
+            "rows": rows if verdict.trusted else [],
+            "exports": exports if verdict.trusted else [],
             "sentence": verdict.sentence,
             "trusted": verdict.trusted,
             "details": verdict.details,
