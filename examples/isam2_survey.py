@@ -1,11 +1,15 @@
 """Magnetometer calibration inside an odometry–inertial graph in iSAM2, on a simulated survey.
 
-The graph exists already (vehicle.py): poses X, velocities V and biases B, joined by inertial factors and
-odometry. The calibration adds a block of samples every 2 s, as a native factor, and a node A, H of soft and
-hard iron every 30 s.
+The graph of vehicle.py has poses X, velocities V and biases B, joined by inertial factors and odometry. The
+calibration adds a block of samples every 2 s, as a native factor, and a node A, H of soft and hard iron every
+30 s. Prints the heading error with and without the magnetometer, and draws it in the PNG file given.
 """
 
+import sys
+from pathlib import Path
+
 import gtsam
+import matplotlib.pyplot as plt
 import numpy as np
 from gtsam.symbol_shorthand import A, B, H, V, X
 from vehicle import RATE, Vehicle
@@ -23,8 +27,10 @@ UNIT = 50e-6  # T per unit of the hard iron: then a unit of it turns the field a
 NO_IRON = np.array([1.0, 0, 0, 1, 0, 1])  # vech of the identity
 
 
-def main(duration: float = 240.0, seed: int = 1, magnetometer: bool = True) -> dict[str, float]:
-    """Run the survey; errors of the heading and, at the end, of the hard iron."""
+def survey(
+    duration: float = 240.0, seed: int = 1, magnetometer: bool = True
+) -> tuple[dict[str, float], np.ndarray]:
+    """Run the survey; errors of the heading and, at the end, of the hard iron; and the heading error over time."""
     vehicle = Vehicle("dive", duration, seed)
     settings = gtsam.ISAM2Params()
     settings.setFactorization("QR")
@@ -64,14 +70,29 @@ def main(duration: float = 240.0, seed: int = 1, magnetometer: bool = True) -> d
             graph.push_back(factor)
         native.update(isam, graph, values)
 
-    result = {"heading, degrees": vehicle.heading_error(isam.calculateEstimate(), len(vehicle.poses) // 2)}
+    estimate = isam.calculateEstimate()
+    result = {"heading, degrees": vehicle.heading_error(estimate, len(vehicle.poses) // 2)}
     if magnetometer:
         hard_iron = isam.calculateEstimatePoint3(H(node)) * UNIT
         result["hard iron, µT"] = float(np.linalg.norm(hard_iron - vehicle.simulation.truth.hard_iron) * 1e6)
         result["its sigma, µT"] = float(np.sqrt(np.trace(isam.marginalCovariance(H(node)))) * UNIT * 1e6)
-    return result
+    return result, vehicle.heading_errors(estimate)
+
+
+def main(figure: Path = Path("isam2_survey.png"), duration: float = 240.0) -> str:
+    """Run the survey with and without the magnetometer, save the figure, and compare the two in a sentence."""
+    (found, error), (without, drift) = survey(duration), survey(duration, magnetometer=False)
+    drawing, axes = plt.subplots(figsize=(7, 3.5), layout="constrained")
+    for label, values in (("without magnetometer", drift), ("calibrated in the graph", error)):
+        axes.plot(np.linspace(0, duration, len(values)), values, label=label)
+    axes.set(xlabel="Time (s)", ylabel="Heading error (°)")
+    axes.legend()
+    drawing.savefig(figure)
+    plt.close(drawing)
+    heading = f"heading error {found['heading, degrees']:.2f}° with the magnetometer calibrated in the graph"
+    iron = f"the hard iron is off by {found['hard iron, µT']:.2f} µT (1σ {found['its sigma, µT']:.2f} µT)"
+    return f"{heading}, {without['heading, degrees']:.2f}° without it; {iron}"
 
 
 if __name__ == "__main__":
-    print("without the magnetometer:", main(magnetometer=False))
-    print("with it, calibrated on the way:", main())
+    print(main(*map(Path, sys.argv[1:])))

@@ -76,6 +76,10 @@ class Vehicle:
 
     def heading_error(self, values: gtsam.Values, first: int = 0) -> float:
         """Root-mean-square heading error from keyframe `first` on, degrees."""
-        known = [k for k in range(first, len(self.poses)) if values.exists(X(k))]
+        return float(np.sqrt(np.mean(np.square(self.heading_errors(values)[first:]))))
+
+    def heading_errors(self, values: gtsam.Values) -> np.ndarray:
+        """Heading error of every keyframe that is in `values`, degrees."""
+        known = [k for k in range(len(self.poses)) if values.exists(X(k))]
         error = [(values.atPose3(X(k)).rotation() * self.poses[k].rotation().inverse()).yaw() for k in known]
-        return float(np.degrees(np.sqrt(np.mean(np.square(error)))))
+        return np.degrees(error)
