@@ -161,7 +161,7 @@ def series(name: str, number: signal.Signals, count: int, log: Path, whole: set[
                     (os.killpg if number == signal.SIGINT else os.kill)(process, number)
                     code = ended(process, PATIENCE)
             else:
-                code = ended(process, PATIENCE)
+                code = ended(process, 10 * PATIENCE)  # nothing asks it to end
             if code is None:
                 found.append("it goes on")
                 os.killpg(process, signal.SIGKILL)
@@ -170,10 +170,9 @@ def series(name: str, number: signal.Signals, count: int, log: Path, whole: set[
                 found.append("a worker process goes on")
             codes[code if code is not None else 999] += 1
             said = (place / "said").read_text("utf-8", errors="replace")
-            # Before the command's first line, as where Python is still importing what its own start needs.
-            stopped_early = code == -number or (
-                fresh and said.endswith("KeyboardInterrupt\n") and "main" not in said
-            )
+            # Before the command's first line, as where Python is still importing what its own start needs: from
+            # there on a request is a `Stopped`, whose name a traceback would show.
+            stopped_early = code == -number or (fresh and said.endswith("\nKeyboardInterrupt\n"))
             if not kill and not stopped_early and (code not in CODES or "Traceback" in said):
                 found.append(f"exit code {code}: {said[-300:]}")
             found += violations(place, whole, leftovers=not kill or k == count)

@@ -111,6 +111,23 @@ def test_names_from_files_do_not_reach_the_terminal_as_commands(
     assert len(shortened("x" * 10_000)) == 201
 
 
+@pytest.mark.skipif(os.name != "posix", reason="names are bytes there")
+def test_a_file_name_that_is_no_text(log: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Bytes that are no UTF-8, and what a terminal obeys: in the pages and files as escapes."""
+    from magyc_gtsam.cli import main
+
+    named = Path(os.fsdecode(os.fsencode(tmp_path) + b"/dive\xff\x1b[31m\n<b>.mcap"))
+    named.write_bytes(log.read_bytes())
+    for command in ("calibrate", "compare", "gap"):
+        assert main([command, str(named), "-o", str(tmp_path / command)]) in (0, 1)
+        assert "\x1b" not in "".join(capfd.readouterr())
+        page = (tmp_path / command / "report.html").read_text("utf-8")
+        assert "\x1b" not in page
+        assert "<b>.mcap" not in page
+    assert main(["calibrate", "--config", str(tmp_path / "calibrate/configuration.yaml"), "-q"]) in (0, 1, 2)
+    assert "internal error" not in "".join(capfd.readouterr())
+
+
 def test_time_to_interrupt(log: Path, tmp_path: Path) -> None:
     """A process that ignores nothing ends within seconds of being asked."""
     began = time.monotonic()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -306,6 +307,13 @@ def test_a_table_of_very_many_columns(tmp_path: Path) -> None:
     path.write_text(",".join(["t"] * 50_000) + "\n" + ",".join(["1"] * 50_000) + "\n")
     with pytest.raises(MagycError, match="50000 columns in the header"):
         read(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no such files there")
+def test_what_can_be_read_once_only(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(MagycError, match="is a pipe or a device"):
+        info(tmp_path / "pipe.csv")
 
 
 def test_two_columns_of_one_name(tmp_path: Path) -> None:

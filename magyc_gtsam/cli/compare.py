@@ -72,11 +72,15 @@ def run(
             comparison = judge(recording, names, ran)
             page = stage("drawing the page")
             (part / "comparison.csv").write_text(csv_text(comparison), encoding="utf-8")
-            (part / "comparison.json").write_text(_json(to_dict(comparison)), encoding="utf-8")
+            (part / "comparison.json").write_text(
+                _json(to_dict(comparison)), encoding="utf-8", errors="backslashreplace"
+            )
             asked = {"methods": list(names), "field_strength": field_strength}
             write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
             named = replace(comparison, recording=replace(recording, name=reading.log.name))
-            (part / "report.html").write_text(render_comparison(named), encoding="utf-8")
+            (part / "report.html").write_text(
+                render_comparison(named), encoding="utf-8", errors="backslashreplace"
+            )
         page(1.0)
     if open_page:
         show_page(folder / "report.html")

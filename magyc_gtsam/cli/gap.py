@@ -127,7 +127,9 @@ def run(
         verdict = judged_gap(gap, validation, unjudged)
         gap = as_judged(gap, verdict)
         page = stage("drawing the page")
-        (part / "gap.json").write_text(_json(_values(gap, validation, verdict)), encoding="utf-8")
+        (part / "gap.json").write_text(
+            _json(_values(gap, validation, verdict)), encoding="utf-8", errors="backslashreplace"
+        )
         gap.calibration.save(part / "calibration.yaml")
         asked = {
             "candidates": names,
@@ -137,7 +139,7 @@ def run(
         }
         write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
         page_text = render_gap(replace(recording, name=reading.log.name), gap, validation, verdict)
-        (part / "report.html").write_text(page_text, encoding="utf-8")
+        (part / "report.html").write_text(page_text, encoding="utf-8", errors="backslashreplace")
         page(1.0)
     if open_page:
         show_page(folder / "report.html")

@@ -69,7 +69,7 @@ def gap_of_logs(
         (part / "calibrations").mkdir()
         for name, calibration in gap.calibrations.items():
             calibration.save(part / "calibrations" / f"{name}.yaml")
-        (part / "report.html").write_text(_page(gap), encoding="utf-8")
+        (part / "report.html").write_text(_page(gap), encoding="utf-8", errors="backslashreplace")
     if open_page:
         show_page(folder / "report.html")
     if json:

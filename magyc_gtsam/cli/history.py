@@ -92,7 +92,7 @@ def run(
         history.save(part / "history.yaml")
         history.next.save(part / "next.yaml")
         write_exports(part, history.next)
-        (part / "report.html").write_text(history_page(history), encoding="utf-8")
+        (part / "report.html").write_text(history_page(history), encoding="utf-8", errors="backslashreplace")
     verdict = judged_history(history)
     if json:
         typer.echo(json_text.dumps(_as_dict(history, folder) | {"verdict": verdict.to_dict()}, indent=2))

@@ -288,7 +288,7 @@ def _write(folder: Path, table: Sequence[Row]) -> None:
     writer.writeheader()
     writer.writerows(table)
     with replacing(folder / "calibrations.csv") as part:
-        part.write_text(text.getvalue(), encoding="utf-8", newline="")
+        part.write_text(text.getvalue(), encoding="utf-8", errors="backslashreplace", newline="")
     try:
         write_rows(folder / "calibrations.parquet", table)
     except MagycError:  # the extra `parquet` is not installed; the same rows are in the CSV
@@ -310,4 +310,4 @@ def _write(folder: Path, table: Sequence[Row]) -> None:
         sections.append(Section("Hard iron, each log by itself", figures=figures))
     page = summary_page("Calibrations of many logs", _headline(table)[0], not _lead(table), _lead(table), sections)
     with replacing(folder / "index.html") as part:
-        part.write_text(page, encoding="utf-8")
+        part.write_text(page, encoding="utf-8", errors="backslashreplace")

@@ -151,6 +151,8 @@ def _reader(path: Path) -> ModuleType:
         hint = f"; read its {inside[0].name}" if inside else ""
         raise MagycError(f"{path}: is a directory, a file is expected{hint}")
     try:
+        if path.exists() and not path.is_file():  # which is read more than once, and at any place
+            raise MagycError(f"{path}: is a pipe or a device, a file is expected; write it to one first")
         with open(path, "rb") as file:
             head = file.read(512)
     except OSError as error:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.foreign_text import first_of, shortened
+from magyc_gtsam.foreign_text import first_of
 from magyc_gtsam.io.request import SENSORS, Request
 from magyc_gtsam.io.units import is_counts
 from magyc_gtsam.recording import Recording
@@ -115,7 +115,7 @@ def assemble(
         acceleration=relative(clean["acceleration"]) if "acceleration" in clean else None,
         attitude=relative(clean["attitude"]) if "attitude" in clean else None,
         channels={k: relative(s) for k, s in usable.items()},
-        name=shortened(name),
+        name=name,
         notes=(*first_of(said, "notes"), _epoch_note(zero)),
         angular_rate_is=angular_rate_is,
         magnetic_field_unit="counts" if counts else "T",

@@ -16,6 +16,7 @@ import numpy as np
 
 from magyc_gtsam.factors.effects.signals import kinds
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import LONGEST, printable
 from magyc_gtsam.recording.checks import (
     Array,
     Mask,
@@ -94,6 +95,7 @@ class Recording:
 
     def __post_init__(self) -> None:
         put = object.__setattr__  # the only place that writes: the dataclass is frozen
+        put(self, "name", printable(self.name[:LONGEST]))
         time = frozen("time", seconds("time", self.time, origin_of(self.time)), (None,))
         if len(time) < 3:
             raise MagycError(f"time: {len(time)} rows, at least 3 are needed; is the file or interval empty?")

@@ -26,4 +26,4 @@ def whole_file(file: Path) -> Iterator[Path]:
 def write_text(file: Path, text: str) -> None:
     """Write a file of text (UTF-8), or put it in the place of another, in one step."""
     with whole_file(file) as part:
-        part.write_text(text, encoding="utf-8")
+        part.write_text(text, encoding="utf-8", errors="backslashreplace")
