@@ -61,13 +61,14 @@ def one_more(logs: int) -> None:
         history = History.load(Path(folder) / "history.yaml")
         read = time.process_time() - start
     instrument = {"soft_iron": soft_iron_of(season.shape), "hard_iron": season.next_hard_iron}
-    recording = mg.simulate("wide", 600, 10, seed=1, **instrument).recording
+    bias = history.next.gyro_bias
+    recording = mg.simulate("wide", 600, 10, seed=1, gyro_bias=bias, **instrument).recording
     mg.calibrate(recording)  # what is imported and made once
     start = time.process_time()
     mg.calibrate(recording)
     alone = time.process_time() - start
     start = time.process_time()
-    history.add(recording, time=1.7e9 + 86400.0 * 3 * logs)
+    history.add(recording, time=season.factors[-1].time + 86400.0)
     added = time.process_time() - start
     start = time.process_time()
     history.next  # noqa: B018

@@ -239,8 +239,11 @@ def test_broad_is_several_instruments(shared_data: Path) -> None:
     recordings = {}
     for file in sorted((shared_data / "real").glob("broad_*.npz")):
         data = np.load(file)
-        rows = np.flatnonzero(data["move"])
-        recordings[int(file.name[6:8])] = mg.Recording.from_streams(
+        trial, moved = int(file.name[6:8]), data["move"]
+        if trial == 33:  # with its magnet on, as 32 below
+            moved = (data["tm"] > 53) & (data["tm"] < 95)
+        rows = np.flatnonzero(moved)
+        recordings[trial] = mg.Recording.from_streams(
             (data["tm"][rows], data["m"][rows].astype(float)), (data["tm"][rows], data["w"][rows].astype(float))
         )
     for number, name in ((1, "broad_01_slow_rotation"), (6, "broad_06_fast_rotation")):
@@ -250,11 +253,10 @@ def test_broad_is_several_instruments(shared_data: Path) -> None:
     history = mg.calibrate_many([recordings[t] for t in trials])
     groups = {frozenset(trials[i] for i in group) for group in history.groups}
     calibrated = frozenset().union(*groups)
-    assert calibrated >= {1, 2, 4, 5, 6, 32, 35}
+    assert calibrated >= {1, 2, 4, 5, 6, 32, 33, 35}
     units = [frozenset(unit) for unit in ({1, 4, 6}, {2, 5, 28}, {32, 33, 35})]
     assert {unit & calibrated for unit in units} <= groups
-    moved = [trials[index] for index, _, _ in history.jumps]
-    assert moved == [trial for trial in (33, 35) if trial in calibrated]
+    assert [trials[index] for index, _, _ in history.jumps] == [33, 35]
     between = history.hard_iron[trials.index(35)] - history.hard_iron[trials.index(32)]
     assert between * 1e6 == pytest.approx([6.8, 1.3, -66.8], abs=2)
     contradicting = {trials[each.index] for each in history.contradictions}

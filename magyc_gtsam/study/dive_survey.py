@@ -1,9 +1,9 @@
 """Fig. 3b of the MAGYC paper, simulated: calibrate on the dive, judge the heading on the survey, and back.
 
 The pair of seed 0 at noise 1 is that of `datasets/`. A survey hardly tilts. There the minimum of the paper's cost (7)
-with (9) is a wrong place at the published noise, since its regressors are noisy: the field is made longer where
-nothing tells its length. `magyc-ifg` is in this minimum, `magyc-bfg` in a higher one that is nearer to its start
-(column `cost`). The paper's own instrument has a tenth of the noise.
+with (9) is a wrong place at the published noise, since its regressors are noisy: the field is put along the axis of
+the turns, where a turn changes nothing. `magyc-ifg` is in this minimum, `magyc-bfg` in a higher one that is nearer to
+its start (column `cost`). The paper's own instrument has a tenth of the noise.
 """
 
 from __future__ import annotations
