@@ -133,8 +133,6 @@ def run(
         _efficiency(runs, disturbed, noise)
     elif study is Study.KNOWN:
         _known(output or Path("results/known"), runs, workers)
-    elif study is Study.DURATION:
-        _duration(output or Path("results/duration"), runs, engine, workers)
     elif study is Study.LEADERBOARD:
         from magyc_gtsam.cli.study_leaderboard import leaderboard
 
@@ -165,6 +163,8 @@ def run(
             papers.real_tracks(place, log or (), sensor)
         elif study is Study.AUTOCAL:
             papers.autocal(place, runs)
+        elif study is Study.DURATION:
+            papers.duration(place, runs)
         else:
             papers.table_one(place, runs, noise)
     return 0
@@ -228,24 +228,6 @@ def _known(folder: Path, runs: int, workers: int) -> None:
     show_table(["motion", "known", "hard iron error µT", "stated µT", "error²/σ²", "refused"], table)
     low, high = known.band(runs, 3)
     show(f"error²/σ², 95 % band {low / 3:.2f} to {high / 3:.2f}; rows in {folder / 'known.parquet'}", "")
-
-
-def _duration(folder: Path, runs: int, engine: str, workers: int) -> None:
-    from magyc_gtsam.study import duration
-
-    with stages() as stage:
-        rows = duration.duration_rows(duration.units(runs), folder, engine, workers, stage(f"{runs} runs a cell"))
-    for heading in duration.HEADINGS:
-        found = duration.cells(rows, heading)
-        show("", f"heading ±{heading:g}°: root-mean-square heading error ° (stated), in brackets not trusted", "")
-        table = []
-        for pitch in duration.PITCHES:
-            own = [found[pitch, minutes] for minutes in duration.MINUTES]
-            texts = [f"{c.error:.2f} ({c.stated:.2f})" + (f" [{c.refused:.0%}]" if c.refused else "") for c in own]
-            table.append([f"pitch ±{pitch:g}°", *texts])
-        show_table(["", *(f"{minutes:g} min" for minutes in duration.MINUTES)], table)
-    duration.draw(folder / "duration.svg", rows)
-    show("", f"{folder / 'duration.parquet'}, {folder / 'duration.svg'}")
 
 
 def _fact(cell: FactCell) -> list[str]:

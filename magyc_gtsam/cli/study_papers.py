@@ -1,4 +1,4 @@
-"""The papers' studies of `magyc-gtsam study`: their tables with ours beside, a plot, and every run as Parquet."""
+"""Studies on the engine, the papers' above all: theirs beside ours in tables, a plot, and every run as Parquet."""
 
 from __future__ import annotations
 
@@ -229,3 +229,21 @@ def dive_survey(place: Place, runs: int) -> None:
         show_table(["", *(f"{noise:g} × noise" for noise in study.NOISES)], shown)
     show(f"the paper: {study.SAID}")
     place.drawn("dive-survey", lambda target: study.draw(target, rows))
+
+
+def duration(place: Place, runs: int) -> None:
+    """Heading error against minutes of data and amplitude of motion, which no paper has."""
+    from magyc_gtsam.study import duration as study
+
+    with place.running(f"{runs} runs a cell") as running:
+        rows = study.duration_rows(study.units(runs), running)
+    for heading in study.HEADINGS:
+        found = study.cells(rows, heading)
+        show("", f"heading ±{heading:g}°: root-mean-square heading error ° (stated), in brackets not trusted", "")
+        table = []
+        for pitch in study.PITCHES:
+            own = [found[pitch, minutes] for minutes in study.MINUTES]
+            texts = [f"{c.error:.2f} ({c.stated:.2f})" + (f" [{c.refused:.0%}]" if c.refused else "") for c in own]
+            table.append([f"pitch ±{pitch:g}°", *texts])
+        show_table(["", *(f"{minutes:g} min" for minutes in study.MINUTES)], table)
+    place.drawn("duration", lambda target: study.draw(target, rows))

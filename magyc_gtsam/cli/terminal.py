@@ -36,11 +36,16 @@ def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
     if not shown or sys.stderr is None or not sys.stderr.isatty():
         yield lambda name: lambda share: None
         return
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bars
 
     screen = console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
     with Bars(*columns, console=screen, transient=True) as bars:
 
         def stage(name: str) -> Progress:

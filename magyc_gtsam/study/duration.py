@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.engine import Progress, Row, run_many, write_rows
+from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.level_turn import turn_of
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import simulate
+from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 PITCHES = (2.0, 5.0, 10.0, 20.0, 45.0)  # deg
 HEADINGS = (90.0, 360.0)  # deg
@@ -32,11 +33,6 @@ class Unit(NamedTuple):
     heading: float
     pitch: float
     seed: int
-
-    @property
-    def name(self) -> str:
-        """Of its row."""
-        return f"{self.heading:g}-{self.pitch:g}-{self.seed}"
 
 
 @dataclass(frozen=True)
@@ -55,42 +51,19 @@ def units(runs: int) -> list[Unit]:
     return [Unit(heading, pitch, seed) for seed in range(runs) for heading in HEADINGS for pitch in PITCHES]
 
 
-def duration_rows(
-    chosen: Sequence[Unit],
-    folder: Path | None = None,
-    engine: str = "local",
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> list[Row]:
-    """One row for each unit and time; with a folder in `duration.parquet` there, and a run that was stopped goes on.
-
-    Raises:
-        MagycError: as `run_many`.
-    """
-    named = {unit.name: unit for unit in chosen}
-    parts = None if folder is None else folder / "parts"
-    found = run_many(worked, named, engine=engine, workers=workers, parts=parts, progress=progress)
-    rows = [
-        unit._asdict() | {"minutes": minutes} | {name: found[key][name][place] for name in _COLUMNS}
-        for key, unit in named.items()
-        for place, minutes in enumerate(MINUTES)
-    ]
-    if folder is not None:
-        write_rows(folder / "duration.parquet", rows)
-    return rows
-
-
-_COLUMNS = ("error", "hard_iron", "stated", "refused")
+def duration_rows(chosen: Sequence[Unit], running: Running = HERE) -> list[Row]:
+    """One row for each unit and time."""
+    return study_rows("duration", worked, chosen, running)
 
 
 def worked(unit: Unit) -> Row:
-    """{column: one number for each of `MINUTES`}; errors squared."""
+    """One row for each of `MINUTES`; errors squared."""
     simulation = simulate((_ROLL, unit.pitch, unit.heading), 60 * max(MINUTES), seed=unit.seed)
     whole = replace(simulation.recording, attitude=None)
     truth = simulation.truth
     turn = turn_of(simulation.recording, truth)
     raw = turn.field @ truth.soft_iron.T + truth.hard_iron
-    row: dict[str, list[float]] = {name: [] for name in _COLUMNS}
+    row: dict[str, list[float]] = {name: [] for name in ("minutes", "error", "hard_iron", "stated", "refused")}
     for minutes in MINUTES:
         calibration = calibrate(whole.between(0, 60 * minutes))
         field = (raw - calibration.hard_iron) @ np.linalg.inv(calibration.soft_iron).T
@@ -99,6 +72,7 @@ def worked(unit: Unit) -> Row:
         stated = np.full(1, np.nan)
         if calibration.covariance is not None:
             stated = turn.systematic(calibration.covariance, calibration.soft_iron)
+        row["minutes"].append(minutes)
         row["error"].append(float(np.degrees(np.sqrt(np.mean(away**2))) ** 2))
         row["hard_iron"].append(float(np.mean((calibration.hard_iron - truth.hard_iron) ** 2)))
         row["stated"].append(float(np.mean(stated**2)))
