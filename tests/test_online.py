@@ -229,11 +229,11 @@ def test_walking_parameters_lose_information_as_they_should():
 
 
 def test_a_hard_iron_that_walks_is_followed():
-    recording = simulate("wide", duration=1500, seed=6).recording
+    recording = simulate("wide", duration=700, seed=6).recording
     random = np.random.default_rng(6)
-    walk = np.cumsum(random.standard_normal((len(recording.time), 3)), axis=0) * 2e-6 * np.sqrt(0.1 / 3600)
+    walk = np.cumsum(random.standard_normal((len(recording.time), 3)), axis=0) * 4e-6 * np.sqrt(0.1 / 3600)
     walking = replace(recording, magnetic_field=recording.magnetic_field + walk)
-    online = feed(OnlineCalibrator(hard_iron_walk=2e-6, detect_changes=False), walking)
+    online = feed(OnlineCalibrator(hard_iron_walk=4e-6, detect_changes=False), walking)
     truth = simulate("wide", duration=10, seed=6).truth.hard_iron + walk[-1]
     error = np.abs(online.calibration.hard_iron - truth)
     assert (error < 4 * online.calibration.sigma["hard_iron"]).all()

@@ -125,7 +125,7 @@ def test_how_it_is_cut_and_resumed_does_not_matter(tmp_path: Path, options: dict
         return mg.OnlineCalibrator.load(tmp_path / "state.npz")
 
     for online in (
-        feed(mg.OnlineCalibrator(**options), recording, after=killed),
+        feed(mg.OnlineCalibrator(**options), recording, step=11.0, after=killed),
         feed(mg.OnlineCalibrator(**options), recording, step=17.3),
     ):
         assert online.converged == expected.converged

@@ -163,7 +163,7 @@ def test_a_run_resumed_while_samples_are_held_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize("motion", [*AMPLITUDES, "dive", "survey"])
 def test_what_may_repeat(motion: str) -> None:
     """Clean, held, and coarse sensors: nothing is called stuck, nothing dropped."""
-    recording = mg.simulate(motion, seed=sum(map(ord, motion))).recording
+    recording = mg.simulate(motion, 300, seed=sum(map(ord, motion))).recording
     field, rate = recording.magnetic_field, recording.angular_rate
     held = np.repeat(field[::3], 3, axis=0)
     for f, w in (
@@ -174,7 +174,7 @@ def test_what_may_repeat(motion: str) -> None:
         (np.round(field / 3e-6) * 3e-6, np.round(rate / 15e-3) * 15e-3),
     ):
         watch = watched(recording, f, w)
-        assert watch.stuck(600.0) == ()
+        assert watch.stuck(300.0) == ()
         assert watch.dropped == 0
 
 

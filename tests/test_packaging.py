@@ -76,6 +76,15 @@ def _where(folder: Path, **environment: str) -> list[str]:
     return result.stdout.split()
 
 
+def test_every_folder_of_code_is_a_package_that_is_shipped() -> None:
+    """What is not listed in pyproject.toml imports in a checkout, and is missing in an installation."""
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.11")
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
+    own = {file.parent.relative_to(ROOT) for file in (ROOT / "magyc_gtsam").rglob("*.py")}
+    factors = {Path("magyc_gtsam") / file.parent.relative_to(ROOT) for file in (ROOT / "factors").rglob("*.py")}
+    assert listed == sorted(".".join(folder.parts) for folder in own | factors)
+
+
 def test_wheel_holds_every_file_in_its_place(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
     sources = {f"magyc_gtsam/{p.relative_to(ROOT / 'magyc_gtsam')}" for p in _files("magyc_gtsam")}

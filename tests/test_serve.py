@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import COMMAND
+from commands import COMMAND, run
 from served import DIVE, PATIENCE, Served
 
 from magyc_gtsam.serve.limits import Limits
@@ -356,9 +356,7 @@ def test_what_cannot_be_served(tmp_path: Path) -> None:
         (["--folder", str(tmp_path / "absent")], "no such folder"),
         (["--folder", str(tmp_path), "--host", "203.0.113.7"], "cannot be listened on"),
     ):
-        ran = subprocess.run(
-            [COMMAND, "serve", "--port", "0", *arguments], capture_output=True, text=True, timeout=PATIENCE
-        )
+        ran = run("serve", "--port", 0, *arguments, cwd=tmp_path)
         assert ran.returncode == 2
         assert says in ran.stderr
         assert ran.stderr.count("\n") == 1

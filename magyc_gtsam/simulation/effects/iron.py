@@ -54,10 +54,10 @@ def _hysteresis(field: Array, scene: Scene, size: float, random: np.random.Gener
     coercive = np.array([0.04, 0.09, 0.16, 0.25]) * np.ptp(along)
     weight = size / (len(coercive) * coercive)
     played = np.empty((len(along), len(coercive)))
-    state = np.full(len(coercive), along[0])
-    for row, value in enumerate(along.tolist()):
-        state = np.clip(state, value - coercive, value + coercive)
-        played[row] = state
+    values = along.tolist()
+    for column, width in enumerate(coercive.tolist()):
+        state = values[0]
+        played[:, column] = [state := min(max(state, value - width), value + width) for value in values]
     loop = (played - along[:, None]) @ weight
     return field + loop[:, None] * way, {"bar": bar, "direction": way}
 
