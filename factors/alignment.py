@@ -48,7 +48,7 @@ class AlignmentLimits:
     blocks: int = 200
 
 
-class Verdict(str, Enum):
+class HeadingVerdict(str, Enum):
     """What a profile says of the graph's heading."""
 
     UNDECIDED = "undecided"
@@ -118,7 +118,7 @@ class CoarseAlignment:
         lost = set(gone)
         self._blocks = [kept for kept in self._blocks if kept.details.attitude_key not in lost]
 
-    def judge(self, point: gtsam.Values, mean: Array, information: Array) -> Verdict:
+    def judge(self, point: gtsam.Values, mean: Array, information: Array) -> HeadingVerdict:
         """What the blocks say at these attitudes; (9,) and (9, 9) of the calibration's prior."""
         rotations = [rotation_of(point, kept.details.attitude_key) for kept in self._blocks]
         last = self._blocks[-1].details
@@ -141,12 +141,12 @@ class CoarseAlignment:
         limits, best = self.limits, self.profile.best
         if self.profile.within(limits.near) >= limits.sure:
             self._far = 0
-            return Verdict.NEAR
+            return HeadingVerdict.NEAR
         if abs(best) > limits.near and self.profile.within(limits.peak, best) >= limits.far:
             self._far += 1
-            return Verdict.FAR if self._far >= limits.persistence else Verdict.UNDECIDED
+            return HeadingVerdict.FAR if self._far >= limits.persistence else HeadingVerdict.UNDECIDED
         self._far = 0
-        return Verdict.UNDECIDED
+        return HeadingVerdict.UNDECIDED
 
     def pull(self, point: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
         """A native prior that turns the graph at one attitude to where the profile has its maximum."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import gtsam
 import numpy as np
 
-from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, Verdict, heading_sigma
+from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict, heading_sigma
 from magyc_gtsam.factors.delivered import Delivered
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
@@ -79,15 +79,15 @@ class Entrance:
             self._alignment = None
             return Admission(fresh)
         point = view.values(alignment.needed)
-        verdict = alignment.judge(point, *self._prior) if alignment.due else Verdict.UNDECIDED
-        if verdict is Verdict.NEAR:
+        verdict = alignment.judge(point, *self._prior) if alignment.due else HeadingVerdict.UNDECIDED
+        if verdict is HeadingVerdict.NEAR:
             admission = Admission(self.waiting + fresh, turned=not self.entered)
             self._alignment, self.entered, self.waiting = None, True, []
             if self.pull is not None:
                 admission.remove.append(self.pull_slot)
                 self.pull = None
             return admission
-        if verdict is Verdict.FAR:
+        if verdict is HeadingVerdict.FAR:
             leaving = [each for each in delivered if each.details is not None]
             self.waiting += leaving + blocks
             self.entered = False
@@ -130,7 +130,7 @@ class Entrance:
         prior = _calibration_before(View(values), graph, alignment.last)
         for _ in range(alignment.limits.persistence):
             verdict = alignment.judge(values, *prior)
-        return self._turned(graph, values, fresh[-1], optimize) if verdict is Verdict.FAR else values
+        return self._turned(graph, values, fresh[-1], optimize) if verdict is HeadingVerdict.FAR else values
 
     def _sure(self, view: View, point: gtsam.Values, key: int) -> bool:
         """Whether the graph itself is sure of its heading, at the last pose that the solver holds."""

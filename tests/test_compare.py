@@ -31,7 +31,7 @@ from magyc_gtsam.study import judging
 from magyc_gtsam.study.comparison import compare
 from magyc_gtsam.study.heading import heading_error
 from magyc_gtsam.study.judging import UNCALIBRATED
-from magyc_gtsam.study.outcome import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
 
 HOSTILE = "<script>document.title = 'taken'</script>"
 QUICK = ("smoother", "magfactor3", "sar-ls", "ellipsoid", "autocal")
@@ -75,8 +75,8 @@ def test_each_row_is_what_calibrate_gives(dive: mg.Simulation, compared: Compari
         alone = mg.calibrate(dive.recording, o.method)
         assert o.calibration is not None
         np.testing.assert_array_equal(o.calibration.hard_iron, alone.hard_iron)
-        assert (o.status is not Status.UNTRUSTED) == alone.converged
-        if o.status is not Status.DOUBTFUL:
+        assert (o.status is not OutcomeStatus.UNTRUSTED) == alone.converged
+        if o.status is not OutcomeStatus.DOUBTFUL:
             assert o.reason.startswith(alone.message)
         norm = np.linalg.norm(alone.apply(dive.recording.magnetic_field), axis=1)
         assert o.spread == pytest.approx(norm.std())
@@ -122,7 +122,7 @@ def test_all_registered_methods_are_there_and_what_is_missing_is_said(dive: mg.S
     assert [o.method for o in result.outcomes] == list(mg.methods())
     for o in result.outcomes:
         needs = mg.methods()[o.method].needs
-        assert (o.status is Status.IMPOSSIBLE) == bool(needs)
+        assert (o.status is OutcomeStatus.IMPOSSIBLE) == bool(needs)
         if "angular_rate" in needs:
             assert "a gyroscope" in o.reason
         if "attitude" in needs:
@@ -143,7 +143,11 @@ def test_a_method_that_fails_stops_nobody(dive: mg.Simulation, two_more: None) -
     result = compare(
         dive.recording, ("crash", "doubt", "smoother"), progress=lambda name, share: seen.append((name, share))
     )
-    assert [o.status for o in result.outcomes] == [Status.FAILED, Status.UNTRUSTED, Status.TRUSTED]
+    assert [o.status for o in result.outcomes] == [
+        OutcomeStatus.FAILED,
+        OutcomeStatus.UNTRUSTED,
+        OutcomeStatus.TRUSTED,
+    ]
     assert outcome(result, "crash").reason == "ZeroDivisionError: a defect of the method"
     assert outcome(result, "doubt").reason == "no luck"
     assert ("smoother", 1.0) in seen
@@ -282,7 +286,7 @@ def test_doubts_that_a_method_has_not_itself(compared: Comparison) -> None:
     """The dive's soft iron moves the hard iron of those that have none, and their spread does not show it."""
     assert compared.reference is outcome(compared, "smoother")
     apart = outcome(compared, "magfactor3")
-    assert apart.status is Status.DOUBTFUL
+    assert apart.status is OutcomeStatus.DOUBTFUL
     assert apart not in compared.trusted
     assert "from that of smoother" in apart.reason
     assert any(
@@ -299,7 +303,7 @@ def test_a_gyroscope_bias_that_contradicts_is_doubted(dive: mg.Simulation, compa
     judged = module.judge(dive.recording, ["smoother", "autocal"], ran)
     assert judged.recommended is not None
     assert judged.recommended.method == "smoother"
-    assert [o.status for o in judged.outcomes] == [Status.TRUSTED, Status.DOUBTFUL]
+    assert [o.status for o in judged.outcomes] == [OutcomeStatus.TRUSTED, OutcomeStatus.DOUBTFUL]
     assert re.search(r"its gyroscope bias contradicts that of smoother by \d+ sigmas", judged.outcomes[1].reason)
     wide = replace(off, covariance=1e4 * off.covariance)
     ran = [ran[0], replace(ran[1], calibration=wide)]
@@ -311,7 +315,7 @@ def test_a_field_that_varies_more_than_before_is_doubted(
 ) -> None:
     monkeypatch.setattr(judging, "_WORSE", 0.01)
     smoother = outcome(module.judge(dive.recording, ["smoother"], [outcome(compared, "smoother")]), "smoother")
-    assert smoother.status is Status.DOUBTFUL
+    assert smoother.status is OutcomeStatus.DOUBTFUL
     assert "varies more" in smoother.reason
 
 
@@ -342,12 +346,12 @@ def test_counts_stay_counts() -> None:
     plain = replace(simulation.recording, angular_rate=None, attitude=None, acceleration=None)
     counts = replace(plain, magnetic_field=plain.magnetic_field / per_count, magnetic_field_unit="counts")
     result, in_tesla = compare(counts), compare(plain)
-    ran = [o for o in result.outcomes if o.status is not Status.IMPOSSIBLE]
+    ran = [o for o in result.outcomes if o.status is not OutcomeStatus.IMPOSSIBLE]
     assert ran
     for o in ran:
         twin = outcome(in_tesla, o.method)
         assert (o.method, o.status) == (twin.method, twin.status)
-        if o.status is Status.TRUSTED:
+        if o.status is OutcomeStatus.TRUSTED:
             assert o.calibration is not None
             assert twin.calibration is not None
             assert o.calibration.configuration["magnetic_field_unit"] == "counts"
@@ -496,7 +500,7 @@ def test_raw_counts_of_a_real_magnetometer(shared_data: Path) -> None:
     result = compare(recording, ("ellipsoid", "autocal", "smoother"))
     for name in ("ellipsoid", "autocal"):
         o = outcome(result, name)
-        assert o.status is Status.TRUSTED, o.reason
+        assert o.status is OutcomeStatus.TRUSTED, o.reason
         assert o.calibration is not None
         np.testing.assert_allclose(o.calibration.hard_iron, [-68.1, 82.8, -133.4], atol=1.0)
-    assert outcome(result, "smoother").status is Status.IMPOSSIBLE
+    assert outcome(result, "smoother").status is OutcomeStatus.IMPOSSIBLE

@@ -26,7 +26,7 @@ from magyc_gtsam import cli
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.address import open_source
 from magyc_gtsam.live.arrival import ArrivalClock
-from magyc_gtsam.live.health import Monitor
+from magyc_gtsam.live.health import StreamMonitor
 from magyc_gtsam.live.source import Batch, LiveSource
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.simulation import simulate
@@ -346,7 +346,7 @@ def test_stamps_of_arrival_are_evened_out_and_pauses_kept() -> None:
 
 def test_rate_losses_and_delay() -> None:
     """100 Hz and 200 Hz for a minute, 5 % of the magnetometer lost, the last seconds 80 ms later than before."""
-    monitor, random = Monitor(), np.random.default_rng(1)
+    monitor, random = StreamMonitor(), np.random.default_rng(1)
     field = np.arange(6000) / 100
     field = field[(random.random(6000) > 0.05) | (np.arange(6000) % 5999 == 0)]
     rate = np.arange(12000) / 200

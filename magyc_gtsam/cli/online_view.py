@@ -14,7 +14,7 @@ import typer
 from magyc_gtsam.cli.online_session import End, Session, judged_online
 from magyc_gtsam.cli.terminal import concluded, console, show, show_calibration
 from magyc_gtsam.foreign_text import printable
-from magyc_gtsam.live.health import Health, Monitor
+from magyc_gtsam.live.health import StreamHealth, StreamMonitor
 from magyc_gtsam.live.picture import Picture
 from magyc_gtsam.report.words import parameter_rows, uncertain
 
@@ -38,7 +38,7 @@ class Quiet:
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
         self.source, self.online = source, online
-        self.monitor = Monitor()
+        self.monitor = StreamMonitor()
         self._said = 0
 
     def take(self, batch: Batch) -> None:
@@ -243,7 +243,7 @@ def view(
             live.stop()
 
 
-def line(online: OnlineCalibrator, source: LiveSource, health: Health) -> str:
+def line(online: OnlineCalibrator, source: LiveSource, health: StreamHealth) -> str:
     """How it is, in one line."""
     progress, calibration = online.progress, online.calibration
     parts = [f"{progress.duration:8.1f} s"]
@@ -280,7 +280,7 @@ def _since(calibration: Calibration, first: float) -> Calibration:
     return replace(calibration, diagnostics={**calibration.diagnostics, "disturbed": disturbed})
 
 
-def panel(online: OnlineCalibrator, source: LiveSource, health: Health, written: str) -> RenderableType:
+def panel(online: OnlineCalibrator, source: LiveSource, health: StreamHealth, written: str) -> RenderableType:
     """The live view: head, parameters, coverage, verdict, what is weak, and changes."""
     from rich.console import Group
     from rich.table import Table

@@ -19,7 +19,7 @@ _MISSING = 1.6  # periods from which a step misses samples
 
 
 @dataclass(frozen=True)
-class Health:
+class StreamHealth:
     """What is known of a source.
 
     Attributes:
@@ -58,8 +58,8 @@ class Health:
         }
 
 
-class Monitor:
-    """Keeps `Health` up to date, in constant memory."""
+class StreamMonitor:
+    """Keeps `StreamHealth` up to date, in constant memory."""
 
     def __init__(self) -> None:
         self._steps = (_Steps(), _Steps())
@@ -90,7 +90,7 @@ class Monitor:
             self._quickest.popleft()
 
     @property
-    def health(self) -> Health:
+    def health(self) -> StreamHealth:
         """As it is now."""
         late = max((late for _, late, _, _ in self._blocks), default=0.0)
         rates = []
@@ -98,7 +98,7 @@ class Monitor:
             ends = [lasts[sensor] for _, _, _, lasts in self._blocks]
             came = sum(counts[sensor] for _, _, counts, _ in list(self._blocks)[1:])
             rates.append(came / (ends[-1] - ends[0]) if len(ends) > 1 and ends[-1] > ends[0] else 0.0)
-        return Health(
+        return StreamHealth(
             (rates[0], rates[1]),
             sum(steps.count for steps in self._steps),
             sum(steps.missing for steps in self._steps),

@@ -3,6 +3,6 @@
 from __future__ import annotations
 
 from magyc_gtsam.recording.checks import Array, Mask
-from magyc_gtsam.recording.recording import Gap, Recording, Samples
+from magyc_gtsam.recording.recording import Hole, Recording, Samples
 
-__all__ = ["Array", "Gap", "Mask", "Recording", "Samples"]
+__all__ = ["Array", "Hole", "Mask", "Recording", "Samples"]

@@ -41,7 +41,7 @@ class Samples(NamedTuple):
     value: Array
 
 
-class Gap(NamedTuple):
+class Hole(NamedTuple):
     """A hole in the time stamps: the last stamp before it and its duration, both in seconds."""
 
     start: float
@@ -193,12 +193,12 @@ class Recording:
         return float(self.time[-1] - self.time[0])
 
     @property
-    def gaps(self) -> tuple[Gap, ...]:
+    def gaps(self) -> tuple[Hole, ...]:
         """Holes of the gyroscope's (else the magnetometer's) stamps: over 10 median steps and 0.5 s."""
         time = self.magnetometer.time if self.angular_rate is None else self.gyroscope.time
         step = np.diff(time)
         holes = np.flatnonzero(step > max(10 * float(np.median(step)), 0.5))
-        return tuple(Gap(float(time[i]), float(step[i])) for i in holes)
+        return tuple(Hole(float(time[i]), float(step[i])) for i in holes)
 
     def between(self, start: float | None = None, end: float | None = None) -> Recording:
         """The rows from `start` to `end`, in seconds since the first row; None is the first or last row."""

@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
 from magyc_gtsam.report.words import uncertain
-from magyc_gtsam.study.outcome import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
 
 _BEYOND = 1.5  # times the spread of the trusted methods, from which an estimate is drawn at the edge
 
@@ -90,7 +90,7 @@ def hard_irons(comparison: Comparison, axis: int) -> Scale:
     outcomes = [o for o in comparison.by_trust if o.calibration is not None]
     scale, unit = comparison.recording.field_shown
     value, sigma = _estimates(outcomes, axis, scale)
-    trusted = np.array([o.status is Status.TRUSTED for o in outcomes])
+    trusted = np.array([o.status is OutcomeStatus.TRUSTED for o in outcomes])
     every = np.array([o.calibration.hard_iron for o in outcomes if o.calibration]) * scale
     seen = every[trusted] if trusted.any() else every
     bars = [0.0, *np.nan_to_num(sigma[trusted])]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from magyc_gtsam.report import compare_charts, compare_words
 from magyc_gtsam.report.charts import Figure
 from magyc_gtsam.report.html import rendered
-from magyc_gtsam.study.outcome import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
 
 
 @dataclass(frozen=True)
@@ -42,9 +42,9 @@ def render_comparison(comparison: Comparison) -> str:
         overview=_overview(comparison),
         linked=[outcome.method for outcome in comparison.calibrated],
         cards=[_card(comparison, o) for o in comparison.by_trust if o.calibration is not None],
-        failed=[o for o in without if o.status is Status.FAILED],
+        failed=[o for o in without if o.status is OutcomeStatus.FAILED],
         not_run=comparison.not_run,
-        impossible=[o for o in without if o.status is Status.IMPOSSIBLE],
+        impossible=[o for o in without if o.status is OutcomeStatus.IMPOSSIBLE],
     )
 
 
@@ -59,7 +59,7 @@ def _card(comparison: Comparison, outcome: Outcome) -> Card:
     if outcome.heading is not None and comparison.raw.heading is not None:
         figures.append(compare_charts.heading(comparison, outcome))
     summary = _changes(comparison.raw, outcome, *comparison.recording.field_shown)
-    caution = "" if outcome.status is Status.TRUSTED else outcome.reason
+    caution = "" if outcome.status is OutcomeStatus.TRUSTED else outcome.reason
     return Card(outcome, ", ".join(summary), caution, tuple(figures))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import uncertain
-from magyc_gtsam.study.outcome import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
 
 _HUGE = 1e5  # in the unit shown, from where digits behind the point say nothing
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -97,7 +97,7 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
 
 def judged_comparison(comparison: Comparison) -> Verdict:
     """Which method to use, and how many gave a result to trust."""
-    ran = sum(o.status is not Status.IMPOSSIBLE for o in comparison.outcomes)
+    ran = sum(o.status is not OutcomeStatus.IMPOSSIBLE for o in comparison.outcomes)
     best, good = comparison.recommended, len(comparison.trusted)
     if ran == 0:
         return Verdict(
@@ -205,7 +205,7 @@ def gyroscope_rows(comparison: Comparison) -> list[list[str]]:
 def remarks(comparison: Comparison) -> list[str]:
     """A sentence for each method that is to be doubted or gave nothing, and for what only some got to see."""
     sentences = [
-        f"{o.method} {o.status}: {o.reason}" for o in comparison.by_trust if o.status is not Status.TRUSTED
+        f"{o.method} {o.status}: {o.reason}" for o in comparison.by_trust if o.status is not OutcomeStatus.TRUSTED
     ]
     if comparison.not_run:
         sentences.append(f"interrupted before {', '.join(comparison.not_run)}")

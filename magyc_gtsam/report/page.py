@@ -6,11 +6,11 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.residuals import WindowResiduals
 from magyc_gtsam.level_turn import LevelTurn, inclination, turn_of
 from magyc_gtsam.recording import Array, Mask, Recording
 from magyc_gtsam.report import words
@@ -31,33 +31,6 @@ _MICRO = 1e6
 _MOST_RESIDUALS = 1500  # windows drawn
 
 
-class Residuals(Protocol):
-    """What the residual section needs: windowed residuals of both measurement groups.
-
-    Attributes:
-        time: (n,) s, window centres, on the recording's clock.
-        magnetic_field: (n, 3) T, sensor axes.
-        magnetic_sigma, magnetic_weight: (n,) T and robust weight in [0, 1].
-        link: (n − 1, 3) rad, difference of neighbouring field directions from the gyroscope's.
-        link_sigma, link_weight: (n − 1,) rad, infinite across a hole, and robust weight in [0, 1].
-    """
-
-    @property
-    def time(self) -> Array: ...
-    @property
-    def magnetic_field(self) -> Array: ...
-    @property
-    def magnetic_sigma(self) -> Array: ...
-    @property
-    def magnetic_weight(self) -> Array: ...
-    @property
-    def link(self) -> Array: ...
-    @property
-    def link_sigma(self) -> Array: ...
-    @property
-    def link_weight(self) -> Array: ...
-
-
 @dataclass(frozen=True)
 class ResidualSection:
     """Figures of the residuals and the stretches that do not fit."""
@@ -70,7 +43,7 @@ def write_report(
     target: str | os.PathLike[str],
     recording: Recording,
     calibration: Calibration,
-    residuals: Residuals | None = None,
+    residuals: WindowResiduals | None = None,
     verdict: Verdict | None = None,
 ) -> Path:
     """Write the report of one calibration as one self-contained HTML file.
@@ -96,7 +69,7 @@ def write_report(
 def render(
     recording: Recording,
     calibration: Calibration,
-    residuals: Residuals | None = None,
+    residuals: WindowResiduals | None = None,
     verdict: Verdict | None = None,
 ) -> str:
     """The report as HTML text."""
@@ -226,7 +199,7 @@ def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -
     return figures
 
 
-def _residual_section(recording: Recording, residuals: Residuals) -> ResidualSection:
+def _residual_section(recording: Recording, residuals: WindowResiduals) -> ResidualSection:
     time = residuals.time - origin(recording)
     middle = (time[1:] + time[:-1]) / 2
     joined = np.isfinite(residuals.link_sigma)  # not across a hole of the data

@@ -72,7 +72,7 @@ Apply = Callable[[Any, Scene, float, np.random.Generator], tuple[Any, dict[str, 
 
 
 @dataclass(frozen=True)
-class Effect:
+class SimulatedEffect:
     """One effect: `apply(value, scene, size, random)` gives the changed value and what was drawn.
 
     Attributes:
@@ -104,7 +104,7 @@ class Chosen:
     """An effect with its name and strength, and its own stream of random numbers."""
 
     name: str
-    effect: Effect
+    effect: SimulatedEffect
     factor: float
     size: float
     unit: str

@@ -13,7 +13,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.study.judging import judge
-from magyc_gtsam.study.outcome import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
 
 Progress = Callable[[str, float], None]
 
@@ -98,7 +98,7 @@ def _run(
 ) -> Outcome:
     missing = [lacking for need in method.needs if (lacking := _lacking(recording, need))]
     if missing:
-        return Outcome(name, Status.IMPOSSIBLE, f"needs {' and '.join(missing)}")
+        return Outcome(name, OutcomeStatus.IMPOSSIBLE, f"needs {' and '.join(missing)}")
     used, note = (recording, "") if method.needs else _thinned(recording)
 
     def report(share: float) -> None:
@@ -111,14 +111,14 @@ def _run(
         result = calibrate(used, name, field_strength=field_strength, progress=report)
     except MagycError as error:
         reason = str(error).removeprefix(f"method {name!r} failed: ")
-        return Outcome(name, Status.FAILED, reason, note, seconds=time.perf_counter() - start)
+        return Outcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
     except Exception as error:  # noqa: BLE001 - a method's own defect is its outcome, not the end of the others
         if isinstance(error.__cause__, KeyboardInterrupt):  # met while an extension module was being loaded
             raise error.__cause__ from None
         reason = f"{type(error).__name__}: {error}"
-        return Outcome(name, Status.FAILED, reason, note, seconds=time.perf_counter() - start)
+        return Outcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
     seconds = time.perf_counter() - start
-    status = Status.TRUSTED if result.trusted else Status.UNTRUSTED
+    status = OutcomeStatus.TRUSTED if result.trusted else OutcomeStatus.UNTRUSTED
     return Outcome(name, status, result.message, note, result, seconds)
 
 

@@ -12,7 +12,7 @@ from magyc_gtsam.estimators.autocal.autocal import inliers
 from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Mask, Recording
 from magyc_gtsam.study.heading import heading_error
-from magyc_gtsam.study.outcome import Comparison, Outcome, Status
+from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
 
 ROBUST = ("autocal", "smoother")  # which tell disturbed samples from others
 _MANY = 6.0  # sigmas of both together, from which two methods contradict each other
@@ -25,7 +25,7 @@ def judge(recording: Recording, asked: Sequence[str], ran: Sequence[Outcome]) ->
     """The outcomes of `run_methods` side by side: the spread of the field and the heading's error of each."""
     delay, delay_from = _delay(ran)
     inlier, inlier_from = _inliers(recording, ran)
-    raw = Outcome("raw", Status.UNTRUSTED, "", calibration=UNCALIBRATED)
+    raw = Outcome("raw", OutcomeStatus.UNTRUSTED, "", calibration=UNCALIBRATED)
     judged = [_judged(recording, outcome, delay, inlier) for outcome in (raw, *ran)]
     not_run = tuple(asked[len(ran) :])
     comparison = Comparison(
@@ -38,14 +38,18 @@ def _delay(ran: Sequence[Outcome]) -> tuple[float, str]:
     """Of the first method that estimated it and can be trusted."""
     for outcome in ran:
         calibration = outcome.calibration
-        if outcome.status is Status.TRUSTED and calibration is not None and calibration.delay_sigma is not None:
+        if (
+            outcome.status is OutcomeStatus.TRUSTED
+            and calibration is not None
+            and calibration.delay_sigma is not None
+        ):
             return calibration.delay, outcome.method
     return 0.0, ""
 
 
 def _inliers(recording: Recording, ran: Sequence[Outcome]) -> tuple[Mask, str]:
     """By the ellipsoid of the first method of ROBUST that can be trusted."""
-    trusted = {o.method: o.calibration for o in ran if o.status is Status.TRUSTED}
+    trusted = {o.method: o.calibration for o in ran if o.status is OutcomeStatus.TRUSTED}
     for name in ROBUST:
         calibration = trusted.get(name)
         if calibration is not None:
@@ -73,15 +77,15 @@ def _judged(recording: Recording, outcome: Outcome, delay: float, inlier: Mask) 
 
 def _doubted(comparison: Comparison, outcome: Outcome) -> Outcome:
     """With what the others show and the method itself has not noticed."""
-    doubts = [] if outcome.status is Status.TRUSTED else [outcome.reason]
+    doubts = [] if outcome.status is OutcomeStatus.TRUSTED else [outcome.reason]
     before, after = comparison.raw.inlier_spread, outcome.inlier_spread
     if before is not None and after is not None and after > _WORSE * before:
         doubts.append("the strength of the calibrated field varies more than that of the raw field")
-    if outcome.status is Status.TRUSTED:
+    if outcome.status is OutcomeStatus.TRUSTED:
         doubts += _apart(comparison, outcome)
     if not doubts:
         return outcome
-    status = Status.DOUBTFUL if outcome.status is Status.TRUSTED else outcome.status
+    status = OutcomeStatus.DOUBTFUL if outcome.status is OutcomeStatus.TRUSTED else outcome.status
     return replace(outcome, status=status, reason="; ".join(doubts))
 
 

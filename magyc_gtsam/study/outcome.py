@@ -8,13 +8,13 @@ from enum import Enum
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.recording import Mask, Recording
-from magyc_gtsam.runners.status import Status as Ended
+from magyc_gtsam.runners.status import Status
 from magyc_gtsam.study.heading import HeadingError
 
 REFERENCES = ("smoother", "autocal")  # the most accurate with and without a gyroscope
 
 
-class Status(str, Enum):
+class OutcomeStatus(str, Enum):
     """What became of a method."""
 
     TRUSTED = "trusted"
@@ -44,7 +44,7 @@ class Outcome:
     """
 
     method: str
-    status: Status
+    status: OutcomeStatus
     reason: str
     note: str = ""
     calibration: Calibration | None = None
@@ -58,7 +58,7 @@ class Outcome:
     def interrupted(self) -> bool:
         """Whether the method ended at an interrupt, with the values that it had, as the graphs' runners do."""
         return self.calibration is not None and self.calibration.diagnostics.get("status") == str(
-            Ended.INTERRUPTED
+            Status.INTERRUPTED
         )
 
 
@@ -123,7 +123,7 @@ class Comparison:
     @property
     def by_trust(self) -> tuple[Outcome, ...]:
         """All outcomes, the one to use first, then by status and by how much the calibrated field varies."""
-        order = list(Status)
+        order = list(OutcomeStatus)
         return tuple(
             sorted(
                 self.outcomes,
@@ -134,4 +134,4 @@ class Comparison:
     @property
     def trusted(self) -> tuple[Outcome, ...]:
         """The methods whose result can be trusted."""
-        return tuple(o for o in self.outcomes if o.status is Status.TRUSTED)
+        return tuple(o for o in self.outcomes if o.status is OutcomeStatus.TRUSTED)

@@ -20,8 +20,12 @@ from magyc_gtsam.recording import Array, Recording
 class WindowResiduals:
     """What the model leaves unexplained, window by window.
 
-    time (n,) s; magnetic_field (n, 3) T in sensor axes, its sigma (n,) T and robust weight (n,); link
-    (n − 1, 3) rad between neighbours, its sigma (n − 1,) rad (infinite across a hole) and weight (n − 1,).
+    Attributes:
+        time: (n,) s, window centres, on the recording's clock.
+        magnetic_field: (n, 3) T, sensor axes.
+        magnetic_sigma, magnetic_weight: (n,) T and robust weight in [0, 1].
+        link: (n − 1, 3) rad, difference of neighbouring field directions from the gyroscope's.
+        link_sigma, link_weight: (n − 1,) rad, infinite across a hole, and robust weight in [0, 1].
     """
 
     time: Array

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.simulation.effects import electronics, field, foreign, gyroscope, iron, reading
 from magyc_gtsam.simulation.effects.strengths import FOREIGN_STRENGTHS, NAMED_STRENGTHS, STRENGTHS, Strength
-from magyc_gtsam.simulation.scene import Chosen, Effect
+from magyc_gtsam.simulation.scene import Chosen, SimulatedEffect
 
 NAMED: tuple[str, ...] = tuple(NAMED_STRENGTHS)
 FOREIGN: tuple[str, ...] = tuple(FOREIGN_STRENGTHS)
-EFFECTS: dict[str, Effect] = {
+EFFECTS: dict[str, SimulatedEffect] = {
     **iron.EFFECTS,
     **field.EFFECTS,
     **electronics.EFFECTS,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import MILLIGAUSS, Effect, Scene, Stage, lagged
+from magyc_gtsam.simulation.scene import MILLIGAUSS, Scene, SimulatedEffect, Stage, lagged
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -36,7 +36,7 @@ def _cubic(field: Array, scene: Scene, size: float, random: np.random.Generator)
 
 
 EFFECTS = {
-    "timing": Effect(Stage.ELECTRONICS, _timing),
-    "saturation": Effect(Stage.ELECTRONICS, _saturation),
-    "cubic": Effect(Stage.ELECTRONICS, _cubic),
+    "timing": SimulatedEffect(Stage.ELECTRONICS, _timing),
+    "saturation": SimulatedEffect(Stage.ELECTRONICS, _saturation),
+    "cubic": SimulatedEffect(Stage.ELECTRONICS, _cubic),
 }

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction, lagged, standardised
+from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction, lagged, standardised
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -53,8 +53,8 @@ def _misalignment(field: Array, scene: Scene, size: float, random: np.random.Gen
 
 
 EFFECTS = {
-    "field-gradient": Effect(Stage.WORLD, _gradient, ("depth",), attitude=True),
-    "local-anomaly": Effect(Stage.WORLD, _anomaly, attitude=True),
-    "eddy-plane": Effect(Stage.BODY, _eddy_plane),
-    "misalignment": Effect(Stage.BODY, _misalignment),
+    "field-gradient": SimulatedEffect(Stage.WORLD, _gradient, ("depth",), attitude=True),
+    "local-anomaly": SimulatedEffect(Stage.WORLD, _anomaly, attitude=True),
+    "eddy-plane": SimulatedEffect(Stage.BODY, _eddy_plane),
+    "misalignment": SimulatedEffect(Stage.BODY, _misalignment),
 }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import MILLIGAUSS, Effect, Scene, Stage, direction, lagged, standardised
+from magyc_gtsam.simulation.scene import MILLIGAUSS, Scene, SimulatedEffect, Stage, direction, lagged, standardised
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -72,11 +72,11 @@ def _sensitivity(field: Array, scene: Scene, size: float, random: np.random.Gene
 
 
 EFFECTS = {
-    "servo-magnet": Effect(Stage.IRON, _servo, attitude=True),
-    "loose-magnet": Effect(Stage.IRON, _loose, attitude=True),
-    "axis-product": Effect(Stage.ELECTRONICS, _product),
-    "rate-product": Effect(Stage.GYROSCOPE, _rate_product),
-    "deadband-lag": Effect(Stage.BODY, _deadband),
-    "vibration-bias": Effect(Stage.GYROSCOPE, _vibration, ("current",)),
-    "sensitivity-temperature": Effect(Stage.ELECTRONICS, _sensitivity, ("temperature",)),
+    "servo-magnet": SimulatedEffect(Stage.IRON, _servo, attitude=True),
+    "loose-magnet": SimulatedEffect(Stage.IRON, _loose, attitude=True),
+    "axis-product": SimulatedEffect(Stage.ELECTRONICS, _product),
+    "rate-product": SimulatedEffect(Stage.GYROSCOPE, _rate_product),
+    "deadband-lag": SimulatedEffect(Stage.BODY, _deadband),
+    "vibration-bias": SimulatedEffect(Stage.GYROSCOPE, _vibration, ("current",)),
+    "sensitivity-temperature": SimulatedEffect(Stage.ELECTRONICS, _sensitivity, ("temperature",)),
 }

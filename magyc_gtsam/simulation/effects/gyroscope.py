@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.environment import GRAVITY
-from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction, lagged, standardised
+from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction, lagged, standardised
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -44,8 +44,8 @@ def _acceleration(rate: Array, scene: Scene, size: float, random: np.random.Gene
 
 
 EFFECTS = {
-    "gyro-scale": Effect(Stage.GYROSCOPE, _scale),
-    "gyro-quadratic": Effect(Stage.GYROSCOPE, _quadratic),
-    "temperature-gyro": Effect(Stage.GYROSCOPE, _temperature, ("temperature",)),
-    "g-sensitivity": Effect(Stage.GYROSCOPE, _acceleration, ("acceleration",), attitude=True),
+    "gyro-scale": SimulatedEffect(Stage.GYROSCOPE, _scale),
+    "gyro-quadratic": SimulatedEffect(Stage.GYROSCOPE, _quadratic),
+    "temperature-gyro": SimulatedEffect(Stage.GYROSCOPE, _temperature, ("temperature",)),
+    "g-sensitivity": SimulatedEffect(Stage.GYROSCOPE, _acceleration, ("acceleration",), attitude=True),
 }

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction, lagged, standardised
+from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction, lagged, standardised
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -63,9 +63,9 @@ def _hysteresis(field: Array, scene: Scene, size: float, random: np.random.Gener
 
 
 EFFECTS = {
-    "motor-current": Effect(Stage.IRON, _motor_current, ("current",)),
-    "temperature-hard-iron": Effect(Stage.IRON, _temperature, ("temperature",)),
-    "hard-iron-step": Effect(Stage.IRON, _step),
-    "hard-iron-drift": Effect(Stage.IRON, _drift),
-    "hysteresis": Effect(Stage.IRON, _hysteresis),
+    "motor-current": SimulatedEffect(Stage.IRON, _motor_current, ("current",)),
+    "temperature-hard-iron": SimulatedEffect(Stage.IRON, _temperature, ("temperature",)),
+    "hard-iron-step": SimulatedEffect(Stage.IRON, _step),
+    "hard-iron-drift": SimulatedEffect(Stage.IRON, _drift),
+    "hysteresis": SimulatedEffect(Stage.IRON, _hysteresis),
 }

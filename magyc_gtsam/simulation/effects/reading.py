@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import Effect, Scene, Stage, direction
+from magyc_gtsam.simulation.scene import Scene, SimulatedEffect, Stage, direction
 
 Result = tuple[Array, dict[str, Any]]
 
@@ -71,10 +71,10 @@ def _axes(angular_rate: Array, scene: Scene, size: float, random: np.random.Gene
 
 
 EFFECTS = {
-    "coloured-noise": Effect(Stage.READING, _coloured),
-    "spikes": Effect(Stage.READING, _spikes),
-    "tone": Effect(Stage.READING, _tone),
-    "quantisation": Effect(Stage.QUANTISED, _quantised),
-    "sample-hold": Effect(Stage.SAMPLING, _held),
-    "axis-order": Effect(Stage.AXES, _axes),
+    "coloured-noise": SimulatedEffect(Stage.READING, _coloured),
+    "spikes": SimulatedEffect(Stage.READING, _spikes),
+    "tone": SimulatedEffect(Stage.READING, _tone),
+    "quantisation": SimulatedEffect(Stage.QUANTISED, _quantised),
+    "sample-hold": SimulatedEffect(Stage.SAMPLING, _held),
+    "axis-order": SimulatedEffect(Stage.AXES, _axes),
 }

@@ -22,7 +22,7 @@ from magyc_gtsam.study.comparison import run_methods
 from magyc_gtsam.study.leaderboard.collections import kind_of
 from magyc_gtsam.study.leaderboard.optics import Reference, reference_of
 from magyc_gtsam.study.leaderboard.reading import Reader, read_public
-from magyc_gtsam.study.outcome import Status
+from magyc_gtsam.study.outcome import OutcomeStatus
 
 DELIVERED, OPTICS = "as delivered", "own optics"  # beside the methods: the reading as it is, and the floor
 
@@ -129,9 +129,11 @@ def worked(task: Task) -> Row:
     """Calibrate and judge."""
     recording, device = _read(task.log.file, task.reader)
     if task.method == DELIVERED:
-        return _judged(task, Calibration(np.eye(3), device, method=DELIVERED), str(Status.UNTRUSTED), "", None)
+        return _judged(
+            task, Calibration(np.eye(3), device, method=DELIVERED), str(OutcomeStatus.UNTRUSTED), "", None
+        )
     if task.method == OPTICS:
-        return _judged(task, None, str(Status.TRUSTED), "each judged by its own optics", None)
+        return _judged(task, None, str(OutcomeStatus.TRUSTED), "each judged by its own optics", None)
     blind = replace(recording, attitude=None)  # what judges is not shown
     outcome = run_methods(blind, [task.method])[0]
     if outcome.calibration is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.engine import Row
 from magyc_gtsam.study.leaderboard.running import DELIVERED, OPTICS
-from magyc_gtsam.study.outcome import Status
+from magyc_gtsam.study.outcome import OutcomeStatus
 
 MARGIN = (
     0.02  # of the heading's error: closer counts as equal, a hundredth of BROAD's 3.3° is its scatter by blocks
@@ -68,7 +68,7 @@ def pairs_of(rows: Iterable[Row]) -> list[Pair]:
     pairs = []
     for row in listed:
         before = delivered[row["recording"]]
-        trusted = row["status"] == Status.TRUSTED.value
+        trusted = row["status"] == OutcomeStatus.TRUSTED.value
         used = row if trusted else before
         for judge, heading, direction in zip(before["judges"], used["heading"], used["direction"], strict=True):
             pairs.append(Pair(row["method"], row["recording"], judge, trusted, heading, direction))
@@ -95,7 +95,7 @@ def _standing(
     own = [row for row in rows if row["method"] == name]
     mine = [pair for pair in pairs if pair.method == name]
     counted = [pair for pair in mine if pair.trusted]
-    stated = [row for row in own if row["status"] == Status.TRUSTED.value and row["components"]]
+    stated = [row for row in own if row["status"] == OutcomeStatus.TRUSTED.value and row["components"]]
     took = [row["seconds"] for row in own if row["seconds"] is not None]
 
     def ratio(pair: Pair, to: Mapping[tuple[str, str], float]) -> float:
@@ -104,7 +104,7 @@ def _standing(
     return Standing(
         name,
         len(own),
-        sum(row["status"] == Status.TRUSTED.value for row in own),
+        sum(row["status"] == OutcomeStatus.TRUSTED.value for row in own),
         float(np.median([pair.heading for pair in mine])),
         float(np.median([pair.direction for pair in mine])),
         max((pair.heading for pair in counted), default=None),
