@@ -119,7 +119,7 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
     acceleration = request.named("acceleration")
     if acceleration:
         chosen["acceleration"] = checked(topics, "acceleration", acceleration)
-    elif (gyroscope := chosen["angular_rate"]) and gyroscope.unknown is not None:  # an Imu message, read as one
+    elif (gyroscope := chosen["angular_rate"]) and gyroscope.mark is not None:  # an Imu message, read as one
         chosen["acceleration"] = checked(topics, "acceleration", gyroscope.name)
     result, used = {}, set()
     left = [source for source in chosen.values() if source is not None]

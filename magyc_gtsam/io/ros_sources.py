@@ -26,7 +26,7 @@ class Source:
 
     topic: Topic
     columns: list[int]
-    unknown: int | None = None  # the column that is -1 where there is no estimate
+    mark: str | None = None  # the field that is -1 where there is no estimate
 
     @property
     def name(self) -> str:
@@ -84,8 +84,7 @@ def checked(topics: Mapping[str, Topic], sensor: str, name: str) -> Source:
     if topic.encoding not in ("cdr", "ros1"):
         raise MagycError(f"{sensor}: {name} is encoded as {topic.encoding}; cdr (ROS 2) and ros1 can be read")
     order = topic.fields
-    unknown = UNKNOWN.get(topic.type, {}).get(sensor)
-    return Source(topic, [order.index(p) for p in fields[sensor]], order.index(unknown) if unknown else None)
+    return Source(topic, [order.index(p) for p in fields[sensor]], UNKNOWN.get(topic.type, {}).get(sensor))
 
 
 def _nested(topic: Topic, sensor: str, path: str) -> Source:
@@ -128,7 +127,7 @@ def _listed(topics: Mapping[str, Topic]) -> str:
 
 def unknown(source: Source) -> bool:
     """Whether all messages say that they have no estimate of the sensor (covariance[0] is -1)."""
-    return source.unknown is not None and bool((source.topic.read([source.unknown], last=True) == -1).all())
+    return source.mark is not None and source.topic.unknown(source.mark)
 
 
 def needed(request: Request, sensors: Sequence[str]) -> Callable[[str, str], bool]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.growing import GrowingColumns
-from magyc_gtsam.io.ros2 import SENSOR_FIELDS, fields_of, known_types
+from magyc_gtsam.io.ros2 import SENSOR_FIELDS, UNKNOWN, fields_of, known_types
 from magyc_gtsam.io.ros_fields import Array, FieldReader, Stamps, parse_types, short_type
 from magyc_gtsam.io.streams import Stream
 
@@ -43,6 +43,9 @@ class Topic:
         self._grant = grant
         self.name, self.encoding, self.schema, self.wanted = name, encoding, schema, wanted
         self.fields = fields_of(self.type, attitude) if self.type in SENSOR_FIELDS else ()
+        # The last fields, which say whether there is an estimate of a sensor: looked at as they come, and not kept.
+        self._marks = [path for path in self.fields if path in UNKNOWN.get(self.type, {}).values()]
+        self._estimated: set[str] = set()
         self.count = 0
         self.span = (_NO_TIME, -_NO_TIME)  # ns, times of recording
         self.largest_first = 0  # bytes of the first message
@@ -59,8 +62,9 @@ class Topic:
 
     @property
     def columns(self) -> list[tuple[str, int | None]]:
-        """The numbers that are read: the path of each, and for arrays how many it is."""
-        return (self._reader.columns if self._reader else None) or []
+        """The numbers that are kept: the path of each, and for arrays how many it is."""
+        found = (self._reader.columns if self._reader else None) or []
+        return found[: len(found) - len(self._marks)]
 
     def add(self, data: NDArray[np.uint8], start: Stamps, length: Stamps, log_time: Stamps) -> None:
         """Messages that lie in `data`; see `FieldReader.read`."""
@@ -81,14 +85,18 @@ class Topic:
                 self.problem = error
                 self._stamp = self._value = None
                 return
-            self._grant(value.nbytes + stamp.nbytes)
+            width = self._reader.width - len(self._marks)
+            for path, mark in zip(self._marks, value[:, width:].T, strict=True):
+                if (mark != -1).any():
+                    self._estimated.add(path)
+            self._grant(value[:, :width].nbytes + stamp.nbytes)
             if self._by_log_time or not self._reader.stamped:
                 stamp = log_time[part]
             if self._stamp is None or self._value is None:
                 self._stamp = GrowingColumns(1, np.int64)
-                self._value = GrowingColumns(self._reader.width, np.float64)
+                self._value = GrowingColumns(width, np.float64)
             self._stamp.add(stamp)
-            self._value.add(value)
+            self._value.add(value[:, :width])
 
     def _field_reader(self) -> FieldReader:
         kind = self.type
@@ -138,9 +146,14 @@ class Topic:
             return np.empty((0, len(columns)))
         return self._value.together(columns, last)
 
+    def unknown(self, mark: str) -> bool:
+        """Whether all messages say by this field that they have no estimate: it is -1 (sensor_msgs/Imu)."""
+        return mark not in self._estimated
+
     def forget(self) -> None:
         """Begin anew with what comes next."""
         self._stamp = self._value = None
+        self._estimated = set()
 
     def channels(self) -> dict[str, Stream]:
         """The numbers by topic without slash, and field where there are several.

@@ -168,7 +168,8 @@ def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
 def _measured(stream: Stream, in_tesla: bool, notes: list[str]) -> Stream:
     """Without what a driver writes where it has no field: zeros on all axes, and single values of no magnetometer."""
     most = FIELD_RANGE if in_tesla else np.inf
-    if not (stream.value == 0).any() and np.abs(stream.value).max(initial=0.0) <= most:
+    largest = max(stream.value.max(initial=0.0), -stream.value.min(initial=0.0))
+    if largest <= most and not (stream.value == 0).any():
         return stream
     zero: NDArray[np.bool_] = (stream.value == 0).all(axis=1)
     beyond: NDArray[np.bool_] = np.abs(stream.value).max(axis=1) > most
@@ -209,8 +210,12 @@ def _without_spikes(stream: Stream, notes: list[str]) -> Stream:
     if len(stream.stamp) < 3:
         return stream
     step = np.diff(stream.stamp)
+    far = (step > _SECOND) | (step < -_SECOND)
+    lone = far[:-1] & far[1:]
+    if not lone.any():
+        return stream
     across = step[1:] + step[:-1]
-    lone = (np.abs(step[:-1]) > _SECOND) & (np.abs(step[1:]) > _SECOND) & (across >= 0) & (across < _SECOND)
+    lone &= (across >= 0) & (across < _SECOND)
     if not lone.any():
         return stream
     notes.append(f"{stream.name}: {lone.sum()} samples with a stamp far from those around them were left out")
