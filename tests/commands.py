@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 from magyc_gtsam import cli
@@ -25,6 +27,17 @@ def installed(*arguments: object, cwd: Path, stdin: str | None = None) -> Finish
     )  # fmt: skip
 
 
+@contextlib.contextmanager
+def _in_folder(folder: Path) -> Iterator[None]:
+    """As contextlib.chdir, which Python has since 3.11."""
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
 def run(*arguments: object, cwd: Path) -> Finished:
     """The same in this process, which spares the second that a new one takes to import everything."""
     command = [*map(str, arguments)]
@@ -32,7 +45,7 @@ def run(*arguments: object, cwd: Path) -> Finished:
     assert threading.current_thread() is threading.main_thread()  # the folder is that of all threads
     disabled = logging.root.manager.disable
     try:
-        with contextlib.chdir(cwd), contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+        with _in_folder(cwd), contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
             code = cli.main(command)
     finally:
         logging.disable(disabled)  # `main` silences the libraries of its process

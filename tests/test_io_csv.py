@@ -330,6 +330,18 @@ def test_stamps_beyond_all_clocks(tmp_path: Path, stamp: str) -> None:
         read(path)
 
 
+@pytest.mark.parametrize(
+    "written",
+    ["2024-05-01T12:00:{:09.6f}Z", "2024-05-01 14:00:{:09.6f}+02:00", "2024-05-01T12:00:{:012.9f}"],
+)
+def test_calendar_dates(tmp_path: Path, written: str) -> None:
+    """As every version of Python reads them, whatever its own datetime takes."""
+    lines = [f"{written.format(t)},1e-5,{k}e-6,1e-5" for k, t in enumerate(TIME)]
+    path = tmp_path / "a.csv"
+    path.write_text("t,mx,my,mz\n" + "\n".join(lines))
+    np.testing.assert_allclose(read(path).time, TIME, rtol=0, atol=1e-9)
+
+
 def test_a_cell_in_quotation_marks_without_end(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", "t,mx,my,mz", TIME, FIELD, tail='"' + "1" * 200_000 + ",1,1,1\n")
     with pytest.raises(MagycError, match="cannot be split into cells") as caught:

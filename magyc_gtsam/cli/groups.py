@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import is_dataclass
 from functools import wraps
-from typing import Any, get_type_hints
+from typing import Any
 
 
 def with_groups(command: Callable[..., int]) -> Callable[..., int]:
@@ -14,11 +14,11 @@ def with_groups(command: Callable[..., int]) -> Callable[..., int]:
     groups: dict[str, Any] = {}
     parameters: list[inspect.Parameter] = []
     types: dict[str, Any] = {}
-    own = get_type_hints(command, include_extras=True)
+    own = inspect.get_annotations(command, eval_str=True)  # not get_type_hints, which hides options before 3.11
     for name, parameter in inspect.signature(command).parameters.items():
         if is_dataclass(own[name]):
             groups[name] = own[name]
-            types |= get_type_hints(own[name], include_extras=True)
+            types |= inspect.get_annotations(own[name], eval_str=True)
             parameters += inspect.signature(own[name]).parameters.values()
         else:
             types[name] = own[name]

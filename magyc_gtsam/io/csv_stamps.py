@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import datetime
 from decimal import Decimal, InvalidOperation
@@ -13,6 +14,8 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.csv_table import Stamps
 from magyc_gtsam.io.units import factor
 
+_FRACTION = re.compile(r"[.,](\d+)")  # of a second, in a calendar date
+_ZULU = re.compile("Z$")
 _LONGEST_STEP = 2.0  # s; a table of larger steps counts in another unit, unless its header says seconds
 _LATEST = 1 << 63  # ns since 1970, of an int64
 _MOST_DIGITS = 18  # that an int64 holds
@@ -67,18 +70,19 @@ class StampColumn:
         ) from None
 
     def _calendar(self, cell: str, number: int) -> int:
+        # datetime reads the calendar and the zone, but no digits below the microsecond, and before 3.11 no Z.
+        fraction = _FRACTION.search(cell)
+        digits = fraction[1][:9].ljust(9, "0") if fraction else "0"
         try:
-            moment = np.datetime64(datetime.fromisoformat(cell).replace(tzinfo=None), "s")
-            # datetime reads the calendar and the zone, but no digits below the microsecond.
-            zone = datetime.fromisoformat(cell).utcoffset()
-            digits = cell.split(".")[1] if "." in cell else ""
-            fraction = "".join(c for c in digits.split("+")[0].split("-")[0] if c.isdigit())[:9].ljust(9, "0")
+            moment = datetime.fromisoformat(_ZULU.sub("+00:00", _FRACTION.sub("", cell)))
         except ValueError:
             raise MagycError(
                 f"{self.path}, line {number}: {cell[:80]!r} is no time stamp; repair or remove the line"
             ) from None
-        seconds = int(moment.astype(np.int64)) - (int(zone.total_seconds()) if zone else 0)
-        stamp = seconds * 1_000_000_000 + int(fraction)
+        zone = moment.utcoffset()
+        seconds = int(np.datetime64(moment.replace(tzinfo=None), "s").astype(np.int64))
+        seconds -= int(zone.total_seconds()) if zone else 0
+        stamp = seconds * 1_000_000_000 + int(digits)
         if abs(stamp) >= _LATEST:
             raise MagycError(
                 f"{self.path}, line {number}: {cell[:80]!r} is not within 292 years of 1970; repair or remove the line"
