@@ -60,7 +60,7 @@ def test_terminal_and_page_show_what_differs(tmp_path: Path, capsys: pytest.Capt
     said = capsys.readouterr()
     assert "there hard iron x is " in said.err
     for text in (said.out, (tmp_path / "out" / "report.html").read_text()):
-        assert "what differs there" in text
+        assert "parameter that differs" in text
         assert "hard iron x (µT)" in text
 
 

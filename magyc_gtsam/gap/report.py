@@ -281,17 +281,17 @@ def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: It
             needed = TERMS[f.rivals[0]].missing(look.refit.twin)
             motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion
             labels = " from ".join(LABELS[n] for n in names[:2])
-            return Manoeuvre(names, motion, f"to tell {labels}: {motion}")
+            return Manoeuvre(names, motion, f"to distinguish {labels}: {motion}")
     if word == "unknown":
         motion = (
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )
-        return Manoeuvre((), motion, f"to find out what it is: {motion}")
+        return Manoeuvre((), motion, f"to identify the effect: {motion}")
     blind = [s for s in look.scores if s.name in TERMS and s.power(look.refit.twin) < _POWER]
     if blind:
         weakest = min(blind, key=lambda s: s.power(look.refit.twin))
         motion = TERMS[weakest.name].motion
         return Manoeuvre(
-            tuple(s.name for s in blind), motion, f"to be sure about {TERMS[weakest.name].label}: {motion}"
+            tuple(s.name for s in blind), motion, f"to test for “{TERMS[weakest.name].label}”: {motion}"
         )
     return None

@@ -25,8 +25,8 @@ def shrinking(recording: Recording, gap: Gap) -> list[Figure]:
     if not len(before.time):
         return []  # shorter than the horizon
     caption = (
-        f"The field predicted {before.horizon:.0f} s ahead by the gyroscope alone, less the measured one: its length. "
-        "Grey: what noise alone leaves."
+        f"Length of the difference between the measured field and its prediction {before.horizon:.0f} s ahead by the "
+        "gyroscope alone. Grey: expected from noise alone."
     )
     loops = [("before", "raw", before)]
     if gap.after is not gap.before:
@@ -57,14 +57,14 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
         middle, mean, low, high = summary(time, error, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))
     frame = clock(recording, middle, "Heading error (°)", levels=[0.0])
-    return [chart("Heading against the reference", "About its own mean.", middle, series, frame)]
+    return [chart("Heading against the reference", "The mean is removed.", middle, series, frame)]
 
 
 def gap_map(recording: Recording, before: GapMap, after: GapMap) -> Figure:
     """Misfit over one variable, before and after, with the band in which the right model would stay."""
-    worst = "Inside the band" if before.worst <= 1 else f"Up to {before.worst:.2f} times the band"
+    worst = "Within the band" if before.worst <= 1 else f"Up to {before.worst:.2f} times the band"
     closing = (
-        "" if after is before else f", then {'inside it' if after.worst <= 1 else f'{after.worst:.2f} times'}"
+        "" if after is before else f", then {'within it' if after.worst <= 1 else f'{after.worst:.2f} times'}"
     )
     centre = before.centre - (origin(recording) if before.over == "time" else 0.0)
     series = [
@@ -107,7 +107,7 @@ def _over_time(
     for label, colour, loop in loops:
         when, mean, _, _ = summary(loop.time - start, _length(loop), MOST_BINS)
         series.append(Series(label, colour, np.interp(middle, when, mean, np.nan, np.nan)))
-    frame = clock(recording, middle, "Off by (µT)")
+    frame = clock(recording, middle, "Prediction error (µT)")
     limited = Frame(frame.xlabel, frame.ylabel, ylim=limits, more={**frame.more, "strip": True})
     hint = "Drag over an interval to copy it for the command line."
     return chart("Over time", f"{caption} {hint}", middle, series, limited, wide=True)
@@ -135,9 +135,13 @@ def _over_heading(
     series += [
         Series(label, colour, level(loop.time, _length(loop)), style="marked") for label, colour, loop in loops
     ]
-    frame = Frame("Heading (°)", "Off by (µT)", xlim=(0, 360), ylim=limits)
+    frame = Frame("Heading (°)", "Prediction error (µT)", xlim=(0, 360), ylim=limits)
     return chart(
-        "Over heading", "The same, root mean square in sectors of 10°, on the same scale.", centre, series, frame
+        "Over heading",
+        "Root mean square of this error in sectors of 10°, on the same scale.",
+        centre,
+        series,
+        frame,
     )
 
 

@@ -68,19 +68,19 @@ def _advice(gap: Gap, verdict: Verdict) -> list[str]:
     if not verdict.trusted:
         lines = [f"Do not use this calibration: {verdict.action}."]
         if gap.verdict in ("none", "closed"):  # by another recording
-            lines.append("Do not use the correction elsewhere before it holds on another log.")
+            lines.append("Use the correction only after it holds on another log.")
         elif gap.verdict == "unknown":
-            lines.append("Nothing was changed. The evidence below says what goes with the misfit.")
+            lines.append("The calibration was not changed. The evidence below shows what the misfit depends on.")
     elif gap.verdict == "none":
-        lines = ["Use the calibration as it is: in all that this motion shows, the data agree with it."]
+        lines = ["Use the calibration: the data agree with it, as far as this motion can show."]
     else:
         lines = [
-            "Use the calibration with its terms: “magyc-gtsam apply” takes out all of them.",
-            "Record again and give the new log with --validate: the gap should stay closed.",
+            "Use the calibration with its effects: `magyc-gtsam apply` corrects all of them.",
+            "Record again and test the result on the new log with --validate.",
         ]
     if gap.untested:
         names = ", ".join(candidate.label for candidate in gap.untested)
-        lines = [*lines, f"Not tested for want of a channel: {names}."]
+        lines = [*lines, f"Not tested, because the log has no channel for it: {names}."]
     if gap.next_manoeuvre is not None and gap.next_manoeuvre.motion != verdict.action:
         lines = [*lines, gap.next_manoeuvre.sentence]
     return lines

@@ -13,10 +13,10 @@ from magyc_gtsam.report.words import Number, uncertain
 _MICRO = 1e6
 HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
 METRICS = ("", "before", "after")
-MOVED = ("parameter", "before", "after", "by sigmas")
-DIFFERS = ("what differs there", "here", "there", "by sigmas")
+MOVED = ("parameter", "before", "after", "change (σ)")
+DIFFERS = ("parameter that differs", "this log", "other log", "difference (σ)")
 ASSUMPTIONS = ("assumption", "simulated", "measured", "")
-PLAN = ("effect", "found from", "matters from", "what matters is found", "left", "named as")
+PLAN = ("effect", "found from", "relevant from", "found when relevant", "remaining", "named as")
 
 
 def key_numbers(gap: Gap) -> list[Number]:
@@ -25,9 +25,9 @@ def key_numbers(gap: Gap) -> list[Number]:
     loop = before.open_loop
     numbers = [
         Number(
-            f"Prediction over {loop.horizon:.0f} s off by",
+            f"Error of the {loop.horizon:.0f} s prediction",
             _arrow(loop.rms * _MICRO, after.open_loop.rms * _MICRO, "µT"),
-            f"{after.open_loop.floor * _MICRO:.2f} µT is what noise leaves",
+            f"rms; {after.open_loop.floor * _MICRO:.2f} µT is expected from noise alone",
         )
     ]
     if not len(loop.time):
@@ -37,7 +37,7 @@ def key_numbers(gap: Gap) -> list[Number]:
             Number(
                 "Heading error",
                 _arrow(before.heading, after.heading, "°").replace(" °", "°"),
-                "1σ, by the reference",
+                "1σ, against the reference",
             )
         )
     numbers += [
@@ -97,12 +97,12 @@ def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
     loop = before.open_loop
     rows = [
         [
-            f"Prediction over {loop.horizon:.0f} s, rms (µT)",
+            f"Error of the {loop.horizon:.0f} s prediction, rms (µT)",
             f"{loop.rms * _MICRO:.3f}",
             f"{after.open_loop.rms * _MICRO:.3f}",
         ],
         [
-            "expected of noise alone (µT)",
+            "Expected from noise alone (µT)",
             f"{loop.floor * _MICRO:.3f}",
             f"{after.open_loop.floor * _MICRO:.3f}",
         ],
@@ -127,8 +127,8 @@ def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
 def line_sentences(metrics: Metrics) -> list[str]:
     """What stands out of the spectrum."""
     return [
-        f"A line at {line.frequency:.3g} Hz, {line.amplitude * _MICRO:.2f} µT, stands out of the misfit's spectrum: a "
-        "tone, or the rhythm of the motion where something is missing."
+        f"The spectrum of the misfit has a line at {line.frequency:.3g} Hz with {line.amplitude * _MICRO:.2f} µT: a "
+        "tone, or the period of the motion if an effect is missing."
         for line in metrics.lines
     ]
 
@@ -165,13 +165,15 @@ def confusion_sentences(gap: Gap) -> list[str]:
     for effect in gap.effects:
         alike = ", ".join(name for name in effect.ambiguous_with if name not in untested)
         if alike and named.issuperset(effect.ambiguous_with):
-            sentences.append(f"{effect.label}: it was told from {alike} only where both are in the model.")
+            sentences.append(f"{effect.label}: it can be distinguished from {alike} only with both in the model.")
             continue
         unseen = ", ".join(name for name in effect.ambiguous_with if name in untested)
         if alike:
-            sentences.append(f"{effect.label}: this motion cannot tell it from {alike}.")
+            sentences.append(f"{effect.label}: this motion cannot distinguish it from {alike}.")
         if unseen:
-            sentences.append(f"{effect.label}: it may be {unseen} as well, whose channel is not in the recording.")
+            sentences.append(
+                f"{effect.label}: it may also be {unseen}, which cannot be tested without its channel."
+            )
         if not effect.ambiguous_with and effect.name in TERMS:
             sentences.append(f"{effect.label}: no other candidate explains these data as well.")
     return list(dict.fromkeys(sentences))
