@@ -397,6 +397,6 @@ def test_page_of_an_unknown_gap_with_hostile_names(
     assert page.title().startswith("Gap in <script>")
     text = page.inner_text("main")
     assert text.count("Turn faster, to tell timing from hysteresis") == 1
-    assert "Nothing was changed." in text
+    assert "The calibration was not changed." in text
     assert "The simulator is never late" in text
     assert page.evaluate("document.documentElement.scrollWidth") <= width
