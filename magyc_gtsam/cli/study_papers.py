@@ -138,8 +138,16 @@ def real_tracks(place: Place, logs: Sequence[str], sensor: str) -> None:
             for method in methods
         ]
 
-    show("", "Fig. 6 of the review: 1/J_r (81) on the track itself; * not trusted by the method", "")
-    show_table(["", *tracks], table("cost", lambda value: f"{1 / value:.3g}" if value > 0 else "∞"))
+    show(
+        "",
+        "Fig. 6 of the review: 1/J_r (81) on the track, over all and robustness (77), (78); * not trusted",
+        "",
+    )
+    shown = table("cost", lambda value: f"{1 / value:.3g}" if value > 0 else "∞")
+    for row in shown:
+        score = study.over_tracks(rows, row[0])
+        row += [f"{score.accuracy:.3g}", f"{score.robustness:.0%}"]
+    show_table(["", *tracks, "all", "robust"], shown)
     published = study.PUBLISHED["magnetometer" if sensor == "magnetometer" else "accelerometer"]
     for column, title, place_in_paper in (
         ("deviation", "Table IV of Autocal: deviation (40) in % from the method's own model of track 1", 0),

@@ -23,11 +23,8 @@ from magyc_gtsam.recording import Array
 
 WALKED, JUMPED, WRONG = 0, 1, 2
 KEPT = 8  # labellings
-WALKS = np.geomspace(0.02, 10.0, 16)  # µT per √day
+WALKS = np.geomspace(0.02, 10.0, 16)  # µT per √day; neighbours differ by half, as sixty logs know it to a tenth
 SCATTERS = np.array([0.0, 0.002, 0.005, 0.012, 0.03])  # relative
-_SCATTERED = 0.1  # prior share of the instruments whose logs scatter by more than they state
-_SHAPE = 0.2  # relative, deviation of the soft iron before the first log
-_ANYWHERE = 1000.0  # µT, that of the hard iron; phones have 400
 _CELLS = len(WALKS) * len(SCATTERS)
 WALK_OF_CELL, SCATTER_OF_CELL = np.repeat(WALKS, len(SCATTERS)), np.tile(SCATTERS, len(WALKS))
 _ON_SHAPE = np.diag(np.r_[np.ones(SHAPE), np.zeros(3)])
@@ -105,10 +102,9 @@ class Bank:
 def empty_bank(dated: bool, model: HistoryModel) -> Bank:
     """Before the first log."""
     weight = -0.5 * (np.log(WALK_OF_CELL / model.walk) / model.walk_spread) ** 2
-    weight = weight + np.where(
-        SCATTER_OF_CELL == 0, np.log(1 - _SCATTERED), np.log(_SCATTERED / (len(SCATTERS) - 1))
-    )
-    wide = _SHAPE**2 * _ON_SHAPE + _ANYWHERE**2 * _ON_IRON
+    scattered = model.scattered / (len(SCATTERS) - 1)
+    weight = weight + np.log(np.where(SCATTER_OF_CELL == 0, 1 - model.scattered, scattered))
+    wide = model.before[0] ** 2 * _ON_SHAPE + model.before[1] ** 2 * _ON_IRON
     return Bank(
         (),
         dated,

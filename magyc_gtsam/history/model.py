@@ -22,6 +22,8 @@ class HistoryModel:
         wrong_shape: deviation of its soft iron, relative; translation trials of BROAD were off by 3 to 10 %.
         scatter: relative; by which soft irons of one instrument differ from log to log beyond their stated sigmas, in
             the comparison of instruments (trials 1, 4 and 6 of BROAD: 0.4 %).
+        scattered: prior share of the instruments whose logs scatter beyond their sigmas at all.
+        before: relative and µT, deviations of soft and hard iron before the first log; phones have 400 µT.
         bias_scatter: mrad/s; the same of the gyroscope's bias (trials 1, 4 and 6: 1.3).
         hard_iron_scatter: µT; the same of the hard iron where it did not jump (0.06 to 0.3).
         raw, calibrated: relative, µT: how much soft and hard iron differ between instruments as they are built, and
@@ -40,6 +42,8 @@ class HistoryModel:
     wrong_hard_iron: float = 30.0
     wrong_shape: float = 0.05
     scatter: float = 0.005
+    scattered: float = 0.1
+    before: tuple[float, float] = (0.2, 1000.0)
     bias_scatter: float = 1.3
     hard_iron_scatter: float = 0.3
     raw: tuple[float, float] = (0.05, 30.0)

@@ -6,7 +6,7 @@ An accelerometer is calibrated as a magnetometer is, gravity in place of the fie
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -17,7 +17,14 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.metrics import model, normalised_model_error, real_data_cost, sensor_estimation_error
+from magyc_gtsam.metrics import (
+    Scores,
+    model,
+    normalised_model_error,
+    real_data_cost,
+    scores,
+    sensor_estimation_error,
+)
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.study.autocal import VARIANTS, triangular, variants
 from magyc_gtsam.study.drawing import Panel, draw_panels
@@ -60,9 +67,10 @@ PUBLISHED: dict[Sensor, dict[str, tuple[tuple[float, float], tuple[float, float]
 
 
 class Unit(NamedTuple):
-    """One method on one track."""
+    """One method on one track, and the track that it is held against."""
 
     sensor: Sensor
+    reference: str
     track: str
     method: str
 
@@ -84,7 +92,7 @@ def real_rows(
         raise MagycError("real tracks: no recordings; give one or more logs, the reference first")
     tracks = {name: track_of(recording, sensor) for name, recording in recordings.items()}
     names = [name for name in METHODS if name in variants() or name in REVIEWED]
-    chosen = [Unit(sensor, track, method) for track in tracks for method in names]
+    chosen = [Unit(sensor, next(iter(tracks)), track, method) for track in tracks for method in names]
     return study_rows(f"real-{sensor}", partial(worked, tracks=tracks), chosen, running)
 
 
@@ -104,7 +112,7 @@ def track_of(recording: Recording, sensor: Sensor) -> Recording:
 
 def worked(unit: Unit, tracks: Mapping[str, Recording]) -> Row:
     """What a method makes of one track, by all three measures."""
-    reference = next(iter(tracks.values()))
+    reference = tracks[unit.reference]
     found, own = _calibrated(unit.method, tracks[unit.track]), _calibrated(unit.method, reference)
     samples = tracks[unit.track].magnetic_field
     row: dict[str, list[object]] = {
@@ -116,12 +124,19 @@ def worked(unit: Unit, tracks: Mapping[str, Recording]) -> Row:
     }
     if found is not None:
         row["cost"] = [real_data_cost(*model(found), samples)]
-        row["error"] = [sensor_estimation_error(*model(found), reference.magnetic_field) / _strength(samples)]
+        away = sensor_estimation_error(*model(found), reference.magnetic_field)
+        row["error"] = [away / _strength(reference.magnetic_field)]
         if own is not None:
             row["deviation"] = [
                 normalised_model_error(triangular(found), found.hard_iron, triangular(own), own.hard_iron)
             ]
     return row
+
+
+def over_tracks(rows: Sequence[Row], method: str) -> Scores:
+    """Accuracy and robustness (77), (78) of a method by (81), as Fig. 6 has them; at δ = 1."""
+    own = [row for row in rows if row["method"] == method]
+    return scores([row["cost"] for row in own], [row["trivial"] for row in own], [np.nan] * len(own))
 
 
 def _calibrated(name: str, track: Recording) -> Calibration | None:

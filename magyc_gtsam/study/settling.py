@@ -21,9 +21,10 @@ _SHARES = tuple(np.round(np.arange(0.0, 1.01, 0.1), 1))
 
 
 class Unit(NamedTuple):
-    """One recording of Table I."""
+    """One recording of Table I, and the gyroscope's noise in rad/s."""
 
     motion: str
+    gyroscope_noise: float
     seed: int
 
 
@@ -43,15 +44,14 @@ def settling_rows(
     runs: int = 100, *, gyroscope_noise: float = 5e-3, samples: int = SAMPLES, running: Running = HERE
 ) -> list[Row]:
     """Run MAGYC-IFG over `runs` recordings of each motion of Table I; see `table_one` for the arguments."""
-    work = partial(worked, gyroscope_noise=gyroscope_noise, samples=samples)
-    return study_rows(
-        "settling", work, [Unit(motion, seed) for seed in range(runs) for motion in PUBLISHED["raw"]], running
-    )
+    chosen = [Unit(motion, gyroscope_noise, seed) for seed in range(runs) for motion in PUBLISHED["raw"]]
+    return study_rows("settling", partial(worked, samples=samples), chosen, running)
 
 
-def worked(unit: Unit, gyroscope_noise: float, samples: int) -> Row:
+def worked(unit: Unit, samples: int) -> Row:
     """One recording."""
-    recording = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=gyroscope_noise).recording
+    noise = unit.gyroscope_noise
+    recording = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=noise).recording
     return {"share": [calibrate(recording, "magyc-ifg").diagnostics["settled_after"]]}
 
 

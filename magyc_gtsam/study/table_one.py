@@ -55,10 +55,11 @@ _JUDGE = 1_000_000  # seed of the recording that judges
 
 
 class Unit(NamedTuple):
-    """One recording: by whose conventions, of which motion, and its seed."""
+    """One recording: by whose conventions, of which motion, the gyroscope's noise in rad/s, and its seed."""
 
     convention: str
     motion: str
+    gyroscope_noise: float
     seed: int
 
 
@@ -100,23 +101,25 @@ def table_one(
         samples: of each recording, at RATE.
         running: where it runs.
     """
-    chosen = [Unit(convention, motion, seed) for seed in range(runs) for motion in PUBLISHED["raw"]]
-    work = partial(worked, methods=("raw", *methods), gyroscope_noise=gyroscope_noise, samples=samples)
+    motions = list(PUBLISHED["raw"])
+    chosen = [Unit(convention, motion, gyroscope_noise, seed) for seed in range(runs) for motion in motions]
+    work = partial(worked, methods=("raw", *methods), samples=samples)
     rows = study_rows(f"table-one-{convention}", work, chosen, running)
     judges = _judges(samples, gyroscope_noise)
     return [
         _cell([row for row in rows if (row["method"], row["motion"]) == (name, motion)], judges)
         for name in ("raw", *methods)
-        for motion in PUBLISHED["raw"]
+        for motion in motions
     ]
 
 
-def worked(unit: Unit, methods: Sequence[str], gyroscope_noise: float, samples: int) -> Row:
+def worked(unit: Unit, methods: Sequence[str], samples: int) -> Row:
     """All methods on one recording."""
-    simulation = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=gyroscope_noise)
+    noise = unit.gyroscope_noise
+    simulation = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=noise)
     if unit.convention == "authors":
-        simulation = _as_authors(simulation, unit.seed, gyroscope_noise)
-    judges = _judges(samples, gyroscope_noise)
+        simulation = _as_authors(simulation, unit.seed, noise)
+    judges = _judges(samples, noise)
     names = ("method", "heading", "spread", "systematic", "soft_iron", "hard_iron")
     columns: dict[str, list[object]] = {name: [] for name in names}
     for name in methods:
