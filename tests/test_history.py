@@ -214,6 +214,31 @@ def test_two_instruments_are_told_apart(dives: tuple[LogFactor, ...]) -> None:
     assert right >= 9
 
 
+def test_two_vague_logs_of_another_instrument_are_found_together() -> None:
+    """Each alone would rather join the three sure ones; of one unit they are only where both leave at once."""
+
+    def log(
+        iron: list[float], bias: list[float], skew: list[float], shape: float, sigma: list[float]
+    ) -> LogFactor:
+        sigmas = np.repeat(sigma[:3], [5, 3, 3])
+        mean = np.r_[np.array([0.4, 0.2, 1.0, -0.8, -0.8]) * 0.01 + shape, iron, bias]
+        spread = np.eye(3) * (sigma[3] * 1e-3) ** 2
+        return LogFactor(
+            "log",
+            None,
+            mean,
+            np.diag(sigmas**2),
+            misalignment=np.array(skew) * 1e-3,
+            misalignment_covariance=spread,
+        )
+
+    sure = [log([-0.4, 0.2, 0.2], [4.6, 2.0, -4.2], [5.5, -3.0, -8.0], 0.0, [0.004, 0.15, 0.6, 1.3])] * 3
+    irons = ([-6.0, -0.5, 58.6], [0.7, 0.5, -8.4])
+    vague = [log(iron, [0.0, 0.0, -4.0], [-1.0, 8.3, -20.8], 0.01, [0.012, 0.5, 3.5, 2.6]) for iron in irons]
+    assert History([*sure, *vague]).groups == ((0, 1, 2), (3, 4))
+    assert History([*sure, vague[0]]).groups == ((0, 1, 2, 3),)
+
+
 def test_damaged_files_are_refused(tmp_path: Path, dives: tuple[LogFactor, ...]) -> None:
     history = History(draw_season(0, dives, SeasonPlan(dives=12, wrecks=0, wrong_units=0)).factors)
     history.save(tmp_path / "history.yaml")
