@@ -47,6 +47,11 @@ class Arrangement(NamedTuple):
             parts.append(f"{name} ← {'−' if row[column] < 0 else ''}{'xyz'[column]}")
         return ", ".join(parts)
 
+    @property
+    def option(self) -> str:
+        """The same as `--gyroscope-axes` takes it, e.g. "-y,x,z"."""
+        return ",".join(part.partition(" ← ")[2] for part in self.axes.split(", ")).replace("−", "-")
+
 
 def arrangements(recording: Recording) -> list[Arrangement]:
     """All signed permutations and units of the gyroscope, the best first.
@@ -116,11 +121,11 @@ def check(recording: Recording) -> None:
     if best.unit:
         raise MagycError(
             f"angular_rate: as given it explains {as_given} of the field's changes, read as {best.unit} "
-            f"{otherwise}; convert it, or say the right unit (--angular-unit)"
+            f"{otherwise}; convert it, or give its unit (--angular-unit={best.unit})"
         )
     raise MagycError(
         f"the axes of gyroscope and magnetometer disagree: as given the gyroscope explains {as_given} of the "
-        f"field's changes, with {best.axes} {otherwise}; bring both to one frame (--gyroscope-axes)"
+        f"field's changes, with {best.axes} {otherwise}; bring both to one frame (--gyroscope-axes={best.option})"
     )
 
 
