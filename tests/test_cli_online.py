@@ -21,7 +21,8 @@ from commands import COMMAND, PATIENCE, installed, run
 from mcap.writer import Writer as McapWriter
 
 import magyc_gtsam as mg
-from magyc_gtsam import cli
+from magyc_gtsam import MagycError, cli
+from magyc_gtsam.cli.online_session import judged_online
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.io.ros2 import definition, encode
 from magyc_gtsam.simulation import simulate
@@ -402,3 +403,15 @@ def test_axes_of_the_gyroscope(
     write_mcap(tmp_path / "turned.mcap", mg.Recording(at.time, at.magnetic_field, turned), epoch=EPOCH)
     inside("turned.mcap", *IFG, "--gyroscope-axes", "y,-x,z", "--quiet")
     same(tmp_path / "online-calibration.yaml", expected)
+
+
+def test_an_estimate_that_still_changes_is_not_written_as_trusted() -> None:
+    recording = simulate("wide", 60, seed=3).recording
+    online = mg.OnlineCalibrator()
+    online.update(recording.time, recording.magnetic_field, recording.angular_rate)
+    calibration = judged_online(online)
+    assert not online.converged
+    assert calibration is not None
+    assert calibration.message.startswith("the estimate still changes")
+    with pytest.raises(MagycError, match="must not be trusted"):
+        calibration.export("px4")

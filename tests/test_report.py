@@ -469,3 +469,26 @@ def test_page_is_small_and_packs_what_it_draws(tmp_path: Path) -> None:
 def test_a_minus_is_a_minus() -> None:
     assert with_minus("-5.00 ± 0.20, x -3, −1 to -.5") == "−5.00 ± 0.20, x −3, −1 to −.5"
     assert with_minus("2024-06-01, dive-1, a-2, 1e-6") == "2024-06-01, dive-1, a-2, 1e-6"
+
+
+def test_the_sphere_is_shown_whole_beside_a_large_hard_iron(opened: Any, tmp_path: Path) -> None:
+    """A hard iron of nine times the field: raw points, calibrated points and both ellipsoids within the canvas."""
+    iron = np.array([60e-6, -75e-6, 410e-6])
+    recording, calibration = simulated(), good()
+    moved = replace(recording, magnetic_field=recording.magnetic_field + iron)
+    calibration = replace(calibration, hard_iron=calibration.hard_iron + iron)
+    page = opened(write_report(tmp_path, moved, calibration))
+    canvas = page.locator("#field canvas").first
+    canvas.wait_for()
+    painted = canvas.evaluate("""canvas => {
+        const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        let edge = 0, all = 0;
+        for (let y = 0; y < height; y++) for (let x = 0; x < width; x++) {
+            if (!data[4 * (y * width + x) + 3]) continue;
+            all += 1;
+            if (Math.min(x, y, width - 1 - x, height - 1 - y) < 2) edge += 1;
+        }
+        return [edge, all];
+    }""")
+    assert painted[0] == 0
+    assert painted[1] > 1000
