@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.sensor_faults import cut_off, full_scale, stuck
+from magyc_gtsam.sensor_faults import full_scale, largest_value, stuck
 
 
 def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
@@ -68,7 +68,7 @@ def _levels_off(axis: Array) -> bool:
 def _repeats_its_largest(side: Array) -> bool:
     largest = np.maximum.accumulate(side)
     again = side[1:] == largest[:-1]  # samples at the level that was there before
-    if np.count_nonzero(again) < cut_off.LEAST - 1:
+    if np.count_nonzero(again) < largest_value.LEAST - 1:
         return False
     often = np.unique(largest[1:][again], return_counts=True)[1]
-    return bool(often.max() >= cut_off.LEAST - 1)
+    return bool(often.max() >= largest_value.LEAST - 1)

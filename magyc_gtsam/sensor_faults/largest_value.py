@@ -1,0 +1,130 @@
+"""The largest value of an axis to one side: whether samples come to it as to a full scale."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import betainc
+
+from magyc_gtsam.recording import Array
+
+_BAND = 30  # steps of the sensor below the largest value, in which the values near it are counted
+LEAST = 5  # samples at exactly the largest value, of which some follow each other
+_STEEP = 3.0  # steps of the sensor between the largest value and a neighbour: no turn levels off so
+_CHANCE = 1e-7  # that so many fall on the largest value where all in the band are as likely
+_EVEN = 0.9  # share of repeats from which the whole recording is at even rates: a simulation
+_REMEMBERED = 256  # stamps of samples at the largest value, before it is known to be a full scale
+
+
+class Part(NamedTuple):
+    """What one side of an axis says of a block: (n,) samples at its largest value, those of them that follow another,
+    those since the value is known to be a full scale; the rows (indices) at which it became known; the stamps of all
+    samples at a full scale, earlier blocks' with them where it became known in this one."""
+
+    at: np.ndarray
+    continued: np.ndarray
+    known: np.ndarray
+    decisive: set[int]
+    stamps: Array
+
+
+class LargestValue:
+    """The largest value of an axis to one side, and how the samples come to it.
+
+    Attributes:
+        full_scale: rad/s, the largest value that was known to be one; NaN without.
+    """
+
+    def __init__(self) -> None:
+        self.full_scale = np.nan
+        self._level, self._at, self._known = -np.inf, False, False
+        # Samples at the level, pairs of them while another axis moved, passages between it and a neighbour, steep
+        # ones, samples within the band below it; and pairs of neighbours away from any level, and equal ones.
+        self._counts, self._away = np.zeros(5, dtype=int), np.zeros(2, dtype=int)
+        self._near = np.empty((0, 2))  # values within the band, and how often
+        self._stamps = np.empty(0)
+
+    def is_far(self, most: float, step: float) -> bool:
+        """Whether samples up to `most` stay below the band, and the last one was not at the largest value."""
+        return not self._at and most < self._level - _BAND * step
+
+    def pass_by(self, count: int, repeats: int) -> None:
+        """Take note of samples that are far, and of how many of them repeat the one before."""
+        self._away = self._away + [count, repeats]
+
+    def observe(
+        self,
+        time: Array,
+        x: Array,
+        change: Array,
+        moved: np.ndarray,
+        step: Array,
+        step_before: float,
+        allowed: np.ndarray,
+    ) -> Part | None:
+        """Take samples (n,) of this side; None where none comes near the largest value."""
+        first = int(np.isnan(change[0]))  # of all, which has no neighbour
+        if self.is_far(float(x.max()), step_before):
+            self.pass_by(len(x), int((change == 0).sum()))
+            return None
+        record = np.maximum.accumulate(np.concatenate([[self._level], x]))
+        level, rises = record[1:], record[1:] > record[:-1]
+        at = x == level
+        continued = at & np.concatenate([[self._at], at[:-1]]) & ~rises
+        was = np.concatenate([[self._at], at[:-1]]) & ~rises
+        edge, away = at != was, ~(at | was)
+        edge[:first] = away[:first] = False
+        number = np.cumsum(rises)  # of the level
+        begin = np.maximum.accumulate(np.where(rises, np.arange(len(x)), 0))
+        near = ~at & (x > level - _BAND * step)
+        kinds = np.stack([at, continued & moved, edge, edge & (change >= _STEEP * step), near])
+        counts = np.cumsum(kinds, axis=1)
+        counts = counts - np.where(number > 0, (counts - kinds)[:, begin], -self._counts[:, None])
+        others, repeats = self._away[:, None] + np.cumsum([away, away & (change == 0)], axis=1)
+        count, pairs, edges, steep, _ = counts
+        possible = allowed & (at | was) & (count >= LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)
+        possible &= (others == 0) | (repeats < _EVEN * others)
+        asked = begin[possible & (number > 0)]
+        for row in np.unique(np.append(asked, begin[-1]) if number[-1] else asked):  # how many came near it before
+            low = level[row] - _BAND * step[row]
+            before = int(self._near[self._near[:, 0] > low, 1].sum()) + int((x[:row] > low).sum())
+            counts[4, begin == row] += before
+        sure = np.zeros(len(x), dtype=bool)
+        # Of a binomial distribution, all values in the band being as likely.
+        sure[possible] = betainc(count[possible], counts[4, possible] + 1, 1 / (_BAND + 1)) < _CHANCE
+        total = np.cumsum(sure)
+        known = np.where(number > 0, total - (total - sure)[begin] > 0, self._known | (total > 0))
+        decisive = set(np.flatnonzero(known & (rises | ~np.concatenate([[self._known], known[:-1]]))).tolist())
+        full_scale = np.isin(number, number[known])
+        stamps = time[at & full_scale]
+        if full_scale[0] and not number[0] and not self._known:
+            stamps = np.concatenate([self._stamps, stamps])
+        if known.any():
+            self.full_scale = float(np.fmax(self.full_scale, level[known].max()))
+        earlier = self._stamps if not number[-1] else np.empty(0)
+        self._stamps = np.concatenate([earlier, time[at & (number == number[-1])]])[-_REMEMBERED:]
+        self._level, self._at, self._known = float(level[-1]), bool(at[-1]), bool(known[-1])
+        self._counts, self._away = counts[:, -1].copy(), np.array([others[-1], repeats[-1]])
+        values, where = np.unique(np.concatenate([self._near[:, 0], x]), return_inverse=True)
+        often = np.bincount(where, np.concatenate([self._near[:, 1], np.ones(len(x))]))
+        kept = values > self._level - _BAND * step[-1]
+        self._near = np.column_stack([values[kept], often[kept]])
+        return Part(at, continued, known, decisive, stamps)
+
+    def state(self) -> Mapping[str, Array]:
+        """For `restore`."""
+        return {
+            "numbers": np.array([self.full_scale, self._level, self._at, self._known]),
+            "counts": np.concatenate([self._counts, self._away]),
+            "near": self._near,
+            "stamps": self._stamps,
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        self.full_scale, self._level = (float(v) for v in state["numbers"][:2])
+        self._at, self._known = (bool(v) for v in state["numbers"][2:])
+        self._counts, self._away = state["counts"][:5].copy(), state["counts"][5:].copy()
+        self._near, self._stamps = state["near"], state["stamps"]
