@@ -1,4 +1,7 @@
-"""What a history says of simulated seasons, and what one more log costs. `python benchmarks/history.py [SEASONS]`."""
+"""What a history says of simulated seasons, and what one more log costs. `python benchmarks/history.py [SEASONS]`.
+
+With a folder of BROAD's trials: each against the others of its unit. `python benchmarks/history.py FOLDER`.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import numpy as np
 import magyc_gtsam as mg
 from magyc_gtsam.history import History
 from magyc_gtsam.history.coordinates import shape_of, soft_iron_of
+from magyc_gtsam.history.history import factor_of
 from magyc_gtsam.history.log_factor import compress
 from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
 
@@ -78,7 +82,37 @@ def one_more(logs: int) -> None:
     print(f"{logs} logs: {shares} times one calibration; to load the file {read / alone:.1f}")
 
 
+def left_out(folder: Path) -> None:
+    """Each trial of a unit of BROAD against what the others of its unit predict; `folder` holds the trials' arrays."""
+    factors = {}
+    for file in sorted(folder.glob("broad_*.npz")):
+        data, trial = np.load(file), int(file.name[6:8])
+        rows = np.flatnonzero((data["tm"] > 53) & (data["tm"] < 95) if trial == 33 else data["move"])
+        time, field, rate = data["tm"][rows], data["m"][rows].astype(float), data["w"][rows].astype(float)
+        factors[trial] = factor_of(mg.Recording.from_streams((time, field), (time, rate)), None, {})
+    for number, name in ((1, "broad_01_slow_rotation"), (6, "broad_06_fast_rotation")):
+        factors[number] = factor_of(mg.read(folder.parent / f"{name}.mcap"), None, {})
+    magnet = mg.read(folder.parent / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
+    factors[32] = factor_of(magnet, None, {})
+    trials = sorted(factors)
+    history = History([factors[trial] for trial in trials])
+    for group in history.groups:
+        print("unit:", *(trials[i] for i in group))
+        for i in group:
+            own = history.factors[i]
+            others = compress(History([history.factors[k] for k in group if k != i]).next, "", None)
+            off, spread = own.mean[:8] - others.mean[:8], own.covariance[:8, :8] + others.covariance[:8, :8]
+            for part, name in ((slice(0, 5), "soft iron"), (slice(5, 8), "hard iron")):
+                squares = off[part] @ np.linalg.solve(spread[part, part], off[part]) / len(off[part])
+                print(
+                    f"  trial {trials[i]}, {name}: off by {np.round(off[part], 4)}, squares / freedoms {squares:.2f}"
+                )
+
+
 if __name__ == "__main__":
-    seasons(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
-    one_more(60)
-    one_more(1000)
+    if len(sys.argv) > 1 and Path(sys.argv[1]).is_dir():
+        left_out(Path(sys.argv[1]))
+    else:
+        seasons(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
+        one_more(60)
+        one_more(1000)
