@@ -178,7 +178,11 @@ class CoarseAlignment:
 
 def rotation_of(point: gtsam.Values, key: int) -> Array:
     """(3, 3) of the attitude that a key holds."""
-    return choose("coarse alignment", attitude, point, key)(point, key)[0].reshape(3, 3)
+    try:
+        pose: Array = point.atPose3(key).rotation().matrix()  # the usual case, without its tangent space
+        return pose
+    except RuntimeError:
+        return choose("coarse alignment", attitude, point, key)(point, key)[0].reshape(3, 3)
 
 
 def heading_sigma(point: gtsam.Values, key: int, covariance: Array) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -13,6 +14,31 @@ from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array
 
+_HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """Where a quadratic was made, or was found fresh.
+
+    Attributes:
+        rotation, soft_iron: (3, 3), (6,), attitude and soft iron there.
+        shift: by how many standard deviations it was stale there.
+        angle, iron: rad and 1, at least as far as this is from where the quadratic was made.
+    """
+
+    rotation: Array
+    soft_iron: Array
+    shift: float = 0.0
+    angle: float = 0.0
+    iron: float = 0.0
+
+    def moved(self, point: gtsam.Values, details: BlockDetails) -> tuple[float, float]:
+        """How far the attitude (rad) and the soft iron are from here."""
+        turned = rotation_of(point, details.attitude_key) - self.rotation
+        soft_iron = point.atVector(details.soft_iron_key) - self.soft_iron
+        return math.sqrt(0.5 * float(np.vdot(turned, turned))), math.sqrt(float(np.vdot(soft_iron, soft_iron)))
+
 
 @dataclass(eq=False)
 class Delivered:
@@ -22,7 +48,7 @@ class Delivered:
     details: BlockDetails | None
     native: gtsam.NonlinearFactor
     slot: int = -1
-    made_at: tuple[Array, Array] | None = None  # attitude (3, 3) and calibration (9,) of the quadratic
+    place: _Place | None = None  # where it was made, or looked at last
 
     @property
     def is_block(self) -> bool:
@@ -32,34 +58,29 @@ class Delivered:
     def make(self, view: View) -> None:
         """The quadratic at the present estimate."""
         point = view.values(self.factor.keys())
-        self.native, self.made_at = native_factor(self.factor, point), _place_of(self.details, point)
+        self.native, self.place = native_factor(self.factor, point), _place_of(self.details, point)
 
     def renew(self, view: View, tolerance: float) -> float:
-        """Make it anew if its gradient is stale by more than `tolerance`; by how many standard deviations it was."""
+        """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was."""
         point = view.values(self.factor.keys())
-        if self._moved_little(point, tolerance):
-            return 0.0
+        place, details = self.place, self.details
+        angle = iron = 0.0
+        if place is not None and details is not None and details.width == 1.0:
+            # The residual is bilinear in attitude and calibration: what a quadratic lacks is at most of second order in
+            # how far these are from where it was made, and so is what it lacks more than where it was looked at last.
+            angle, iron = place.moved(point, details)
+            lost = angle * (place.angle + 0.5 * angle + place.iron + iron) + iron * place.angle  # of the field
+            shift = place.shift + lost * details.field_over_noise
+            if shift < tolerance:
+                return shift
         exact = _square_root(self.factor, point)
         shift = _shift(exact, self.native.linearize(point))
+        self.place = _place_of(details, point)
         if shift > tolerance:
             self.native = gtsam.LinearContainerFactor(exact, point)
-            self.made_at = _place_of(self.details, point)
+        elif place is not None and self.place is not None:
+            self.place = replace(self.place, shift=shift, angle=place.angle + angle, iron=place.iron + iron)
         return shift
-
-    def _moved_little(self, point: gtsam.Values, tolerance: float) -> bool:
-        """Whether the block is certainly fresh: its residual is bilinear in attitude and calibration, so that what a
-        quadratic lacks is at most of second order in what they have moved."""
-        details, made_at = self.details, self.made_at
-        if details is None or made_at is None or details.width != 1.0 or len(self.factor.keys()) > 3:
-            return False
-        here = _place_of(details, point)
-        if here is None:
-            return False
-        angle = 0.5 * float(np.sum((here[0] - made_at[0]) ** 2))  # squared, to second order
-        iron = float(np.linalg.norm(here[1][:6] - made_at[1][:6]))
-        assert details.field is not None  # else `_place_of` is None
-        lost = np.linalg.norm(details.field) * (0.5 * angle + np.sqrt(angle) * iron)  # T
-        return bool(lost * np.sqrt(details.block.samples) < tolerance * details.sigma)
 
 
 def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.LinearContainerFactor:
@@ -70,25 +91,48 @@ def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.L
     return gtsam.LinearContainerFactor(_square_root(factor, point), point)
 
 
-def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> tuple[gtsam.NonlinearFactorGraph, list[Delivered]]:
-    """The other factors of a graph, and its Python ones of this package."""
-    others, fresh = gtsam.NonlinearFactorGraph(), []
+@dataclass(frozen=True, eq=False)
+class Sorted:
+    """The factors of a graph by what happens to them.
+
+    Attributes:
+        others: the graph itself where it has no Python factor of this package, else a new one.
+        fresh: the Python factors.
+        holding: priors among the others that may hold a mounting or a delay.
+    """
+
+    others: gtsam.NonlinearFactorGraph
+    fresh: list[Delivered]
+    holding: list[gtsam.NonlinearFactor]
+
+
+def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
+    """Sort the factors of a graph, which is not changed."""
+    fresh: list[Delivered] = []
+    holding: list[gtsam.NonlinearFactor] = []
+    own: list[int] = []
     for i in range(graph.size()):
         factor = graph.at(i)
+        if isinstance(factor, _HOLDING):
+            holding.append(factor)
         details = factor_details(factor)
-        if details is None:
-            others.push_back(factor)
-        else:
+        if details is not None:
+            own.append(i)
             fresh.append(Delivered(factor, details if isinstance(details, BlockDetails) else None, factor))
-    return others, fresh
+    if not fresh:
+        return Sorted(graph, fresh, holding)
+    others = gtsam.NonlinearFactorGraph()
+    for i in range(graph.size()):
+        if i not in own:
+            others.push_back(graph.at(i))
+    return Sorted(others, fresh, holding)
 
 
-def _place_of(details: BlockDetails | None, point: gtsam.Values) -> tuple[Array, Array] | None:
-    """Attitude and calibration at which a block with a known field is linearised."""
-    if details is None or details.field is None or details.on_direction:
+def _place_of(details: BlockDetails | None, point: gtsam.Values) -> _Place | None:
+    """Attitude and soft iron of a block whose residual these and the hard iron decide alone."""
+    if details is None or details.field is None or details.on_direction or details.more_keys:
         return None
-    calibration = np.r_[point.atVector(details.soft_iron_key), point.atPoint3(details.hard_iron_key)]
-    return rotation_of(point, details.attitude_key), calibration
+    return _Place(rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key))
 
 
 def _square_root(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.JacobianFactor:

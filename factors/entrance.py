@@ -29,12 +29,14 @@ class Admission:
     Attributes:
         entering: factors that enter now.
         leaving: factors that leave the graph and wait.
+        pull: the prior that turns the graph from now on.
         remove: slots of factors that leave the graph for good, beside those of `leaving`.
         turned: whether the graph turns or has turned, so that what was judged before says nothing.
     """
 
     entering: list[Delivered]
     leaving: list[Delivered] = field(default_factory=list)
+    pull: gtsam.NonlinearFactor | None = None
     remove: list[int] = field(default_factory=list)
     turned: bool = False
 
@@ -61,11 +63,11 @@ class Entrance:
         self._prior: tuple[Array, Array] | None = None
 
     def admit(
-        self, view: View, fresh: list[Delivered], delivered: list[Delivered], pushed: gtsam.NonlinearFactorGraph
+        self, view: View, fresh: list[Delivered], delivered: list[Delivered], others: gtsam.NonlinearFactorGraph
     ) -> Admission:
-        """What enters and leaves in an update with `fresh` factors; a prior that turns the graph goes into `pushed`."""
+        """What enters and leaves in an update that brings the factors `fresh` and `others`."""
         alignment = self._alignment
-        blocks = [each for each in fresh if each.is_block]
+        blocks = [each for each in fresh if each.is_block] if fresh else fresh
         if alignment is None or not blocks:
             return self._let(fresh, blocks)
         for each in blocks:
@@ -74,7 +76,7 @@ class Entrance:
         last = blocks[-1].details
         assert last is not None
         if self._prior is None:
-            self._prior = _calibration_before(view, pushed, last)
+            self._prior = _calibration_before(view, others, last)
         if alignment.full and self.entered:
             self._alignment = None
             return Admission(fresh)
@@ -95,7 +97,7 @@ class Entrance:
             if self.pull is not None:
                 admission.remove.append(self.pull_slot)
             self.pull, self.pull_slot = alignment.pull(point, last.attitude_key), -1
-            pushed.push_back(self.pull)
+            admission.pull = self.pull
             return admission
         if not self.entered and self.pull is None and self._sure(view, point, last.attitude_key):
             self.entered = True
@@ -169,9 +171,14 @@ class Entrance:
         result.update(found)
         return result
 
+    @property
+    def defers(self) -> bool:
+        """Whether blocks or their variables wait."""
+        return bool(self.waiting) or not self._values.empty()
+
     def covered(self, new: gtsam.Values, pushed: gtsam.NonlinearFactorGraph) -> gtsam.Values:
         """The new values that a factor of this update stands on; others are kept until theirs enters."""
-        if not self.waiting and self._values.empty():
+        if not self.defers:
             return new
         self._values.insert(new)
         used, result = set(pushed.keyVector()), gtsam.Values()

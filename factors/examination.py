@@ -35,12 +35,10 @@ class Examiner:
         """Forget all fits, as the graph has turned."""
         self.monitor, self.judged = Monitor(self.monitor.limits), 0
 
-    def note_priors(self, graph: gtsam.NonlinearFactorGraph) -> None:
+    def note_priors(self, holding: list[gtsam.NonlinearFactor]) -> None:
         """Remember the priors that may hold a mounting or a delay."""
-        for i in range(graph.size()):
-            factor = graph.at(i)
-            if isinstance(factor, gtsam.PriorFactorRot3 | gtsam.PriorFactorDouble):
-                self._held[factor.keys()[0]] = factor
+        for factor in holding:
+            self._held[factor.keys()[0]] = factor
 
     def judge(self, entered: list[Delivered], view: View) -> None:
         """Examine the factors that have entered, unless it is quiet."""
@@ -87,8 +85,8 @@ class Examiner:
                 float(np.sqrt(max(np.trace(spread), 0.0))) * unit,
                 unvech(point.atVector(details.soft_iron_key)),
                 point.atPoint3(details.hard_iron_key) * unit,
-                (details.block.design[:, :, :3] @ _body_field(details, point)).mean(axis=0),
-                details.block.field.mean(axis=0),
+                details.mean_turn @ _body_field(details, point),
+                details.mean_field,
             )
         )
         self._blocks += 1

@@ -11,12 +11,14 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
+from statistics import median
 
 import numpy as np
 from scipy.special import chdtrc
 
 from magyc_gtsam.factors.variables import Array
 
+_SCATTERED = 10  # blocks whose median scatter is judged
 _SEEN = 0.02  # of a direction's variance that is not the block's own doing; below it the graph cannot contradict
 
 
@@ -138,8 +140,39 @@ def block_fit(
     nis = float(np.sum(projected**2 / seen[clear]))
     on_offset = information[:, hard_iron]
     curvature = information[hard_iron, hard_iron] - on_offset.T @ covariance @ on_offset
-    spread = np.linalg.pinv(curvature, rcond=1e-6, hermitian=True)
+    bend, sides = np.linalg.eigh(curvature)  # its pseudo-inverse
+    spread = (sides * np.divide(1.0, bend, out=np.zeros(3), where=bend > 1e-6 * bend[-1])) @ sides.T
     return nis, int(clear.sum()), float(scatter), spread @ gradient[hard_iron], spread
+
+
+class _Sums:
+    """NIS and degrees of freedom summed over the last blocks."""
+
+    def __init__(self, span: int) -> None:
+        self._last: deque[BlockFit] = deque(maxlen=span)
+        self.nis = 0.0
+        self.freedom = 0
+
+    def add(self, fit: BlockFit) -> None:
+        """One more block, and the oldest one out."""
+        if len(self._last) == self._last.maxlen:
+            self.nis -= self._last[0].nis
+            self.freedom -= self._last[0].freedom
+        self._last.append(fit)
+        self.nis += fit.nis
+        self.freedom += fit.freedom
+
+    def __len__(self) -> int:
+        return len(self._last)
+
+    @property
+    def since(self) -> float:
+        """s, time of the oldest block."""
+        return self._last[0].time
+
+    def unlikely(self, tolerance: float, probability: float) -> bool:
+        """Whether NIS is too large, less probable than `probability` where it is `tolerance` times as expected."""
+        return self.freedom > 0 and bool(chdtrc(self.freedom, self.nis / tolerance) < probability)
 
 
 class Monitor:
@@ -153,6 +186,7 @@ class Monitor:
     def __init__(self, limits: HealthLimits) -> None:
         self.limits = limits
         self.fits: deque[BlockFit] = deque(maxlen=1000)
+        self._sums = _Sums(limits.window), _Sums(limits.long)
         self._reference: BlockFit | None = None  # the last block before an offset began
         self._began: float | None = None
         self._size = np.zeros(3)
@@ -172,13 +206,13 @@ class Monitor:
         limits = self.limits
         before = self.fits[-1] if self.fits else fit
         self.fits.append(fit)
-        recent = list(self.fits)[-limits.window :]
-        nis, freedom = sum(each.nis for each in recent), sum(each.freedom for each in recent)
-        unlikely = freedom > 0 and chdtrc(freedom, nis / limits.tolerance[0]) < limits.suspect
-        alone = fit.freedom > 0 and chdtrc(fit.freedom, fit.nis / limits.tolerance[0]) < limits.suspect
-        large = float(np.linalg.norm(fit.offset)) > max(limits.least, 4 * fit.offset_sigma)
+        for sums in self._sums:
+            sums.add(fit)
         if self._began is None:
-            if (unlikely or alone) and large:
+            alone = _Sums(1)
+            alone.add(fit)
+            unlikely = any(sums.unlikely(limits.tolerance[0], limits.suspect) for sums in (self._sums[0], alone))
+            if unlikely and float(np.linalg.norm(fit.offset)) > max(limits.least, 4 * fit.offset_sigma):
                 self._began = fit.time
                 self._reference = before
                 self._size = fit.offset_from(before)
@@ -210,9 +244,8 @@ class Monitor:
         """The word at present."""
         if not self.fits:
             return Health(Word.WAITING)
-        limits, recent = self.limits, list(self.fits)[-self.limits.window :]
-        freedom = max(sum(each.freedom for each in recent), 1)
-        nis = sum(each.nis for each in recent) / freedom
+        limits, window = self.limits, self._sums[0]
+        nis, last = window.nis / max(window.freedom, 1), self.fits[-1].time
         if self._held:
             text, since = next(iter(self._held.values()))
             return Health(Word.INCONSISTENT, text, since, nis)
@@ -221,16 +254,14 @@ class Monitor:
                 return Health(Word.INCONSISTENT, self._named, self._since, nis)
             size = float(np.linalg.norm(self._size)) * 1e6
             return Health(Word.SUSPECT, f"disturbance or step of {size:.1f} µT", self._since, nis)
-        if self._named and recent[-1].time - self._ended < limits.memory:
+        if self._named and last - self._ended < limits.memory:
             return Health(Word.INCONSISTENT, self._named, self._since, nis)
-        scatter = float(np.median([each.scatter for each in list(self.fits)[-10:]]))
-        if len(self.fits) >= limits.window and scatter > limits.scatter:
-            return Health(Word.INCONSISTENT, f"noise {scatter:.1f} times as stated", recent[0].time, nis)
-        for span, tolerance in zip((limits.window, limits.long), limits.tolerance, strict=True):
-            fits = list(self.fits)[-span:]
-            freedom = max(sum(each.freedom for each in fits), 1)
-            nis = sum(each.nis for each in fits) / freedom
-            if chdtrc(freedom, nis * freedom / tolerance) < limits.suspect:
-                text = f"attitude, mounting or delay: NIS {nis:.1f} per degree of freedom over {len(fits)} blocks"
-                return Health(Word.SUSPECT, text, fits[0].time, nis)
+        scatter = median(self.fits[-1 - i].scatter for i in range(min(len(self.fits), _SCATTERED)))
+        if len(window) == limits.window and scatter > limits.scatter:
+            return Health(Word.INCONSISTENT, f"noise {scatter:.1f} times as stated", window.since, nis)
+        for sums, tolerance in zip(self._sums, limits.tolerance, strict=True):
+            if sums.unlikely(tolerance, limits.suspect):
+                mean = sums.nis / sums.freedom
+                text = f"attitude, mounting or delay: NIS {mean:.1f} per degree of freedom over {len(sums)} blocks"
+                return Health(Word.SUSPECT, text, sums.since, mean)
         return Health(Word.CONSISTENT, nis=nis)

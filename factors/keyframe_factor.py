@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -28,11 +30,15 @@ class BlockDetails:
 
     Attributes:
         attitude_key, soft_iron_key, hard_iron_key, field_key: as given.
-        block: the samples, not compressed.
+        block: its rows, compressed where no kernel needs the samples.
+        mean_turn: (3, 3), mean over the samples of what turns the field in the body frame at the keyframe into that
+            in the sensor's.
+        mean_field: (3,) T, of the readings.
         sigma: T, of a sample, widened by the gyroscope.
         field: (3,) T, or a strength; None where it is a variable.
         field_unit: T per unit of the keys.
         robust: the kernel's name.
+        more_keys: whether it stands on more than attitude, soft and hard iron.
         width: factor of the kernel's tuning constant, at least 1: a kernel starts wide and narrows as the graph
             settles (`NativeFactors`, `runners.Incremental`).
         misfit: median whitened norm of the samples at the last evaluation, 1 where the model fits; NaN before, and
@@ -44,12 +50,21 @@ class BlockDetails:
     hard_iron_key: int
     field_key: int | None
     block: KeyframeField
+    mean_turn: Array
+    mean_field: Array
     sigma: float
     field: Array | None
     field_unit: float
     robust: str | None
+    more_keys: bool
     width: float = 1.0
     misfit: float = float("nan")
+
+    @cached_property
+    def field_over_noise(self) -> float:
+        """Strength of a known field by the standard deviation of the mean of all samples."""
+        assert self.field is not None
+        return float(np.linalg.norm(self.field)) * math.sqrt(self.block.samples) / self.sigma
 
     @property
     def on_direction(self) -> bool:
@@ -110,17 +125,18 @@ def keyframe_field_factor(
     whole_sigma = float(np.hypot(noise, added))
     sigma = whole_sigma / field_unit
     constant = None if robust is None else tuning_constant(robust, 3, tuning)
-    details = BlockDetails(
-        attitude_key, soft_iron_key, hard_iron_key, field_key, block, whole_sigma,
-        None if known is None else known * field_unit, field_unit, robust,
-    )  # fmt: skip
-    late = delay_key is not None
-    whole = block if late else block.without_delay()
-    rows = whole if robust is not None else block.compressed(delay=late)
-    mounted = rows.body_R_sensor
     extra = given_keys(
         (gyro_bias_key, gyro_bias), (field_key, vector(3)), (mounting_key, mounting), (delay_key, scalar)
     )
+    late = delay_key is not None
+    whole = block if late else block.without_delay()
+    rows = whole if robust is not None else block.compressed(delay=late)
+    details = BlockDetails(
+        attitude_key, soft_iron_key, hard_iron_key, field_key, rows,
+        block.design[:, :, :3].mean(axis=0), block.field.mean(axis=0), whole_sigma,
+        None if known is None else known * field_unit, field_unit, robust, bool(extra),
+    )  # fmt: skip
+    mounted = rows.body_R_sensor
     optional = [key for key, _ in extra]
 
     def error(first: Array, a: Array, h: Array, *rest: Array) -> Residual:

@@ -26,9 +26,9 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import lapack
 
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
-from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import measured
 from magyc_gtsam.factors.pose import sensor_rotation
@@ -111,12 +111,17 @@ class KeyframeField:
             )
         turn, lever, spin, spread = _about(keyframe, when, time, rate, b, interval_mean)
         mounting = sensor_rotation(body_R_sensor)
-        transposed = mounting.T @ turn.swapaxes(1, 2)
+        design = np.empty((3, 5, 3, len(when)))  # samples last, so that each operation runs along them
+        design[:, 0] = (mounting.T @ turn.swapaxes(0, 1).reshape(3, -1)).reshape(3, 3, -1)
         # p = ᵇRₛᵀ ΔRᵀ (v − [K δ]× v), its part in δ_k being −ᵇRₛᵀ ΔRᵀ [K e_k]× v.
-        tilts = -transposed[:, None] @ skew(lever.swapaxes(1, 2))
-        slips = mounting.T @ skew(spin) @ turn.swapaxes(1, 2)  # d/dτ ΔR(t − τ)ᵀ = [ω]× ΔRᵀ
-        design = np.concatenate([transposed, tilts.swapaxes(1, 2).reshape(-1, 3, 9), slips], axis=2)
-        return cls(design, np.ones(len(when)), field, b, len(when), spread, mounting, delay, float(when.mean()))
+        _cross(lever.swapaxes(0, 1)[None], design[:, None, 0], out=design[:, 1:4])
+        slips = np.empty((3, 3, len(when)))  # d/dτ ΔR(t − τ)ᵀ = [ω]× ΔRᵀ, transposed
+        _cross(spin.T[None], turn, out=slips)
+        design[:, 4] = (mounting.T @ slips.swapaxes(0, 1).reshape(3, -1)).reshape(3, 3, -1)
+        return cls(
+            design.reshape(3, 15, -1).transpose(2, 0, 1),
+            np.ones(len(when)), field, b, len(when), spread, mounting, delay, float(when.mean()),
+        )  # fmt: skip
 
     def without_delay(self) -> KeyframeField:
         """The same samples with the delay held."""
@@ -129,9 +134,10 @@ class KeyframeField:
         columns = 3 * design.shape[2]
         if len(self.share) <= columns + 4:
             return kept
-        rows = np.column_stack([design.reshape(-1, columns), self.share, self.field])
-        scale = np.maximum(np.abs(rows).max(axis=0), _SMALLEST)  # tesla beside numbers of order one
-        root = np.linalg.qr(rows / scale, mode="r") * scale
+        rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
+        scale = np.maximum(np.abs(rows).max(axis=1), _SMALLEST)  # tesla beside numbers of order one
+        rows /= scale[:, None]
+        root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)]) * scale
         return replace(
             self,
             design=root[:, :columns].reshape(-1, 3, columns // 3),
@@ -181,18 +187,31 @@ class KeyframeField:
 def _about(
     keyframe: float, when: Array, time: Array, rate: Array, bias: Array, interval_mean: bool
 ) -> tuple[Array, Array, Array, float]:
-    """From the keyframe to the times `when` ΔR (n, 3, 3), K (n, 3, 3) s, ω (n, 3) rad/s, and `KeyframeField.spread`."""
+    """From the keyframe to the times `when` ΔR (3, 3, n), K (3, 3, n) s, ω (n, 3) rad/s, and `KeyframeField.spread`."""
     first = max(int(np.searchsorted(time, min(keyframe, when.min()), side="right")) - 1, 0)
     last = int(np.searchsorted(time, max(keyframe, when.max()))) + 1
     time, rate = time[first:last], rate[first:last]
-    stamps = np.unique(np.concatenate([time, when, [keyframe]]))
+    asked = np.append(when, keyframe)
+    at = np.searchsorted(time, asked)
+    stamps = time
+    if (time[at] != asked).any():  # magnetometer samples between those of the gyroscope
+        stamps = np.unique(np.concatenate([time, asked]))
+        at = np.searchsorted(stamps, asked)
     track = GyroscopeTrack.integrate(time, rate, bias, interval_mean=interval_mean, stamps=stamps)
-    rotation, lever = (rows.T.reshape(-1, 3, 3) for rows in (track.matrices, track.lever))
-    step = track.step
-    at, here = np.searchsorted(stamps, when), int(np.searchsorted(stamps, keyframe))
-    back = rotation[here].T
+    here, at = int(at[-1]), at[:-1]
+    back = track.matrices[:, here].reshape(3, 3).T
+    turn = (back @ track.matrices[:, at].reshape(3, -1)).reshape(3, 3, -1)
+    lever = (back @ (track.lever[:, at] - track.lever[:, here, None]).reshape(3, -1)).reshape(3, 3, -1)
     # The share of samples that lie beyond each step, seen from the keyframe.
-    below = np.searchsorted(np.sort(at), np.arange(1, len(stamps)), side="left") / len(when)
-    beyond = np.where(np.arange(len(step)) < here, below, 1.0 - below)
-    spread = float(np.mean(np.diff(time)) * (step @ beyond**2))
-    return back @ rotation[at], back @ (lever[at] - lever[here]), track.angular_rate[at] - bias, spread
+    beyond = np.searchsorted(np.sort(at), np.arange(1, len(stamps)), side="left") / len(when)
+    beyond[here:] = 1.0 - beyond[here:]
+    spread = float((time[-1] - time[0]) / (len(time) - 1) * (track.step @ (beyond * beyond)))
+    return turn, lever, track.angular_rate[at] - bias, spread
+
+
+def _cross(first: Array, second: Array, out: Array) -> None:
+    """first × second along the axis before the last, into `out`."""
+    (x, y, z), (u, v, w) = np.moveaxis(first, -2, 0), np.moveaxis(second, -2, 0)
+    out[..., 0, :] = y * w - z * v
+    out[..., 1, :] = z * u - x * w
+    out[..., 2, :] = x * v - y * u

@@ -28,11 +28,12 @@ from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, Word
 from magyc_gtsam.factors.kernels import narrowed
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
-from magyc_gtsam.factors.solver import Solver, View, update_solver
+from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
+from magyc_gtsam.factors.staleness import Staleness
 
 _QUIET = 4  # blocks after those that had waited, until their quadratics are renewed, that are not judged
 _QUIET_AFTER = 3  # blocks after those of a disturbance were taken out
-_UNSETTLED, _EARLY = 1.0, 30  # standard deviations by which quadratics are stale, so that the first blocks wait
+_EARLY = 30  # blocks until which quadratics that are far from settled postpone the judging
 _RECENT_KERNELS = 40  # blocks by whose misfit a kernel's width is set
 
 
@@ -43,7 +44,7 @@ class NativeFactors:
         tolerance: standard deviations, of each variable given one factor alone, by which that factor's
             stale gradient may shift the variable.
         growth: of the number of factors between two checks of all of them.
-        recent: blocks that are checked at each update that brings one; early on, one of them at every other update.
+        recent: blocks that are checked at each update that brings one, and at every one until they are settled.
         quadratic: False leaves the Python factors as they are, for graphs that stay small; alignment and health
             are the same.
         alignment: limits of the coarse alignment; None lets every block enter at once.
@@ -69,15 +70,14 @@ class NativeFactors:
             raise MagycError(f"native factors: tolerance {tolerance} must be above 0, growth {growth} above 1")
         if recent < 1:
             raise MagycError(f"native factors: recent {recent}; at least 1 block must be checked")
-        self.tolerance, self.growth, self.recent, self.quadratic = tolerance, growth, recent, quadratic
+        self.tolerance, self.quadratic = tolerance, quadratic
         self.replaced = 0
         self.withdrawn = 0
         self._entrance = Entrance(alignment)
         self._examiner = None if health is None else Examiner(health)
         self._delivered: list[Delivered] = []
         self._robust: list[BlockDetails] = []
-        self._next = 2.0
-        self._turn = 0
+        self._staleness = Staleness(recent, growth)
 
     def __len__(self) -> int:
         return len(self._delivered) + len(self._entrance.waiting)
@@ -120,33 +120,41 @@ class NativeFactors:
         Raises:
             MagycError: as the factors; a solver of another kind; new keys of a smoother without a time stamp.
         """
-        view = View(solver, values)
-        pushed, fresh = sorted_factors(graph)
+        view, new = View(solver, values), sorted_factors(graph)
+        fresh, examiner = new.fresh, self._examiner
+        if examiner is not None:
+            examiner.note_priors(new.holding)
+        if not (fresh or self._pending):
+            return update_solver(solver, new.others, view.new, timestamps, [])
         self._forget(view)
         self._warm_up(view, fresh)
         remove = [each.slot for each in self._withdraw_disturbed()]
-        admission = self._entrance.admit(view, fresh, self._delivered, pushed)
-        entering, examiner = admission.entering, self._examiner
+        admission = self._entrance.admit(view, fresh, self._delivered, new.others)
+        entering = admission.entering
         if admission.turned and examiner is not None:
             examiner.restart()
-        self._delivered = [each for each in self._delivered if each not in admission.leaving]
-        renewed = [each for each in self._to_check(bool(fresh)) if self._renewed(each, view)]
+        if admission.leaving:
+            self._delivered = [each for each in self._delivered if each not in admission.leaving]
+        renewed = self._renew(self._staleness.due(self._delivered), view)
         remove += [each.slot for each in admission.leaving + renewed] + admission.remove
         for each in entering:
             self._make(each, view)
         self._delivered += entering
-        first = pushed.size()
-        for each in entering + renewed:
-            pushed.push_back(each.native)
-        new = self._entrance.covered(view.new, pushed)
-        result, slots = update_solver(solver, pushed, new, timestamps, remove)
-        self._place(solver, entering + renewed, slots, first)
-        if examiner is not None:
-            examiner.note_priors(graph)
-            if self._entrance.entered:
-                if len(entering) > len(fresh):
-                    examiner.quiet = _QUIET
-                examiner.judge(entering, View(solver))
+        placed = entering + renewed
+        pushed = new.others
+        if placed or admission.pull is not None:
+            pushed = gtsam.NonlinearFactorGraph(new.others)
+            if admission.pull is not None:
+                pushed.push_back(admission.pull)
+            for each in placed:
+                pushed.push_back(each.native)
+        result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove)
+        if pushed is not new.others:
+            self._place(solver, placed, new_slots(solver, result), pushed.size() - len(placed))
+        if examiner is not None and entering and self._entrance.entered:
+            if len(entering) > len(fresh):
+                examiner.quiet = _QUIET
+            examiner.judge(entering, View(solver))
         return result
 
     def settle(self, solver: Solver, timestamps: Mapping[int, float] | None = None, *, rounds: int = 20) -> int:
@@ -159,15 +167,15 @@ class NativeFactors:
         """
         for count in range(rounds):
             view = View(solver)
-            renewed = [each for each in self._delivered if self._renewed(each, view)]
+            renewed = self._renew(self._delivered, view)
             if not renewed:
                 return count
             graph = gtsam.NonlinearFactorGraph()
             for each in renewed:
                 graph.push_back(each.native)
             remove = [each.slot for each in renewed]
-            _, slots = update_solver(solver, graph, gtsam.Values(), timestamps, remove)
-            self._place(solver, renewed, slots, 0)
+            result = update_solver(solver, graph, gtsam.Values(), timestamps, remove)
+            self._place(solver, renewed, new_slots(solver, result), 0)
         return rounds
 
     def solve(
@@ -188,7 +196,8 @@ class NativeFactors:
             rounds: of optimising and renewing, at most.
         """
         run = optimize or (lambda g, v: gtsam.LevenbergMarquardtOptimizer(g, v).optimize())
-        own, fresh = sorted_factors(graph)
+        new = sorted_factors(graph)
+        fresh, own = new.fresh, gtsam.NonlinearFactorGraph(new.others)
         values = self._entrance.start(own, values, fresh, run)
         first = own.size()
         self._delivered = fresh
@@ -200,12 +209,18 @@ class NativeFactors:
         for _ in range(rounds):
             values = run(own, values)
             self._warm_up(View(values), [])
-            stale = [each for each in fresh if self._renewed(each, View(values))]
+            stale = self._renew(fresh, View(values))
             if not stale:
                 break
             for each in stale:
                 own.replace(each.slot, each.native)
         return own, values
+
+    @property
+    def _pending(self) -> bool:
+        """Whether there is something to do in an update that brings no block."""
+        over = self._examiner is not None and bool(self._examiner.monitor.over)
+        return over or self._staleness.unsettled or self._entrance.defers
 
     def _forget(self, view: View) -> None:
         """Drop what stands on keys that have left a fixed-lag smoother."""
@@ -231,37 +246,23 @@ class NativeFactors:
         self._examiner.quiet = _QUIET_AFTER
         return gone
 
-    def _to_check(self, brings_a_block: bool) -> list[Delivered]:
-        """All factors each time that their number has grown, else the last ones, one of them between blocks."""
-        if not self._delivered or not self.quadratic:
-            return []
-        if len(self._delivered) >= self._next:
-            self._next = self.growth * len(self._delivered)
-            return list(self._delivered)
-        last = self._delivered[-self.recent :]
-        if brings_a_block or self._judged >= _EARLY:
-            return last if brings_a_block else []
-        self._turn += 1
-        return [last[self._turn % len(last)]]
-
-    @property
-    def _judged(self) -> int:
-        return 0 if self._examiner is None else self._examiner.judged
-
     def _make(self, delivered: Delivered, view: View) -> None:
         """The quadratic at the present estimate."""
         if self.quadratic:
             delivered.make(view)
 
-    def _renewed(self, delivered: Delivered, view: View) -> bool:
-        """Whether the quadratic was stale; it is a new one then."""
+    def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
+        """Those of the quadratics that were stale; they are new ones now."""
         if not self.quadratic:
-            return False
-        shift = delivered.renew(view, self.tolerance)
-        if shift > _UNSETTLED and self._judged < _EARLY and self._examiner and not self._examiner.monitor.open:
-            self._examiner.quiet = _QUIET
-        self.replaced += shift > self.tolerance
-        return shift > self.tolerance
+            return []
+        shifts = [each.renew(view, self.tolerance) for each in delivered]
+        renewed = [each for each, shift in zip(delivered, shifts, strict=True) if shift > self.tolerance]
+        self.replaced += len(renewed)
+        self._staleness.found(shifts)
+        examiner = self._examiner
+        if self._staleness.unsettled and examiner and examiner.judged < _EARLY and not examiner.monitor.open:
+            examiner.quiet = _QUIET
+        return renewed
 
     def _place(self, solver: Solver, placed: list[Delivered], slots: list[int] | None, first: int) -> None:
         """Learn the slots of what was pushed."""
@@ -289,9 +290,10 @@ class NativeFactors:
             if each.details is not None and each.details.robust is not None:
                 each.factor.error(view.values(each.factor.keys()))  # sets `misfit`
                 self._robust.append(each.details)
-        robust = self._robust
-        if not robust:
+        if not self._robust:
             return
-        width = narrowed([details.misfit for details in robust[-_RECENT_KERNELS:]])
-        for details in robust:
+        width = narrowed([details.misfit for details in self._robust[-_RECENT_KERNELS:]])
+        for details in self._robust:
             details.width = width
+        if width == 1.0:  # those before need no more care
+            del self._robust[:-_RECENT_KERNELS]

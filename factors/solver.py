@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gtsam
-import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.variables import Array
 
 Solver = gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother | gtsam.BatchFixedLagSmoother
+_READ = (gtsam.ISAM2, gtsam.FixedLagSmoother, gtsam.Values)
 
 
 class View:
@@ -23,7 +23,7 @@ class View:
     """
 
     def __init__(self, solver: Solver | gtsam.Values, new: gtsam.Values | None = None) -> None:
-        if not isinstance(solver, gtsam.Values | gtsam.ISAM2 | gtsam.FixedLagSmoother):
+        if not isinstance(solver, _READ):
             raise MagycError(
                 f"solver is a {type(solver).__name__}; accepted: ISAM2, IncrementalFixedLagSmoother, "
                 "BatchFixedLagSmoother, and Values for a batch"
@@ -66,7 +66,8 @@ class View:
                 joint = isam.jointMarginalCovariance(list(keys))
         except RuntimeError:  # not determined
             return None
-        return np.block([[joint.at(i, j) for j in keys] for i in keys])
+        covariance: Array = joint.fullMatrix()
+        return covariance
 
 
 def update_solver(
@@ -75,11 +76,10 @@ def update_solver(
     values: gtsam.Values,
     timestamps: Mapping[int, float] | None,
     remove: Sequence[int],
-) -> tuple[Any, list[int] | None]:
-    """Update; its result, and the slots of the new factors, None where the solver does not tell them."""
+) -> Any:
+    """Update; the solver's result."""
     if isinstance(solver, gtsam.ISAM2):
-        done = solver.update(graph, values, list(remove))
-        return done, list(done.getNewFactorsIndices())
+        return solver.update(graph, values, list(remove)) if remove else solver.update(graph, values)
     stamps: Any = dict(timestamps or {})
     if missing := [key for key in list(values.keys()) if key not in stamps]:
         raise MagycError(
@@ -87,7 +87,12 @@ def update_solver(
             "first; a fixed-lag smoother needs `timestamps`, {key: s}, of every new key, and at each update of those "
             "that must stay"
         )
-    result = solver.update(graph, values, stamps, list(remove))
-    if isinstance(solver, gtsam.IncrementalFixedLagSmoother):
-        return result, list(solver.getISAM2Result().getNewFactorsIndices())
-    return result, None
+    return solver.update(graph, values, stamps, list(remove))
+
+
+def new_slots(solver: Solver, result: Any) -> list[int] | None:
+    """The slots of the factors that an update brought, None where the solver does not tell them."""
+    if isinstance(solver, gtsam.BatchFixedLagSmoother):
+        return None
+    done = result if isinstance(solver, gtsam.ISAM2) else solver.getISAM2Result()
+    return list(done.getNewFactorsIndices())

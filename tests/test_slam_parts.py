@@ -10,7 +10,8 @@ from magyc_gtsam.factors import GyroscopeTrack, HealthLimits, KeyframeField, Mag
 from magyc_gtsam.factors.chain.heading_profile import block_rows, heading_profile, in_world
 from magyc_gtsam.factors.health import BlockFit, Monitor, block_fit
 from magyc_gtsam.factors.kernels import narrowed
-from magyc_gtsam.factors.solver import View, update_solver
+from magyc_gtsam.factors.solver import View, new_slots, update_solver
+from magyc_gtsam.factors.staleness import Staleness
 
 FIELD = np.array([20.0, 5.0, 43.0])  # µT
 
@@ -107,6 +108,18 @@ def test_the_profile_finds_how_far_the_heading_is_off(off):
     assert profile.within(np.radians(20), off) > 0.95
 
 
+def test_quadratics_are_looked_at_until_they_are_settled():
+    staleness, all_of_them = Staleness(2, 2.0), list(range(9))
+    assert staleness.due(all_of_them[:1]) == [0]
+    assert staleness.due(all_of_them[:3]) == [0, 1, 2]  # all: from two on, then each time that they have doubled
+    assert staleness.due(all_of_them[:5]) == [3, 4]
+    assert staleness.due(all_of_them[:6]) == [0, 1, 2, 3, 4, 5]
+    staleness.found([0.2, 3.0])
+    assert staleness.unsettled
+    staleness.found([0.2, 0.9])
+    assert not staleness.unsettled
+
+
 def test_a_kernel_is_as_wide_as_the_blocks_misfit():
     assert narrowed([]) == narrowed([0.8, 1.1, np.nan]) == 1.0
     assert narrowed([40.0, 50.0, 60.0, np.nan]) == 50.0
@@ -136,19 +149,19 @@ def test_a_track_between_stamps_is_the_track_with_more_stamps(interval_mean):
 
 def test_a_view_puts_new_values_on_top():
     graph, values, new = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.Values()
-    for key in (A(0), H(0)):
-        graph.addPriorVector(key, np.ones(3), gtsam.noiseModel.Isotropic.Sigma(3, 0.5))
+    for key, sigma in ((A(0), 0.5), (H(0), 2.0)):
+        graph.addPriorVector(key, np.ones(3), gtsam.noiseModel.Isotropic.Sigma(3, sigma))
         values.insert(key, np.zeros(3))
     new.insert(X(0), gtsam.Rot3())
     isam = gtsam.ISAM2()
-    _, slots = update_solver(isam, graph, values, None, [])
-    assert slots == [0, 1]
+    result = update_solver(isam, graph, values, None, [])
+    assert new_slots(isam, result) == [0, 1]
     view = View(isam, new)
     assert view.exists(X(0))
     assert view.exists(A(0))
     assert not view.exists(X(1))
     np.testing.assert_allclose(view.values([A(0), X(0)]).atPoint3(A(0)), 1.0)
-    np.testing.assert_allclose(view.covariance([H(0), A(0)]), 0.25 * np.eye(6))
+    np.testing.assert_allclose(view.covariance([H(0), A(0)]), np.diag(np.r_[np.full(3, 4.0), np.full(3, 0.25)]))
 
 
 def test_a_block_knows_its_time():

@@ -121,7 +121,8 @@ class GyroscopeTrack:
         lever[:, 0] = self.lever_before
         for first in range(0, n - 1, _CHUNK):
             stop = min(first + _CHUNK, n - 1)
-            r = matrices((p[first : stop + 1], q[first : stop + 1]))
+            whole = stop - first == n - 1
+            r = self.matrices if whole else matrices((p[first : stop + 1], q[first : stop + 1]))
             lever[:, first + 1 : stop + 1] = (r[:, 1:] + r[:, :-1]) * (-0.5 * step[first:stop])
         np.cumsum(lever, axis=1, out=lever)
         return lever

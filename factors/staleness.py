@@ -1,0 +1,40 @@
+"""Which quadratics are looked at in an update: whether the estimate has moved away from where they were made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from magyc_gtsam.factors.delivered import Delivered
+
+_UNSETTLED = 1.0  # standard deviations
+
+
+class Staleness:
+    """Looks at the last quadratics with each block, at all now and then, and at every update until they are settled.
+
+    Between blocks little moves old attitudes and the calibration. Where a quadratic was stale by more than a standard
+    deviation, the last ones are looked at in each update until none is; all are, each time that their number has
+    grown by a factor.
+
+    Args:
+        recent: number of quadratics that count as the last ones.
+        growth: factor of their number between two looks at all of them.
+
+    Attributes:
+        unsettled: whether a quadratic was stale by more than a standard deviation when they were looked at last.
+    """
+
+    def __init__(self, recent: int, growth: float) -> None:
+        self.recent, self.growth, self.unsettled = recent, growth, False
+        self._next = 2.0
+
+    def due(self, delivered: list[Delivered]) -> list[Delivered]:
+        """Those to look at, of all that are delivered, oldest first."""
+        if len(delivered) < self._next:
+            return delivered[-self.recent :]
+        self._next = self.growth * len(delivered)
+        return list(delivered)
+
+    def found(self, shifts: Sequence[float]) -> None:
+        """By how many standard deviations each of those was stale."""
+        self.unsettled = max(shifts, default=0.0) > _UNSETTLED
