@@ -35,6 +35,7 @@ from vehicle import CURRENT, Vehicle
 NO_IRON = np.array([1.0, 0, 0, 1, 0, 1])
 UNIT = 50e-6  # T per unit of the hard iron
 SIGMA = 1e-6  # T, magnetometer
+GYROSCOPE = 5e-3  # rad/s, per sample
 ISOTROPIC = gtsam.noiseModel.Isotropic.Sigma
 
 
@@ -64,7 +65,7 @@ VEHICLES = {"survey": "hardly turns", "wide": "turns all the time"}
 class Layout:
     """Where the magnetometer's samples go: keyframes per block, keyframes per calibration node, its walk."""
 
-    block: int = 10
+    block: int = 40
     node: int = 240
     carried: bool = False  # the next node starts from the last one's marginal as a prior, not by a walk
 
@@ -130,7 +131,8 @@ class Run:
         if k % self.layout.block == 0:
             samples = block(vehicle, k, self.layout.block, 2, bias.gyroscope())
             keys = (X(k), A(self.node), H(self.node))
-            graph.push_back(keyframe_field_factor(*keys, samples, SIGMA, field=vehicle.field, field_unit=UNIT))
+            options = {"field": vehicle.field, "gyroscope_noise": GYROSCOPE, "field_unit": UNIT}
+            graph.push_back(keyframe_field_factor(*keys, samples, SIGMA, **options))
 
 
 def isam2(wildfire: float) -> gtsam.ISAM2:

@@ -2,9 +2,9 @@
 
 A quadratic made at a heading that is far off holds the graph there. So before any block enters, the profile over
 the heading (`chain/heading_profile.py`) says how far the graph is off. Blocks enter where it says "near", or where it
-cannot say yet and the graph itself is sure of its heading; until then they wait. Where it says "far", for some blocks
-on end, blocks that entered are taken out again and a native prior on the rotation turns the graph, which GTSAM
-linearises by itself; it goes when the graph has followed.
+cannot say yet and the graph itself is sure of its heading; until then they wait. Where the two contradict each other
+for some blocks on end, those that entered are taken out again. Where the profile says "far", a native prior on the
+rotation turns the graph, which GTSAM linearises by itself; it goes when the graph has followed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,9 @@ class AlignmentLimits:
         sure: probability of "near".
         far: probability of a heading within `peak` of the best one, when that one is not near.
         peak: rad.
-        persistence: blocks in a row that say "far".
+        apart: probability of "near" below which the graph's heading and the blocks contradict each other, though the
+            blocks may not say yet what it is.
+        persistence: blocks in a row that say "far", and until blocks that entered leave the graph for a contradiction.
         confident: rad, standard deviation of the graph's own heading below which blocks enter while the profile
             cannot say yet.
         pull: rad, standard deviation of the prior that turns the graph about the vertical; about the others it is
@@ -42,6 +44,7 @@ class AlignmentLimits:
     sure: float = 0.95
     far: float = 0.99
     peak: float = np.radians(20.0)
+    apart: float = 0.01
     persistence: int = 3
     confident: float = np.radians(15.0)
     pull: float = np.radians(2.0)
@@ -53,6 +56,7 @@ class HeadingVerdict(str, Enum):
 
     UNDECIDED = "undecided"
     NEAR = "near"
+    APART = "apart"  # not near, without saying where
     FAR = "far"
 
 
@@ -65,13 +69,18 @@ class _Kept:
 
 
 class CoarseAlignment:
-    """The profile over the heading from all blocks so far, at the graph's present attitudes."""
+    """The profile over the heading from all blocks so far, at the graph's present attitudes.
+
+    Attributes:
+        profile: the last one.
+        apart: number of blocks in a row by which the graph is not near.
+    """
 
     def __init__(self, limits: AlignmentLimits) -> None:
         self.limits = limits
         self.profile: HeadingProfile | None = None
         self._blocks: list[_Kept] = []
-        self._far = 0
+        self._far = self.apart = 0
 
     def __len__(self) -> int:
         return len(self._blocks)
@@ -139,14 +148,15 @@ class CoarseAlignment:
             information,
         )
         limits, best = self.limits, self.profile.best
-        if self.profile.within(limits.near) >= limits.sure:
-            self._far = 0
+        near = self.profile.within(limits.near)
+        far = abs(best) > limits.near and self.profile.within(limits.peak, best) >= limits.far
+        self._far = self._far + 1 if far and near < limits.sure else 0
+        self.apart = self.apart + 1 if near < limits.apart else 0
+        if near >= limits.sure:
             return HeadingVerdict.NEAR
-        if abs(best) > limits.near and self.profile.within(limits.peak, best) >= limits.far:
-            self._far += 1
-            return HeadingVerdict.FAR if self._far >= limits.persistence else HeadingVerdict.UNDECIDED
-        self._far = 0
-        return HeadingVerdict.UNDECIDED
+        if self._far >= limits.persistence:
+            return HeadingVerdict.FAR
+        return HeadingVerdict.APART if self.apart else HeadingVerdict.UNDECIDED
 
     def pull(self, point: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
         """A native prior that turns the graph at one attitude to where the profile has its maximum."""

@@ -89,17 +89,22 @@ class Entrance:
                 admission.remove.append(self.pull_slot)
                 self.pull = None
             return admission
-        if verdict is HeadingVerdict.FAR:
+        if verdict is HeadingVerdict.FAR or (
+            verdict is HeadingVerdict.APART and self.entered and alignment.apart >= alignment.limits.persistence
+        ):
             leaving = [each for each in delivered if each.details is not None]
             self.waiting += leaving + blocks
             self.entered = False
             admission = Admission([each for each in fresh if each not in blocks], leaving, turned=True)
+            if verdict is HeadingVerdict.APART:  # the graph alone, or later blocks, will tell
+                return admission
             if self.pull is not None:
                 admission.remove.append(self.pull_slot)
             self.pull, self.pull_slot = alignment.pull(point, last.attitude_key), -1
             admission.pull = self.pull
             return admission
-        if not self.entered and self.pull is None and self._sure(view, point, last.attitude_key):
+        undecided = verdict is HeadingVerdict.UNDECIDED
+        if undecided and not self.entered and self.pull is None and self._sure(view, point, last.attitude_key):
             self.entered = True
             entering, self.waiting = self.waiting + fresh, []
             return Admission(entering)
