@@ -33,7 +33,7 @@ class Examiner:
 
     def restart(self) -> None:
         """Forget all fits, as the graph has turned."""
-        self.monitor, self.judged = Monitor(self.monitor.limits), 0
+        self.monitor, self.judged, self.quiet = Monitor(self.monitor.limits), 0, 0
 
     def note_priors(self, holding: list[gtsam.NonlinearFactor]) -> None:
         """Remember the priors that may hold a mounting or a delay."""

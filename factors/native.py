@@ -185,6 +185,7 @@ class NativeFactors:
         optimize: Optimize | None = None,
         *,
         rounds: int = 20,
+        examine: bool = False,
     ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         """A batch: its graph with the Python factors as quadratics at the solution, and the solution.
 
@@ -194,6 +195,7 @@ class NativeFactors:
                 `setAllowNonNoiseModelFactors(True)` and give the indices of the quadratics, which are the last
                 ones, and of the odometry as known inliers.
             rounds: of optimising and renewing, at most.
+            examine: whether to judge each block at the solution, for `health`: some milliseconds a block.
         """
         run = optimize or (lambda g, v: gtsam.LevenbergMarquardtOptimizer(g, v).optimize())
         new = sorted_factors(graph)
@@ -214,6 +216,12 @@ class NativeFactors:
                 break
             for each in stale:
                 own.replace(each.slot, each.native)
+        if examine and self._examiner is not None:
+            self._examiner.restart()
+            self._examiner.note_priors(new.holding)
+            solved = gtsam.ISAM2()
+            solved.update(own, values)
+            self._examiner.judge(fresh, View(solved))
         return own, values
 
     @property

@@ -44,9 +44,9 @@ class View:
         return bool(self._held.exists(key))
 
     def values(self, keys: Sequence[int]) -> gtsam.Values:
-        """The values of these keys, all of which exist; of a batch, of all keys."""
+        """The values of these keys, all of which exist."""
         if isinstance(self.solver, gtsam.Values):
-            return self.solver
+            return self.solver.extract(list(keys))
         old = [key for key in keys if not self.new.exists(key)]
         point = self.solver.calculateEstimate(old) if old else gtsam.Values()
         if len(old) < len(keys):

@@ -367,8 +367,10 @@ def test_batch_finds_the_truth(survey, batch):
 
 def test_levenberg_marquardt_over_native_factors(survey, batch):
     native = NativeFactors(tolerance=0.01)
-    graph, values = native.solve(*survey.python_graph())
+    graph, values = native.solve(*survey.python_graph(), examine=True)
     assert native.replaced > 0
+    assert native.health.word == "consistent"
+    assert len(native.fits) == survey.count - 1
     assert distance(values, batch) < 0.02
     covariance = gtsam.Marginals(graph, values).jointMarginalCovariance([A(0), H(0)]).fullMatrix()
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), np.sqrt(np.diag(batch[1])), rtol=0.01)

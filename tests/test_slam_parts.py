@@ -6,8 +6,10 @@ import pytest
 from gtsam.symbol_shorthand import A, H, X
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam.factors import GyroscopeTrack, HealthLimits, KeyframeField, MagycError
+from magyc_gtsam.factors import GyroscopeTrack, HealthLimits, KeyframeField, MagycError, keyframe_field_factor
+from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, Verdict
 from magyc_gtsam.factors.chain.heading_profile import block_rows, heading_profile, in_world
+from magyc_gtsam.factors.guard import factor_details
 from magyc_gtsam.factors.health import BlockFit, Monitor, block_fit
 from magyc_gtsam.factors.kernels import narrowed
 from magyc_gtsam.factors.solver import View, new_slots, update_solver
@@ -106,6 +108,24 @@ def test_the_profile_finds_how_far_the_heading_is_off(off):
     profile = heading_profile(np.vstack(rows), FIELD, 0.5, 450, 15, np.r_[1, 0, 0, 1, 0, 1, 0, 0, 0.0], prior)
     assert abs((profile.best - off + np.pi) % (2 * np.pi) - np.pi) < np.radians(4)
     assert profile.within(np.radians(20), off) > 0.95
+
+
+@pytest.mark.parametrize(("off", "verdict"), [(0.0, Verdict.NEAR), (2.8, Verdict.APART)])
+def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(off, verdict):
+    """A vague prior of the irons: two blocks in a turn allow many headings, but not the graph's own."""
+    time, turn = np.linspace(0, 2, 51), 1.2
+    alignment, values = CoarseAlignment(AlignmentLimits()), gtsam.Values()
+    for k in range(2):
+        rotation = gtsam.Rot3.Ypr(0.3 + 2 * turn * k, 0.3 - 0.5 * k, 0.2)
+        body = Rotation.from_rotvec(-turn * (time - 2.0)[:, None] * rotation.matrix()[2]).as_matrix()
+        field = 1e-6 * (body @ (rotation.matrix().T @ FIELD) + [12.0, -20, 8])
+        rate = np.tile(turn * rotation.matrix()[2], (51, 1))
+        block = KeyframeField.from_samples((time, field), (time, rate), 2.0)
+        factor = keyframe_field_factor(X(k), A(0), H(0), block, 0.3e-6, field=1e-6 * FIELD)
+        alignment.add(factor_details(factor))
+        values.insert(X(k), gtsam.Rot3.Rz(-off) * rotation)
+    vague = np.diag(np.r_[np.full(6, 1 / 0.2**2), np.full(3, 1 / 40**2)])
+    assert alignment.judge(values, np.r_[1, 0, 0, 1, 0, 1, 0, 0, 0.0], vague) is verdict
 
 
 def test_quadratics_are_looked_at_until_they_are_settled():

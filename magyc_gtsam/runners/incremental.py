@@ -267,11 +267,14 @@ class Incremental:
         if lost:
             keys = [key for key in keys if self._isam.valueExists(key)]
         after = self._isam.calculateEstimate(keys)
-        compared = [key for key in keys if key not in new] or keys
-        read = [key for key in compared if touched.exists(key)] if touched.size() > len(new) else []
-        known = set(read).union(new)
-        before = self._values.extract([key for key in compared if key not in known])
-        before.insert(touched.extract([key for key in compared if key in known]))
+        old = [key for key in keys if key not in new]
+        compared = old or keys
+        if old and touched.size() == len(new):  # nothing has been read yet
+            before = self._values.extract(old)
+        else:
+            known = {key for key in compared if touched.exists(key)}
+            before = self._values.extract([key for key in compared if key not in known])
+            before.insert(touched.extract([key for key in compared if key in known]))
         moved = after if len(compared) == len(keys) else after.extract(compared)
         change = before.localCoordinates(moved).vector()
         touched.insert_or_assign(after)
