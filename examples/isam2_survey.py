@@ -65,7 +65,7 @@ def survey(
         if k % BLOCK == 0:
             block = buffer.close(vehicle.recording.time[k * vehicle.every], bias.gyroscope())
             factor = keyframe_field_factor(
-                X(k), A(node), H(node), block, 1e-6, field=vehicle.field, field_unit=UNIT
+                X(k), A(node), H(node), block, 1e-6, gyro_bias_key=B(k), field=vehicle.field, field_unit=UNIT
             )
             graph.push_back(factor)
         native.update(isam, graph, values)
