@@ -7,7 +7,7 @@ from gtsam.symbol_shorthand import A, H, X
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors import GyroscopeTrack, HealthLimits, KeyframeField, MagycError, keyframe_field_factor
-from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, Verdict
+from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
 from magyc_gtsam.factors.chain.heading_profile import block_rows, heading_profile, in_world
 from magyc_gtsam.factors.guard import factor_details
 from magyc_gtsam.factors.health import BlockFit, Monitor, block_fit
@@ -110,7 +110,7 @@ def test_the_profile_finds_how_far_the_heading_is_off(off):
     assert profile.within(np.radians(20), off) > 0.95
 
 
-@pytest.mark.parametrize(("off", "verdict"), [(0.0, Verdict.NEAR), (2.8, Verdict.APART)])
+@pytest.mark.parametrize(("off", "verdict"), [(0.0, HeadingVerdict.NEAR), (2.8, HeadingVerdict.APART)])
 def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(off, verdict):
     """A vague prior of the irons: two blocks in a turn allow many headings, but not the graph's own."""
     time, turn = np.linspace(0, 2, 51), 1.2
