@@ -6,6 +6,8 @@ import ast
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -48,3 +50,32 @@ def test_factors_need_no_more_than_gtsam_numpy_and_scipy(file: Path) -> None:
         for module in modules:
             own = module == "magyc_gtsam.factors" or module.startswith("magyc_gtsam.factors.")
             assert own or module.split(".")[0] in allowed, f"line {node.lineno}: {module}"
+
+
+def _imported(body: list[ast.stmt]) -> Iterator[str]:
+    """What a module imports as it is imported itself, with what is taken from it."""
+    for node in body:
+        if isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.If | ast.Try) and "TYPE_CHECKING" not in ast.unparse(node):
+            yield from _imported(node.body)
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    own = [file for file in (ROOT / "magyc_gtsam").rglob("*.py") if file.relative_to(ROOT).parts[1] != "factors"]
+    modules = {}
+    for file in [*own, *FILES]:
+        parts = file.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts if parts[0] == "magyc_gtsam" else ("magyc_gtsam", *parts))
+        modules[name.removesuffix(".__init__")] = file
+    graph = {
+        name: {
+            found if found in modules else found.rpartition(".")[0]
+            for found in _imported(ast.parse(file.read_text(encoding="utf-8")).body)
+        }
+        for name, file in modules.items()
+    }
+    assert len(graph) > 300
+    TopologicalSorter({name: (found & modules.keys()) - {name} for name, found in graph.items()}).prepare()
