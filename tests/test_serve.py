@@ -84,6 +84,25 @@ def test_a_job_is_the_command_line(served: Served, tmp_path: Path) -> None:
     assert "allow-same-origin" not in headers["content-security-policy"]
 
 
+def test_an_untrusted_result_has_no_numbers_to_copy(served: Served) -> None:
+    order = {"kind": "calibrate", "logs": [log(served)], "start": 0.0, "end": 12.0}
+    job = served.ended(served.ask("POST", "/api/jobs", order)[1]["key"])
+    found = served.ask("GET", f"/api/results/{job['result']}")[1]
+    assert found["trusted"] is False
+    assert found["sentence"].startswith("✘ Do not use this calibration: ")
+    assert (found["rows"], found["exports"]) == ([], [])
+    assert "px4.params" not in found["files"]
+
+
+def test_a_dropped_log_is_called_by_its_name(served: Served) -> None:
+    """No folder of the server in what the page is told of a log that cannot be read."""
+    made = served.ask("POST", "/api/logs?name=raw.txt", b"1 2 3\n" * 20)[1]
+    job = served.ended(served.ask("POST", "/api/jobs", {"kind": "look", "logs": [made["key"]]})[1]["key"])
+    assert job["output"]["problem"].startswith("raw.txt: ")
+    assert str(served.folder) not in job["output"]["problem"]
+    served.ask("DELETE", f"/api/logs/{made['key']}")
+
+
 def test_a_dropped_log_is_looked_at_and_removed(served: Served) -> None:
     status, made, _ = served.ask("POST", "/api/logs?name=dive.mcap", DIVE.read_bytes())
     assert (status, made["name"], made["uploaded"]) == (201, "dive.mcap", True)
