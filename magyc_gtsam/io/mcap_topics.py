@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from mcap.records import Channel, Schema
+from numpy.typing import NDArray
 
 from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.mcap_records import Block
@@ -123,8 +124,12 @@ class Topics(dict[str, Topic]):
 def _compact(block: Block) -> Block:
     """The block without the bytes between its messages."""
     start = np.concatenate([[0], np.cumsum(block.length)[:-1]])
-    if (block.length == block.length[0]).all():
-        data = block.data[block.start[:, None] + np.arange(block.length[0])].ravel()
+    size = int(block.length[0])
+    if (block.length == size).all():
+        everywhere: NDArray[np.uint8] = np.ndarray(
+            (len(block.data) - size + 1, size), dtype=np.uint8, buffer=block.data, strides=(1, 1)
+        )
+        data = everywhere[block.start].ravel()
     else:
         data = np.empty(int(block.length.sum()), dtype=np.uint8)
         for to, place, length in zip(start, block.start, block.length, strict=True):
