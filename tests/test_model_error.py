@@ -13,7 +13,8 @@ from magyc_gtsam.estimators.model_error.components import fit_components, likeli
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import Motion
 from magyc_gtsam.estimators.model_error.samples import too_slow
-from magyc_gtsam.estimators.smoother.beside import Beside, Columns
+from magyc_gtsam.estimators.smoother.beside import Beside
+from magyc_gtsam.estimators.smoother.columns import Columns
 from magyc_gtsam.estimators.smoother.fit import descend, explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 

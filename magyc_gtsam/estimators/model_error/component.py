@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from magyc_gtsam.estimators.model_error.components import likeliest
+from magyc_gtsam.estimators.model_error.components import likeliest_of_each
 from magyc_gtsam.estimators.model_error.families import Family
 from magyc_gtsam.estimators.model_error.motion import Motion
 from magyc_gtsam.estimators.smoother.beside import Beside, New
@@ -58,26 +58,17 @@ class Tested(NamedTuple):
         return move
 
 
-def tested(beside: Beside, motion: Motion, families: Iterable[Family]) -> list[Tested]:
+def tested(beside: Beside, motion: Motion, families: Sequence[Family]) -> list[Tested]:
     """Each family by itself."""
-    every = [_tested(beside, family, beside.of(family.columns(motion))) for family in families]
+    new = beside.of_each(family.columns(motion) for family in families)
+    every = [Tested(*each) for each in zip(families, new, _gains(beside, families, new), strict=True)]
     return [_of_the_motion(beside, motion, each) for each in every]
 
 
-def tested_together(beside: Beside, motion: Motion, families: Sequence[Family]) -> list[Tested]:
-    """The same, faster where each has few columns."""
-    new = beside.of_each([family.columns(motion) for family in families])
-    every = [_tested(beside, *pair) for pair in zip(families, new, strict=True)]
-    return [_of_the_motion(beside, motion, each) for each in every]
-
-
-def _tested(beside: Beside, family: Family, new: New) -> Tested:
-    return Tested(family, new, _gain(beside, family, new))
-
-
-def _gain(beside: Beside, family: Family, new: New) -> float:
-    most = family.most**2 * beside.freedom / beside.square
-    return likeliest(new.normal, new.score, beside.square, beside.freedom, most).gain
+def _gains(beside: Beside, families: Sequence[Family], new: Sequence[New]) -> list[float]:
+    most = [family.most**2 * beside.freedom / beside.square for family in families]
+    products = [(each.normal, each.score) for each in new]
+    return [each.gain for each in likeliest_of_each(products, beside.square, beside.freedom, most)]
 
 
 def _of_the_motion(beside: Beside, motion: Motion, tested: Tested) -> Tested:
@@ -88,10 +79,10 @@ def _of_the_motion(beside: Beside, motion: Motion, tested: Tested) -> Tested:
     family = tested.family
     if not family.from_rate or tested.gain < _SAYS:
         return tested
-    columns, noisier = family.columns(motion), family.columns(motion.noisier)
+    columns, noisier = family.columns(motion).dense, family.columns(motion.noisier).dense
     noise = beside.of(columns.less(noisier)).normal.diagonal()
     kept = noise < _NOISE_SHARE * tested.new.normal.diagonal()
     if kept.all():
         return tested
     new = beside.of(columns.only(kept))
-    return Tested(family, new, _gain(beside, family, new))
+    return Tested(family, new, *_gains(beside, [family], [new]))

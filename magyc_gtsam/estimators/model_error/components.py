@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from magyc_gtsam.factors.chain.rotations import Array
 
-_TRIED = np.geomspace(1e-8, 1, 48)[:, None]  # variances, of the largest
+_TRIED = np.geomspace(1e-8, 1, 48)  # variances, of the largest
 _SWEEPS = 3  # of the groups, until their amplitudes stand still
 _STILL = 0.1  # relative change of a variance
 _ASKED = 3.0  # gain in log-likelihood that a group must bring beside the others
@@ -35,14 +35,25 @@ class Likeliest(NamedTuple):
 
 def likeliest(normal: Array, score: Array, square: float, freedom: float, most: float) -> Likeliest:
     """Of one group with G (k, k) and s (k,), the likeliest variance up to `most`; `square` is yᵀy."""
-    value, vector = np.linalg.eigh(normal)
-    value, pull = np.maximum(value, 0.0), vector.T @ score
-    variance = most * _TRIED
-    spread = 1 + variance * value
-    left = np.maximum(square - variance[:, 0] * ((1 / spread) @ pull**2), 1e-9 * square)
-    gain = -0.5 * (np.log(spread).sum(axis=1) + freedom * np.log(left / square))
-    best = int(np.argmax(gain))
-    return Likeliest(float(variance[best, 0]), float(gain[best])) if gain[best] > 0 else Likeliest(0.0, 0.0)
+    return likeliest_of_each([(normal, score)], square, freedom, [most])[0]
+
+
+def likeliest_of_each(
+    products: Sequence[tuple[Array, Array]], square: float, freedom: float, most: Sequence[float]
+) -> list[Likeliest]:
+    """Of groups with G and s, each by itself, the likeliest variances up to the `most` of each."""
+    longest = max((len(score) for _, score in products), default=0)
+    value, pull = np.zeros((len(products), longest)), np.zeros((len(products), longest))
+    for i, (normal, score) in enumerate(products):
+        known, vector = np.linalg.eigh(normal) if len(score) > 1 else (normal[0], np.eye(1))
+        value[i, : len(score)], pull[i, : len(score)] = np.maximum(known, 0.0), vector.T @ score
+    variance = np.array(most)[:, None] * _TRIED
+    spread = 1 + variance[:, :, None] * value[:, None]
+    left = np.maximum(square - variance * ((1 / spread) @ pull[:, :, None] ** 2)[..., 0], 1e-9 * square)
+    gain = -0.5 * (np.log(spread).sum(axis=2) + freedom * np.log(left / square))
+    best = np.argmax(gain, axis=1)
+    found = zip(variance[range(len(best)), best].tolist(), gain[range(len(best)), best].tolist(), strict=True)
+    return [Likeliest(*each) if each[1] > 0 else Likeliest(0.0, 0.0) for each in found]
 
 
 class Components(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, Motion
-from magyc_gtsam.estimators.smoother.beside import Columns
+from magyc_gtsam.estimators.smoother.columns import Columns, Products
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
@@ -50,7 +50,7 @@ class Family:
 
     name: str
     place: str
-    columns: Callable[[Motion], Columns]
+    columns: Callable[[Motion], Columns | Products]
     most: float
     functions: int = 1
     first: bool = False
@@ -126,12 +126,12 @@ def _skew(motion: Motion) -> Columns:
     return Columns(np.einsum("ab,bkn->kan", motion.soft_iron, turned), None)
 
 
-def _attitude(motion: Motion) -> Columns:
+def _attitude(motion: Motion) -> Products:
     """The world's field linear in the attitude: the field's gradient times an arm, rigid or a person's."""
     return motion.in_world(motion.rotation.swapaxes(0, 1).reshape(9, -1) * np.sqrt(3.0))
 
 
-def _rate_times_field(motion: Motion) -> Columns:
+def _rate_times_field(motion: Motion) -> Products:
     products = np.einsum("in,jn->ijn", motion.relative, motion.unit).reshape(9, -1)
     return motion.in_sensor(products * np.sqrt(3.0))
 
@@ -212,7 +212,7 @@ def _drift_at_end(waves: tuple[int, int]) -> Callable[[Motion], Array]:
 def _in_time(
     name: str,
     place: str,
-    put: Callable[[Motion, Array], Columns],
+    put: Callable[[Motion, Array], Columns | Products],
     most: float,
     waves: tuple[int, int],
     **more: Any,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.component import Component, tested, tested_together
+from magyc_gtsam.estimators.model_error.component import Component, tested
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import Motion
 from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
@@ -85,11 +85,10 @@ def _of_windows(fit: Fit) -> ModelError:
     beside, motion = Beside(fit), Motion.of(fit)
     # A skew that the fit was asked for is in its own covariance.
     families = [family for family in FAMILIES if fit.skew is None or family.name != "skew"]
-    every = tested_together(beside, motion, PHYSICAL)
-    every += tested(beside, motion, (family for family in families if family.first))
+    every = tested(beside, motion, [*PHYSICAL, *(family for family in families if family.first)])
     found = []
     if max(each.gain for each in every) > _SUSPECT:
-        every += tested(beside, motion, (family for family in families if not family.first))
+        every += tested(beside, motion, [family for family in families if not family.first])
         found = sorted((each for each in every if each.gain > _SIGNIFICANT), key=lambda each: -each.gain)
     shown = shown_by(beside, motion, found)
     weighed = not_excluded(beside, motion, [each for each in every if each.family.prior > 0], shown)

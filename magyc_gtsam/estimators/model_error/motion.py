@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.beside import Columns
+from magyc_gtsam.estimators.smoother.columns import Columns, Products
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array, cross
@@ -101,15 +101,21 @@ class Motion:
         """(3, n) the rate of turn over `spread`."""
         return self.rate / self.spread
 
-    def in_sensor(self, profiles: Array) -> Columns:
+    def in_sensor(self, profiles: Array) -> Products:
         """Profiles (k, n) along each of the sensor's axes, in units of the field strength."""
-        columns = profiles[:, None, None, :] * (np.eye(3) * self.strength)[:, :, None]
-        return Columns(columns.reshape(3 * len(profiles), 3, -1), None)
+        return Products(profiles, self._sensor_axes)
 
-    def in_world(self, profiles: Array) -> Columns:
+    def in_world(self, profiles: Array) -> Products:
         """Profiles (k, n) along each of the world's axes."""
-        columns = profiles[:, None, None, :] * self.seen.swapaxes(0, 1)
-        return Columns(columns.reshape(3 * len(profiles), 3, -1), None)
+        return Products(profiles, self._world_axes)
+
+    @cached_property
+    def _sensor_axes(self) -> Array:
+        return np.broadcast_to((np.eye(3) * self.strength)[:, :, None], (3, 3, len(self.time)))
+
+    @cached_property
+    def _world_axes(self) -> Array:
+        return self.seen.swapaxes(0, 1)
 
     def on_gyroscope(self, profiles: Array) -> Columns:
         """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.families import EVEN, USUAL, Family
 from magyc_gtsam.estimators.model_error.motion import ALIKE, Motion
-from magyc_gtsam.estimators.smoother.beside import Columns
+from magyc_gtsam.estimators.smoother.columns import Columns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 

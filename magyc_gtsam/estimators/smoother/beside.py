@@ -14,7 +14,7 @@ trace of information of their own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
+from magyc_gtsam.estimators.smoother.columns import Columns, Products
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.banded import solved
 from magyc_gtsam.factors.chain.rotations import Array
@@ -29,45 +30,40 @@ from magyc_gtsam.factors.chain.rotations import Array
 _ROUNDING = (
     1e-12  # of a column's square before anything explains it, the information it is given; rounding is 1e-15
 )
+_TOGETHER = (
+    32  # columns that go through the elimination at a time: few calls, and all that is at hand in the cache
+)
 
 
-class Columns(NamedTuple):
-    """Unmodelled columns per unit: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None is zero."""
-
-    window: Array | None
-    link: Array | None
-
-    def less(self, other: Columns) -> Columns:
-        """By how much each differs from another's on the same sensors."""
-        window = None if self.window is None or other.window is None else self.window - other.window
-        link = None if self.link is None or other.link is None else self.link - other.link
-        return Columns(window, link)
-
-    def only(self, kept: np.ndarray) -> Columns:
-        """With zeros in place of those that are not kept, (k,) bool."""
-        share = kept[:, None, None]
-        return Columns(
-            None if self.window is None else share * self.window, None if self.link is None else share * self.link
-        )
-
-
-class New(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class New:
     """Columns beside the model.
 
-    normal (k, k) G; score (k,) s; window (k, 3n) and link (k, 3n − 3) whitened; absorbed (2n, k): Z;
-    explained (free, k): the same of the parameters.
+    normal (k, k) G; score (k,) s; absorbed (k, 2n) Zᵀ; explained (free, k): the same of the parameters; columns as
+    given, and window_scale (n,) or (3, n) and link_scale (n − 1,) that whiten them.
     """
 
     normal: Array
     score: Array
-    window: Array | None
-    link: Array | None
     absorbed: Array
     explained: Array
+    columns: Columns | Products
+    window_scale: Array
+    link_scale: Array
+
+    @cached_property
+    def window(self) -> Array | None:
+        """(k, 3n) whitened."""
+        return _flat(self.columns.window, self.window_scale)
+
+    @cached_property
+    def link(self) -> Array | None:
+        """(k, 3n − 3) whitened."""
+        return _flat(self.columns.link, self.link_scale)
 
     def across(self, other: New) -> Array:
         """(k, l) the block of G between these columns and others."""
-        result: Array = -(self.absorbed.T @ other.absorbed) - self.explained.T @ other.explained
+        result: Array = -(self.absorbed @ other.absorbed.T) - self.explained.T @ other.explained
         if self.window is not None and other.window is not None:
             result += self.window @ other.window.T
         if self.link is not None and other.link is not None:
@@ -96,52 +92,97 @@ class Beside:
             left.absorbed @ left.absorbed + left.explained @ left.explained
         )
 
-    def of(self, columns: Columns) -> New:
+    def of(self, columns: Columns | Products) -> New:
         """What is new in columns."""
         return self.of_each([columns])[0]
 
-    def of_each(self, groups: Sequence[Columns]) -> list[New]:
-        """What is new in each of some small groups; those of one sensor are taken through the elimination together."""
+    def of_each(self, groups: Iterable[Columns | Products]) -> list[New]:
+        """What is new in each of some groups; those alike are taken through the elimination together."""
         result: dict[int, New] = {}
-        for sensors in {(group.window is None, group.link is None) for group in groups}:
-            alike = [i for i, group in enumerate(groups) if (group.window is None, group.link is None) == sensors]
-            result |= zip(alike, self._of_alike([groups[i] for i in alike]), strict=True)
-        return [result[i] for i in range(len(groups))]
+        waiting: dict[object, dict[int, Columns | Products]] = {}
+        for i, group in enumerate(groups):
+            kind = id(group.axes) if isinstance(group, Products) else (group.window is None, group.link is None)
+            alike = waiting.setdefault(kind, {})
+            alike[i] = group
+            if sum(each.size for each in alike.values()) >= _TOGETHER:
+                result |= self._of_alike(alike)
+                alike.clear()
+        for alike in waiting.values():
+            result |= self._of_alike(alike)
+        return [result[i] for i in range(len(result))]
 
-    def _of_alike(self, groups: Sequence[Columns]) -> Iterator[New]:
-        """Of groups that are all on the same sensors."""
-        reduced, left = self.fit.reduced, self._left
-        size = len(reduced.information)
+    def _of_alike(self, groups: dict[int, Columns | Products]) -> dict[int, New]:
+        """Of groups that are all on the same sensors, or all products with the same axes."""
+        if not groups:
+            return {}
+        left, each = self._left, list(groups.values())
+        part = self._products(each) if isinstance(each[0], Products) else self._dense(each)
+        absorbed = solved(self._factor, part.border)
+        explained = self._explained(part.pull - self.fit.reduced.half[:, : len(part.pull)].T @ absorbed.T)
+        score = absorbed @ left.absorbed + explained.T @ left.explained - part.score
+        result, first = {}, 0
+        for i, group in groups.items():
+            own = slice(first, first + group.size)
+            first = own.stop
+            of_own, explained_of_own = absorbed[own], explained[:, own]
+            square = of_own @ of_own.T
+            normal = part.square(own) - square
+            normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + square.diagonal())
+            normal -= explained_of_own.T @ explained_of_own
+            result[i] = New(
+                normal, score[own], of_own, explained_of_own, group, self._window_scale, self._link_scale
+            )
+        return result
+
+    def _dense(self, groups: Sequence[Columns | Products]) -> _Part:
+        """The products of any columns."""
+        reduced, left, size = self.fit.reduced, self._left, len(self.fit.free)
         window = _whitened([group.window for group in groups], self._window_scale)
         link = _whitened([group.link for group in groups], self._link_scale)
-        absorbed = self._absorbed(window, link)
-        pull = -(reduced.half[:, :size].T @ absorbed)
-        score = absorbed.T @ left.absorbed
+        count = sum(group.size for group in groups)
+        border = self._border(count, window, link)
+        pull, score = np.zeros((size, count)), np.zeros(count)
         if window is not None:
-            window = window.reshape(len(window), -1)
+            window = window.reshape(count, -1)
             pull += reduced.on_parameters.reshape(size, -1) @ window.T
-            score -= window @ left.window
+            score += window @ left.window
         if link is not None:
-            link = link.reshape(len(link), -1)
+            link = link.reshape(count, -1)
             pull[9:12] += self._on_bias @ link.T
-            score -= link @ left.link
-        explained = self._explained(pull)
-        score += explained.T @ left.explained
-        first = 0
-        for group in groups:
-            one = group.window if group.window is not None else group.link
-            assert one is not None
-            own = slice(first, first + len(one))
-            first = own.stop
-            own_absorbed, own_explained = absorbed[:, own], explained[:, own]
-            of_window, of_link = (None if part is None else part[own] for part in (window, link))
-            normal = -(own_absorbed.T @ own_absorbed)
-            for part in (of_window, of_link):
-                if part is not None:
-                    normal += part @ part.T
-            normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + (own_absorbed**2).sum(axis=0))
-            normal -= own_explained.T @ own_explained
-            yield New(normal, score[own], of_window, of_link, own_absorbed, own_explained)
+            score += link @ left.link
+        parts = [part for part in (window, link) if part is not None]
+
+        def square(own: slice) -> Array:
+            result: Array = parts[0][own] @ parts[0][own].T
+            for part in parts[1:]:
+                result += part[own] @ part[own].T
+            return result
+
+        return _Part(border, pull, score, square)
+
+    def _products(self, groups: Sequence[Columns | Products]) -> _Part:
+        """Those of profiles along the same axes: what the axes have is the same for all profiles."""
+        reduced, size = self.fit.reduced, len(self.fit.free)
+        products = [group for group in groups if isinstance(group, Products)]
+        axes, profiles = (
+            products[0].axes * self._window_scale,
+            np.concatenate([each.profiles for each in products]),
+        )
+        (count, _, n), transposed = axes.shape, profiles.T
+        along = self._border(count, axes, None)
+        border = (np.repeat(profiles, 2, axis=1)[:, None] * along).reshape(-1, 2 * n)
+        on_parameters = (reduced.on_parameters[:, None] * axes).sum(axis=2)
+        pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
+        score = _along(self._left.window.reshape(3, n), axes) @ transposed
+        between = (axes[:, None] * axes).sum(axis=2)
+
+        def square(own: slice) -> Array:
+            some = profiles[own.start // count : own.stop // count]
+            result = (between[:, :, None] * some).reshape(-1, n) @ some.T
+            result = result.reshape(count, count, len(some), -1).transpose(2, 0, 3, 1)
+            return np.ascontiguousarray(result).reshape(len(some) * count, -1)
+
+        return _Part(border, pull.swapaxes(1, 2).reshape(size, -1), score.T.ravel(), square)
 
     def move(self, new: New) -> Array:
         """(P, k) S of columns."""
@@ -149,19 +190,17 @@ class Beside:
         result[self.fit.free] = self._scale[:, None] * dtrtrs(self._root, new.explained, lower=1, trans=1)[0]
         return result
 
-    def _absorbed(self, window: Array | None, link: Array | None) -> Array:
-        """Z (2n, k) of whitened columns."""
+    def _border(self, count: int, window: Array | None, link: Array | None) -> Array:
+        """(k, 2n) products of the directions' Jacobian with whitened columns."""
         reduced = self.fit.reduced
-        one = window if window is not None else link
-        assert one is not None
-        border = np.zeros((len(one), reduced.basis.shape[2], 2))
+        border = np.zeros((count, reduced.basis.shape[2], 2))
         for a in (0, 1):
             if window is not None:
                 border[:, :, a] = _along(reduced.on_direction[:, a], window)
             if link is not None:
                 border[:, 1:, a] += _along(reduced.after[:, a], link)
                 border[:, :-1, a] += _along(reduced.before[:, a], link)
-        return solved(self._factor, border.reshape(len(one), -1)).T
+        return border.reshape(count, -1)
 
     @cached_property
     def _factor(self) -> Array:
@@ -179,7 +218,7 @@ class Beside:
         residuals = fit.residuals
         window = residuals.window * (np.sqrt(fit.weights.window) * fit.chain.window_scale)
         link = residuals.link * self._link_scale
-        absorbed = self._absorbed(window[None], link[None])[:, 0]
+        absorbed = solved(self._factor, self._border(1, window[None], link[None]))[0]
         pull = reduced.on_parameters.reshape(len(fit.free), -1) @ window.ravel()
         pull[9:12] += self._on_bias @ link.ravel()
         pull -= absorbed @ reduced.half[:, : len(pull)]
@@ -226,6 +265,20 @@ class _Left(NamedTuple):
     link: Array
     absorbed: Array
     explained: Array
+
+
+class _Part(NamedTuple):
+    """Of whitened columns X: border (k, 2n) with the directions' Jacobian, pull (P, k) with the parameters', score (k,)
+    with the residual, and square: XᵀX of some of them."""
+
+    border: Array
+    pull: Array
+    score: Array
+    square: Callable[[slice], Array]
+
+
+def _flat(columns: Array | None, scale: Array) -> Array | None:
+    return None if columns is None else (columns * scale).reshape(len(columns), -1)
 
 
 def _whitened(parts: Sequence[Array | None], scale: Array) -> Array | None:

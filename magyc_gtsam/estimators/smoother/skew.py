@@ -20,7 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.beside import Beside, Columns
+from magyc_gtsam.estimators.smoother.beside import Beside
+from magyc_gtsam.estimators.smoother.columns import Columns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, State, Weights, iron_matrix

@@ -1,0 +1,73 @@
+"""Columns that a model lacks: derivatives of the reading and of the gyroscope's links, per unit of a coefficient."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+
+
+class Columns(NamedTuple):
+    """Unmodelled columns per unit: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None is zero."""
+
+    window: Array | None
+    link: Array | None
+
+    @property
+    def size(self) -> int:
+        """k."""
+        one = self.window if self.window is not None else self.link
+        return 0 if one is None else len(one)
+
+    @property
+    def dense(self) -> Columns:
+        """Themselves."""
+        return self
+
+    def less(self, other: Columns) -> Columns:
+        """By how much each differs from another's on the same sensors."""
+        window = None if self.window is None or other.window is None else self.window - other.window
+        link = None if self.link is None or other.link is None else self.link - other.link
+        return Columns(window, link)
+
+    def only(self, kept: np.ndarray) -> Columns:
+        """With zeros in place of those that are not kept, (k,) bool."""
+        share = kept[:, None, None]
+        return Columns(
+            None if self.window is None else share * self.window, None if self.link is None else share * self.link
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Columns of the windows, profile by profile, each along each of some axes: a q-th of the work of any others.
+
+    profiles (q, n); axes (b, 3, n) T per unit.
+    """
+
+    profiles: Array
+    axes: Array
+
+    @property
+    def size(self) -> int:
+        """k = q b."""
+        return len(self.profiles) * len(self.axes)
+
+    @property
+    def window(self) -> Array:
+        """(k, 3, n) as `Columns` has them."""
+        columns = self.profiles[:, None, None, :] * self.axes
+        return columns.reshape(self.size, *self.axes.shape[1:])
+
+    @property
+    def link(self) -> Array | None:
+        """None: they are on the magnetometer."""
+        return None
+
+    @property
+    def dense(self) -> Columns:
+        """The same as any columns."""
+        return Columns(self.window, None)
