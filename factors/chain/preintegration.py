@@ -26,7 +26,7 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, matrices
 from magyc_gtsam.factors.errors import MagycError
 
-_ROWS = 54  # per sample: Rᵀ 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
+_ROWS = 54  # per sample: R 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
 _CHUNK = 32768  # samples whose matrices are held at a time
 _MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the samples next to its own
 
@@ -178,25 +178,29 @@ class Preintegration:
         count = np.diff(np.append(starts, total)).astype(float)
         time = np.add.reduceat(self.magnetometer_time, starts) / count
         means = np.empty((_ROWS, len(starts)))
+        turned, lever, rate, swung = slice(0, 9), slice(9, 18), slice(18, 27), slice(27, _ROWS)
         squared_time = np.empty(len(starts))
         first, track = 0, None
         while first < len(starts):  # chunks of whole windows, so that memory stays flat
             last = max(int(np.searchsorted(starts, starts[first] + _CHUNK)), first + 1)
             stop = int(starts[last]) if last < len(starts) else total
             track = self._track(track, slice(int(starts[first]), stop), bias, delay)
-            rows = self._at(track, slice(int(starts[first]), stop), delay)
-            np.add.reduceat(rows, starts[first:last] - starts[first], axis=1, out=means[:, first:last])
+            own = starts[first:last] - starts[first]
+            samples = self._at(track, slice(int(starts[first]), stop), delay)
+            for part, rows in zip((turned, lever, rate, swung), samples, strict=True):
+                np.add.reduceat(rows, own, axis=1, out=means[part, first:last])
             squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
             first = last
         means /= count
+        transposed = means[turned].reshape(3, 3, -1).swapaxes(0, 1).copy()
         return FieldWindows(
             time=time,
             count=count,
             field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
-            rotation=means[:9].reshape(3, 3, -1),
-            rotation_bias=means[27:].reshape(3, 3, 3, -1) - turned_lever(means[:9], means[9:18]),
-            rotation_rate=means[18:27].reshape(3, 3, -1),
-            lever=np.diff(means[9:18]).reshape(3, 3, -1),
+            rotation=transposed,
+            rotation_bias=means[swung].reshape(3, 3, 3, -1) - turned_lever(means[turned], means[lever]),
+            rotation_rate=means[rate].reshape(3, 3, -1),
+            lever=np.diff(means[lever]).reshape(3, 3, -1),
             link_time=np.diff(squared_time),
             linked=self.linked,
             bias=bias,
@@ -255,39 +259,34 @@ class Preintegration:
         )
         return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
 
-    def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> Array:
-        """Rᵀ, K, dRᵀ/dτ and Rᵀ [·]× K at samples' stamps less the delay: (54, len(rows))."""
+    def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Array, Array, Array, Array]:
+        """R, K, dRᵀ/dτ (9, len(rows)) each and Rᵀ [·]× K (27, len(rows)) at samples' stamps less the delay."""
         when = self.magnetometer_time[rows] - delay
-        result = np.empty((_ROWS, len(when)))
         begin = int(np.searchsorted(track.time, when[0]))
         own = slice(begin, begin + len(when))
         if np.array_equal(when, track.time[own]):
-            p, q = track.rotation
-            r = matrices((p[own], q[own]))
-            result[9:18] = track.lever[:, own]
+            turned, lever = track.matrices[:, own], track.lever[:, own]
             rate = track.angular_rate[own] - track.bias
         else:
             rotation, rate = track.rotation_at(when)
-            r = matrices(rotation)
-            result[9:18] = track.lever_at(when)
-        r0, r1, r2 = result[:9].reshape(3, 3, -1)
-        r0[:], r1[:], r2[:] = r[0::3], r[1::3], r[2::3]  # transposed
+            turned, lever = matrices(rotation), track.lever_at(when)
         x, y, z = rate.T
+        r = turned.reshape(3, 3, -1).swapaxes(0, 1)  # rows of Rᵀ
         # d/dτ R(t − τ)ᵀ = [ω]× Rᵀ, row by row.
-        result[18:21] = y * r2 - z * r1
-        result[21:24] = z * r0 - x * r2
-        result[24:27] = x * r1 - y * r0
-        turned_lever(result[:9], result[9:18], out=result[27:])
-        return result
+        change = np.empty((3, 3, len(when)))
+        np.subtract(y * r[2], z * r[1], out=change[0])
+        np.subtract(z * r[0], x * r[2], out=change[1])
+        np.subtract(x * r[1], y * r[0], out=change[2])
+        return turned, lever, change.reshape(9, -1), turned_lever(turned, lever).reshape(27, -1)
 
 
-def turned_lever(transposed: Array, lever: Array, out: Array | None = None) -> Array:
-    """Rᵀ [e_k]× K column by column, from the rows of Rᵀ and K (9, n) each: (3, 3, 3, n), rows of Rᵀ first."""
-    r = transposed.reshape(3, 3, -1)
+def turned_lever(rotation: Array, lever: Array) -> Array:
+    """Rᵀ [e_k]× K column by column, from the rows of R and K (9, n) each: (3, 3, 3, n), rows of Rᵀ first."""
+    r = rotation.reshape(3, 3, -1)
     x, y, z = lever.reshape(3, 3, -1)  # rows of K
-    result = (np.empty((27, r.shape[2])) if out is None else out).reshape(3, 3, 3, -1)
+    result = np.empty((3, 3, 3, r.shape[2]))
     for a in range(3):
-        result[a, 0] = r[a, 2] * y - r[a, 1] * z
-        result[a, 1] = r[a, 0] * z - r[a, 2] * x
-        result[a, 2] = r[a, 1] * x - r[a, 0] * y
+        np.subtract(r[2, a] * y, r[1, a] * z, out=result[a, 0])
+        np.subtract(r[0, a] * z, r[2, a] * x, out=result[a, 1])
+        np.subtract(r[1, a] * x, r[0, a] * y, out=result[a, 2])
     return result

@@ -19,7 +19,6 @@ from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import one_sided
 from magyc_gtsam.estimators.model_error.shown import shown_by
-from magyc_gtsam.estimators.smoother.beside import Beside
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.search import Streams
 from magyc_gtsam.factors.chain.rotations import Array
@@ -82,7 +81,7 @@ def model_error(fit: Fit, recording: Streams | None = None) -> ModelError:
 def _of_windows(fit: Fit) -> ModelError:
     if len(fit.chain.windows) < _LEAST_WINDOWS:
         return ModelError(np.zeros_like(fit.reduced.information))
-    beside, motion = Beside(fit), Motion.of(fit)
+    beside, motion = fit.beside, Motion.of(fit)
     # A skew that the fit was asked for is in its own covariance.
     families = [family for family in FAMILIES if fit.skew is None or family.name != "skew"]
     every = tested(beside, motion, [*PHYSICAL, *(family for family in families if family.first)])

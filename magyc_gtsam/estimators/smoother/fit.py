@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 if TYPE_CHECKING:
+    from magyc_gtsam.estimators.smoother.beside import Beside
     from magyc_gtsam.estimators.smoother.skew import Skew
 
 MAX_ITERATIONS = 40
@@ -54,6 +56,19 @@ class Fit:
     converged: bool = False
     noise_freedom: float = np.inf
     skew: Skew | None = None
+
+    def saying(self, skew: Skew) -> Fit:
+        """The same with what the data say of a skew, and with all that was computed of it."""
+        result = copy.copy(self)
+        object.__setattr__(result, "skew", skew)
+        return result
+
+    @cached_property
+    def beside(self) -> Beside:
+        """The products of columns with this fit, at its minimum."""
+        from magyc_gtsam.estimators.smoother.beside import Beside  # which is of fits
+
+        return Beside(self)
 
     @cached_property
     def covariance(self) -> Array:

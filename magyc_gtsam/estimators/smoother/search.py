@@ -144,18 +144,18 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
     if known is None and len(fit.state.parameters) == PARAMETERS and dip_of(fit) is None:
         skew = asked(fit, prior)
         if skew.evidence <= prior.tested:
-            return replace(fit, skew=skew)
+            return fit.saying(skew)
     wide = widened(fit, prior, known)
     skew = skew_of(wide, prior, 1.0)
     if skew.evidence > prior.tested:
         try:
             wide = adapted(descend(wide))
         except MagycError:  # it ran away, as where the field jumps
-            return replace(fit, skew=skew.undecided())
+            return fit.saying(skew.undecided())
         skew = skew_of(wide, prior, wide.colour * wide.widening)
         if skew.decided and wide.converged and positive(wide):
-            return replace(wide, skew=skew)
-    return replace(fit, skew=skew.undecided())
+            return wide.saying(skew)
+    return fit.saying(skew.undecided())
 
 
 def _without_skew(fit: Fit) -> Fit:
@@ -280,9 +280,10 @@ def short_term_noise(recording: Streams) -> SensorNoise:
         value = samples.value
         stride = len(value) // _TRIPLETS | 1  # odd, or every triplet may fall on the same of two interpolated rows
         second = value[2::stride] - 2 * value[1:-1:stride] + value[:-2:stride]
-        deviation = np.sqrt(np.einsum("ni,ni->n", second, second) / 18)
+        square = np.einsum("ni,ni->n", second, second) / 18
         # Upper quartile of sqrt(χ²₃/3): drivers that interpolate leave half of the differences at zero.
-        return max(float(np.percentile(deviation, 75)) / 1.170, least)
+        upper = 3 * (len(square) - 1) // 4
+        return max(float(np.sqrt(np.partition(square, upper)[upper])) / 1.170, least)
 
     return SensorNoise(level(recording.magnetometer, 1e-10), level(recording.gyroscope, 1e-6))
 

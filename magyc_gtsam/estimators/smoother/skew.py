@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.beside import Beside
 from magyc_gtsam.estimators.smoother.columns import Columns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
@@ -173,7 +172,7 @@ def asked(fit: Fit, prior: SkewPrior) -> Skew:
     columns = np.einsum(
         "ij,kjn->kin", iron_matrix(parameters), cross(np.eye(3)[:, :, None], body[:, None]).swapaxes(0, 1)
     )
-    beside = Beside(fit)
+    beside = fit.beside
     new = beside.of(Columns(columns, None))
     profile = _Profile(new.normal, new.score, -beside.move(new), np.zeros(PARAMETERS))
     return _Believed.of(profile, prior).around(np.zeros(3), profile)
