@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.recording import Array, Recording
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
 
 UNKNOWN_FROM = 90.0  # deg; a heading that is uncertain by more is unknown
-_MOST = 2000  # rows from which vertical and dip are taken
+_MOST = 1000  # rows from which vertical and dip are taken
 _UPRIGHT = 0.5  # length of the mean vertical from which the vehicle has an axis that points up
 _DIP = 60.0  # deg, where nothing recorded says which way is up: that of the middle latitudes
 _STEPS = 120
@@ -73,7 +74,7 @@ class LevelTurn:
         jacobian = np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
         variance = np.einsum("na,na->n", jacobian @ covariance[:9, :9], jacobian)
         if askew is not None:
-            turned = np.cross(self._gain(np.eye(3)), self.field)
+            turned = cross(self._gain(np.eye(3)).T, self.field.T).T
             variance += np.einsum("na,na->n", turned @ askew.covariance - 2 * jacobian @ askew.cross, turned)
         return cast(Array, np.degrees(np.sqrt(np.clip(variance, 0.0, None))))
 

@@ -32,6 +32,7 @@ from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
 from magyc_gtsam.factors.chain.rotations import (
     Array,
+    along,
     cross,
     exponential_matrices,
     right_jacobian,
@@ -198,19 +199,21 @@ class FieldChain:
         on_parameters = self._on_parameters(parameters, g, rotation, scale)
 
         # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
-        on_bias = -cross(linear.ahead[:, None] * sight.link_scale, self.windows.lever)
+        on_bias = cross(self.windows.lever, linear.ahead[:, None] * sight.link_scale)
+        bias_first = on_bias.swapaxes(0, 1)
 
         # The directions' matrix H in 2×2 blocks, and its border [C, gradient].
         right = np.empty((size + 1, n, 2))
         band, right[size] = linear.normal_equations()
         for a in (0, 1):
-            np.einsum("in,pin->pn", on_direction[:, a], on_parameters, out=right[:size, :, a])
-            right[9:12, 1:, a] += np.einsum("in,ikn->kn", linear.after[:, a], on_bias)
-            right[9:12, :-1, a] += np.einsum("in,ikn->kn", linear.before[:, a], on_bias)
+            right[:size, :, a] = along(on_direction[:, a], on_parameters)
+            right[9:12, 1:, a] += along(linear.after[:, a], bias_first)
+            right[9:12, :-1, a] += along(linear.before[:, a], bias_first)
         flat = on_parameters.reshape(size, -1)
         information, gradient = flat @ flat.T, flat @ residual.ravel()
-        information[9:12, 9:12] += np.einsum("ikn,iln->kl", on_bias, on_bias)
-        gradient[9:12] += np.einsum("ikn,in->k", on_bias, link)
+        of_links = np.ascontiguousarray(bias_first).reshape(3, -1)
+        information[9:12, 9:12] += of_links @ of_links.T
+        gradient[9:12] += of_links @ link.ravel()
         cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
 
         known = self._known(state, linear.basis)

@@ -152,6 +152,14 @@ def cross(first: Array, second: Array) -> Array:
     return result
 
 
+def along(vector: Array, columns: Array) -> Array:
+    """(p, n) products of vectors (3, n) with columns (p, 3, n); faster than einsum."""
+    result: Array = vector[0] * columns[:, 0]
+    result += vector[1] * columns[:, 1]
+    result += vector[2] * columns[:, 2]
+    return result
+
+
 def exponential_matrices(rotation_vector: Array) -> Array:
     """Rotation matrices (3, 3, n) of rotation vectors (3, n)."""
     x, y, z = rotation_vector

@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dtrtrs
 from magyc_gtsam.estimators.smoother.columns import Columns, Products
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.banded import solved
-from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array, along
 
 _ROUNDING = (
     1e-12  # of a column's square before anything explains it, the information it is given; rounding is 1e-15
@@ -169,11 +169,11 @@ class Beside:
             np.concatenate([each.profiles for each in products]),
         )
         (count, _, n), transposed = axes.shape, profiles.T
-        along = self._border(count, axes, None)
-        border = (np.repeat(profiles, 2, axis=1)[:, None] * along).reshape(-1, 2 * n)
+        of_axes = self._border(count, axes, None)
+        border = (np.repeat(profiles, 2, axis=1)[:, None] * of_axes).reshape(-1, 2 * n)
         on_parameters = (reduced.on_parameters[:, None] * axes).sum(axis=2)
         pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
-        score = _along(self._left.window.reshape(3, n), axes) @ transposed
+        score = along(self._left.window.reshape(3, n), axes) @ transposed
         between = (axes[:, None] * axes).sum(axis=2)
 
         def square(own: slice) -> Array:
@@ -196,10 +196,10 @@ class Beside:
         border = np.zeros((count, reduced.basis.shape[2], 2))
         for a in (0, 1):
             if window is not None:
-                border[:, :, a] = _along(reduced.on_direction[:, a], window)
+                border[:, :, a] = along(reduced.on_direction[:, a], window)
             if link is not None:
-                border[:, 1:, a] += _along(reduced.after[:, a], link)
-                border[:, :-1, a] += _along(reduced.before[:, a], link)
+                border[:, 1:, a] += along(reduced.after[:, a], link)
+                border[:, :-1, a] += along(reduced.before[:, a], link)
         return border.reshape(count, -1)
 
     @cached_property
@@ -289,12 +289,4 @@ def _whitened(parts: Sequence[Array | None], scale: Array) -> Array | None:
     result = np.empty((sum(len(part) for part in given), *given[0].shape[1:]))
     np.concatenate(given, out=result)
     result *= scale
-    return result
-
-
-def _along(vector: Array, columns: Array) -> Array:
-    """(p, n) products of vectors (3, n) with columns (p, 3, n); faster than einsum."""
-    result: Array = vector[0] * columns[:, 0]
-    result += vector[1] * columns[:, 1]
-    result += vector[2] * columns[:, 2]
     return result

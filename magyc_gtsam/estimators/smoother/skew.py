@@ -63,7 +63,7 @@ class SkewPrior:
         return max(self.deviations)
 
 
-AUTOMATIC = SkewPrior(tuple(np.radians((0.0, 0.125, 0.25, 0.5, 1.0, 2.0))), (0.03, 0.05, 0.15, 0.3, 0.37, 0.1))
+AUTOMATIC = SkewPrior(tuple(np.radians((0.0, 0.125, 0.25, 0.5, 1.0, 2.0))), (0.15, 0.02, 0.1, 0.3, 0.34, 0.09))
 
 
 def given(deviation: float) -> SkewPrior:
