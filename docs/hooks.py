@@ -46,9 +46,9 @@ def on_page_markdown(markdown: str, page: Any, config: Any, files: Any) -> str:
 def _commands() -> str:
     import typer
 
-    from magyc_gtsam.cli.app import app
+    from magyc_gtsam.cli.app import application
 
-    group: Any = typer.main.get_command(app)
+    group: Any = typer.main.get_command(application())
     context = group.make_context("magyc-gtsam", ["--version"], resilient_parsing=True)
     parts = []
     for name in group.list_commands(context):

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import magyc_gtsam as mg
-from magyc_gtsam.cli.app import app
+from magyc_gtsam.cli.app import application
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.io import write_mcap
@@ -28,7 +28,7 @@ def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
     assert effect in [e.name for e in gap.effects]
     gap.calibration.save(tmp_path / "cal.yaml")
     done = CliRunner().invoke(
-        app, ["apply", str(tmp_path / "cal.yaml"), str(log), "--output", str(out), "--quiet"]
+        application(), ["apply", str(tmp_path / "cal.yaml"), str(log), "--output", str(out), "--quiet"]
     )
     assert done.exit_code in (0, 1), done.output
     applied = mg.read(out)

@@ -8,53 +8,31 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Annotated
 
 import typer
 
 from magyc_gtsam import __version__
-from magyc_gtsam.cli import (
-    apply,
-    calibrate,
-    cause,
-    compare,
-    export,
-    gap,
-    history,
-    info,
-    interrupted,
-    online,
-    serve,
-    simulate,
-    study,
-)
+from magyc_gtsam.cli import cause, interrupted
 from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.foreign_text import printable
 
 WRONG, UNREAD = 2, 141  # the latter as shells count signal 13
 
-app = typer.Typer(
-    name="magyc-gtsam",
-    help="Calibrate magnetometers and gyroscopes from the data a vehicle records anyway.",
-    add_completion=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+COMMANDS = (
+    "calibrate",
+    "online",
+    "apply",
+    "info",
+    "compare",
+    "gap",
+    "history",
+    "serve",
+    "simulate",
+    "export",
+    "study",
 )
-for name, command in (
-    ("calibrate", calibrate),
-    ("online", online),
-    ("apply", apply),
-    ("info", info),
-    ("compare", compare),
-    ("gap", gap),
-    ("history", history),
-    ("serve", serve),
-    ("simulate", simulate),
-    ("export", export),
-    ("study", study),
-):
-    app.command(name)(command.run)
 
 
 def _show_version(wanted: bool) -> None:
@@ -66,13 +44,28 @@ def _show_version(wanted: bool) -> None:
 _COMPLETION = "_MAGYC_GTSAM_COMPLETE"  # set by the shell that asks what may follow
 
 
-@app.callback()
 def _options(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
     """Options before the command."""
+
+
+def application(commands: Sequence[str] = COMMANDS) -> typer.Typer:
+    """The command line with some of its commands, each a module of its name with a function `run`."""
+    app = typer.Typer(
+        name="magyc-gtsam",
+        help="Calibrate magnetometers and gyroscopes from the data a vehicle records anyway.",
+        add_completion=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    )
+    app.callback()(_options)
+    for name in commands:
+        app.command(name)(import_module(f"magyc_gtsam.cli.{name}").run)
+    return app
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -92,7 +85,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal without µ shows a question mark
-    group = typer.main.get_command(app)
+    named = given[:1] if given[0] in COMMANDS and _COMPLETION not in os.environ else COMMANDS
+    group = typer.main.get_command(application(named))  # reading what one command takes is enough to run it
     if _COMPLETION in os.environ:
         group.main([], "magyc-gtsam")  # answers the shell, and exits
     try:
