@@ -14,7 +14,7 @@ from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import Motion
 from magyc_gtsam.estimators.model_error.samples import too_slow
 from magyc_gtsam.estimators.smoother.beside import Beside
-from magyc_gtsam.estimators.smoother.columns import Columns
+from magyc_gtsam.estimators.smoother.columns import Columns, Products
 from magyc_gtsam.estimators.smoother.fit import descend, explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 
@@ -68,6 +68,23 @@ def test_columns_have_the_products_that_elimination_leaves(fit) -> None:
             whitened = columns.window[k] * fit.chain.window_scale * np.sqrt(fit.weights.window)
             left = float(np.vdot(whitened, whitened)) - explained(fit, whitened, fit.covariance)
             assert normal[k, k] == pytest.approx(left, rel=1e-6, abs=1e-10 * np.vdot(whitened, whitened))
+
+
+def test_products_of_profiles_and_axes_are_as_any_columns(fit) -> None:
+    """The short way through the elimination, many groups together, against the long one, each by itself."""
+    motion, beside = Motion.of(fit), Beside(fit)
+    groups = [g for g in (family.columns(motion) for family in FAMILIES) if isinstance(g, Products)]
+    assert len(groups) > 6
+    for together, group in zip(beside.of_each(groups), groups, strict=True):
+        alone = beside.of(group.dense)
+        size = np.sqrt(np.square(alone.window).sum(axis=1))
+        np.testing.assert_allclose(
+            together.normal / np.outer(size, size), alone.normal / np.outer(size, size), atol=1e-11
+        )
+        np.testing.assert_allclose(together.score / size, alone.score / size, atol=1e-9)
+        np.testing.assert_allclose(together.across(alone), alone.across(alone), atol=1e-11 * size.max() ** 2)
+        moves = beside.move(alone)
+        np.testing.assert_allclose(beside.move(together), moves, atol=1e-9 * np.abs(moves).max())
 
 
 def test_products_of_all_families_have_no_negative_direction(fit) -> None:
