@@ -112,11 +112,18 @@ class Calibration:
 
         Raises:
             MagycError: a wrong shape, or a term needs a signal that is not there.
+
+        Warns:
+            UserWarning: the strength of the result is in the median outside of 8 to 175 µT.
         """
+        return self._plausible(self.corrected(magnetic_field, **signals))
+
+    def corrected(self, magnetic_field: ArrayLike | Recording, **signals: Any) -> Array:
+        """As `apply`, without the warning: for fields whose strength is judged or shown."""
         given = given_signals(magnetic_field, "magnetic_field", signals)
         m = vectors("magnetic_field", given.pop("magnetic_field"))
         if not self.terms:
-            return self._plausible(cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T))
+            return cast(Array, (m - self.hard_iron) @ np.linalg.inv(self.soft_iron).T)
         rows = np.atleast_2d(m)
         at = as_signals(len(rows), given)
         if at.rate is not None and self.gyro_bias is not None:
@@ -124,7 +131,7 @@ class Calibration:
         field = corrected_field(rows.T, self.soft_iron, self.hard_iron, self.terms, at)
         if given.get("time") is not None:
             field = shifted(at.time, field, self.terms)
-        return self._plausible(field.T.reshape(m.shape))
+        return field.T.reshape(m.shape)
 
     def _plausible(self, field: Array) -> Array:
         """The field, with a warning where it is none of the Earth's."""

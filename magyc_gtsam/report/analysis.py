@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import cast
 
@@ -74,11 +73,7 @@ def field_history(recording: Recording, calibration: Calibration) -> FieldHistor
     fresh = np.flatnonzero(recording.magnetic_field_fresh)
     fresh = fresh[:: -(-len(fresh) // _MOST_ROWS)]
     time, raw = recording.time[fresh], recording.magnetic_field[fresh]
-    with warnings.catch_warnings():
-        warnings.filterwarnings(
-            "ignore", "apply: the calibrated field is", UserWarning
-        )  # the page shows its strength
-        calibrated = calibration.apply(raw)
+    calibrated = calibration.corrected(raw)
     strength = calibration.field_strength
     if strength is None:
         strength = float(np.median(np.linalg.norm(calibrated, axis=1)))

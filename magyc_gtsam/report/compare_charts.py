@@ -57,7 +57,7 @@ def strength(comparison: Comparison, outcome: Outcome) -> Figure:
     assert outcome.calibration is not None
     time, field = comparison.recording.magnetometer
     scale, unit = comparison.recording.field_shown
-    raw, calibrated = (np.linalg.norm(f, axis=1) * scale for f in (field, outcome.calibration.apply(field)))
+    raw, calibrated = (np.linalg.norm(f, axis=1) * scale for f in (field, outcome.calibration.corrected(field)))
     return over_time(
         "Strength before and after",
         "",

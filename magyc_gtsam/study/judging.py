@@ -61,7 +61,7 @@ def _judged(recording: Recording, outcome: Outcome, delay: float, inlier: Mask) 
     """With the spread of the field and the heading's error."""
     if outcome.calibration is None:
         return outcome
-    norm = np.linalg.norm(outcome.calibration.apply(recording.magnetometer.value), axis=1)
+    norm = np.linalg.norm(outcome.calibration.corrected(recording.magnetometer.value), axis=1)
     attitude = recording.attitude
     reference = (
         attitude is not None and bool(np.isfinite(attitude).any()) and recording.magnetic_field_unit != "counts"
