@@ -4,7 +4,7 @@
     python benchmarks/incremental_runner.py --poses 10000
 
 Poses one by one, each with odometry to the one before and a position fix every ten; both solvers get the same factors,
-turn and turn about in one process, relinearise at 0.01 by Gauss-Newton, and give the estimate of the newest pose.
+one after the other in one process, relinearise at 0.01 by Gauss-Newton, and give the estimate of the newest pose.
 """
 
 import argparse
