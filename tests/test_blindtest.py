@@ -18,6 +18,7 @@ from magyc_gtsam.blindtest.gates import gates, interval, missing
 from magyc_gtsam.blindtest.generator import generate, noise_free, truth_of
 from magyc_gtsam.blindtest.heading import heading_error, heading_errors
 from magyc_gtsam.blindtest.pictures import draw
+from magyc_gtsam.blindtest.reliability import reliability_rows, scores
 from magyc_gtsam.blindtest.running import run
 from magyc_gtsam.blindtest.scenarios import (
     FACTORS,
@@ -391,3 +392,24 @@ def test_a_part_of_a_log_is_taken(tmp_path: Path) -> None:
     assert read.keys() == {"log", "log@5:20.5"}
     assert read["log"].duration == pytest.approx(30, abs=0.2)
     assert read["log@5:20.5"].duration == pytest.approx(15.5, abs=0.2)
+
+
+def test_what_is_stated_too_surely_is_not_true() -> None:
+    def stated(label: str, kind: str, names: tuple[str, ...], probability: float) -> Outcome:
+        hidden = Scenario(label, kind, "wide", 1, tuple((name, 1.0) for name in names))
+        said = {"timing": probability, "unknown": 1 - probability, "nothing": 0.0}
+        return Outcome("0", hidden, "closed", (), "right", "", None, None, 1.0, None, said)
+
+    late = [stated(f"{k}", "single", ("timing",), 0.97) for k in range(97)]
+    foreign = [stated(f"f{k}", "foreign", ("servo-magnet",), 0.97) for k in range(3)]
+    (row,) = reliability_rows([*late, *foreign])
+    assert row[1:4] == ["100", "0.970", "0.970"]
+    assert row[-1] == ""
+    (row,) = reliability_rows([*late[:50], *foreign * 5])
+    assert row[-1] == "not true"
+    true, sure = scores([*late, *foreign]), scores([*late, *foreign * 5])
+    assert true is not None
+    assert sure is not None
+    assert true.log == pytest.approx(-0.97 * np.log(0.97) - 0.03 * np.log(0.03))
+    assert true.brier == pytest.approx(2 * 0.97 * 0.03)
+    assert sure.log > true.log

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Container, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,7 @@ class Outcome:
         heading: systematic heading error in degrees before and after; None where it was not computed.
         stands_out: sigmas; None where it was not computed.
         seconds: processor time.
+        probabilities: that were stated, of each name, of "unknown" and of "nothing".
     """
 
     number: str
@@ -62,6 +63,7 @@ class Outcome:
     heading: tuple[float, float] | None
     seconds: float
     stands_out: float | None = None
+    probabilities: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def said(self) -> str:
@@ -178,6 +180,7 @@ def _outcome(
         heading(scenario, result) if accepted else None,
         float(result["cpu_seconds"]),
         standing(scenario),
+        result.get("probabilities", {}),
     )
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from magyc_gtsam.blindtest.gates import Gate, gates, missing
+from magyc_gtsam.blindtest.reliability import RELIABILITY_HEADER, reliability_rows, scores
 from magyc_gtsam.blindtest.scenarios import SETS
 from magyc_gtsam.blindtest.scoring import IN_SET, OUTCOMES, REFUSED, RIGHT, SILENT, UNKNOWN, WRONG, Outcome
 from magyc_gtsam.blindtest.standing import seen_by_a_perfect_test
@@ -133,6 +134,14 @@ def markdown(outcomes: Sequence[Outcome], title: str) -> str:
     standing = standing_rows(outcomes)
     if standing:
         lines += ["", "## One effect, by how far it stands out", "", *_table(STANDING_HEADER, standing)]
+    stated = reliability_rows(outcomes)
+    scored = scores(outcomes)
+    if stated and scored is not None:
+        lines += ["", "## Whether stated probabilities are true", "", *_table(RELIABILITY_HEADER, stated)]
+        lines += [
+            "",
+            f"Log score {scored.log:.3f}, Brier score {scored.brier:.3f}, {scored.recordings} recordings.",
+        ]
     for kind in SETS:
         own = [o for o in outcomes if o.scenario.set == kind]
         if own:

@@ -21,6 +21,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.forms import per_axis
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Projector
 from magyc_gtsam.gap.twin import Columns, Twin
@@ -42,12 +43,16 @@ class FieldVariation:
     Attributes:
         gain: nats by which it explains the innovations better than a field that stands still.
         along, attitude: T, standard deviations along the way and with attitude; noise: ρ, in the sensors' noise.
+        period: s, correlation time along the way.
+        components: (k, 3n) whitened columns, whose amplitudes have the deviation ρ.
     """
 
     gain: float
     along: float
     attitude: float
     noise: float
+    period: float
+    components: Array
     _columns: Array
     _less: Array
 
@@ -62,21 +67,19 @@ class FieldVariation:
         return result
 
 
-def field_variation(twin: Twin) -> FieldVariation:
-    """The amplitudes under which what a model leaves is most likely."""
+def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
+    """The amplitudes under which what a model leaves is most likely.
+
+    In the sensor's axes it is no place: the same functions of time and attitude, of what moves with the sensor.
+    """
+    put = _in_world if in_world else _in_sensor
     project = Projector(twin.base_columns, twin.base_pull)
     v = project(twin.residual().reshape(1, -1))[0]
-    duration = float(twin.time[-1] - twin.time[0])
-    order = np.arange(1, min(_MODES, twin.n // 4) + 1)
-    cosines = np.sqrt(2) * np.cos(order[:, None] * np.pi * (twin.time - twin.time[0]) / duration)
-    raw = np.concatenate(
-        [_in_world(twin, cosines), _in_world(twin, functions_of_attitude(twin.windows.need("to_sensor")))]
-    )
-    shapes = [np.zeros(3 * len(order))]
-    for amplitude, time in product(_AMPLITUDES, _CORRELATION):
-        power = 1 / (1 + (np.pi * order / duration * time) ** 2)
-        shapes.append(amplitude * np.repeat(np.sqrt(power / power.sum()), 3))
-    turned = len(raw) - 3 * len(order)
+    cosines, courses = waves(twin.time)
+    raw = np.concatenate([put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))])
+    shapes = [np.zeros(3 * len(cosines))]
+    shapes += [amplitude * np.repeat(course, 3) for amplitude, course in product(_AMPLITUDES, courses)]
+    turned = len(raw) - 3 * len(cosines)
     search = _Search(v, project(raw), 3 * twin.n - len(twin.base_columns))
 
     def deviations(shape: int, share: int) -> Array:
@@ -90,14 +93,23 @@ def field_variation(twin: Twin) -> FieldVariation:
     chosen = deviations(shape, share)
     log, noise = search.log(chosen)
     still, _ = search.log(np.zeros(len(raw)), fixed=True)
+    period = _CORRELATION[(shape - 1) % len(_CORRELATION)] if shape else 0.0
     scaled = raw[chosen > 0] * chosen[chosen > 0, None]
     value, vector = np.linalg.eigh(scaled @ scaled.T)
     kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
     columns = (vector[:, kept] / np.sqrt(value[kept])).T @ scaled
     along = float(np.sqrt((shapes[shape] ** 2).sum() / 3)) * noise
-    return FieldVariation(
-        log - still, along, _SHARES[share] * along, noise, columns, 1 - 1 / np.sqrt(1 + value[kept])
-    )
+    less = 1 - 1 / np.sqrt(1 + value[kept])
+    return FieldVariation(log - still, along, _SHARES[share] * along, noise, period, scaled, columns, less)
+
+
+def waves(time: Array) -> tuple[Array, Array]:
+    """(k, n) cosines of time, and (3, k) deviations of their amplitudes for each correlation time, of unit variance."""
+    duration = float(time[-1] - time[0])
+    order = np.arange(1, min(_MODES, len(time) // 4) + 1)
+    cosines = np.sqrt(2) * np.cos(order[:, None] * np.pi * (time - time[0]) / duration)
+    power = 1 / (1 + (np.pi * order / duration * np.array(_CORRELATION)[:, None]) ** 2)
+    return cosines, np.sqrt(power / power.sum(axis=1, keepdims=True))
 
 
 def _best(logs: Sequence[float]) -> int:
@@ -130,6 +142,11 @@ def _in_world(twin: Twin, profiles: Array) -> Array:
     soft = unvech(twin.state.parameters[:6])
     from_world = np.einsum("ij,jkn->kin", soft / np.cbrt(np.linalg.det(soft)), twin.windows.need("to_sensor"))
     return twin.whiten(Columns((profiles[:, None, None] * from_world).reshape(-1, 3, twin.n), None))
+
+
+def _in_sensor(twin: Twin, profiles: Array) -> Array:
+    """The same along each of the sensor's axes."""
+    return twin.whiten(Columns(per_axis(profiles), None))
 
 
 def functions_of_attitude(to_sensor: Array) -> Array:

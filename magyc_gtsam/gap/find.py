@@ -18,6 +18,8 @@ from magyc_gtsam.gap.clipped import with_clipped
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.doubt import Doubt
 from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.evidence.answer import answer
+from magyc_gtsam.gap.evidence.decision import marginals
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.noiseless import LEAST, noiseless
@@ -151,7 +153,9 @@ def _looked(
     result = search(recording, base, short_term, names, _problem, report)
     report(0.8)
     gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
-    gap = with_clipped(gap, usable.clipped)
+    stated = marginals(answer(recording, base, short_term, names, _problem, discrete).posterior)
+    effects = tuple(replace(effect, probability=stated.get(effect.name, 0.0)) for effect in gap.effects)
+    gap = with_clipped(replace(gap, effects=effects, probabilities=stated), usable.clipped)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
 
 

@@ -33,6 +33,7 @@ class Effect:
         statistic, threshold: evidence when it was added: twice the gain in log-likelihood, and its 1 % level.
         applied: whether `gap.calibration` corrects it.
         sentence: one line that a navigator understands.
+        probability: that it is there, by the evidence of all sets of effects; the name itself is given by score tests.
     """
 
     name: str
@@ -47,6 +48,7 @@ class Effect:
     threshold: float
     applied: bool
     sentence: str
+    probability: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -265,6 +267,8 @@ class Gap:
         assumptions: of the user's simulator, where one was given.
         next_manoeuvre: None where there is nothing to tell apart.
         doubt: why the calibration must not be used, and what to do; None where the verdict is "none" or "closed".
+        probabilities: of every name, of "field-variation" (the field of the place varies), of "unknown" (something that
+            is in no catalogue) and of "nothing"; empty where nothing was tested.
         diagnostics: about the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …
     """
 
@@ -282,6 +286,7 @@ class Gap:
     assumptions: tuple[Assumption, ...] = ()
     next_manoeuvre: Manoeuvre | None = None
     doubt: Doubt | None = None
+    probabilities: Mapping[str, float] = field(default_factory=dict)
     diagnostics: Mapping[str, Any] = field(default_factory=dict)
 
     @property

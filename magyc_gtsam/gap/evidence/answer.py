@@ -1,0 +1,113 @@
+"""One recording's posterior: the tree of names, effects on the noise beside it, colour beside each of its sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.field_chain import DELAY, SensorNoise
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
+from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, noise_of, without
+from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, of_field, weights
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.tree import Tree
+from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.problem import Model, Problem
+from magyc_gtsam.gap.refit import Refit, refit
+from magyc_gtsam.recording import Recording
+
+COLOUR = "coloured-noise"
+_ROUNDS = 3  # of taking out what is found on single samples
+_HARDLY = -3.0  # log odds, below which it is not said to be possible
+_COLOURED = 0.0  # nats of colour at nothing, from which names are looked for beside it
+_DIRECTIONS = float(np.log(20))  # families, of which colour along one direction is one
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What one recording says.
+
+    Attributes:
+        recording: without what was found on single samples.
+        tree: of the sets.
+        posterior: {(names, something unknown beside): probability}.
+    """
+
+    recording: Recording
+    tree: Tree
+    posterior: dict[Set, float]
+
+
+def answer(
+    recording: Recording,
+    base: Refit,
+    short_term: SensorNoise,
+    names: Sequence[str],
+    prepare: Callable[[Recording], Problem],
+    settled: Sequence[NoiseScore] = (),
+) -> Answer:
+    """The posterior of one recording, whose base model was fitted."""
+    allowed = tuple(name for name in names if name in TERMS)
+    said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
+    given, problem, model = recording, base.twin.problem, base.model
+    level = short_term
+    for _ in range(_ROUNDS):
+        start = refit(problem, _bare(base.model, level), None)
+        tree = Tree(start, allowed, base.model.terms)
+        before, model = recording, tree.best.fit.model
+        fine, found = noise_of(recording, model)
+        for name in SINGLE:
+            score, known = found[name], said.get(name, -np.inf)
+            odds = log_odds(score)
+            form = score.statistic < PRIOR.form * of_field(tree.best) and name != "quantisation"
+            if name not in names or (known > 0 and name != "tone") or odds < _HARDLY or form:
+                continue
+            said[name] = max(odds, known)
+            if odds > 0:
+                recording = without(recording, given, model, fine, score)
+                problem = prepare(recording)
+                fine, found = noise_of(recording, model)
+        if recording is before:
+            break
+        if said.get("quantisation", 0.0) > 0:  # steps wider than the noise hide it between neighbours
+            level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.level))
+    return Answer(recording, tree, _posterior(tree, said, COLOUR in names))
+
+
+def _bare(model: Model, level: SensorNoise) -> Model:
+    """A model without its effects, at the sensors' own noise."""
+    free, parameters = model.free.copy(), model.parameters.copy()
+    free[DELAY], parameters[DELAY] = False, 0.0
+    return Model(parameters, free, level)
+
+
+def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, float]:
+    models = weights(tree)
+
+    def add(key: tuple[str, ...], unknown: bool, log: float) -> None:
+        models[key, unknown] = float(np.logaddexp(models.get((key, unknown), -np.inf), log))
+
+    if coloured and "quantisation" not in said:
+        for node in tree.nodes.values():
+            if node.variation is not None:
+                continue
+            left = node.beside.left()
+            power = float(left @ left) - tree.freedom
+            if power > PRIOR.form * node.explained:
+                colour = colour_of(left)
+                add(tuple(sorted((*key_of(node), COLOUR))), False, node.log + PRIOR.named + colour.alike)
+                add(key_of(node), True, node.log + PRIOR.unknown - _DIRECTIONS + colour.one_way)
+        if colour_of(tree.nodes[()].beside.left()).alike + PRIOR.named > max(
+            _COLOURED, tree.best.log - PRIOR.close
+        ):
+            for names, (log, colour) in beside_colour(tree).items():
+                key = tuple(sorted((*names, COLOUR)))
+                models[key, False] = max(
+                    models.get((key, False), -np.inf), log + colour.alike + (len(names) + 1) * PRIOR.named
+                )
+    for name, odds in said.items():  # whatever else there is
+        models |= {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
+    return normalised(models)

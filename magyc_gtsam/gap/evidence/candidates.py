@@ -1,0 +1,185 @@
+"""Columns of every hypothesis, whitened once: of names at all their settings, and of families without a name.
+
+A candidate's amplitudes are a ~ N(0, s² D), D what matters of each value (for the deviation of its channel), s a
+scale on a grid of octaves. Columns are kept times √D, so that s is all that is left to vary.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import Setting, per_axis
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.field_variation import waves
+from magyc_gtsam.gap.generic import Family, families
+from magyc_gtsam.gap.twin import Columns, Twin
+
+Part = tuple[np.ndarray, str, Setting, float]  # places of columns, whose they are, at which setting, its log prior
+Stack = tuple[Array, Array, list[Part]]
+COURSE = "time:sensor"
+_WHOLE = 0.5  # probability that a family is wanted as a whole, not in one of its parts
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Candidates with as many columns: their places (B, k), Gram matrices (B, k, k), names, settings and log priors."""
+
+    rows: np.ndarray
+    gram: Array
+    names: tuple[str, ...]
+    settings: tuple[Setting, ...]
+    prior: Array
+
+    def only(self, kept: Sequence[int]) -> Batch:
+        """Some of them."""
+        names, settings = tuple(self.names[i] for i in kept), tuple(self.settings[i] for i in kept)
+        return Batch(self.rows[kept], self.gram[kept], names, settings, self.prior[kept])
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Columns (N, 3n) in units of what matters, their expected score (N,) without any effect, and who has which."""
+
+    columns: Array
+    pull: Array
+    batches: tuple[Batch, ...]
+
+    @classmethod
+    def of(cls, twin: Twin, names: Sequence[str], among: Iterable[Family] | None = None) -> Candidates:
+        """Of names, and of families (None: all that the recording allows)."""
+        every = families(twin) if among is None else among
+        courses = [_courses(twin)] if among is None else []
+        return cls.of_parts(twin, [*_of_names(twin, names), *_of_families(twin, every), *courses])
+
+    @classmethod
+    def of_parts(cls, twin: Twin, stacks: Sequence[Stack]) -> Candidates:
+        """Of columns that were whitened."""
+        groups: dict[int, list[Part]] = {}
+        first = 0
+        for rows, _, parts in stacks:
+            for part, name, setting, prior in parts:
+                groups.setdefault(len(part), []).append((part + first, name, setting, prior))
+            first += len(rows)
+        columns = np.concatenate([np.zeros((0, 3 * twin.n)), *(rows for rows, _, _ in stacks)])
+        pull = np.concatenate([np.zeros(0), *(pulled for _, pulled, _ in stacks)])
+        return cls(columns, pull, tuple(_batches(columns, groups)))
+
+    def only_names(self) -> Candidates:
+        """Without the families."""
+        batches = []
+        for batch in self.batches:
+            kept = [i for i, name in enumerate(batch.names) if name in TERMS]
+            if kept:
+                batches.append(batch.only(kept))
+        return Candidates(self.columns, self.pull, tuple(batches))
+
+    def of_setting(self, name: str, setting: Setting) -> Array:
+        """(k, 3n) columns of a name at one of its settings."""
+        for batch in self.batches:
+            for rows, whose, at in zip(batch.rows, batch.names, batch.settings, strict=True):
+                if whose == name and at is setting:
+                    return self.columns[rows]
+        return self.columns[:0]
+
+    def changed(self, change: Callable[[Array], Array]) -> Candidates:
+        """With other columns in place of these, row by row."""
+        columns = change(self.columns)
+        batches = tuple(replace(batch, gram=_gram(columns[batch.rows])) for batch in self.batches)
+        return Candidates(columns, self.pull, batches)
+
+
+def _gram(columns: Array) -> Array:
+    result: Array = columns @ columns.swapaxes(1, 2)
+    return result
+
+
+def _batches(columns: Array, groups: Mapping[int, Sequence[Part]]) -> Iterator[Batch]:
+    for many in groups.values():
+        rows = np.array([part for part, _, _, _ in many])
+        yield Batch(
+            rows,
+            _gram(columns[rows]),
+            tuple(name for _, name, _, _ in many),
+            tuple(setting for _, _, setting, _ in many),
+            np.array([prior for _, _, _, prior in many]),
+        )
+
+
+def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
+    for name in names:
+        if not TERMS[name].missing(twin):
+            settings = settings_of(twin, name)
+            if settings:
+                yield at_settings(twin, name, settings)
+
+
+def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
+    """The grid that a name is averaged over; a drift is a straight line or a random walk."""
+    if name != "hard-iron-drift":
+        return TERMS[name].settings(twin)
+    ends = {"start": float(twin.time[0]), "end": float(twin.time[-1])}
+    return [{"order": 0.0} | ends, {"order": float(PRIOR.modes)} | ends]
+
+
+def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:
+    """A name at some settings, each as likely as the other."""
+    made = [TERMS[name].regressors(twin, setting) for setting in settings]
+    links = [part.link for part in made]
+    whole = Columns(
+        np.concatenate([part.window for part in made]),
+        None if links[0] is None else np.concatenate([link for link in links if link is not None]),
+    )
+    unit = np.concatenate(
+        [what_matters(twin, name, s, len(p.window)) for s, p in zip(settings, made, strict=True)]
+    )
+    pull = np.concatenate([np.zeros(len(p.window)) if p.pull is None else p.pull for p in made])
+    ends = np.cumsum([len(part.window) for part in made])
+    places = np.split(np.arange(ends[-1]), ends[:-1])
+    prior = -float(np.log(len(settings)))
+    parts: list[Part] = [(place, name, setting, prior) for place, setting in zip(places, settings, strict=True)]
+    return twin.whiten(whole) * unit[:, None], pull * unit, parts
+
+
+def what_matters(twin: Twin, name: str, setting: Setting, count: int) -> Array:
+    """(count,) of each value, SI; of a random walk's k-th mode by 1 / k."""
+    term = TERMS[name]
+    unit = np.broadcast_to(term.matters / term.deviations(twin, setting), (count,))
+    if setting.get("order"):
+        return unit / np.repeat(np.arange(1.0, count // 3 + 1), 3)
+    return unit
+
+
+def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:
+    spacing = float(np.median(np.diff(twin.time)))
+    for family in among:
+        made = family.columns(twin)
+        if made.link is None:
+            size, matters = float(np.sqrt((made.window**2).mean())), PRIOR.profile_field
+        else:
+            size, matters = float(np.sqrt((made.link**2).mean())) / spacing, PRIOR.profile_rate
+        unit = matters / max(size, 1e-300)
+        rows = twin.whiten(made) * unit
+        pull = np.zeros(len(rows)) if made.pull is None else made.pull * unit
+        cut = [np.arange(first, first + width) for width in family.parts for first in range(0, len(rows), width)]
+        cut = [part[part < len(rows)] for part in cut]
+        whole = float(np.log(_WHOLE)) if cut else 0.0
+        parts: list[Part] = [(np.arange(len(rows)), family.name, {}, whole)]
+        share = float(np.log((1 - _WHOLE) / max(len(cut), 1)))
+        parts += [(part, family.name, {"first": float(part[0])}, share) for part in cut]
+        yield rows, pull, parts
+
+
+def _courses(twin: Twin) -> Stack:
+    """Any course in time of the hard iron, as fast and as slow as that of a field that varies, in the sensor's axes."""
+    profiles, shapes = waves(twin.time)
+    rows = twin.whiten(Columns(per_axis(profiles), None)) * PRIOR.profile_field
+    columns = np.concatenate([rows * np.repeat(shape, 3)[:, None] for shape in shapes])
+    prior = -float(np.log(len(shapes)))
+    places = np.arange(len(columns)).reshape(len(shapes), -1)
+    parts: list[Part] = [(place, COURSE, {"first": float(k)}, prior) for k, place in enumerate(places)]
+    return columns, np.zeros(len(columns)), parts

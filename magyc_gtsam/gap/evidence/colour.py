@@ -1,0 +1,105 @@
+"""Noise that hangs together, beside a set of names: the likelihood of what the set leaves as an autoregression.
+
+Alike in all directions it is a noise of the sensor, which has a name. Along one direction more than along the others it
+is something that moves, and unknown.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.tree import Tree
+from magyc_gtsam.gap.evidence.weighing import weigh
+
+_ORDERS = (1, 2, 3, 4, 6)
+_NAMES = 2  # beside colour
+_HARDLY = -2.0  # nats, from which a name is worth a look there
+_QUIETER = 1.04  # mean square of white innovations: above, more than their level is wrong
+
+
+class Colour(NamedTuple):
+    """Nats of colour alike in all directions, and of one that is not; its filter A(z), and the sigma that it leaves."""
+
+    alike: float
+    one_way: float
+    filter: Array
+    sigma: float
+
+
+def colour_of(innovation: Array) -> Colour:
+    """Of (3n,) innovations, against white noise of the sensors' level (which may be less than thought)."""
+    rows = innovation.reshape(3, -1)
+    level = np.sqrt(min(float((rows**2).mean()), _QUIETER))
+    rows = rows / level
+    alike, polynomial, sigma = _autoregression(rows)
+    direction = np.linalg.eigh(rows @ rows.T)[1]
+    one_way = sum(_autoregression(row[None])[0] for row in direction.T @ rows)
+    return Colour(alike, one_way, polynomial, sigma * level)
+
+
+def _autoregression(rows: Array) -> tuple[float, Array, float]:
+    """(nats against white of unit variance by BIC, polynomial, sigma) of (k, n) rows that share one."""
+    k, n = rows.shape
+    square = float((rows**2).sum())
+    mean = max(square / (k * n), 1.0)
+    best = (-np.inf, np.ones(1), 1.0)
+    for order in _ORDERS:
+        lagged = np.array([np.vdot(rows[:, lag:], rows[:, : n - lag]) for lag in range(order + 1)]) / (k * n)
+        first = lagged[:-1].copy()
+        first[0] *= 1 + 1e-9
+        polynomial = np.concatenate([[1.0], -solve_toeplitz(first, lagged[1:])])
+        left = lfilter(polynomial, [1.0], rows, axis=1)[:, order:]
+        variance = float((left**2).mean())
+        start = 0.5 * float((rows[:, :order] ** 2).sum()) / mean + 0.5 * k * order * np.log(mean)
+        log = 0.5 * square - 0.5 * left.size * (np.log(variance) + 1) - start
+        log -= 0.5 * (order + 1) * np.log(k * n)
+        if log > best[0]:
+            best = (log, polynomial, np.sqrt(variance))
+    return best
+
+
+def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
+    """{names: their nats beside colour, and the colour}, added one by one as linearised at nothing."""
+    root = tree.nodes[()]
+    innovation, base = root.beside.left(), root.fit.twin.base_columns
+    candidates = tree.candidates.only_names()
+    result: dict[tuple[str, ...], tuple[float, Colour]] = {}
+    names: tuple[str, ...] = ()
+    log, left = 0.0, innovation
+    soft, variance = candidates.columns[:0], np.zeros(0)
+    for _ in range(_NAMES + 1):
+        colour = colour_of(left)
+        result[names] = log, colour
+        white = partial(filtered, colour=colour)
+        none = np.zeros(len(base) + len(soft))
+        beside = Beside(white(innovation), white(base), white(soft), variance, none)
+        found = weigh(candidates.changed(white), beside)
+        best = max((each for each in found.values() if each.name not in names), key=lambda each: each.log)
+        if best.log + PRIOR.named < _HARDLY:
+            break
+        names, log = tuple(sorted((*names, best.name))), log + best.log
+        own = candidates.of_setting(best.name, best.setting)
+        soft = np.concatenate([soft, own])
+        scale = PRIOR.scales[int(np.argmax(best.by_scale))]
+        variance = np.concatenate([variance, np.full(len(own), scale**2)])
+        value, _ = Beside(
+            white(innovation), white(base), white(soft), variance, np.zeros(len(base) + len(soft))
+        ).solution()
+        left = innovation + value @ np.concatenate([base, soft])
+    return result
+
+
+def filtered(rows: Array, colour: Colour) -> Array:
+    """Rows (…, 3n) made white."""
+    shape = rows.shape
+    n = shape[-1] // 3
+    result: Array = lfilter(colour.filter, [1.0], rows.reshape(*shape[:-1], 3, n), axis=-1) / colour.sigma
+    return result.reshape(shape)

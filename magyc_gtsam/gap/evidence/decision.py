@@ -1,0 +1,22 @@
+"""What is said by the posterior: the probability of each name, of something unknown, of nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from magyc_gtsam.gap.evidence.posterior import Set
+
+NOTHING, UNKNOWN = "nothing", "unknown"
+
+
+def marginals(posterior: Mapping[Set, float]) -> dict[str, float]:
+    """{name, or `UNKNOWN`, or `NOTHING`: probability}, the likeliest first."""
+    result = {NOTHING: 0.0, UNKNOWN: 0.0}
+    for (names, unknown), probability in posterior.items():
+        for name in set(names):
+            result[name] = result.get(name, 0.0) + probability
+        if unknown:
+            result[UNKNOWN] += probability
+        elif not names:
+            result[NOTHING] += probability
+    return dict(sorted(result.items(), key=lambda one: -one[1]))

@@ -1,0 +1,103 @@
+"""The evidence of the terms of a model at its minimum: their amplitudes marginalised, each scale averaged over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import what_matters
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.weighing import scales_of
+from magyc_gtsam.gap.field_variation import FieldVariation
+from magyc_gtsam.gap.refit import Refit
+
+_START, _SWEEPS = 4.0, 2  # of the scales, in which each is averaged over with the others at their likeliest
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """The terms of a model: whitened columns (k, 3n) in units of what matters, their pull, and whose each is."""
+
+    base: Array
+    columns: Array
+    pull: Array
+    of_term: np.ndarray
+    residual: Array  # (3n,) of the model without them
+
+    def beside(self, variation: FieldVariation | None, scale: Array | None = None) -> Beside:
+        """The parameters and the field's variation marginalised; the terms too, of which scales are given."""
+        soft = [self.columns[:0]] if scale is None else [self.columns]
+        variance = [np.zeros(0)] if scale is None else [scale[self.of_term] ** 2]
+        pull = np.concatenate([np.zeros(len(self.base)), self.pull[: len(soft[0])]])
+        noise = 1.0
+        if variation is not None:
+            noise = variation.noise
+            soft.append(variation.components)
+            variance.append(np.full(len(variation.components), noise**2))
+            pull = np.concatenate([pull, np.zeros(len(variation.components))])
+        return Beside(self.residual, self.base, np.concatenate(soft), np.concatenate(variance), pull, noise)
+
+    @classmethod
+    def of(cls, fit: Refit) -> Terms:
+        twin, model = fit.twin, fit.model
+        rows, pulls = twin.base_columns, twin.base_pull
+        free = int(model.free.sum())
+        own, unit, value, of_term = [], [], [], []
+        first = free
+        for index, term in enumerate(model.terms):
+            if term.name == "timing":
+                places = np.flatnonzero(np.flatnonzero(model.free) == DELAY)
+            else:
+                places = np.arange(first, first + len(term.value))
+                first += len(term.value)
+            own.append(places)
+            unit.append(what_matters(twin, term.name, term.setting, len(places)))
+            value.append(fit.value_of(index)[0])
+            of_term.append(np.full(len(places), index))
+        residual = twin.residual().ravel()
+        if not own:
+            return cls(rows, np.zeros((0, len(residual))), np.zeros(0), np.zeros(0, dtype=int), residual)
+        places, scale = np.concatenate(own), np.concatenate(unit)
+        columns = rows[places] * scale[:, None]
+        residual = residual - (np.concatenate(value) / scale) @ columns
+        base = np.delete(rows, places, axis=0)
+        return cls(base, columns, pulls[places] * scale, np.concatenate(of_term), residual)
+
+
+def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, tuple[float, ...], float]:
+    """Nats of the terms beside the rest, their likeliest scales, their powers, and the square that is left."""
+    count = len(fit.model.terms)
+    if not count:
+        return 0.0, np.zeros(0), (), plain.square
+    seen = plain.see(terms.columns, terms.pull)
+    information = terms.columns @ terms.columns.T / plain.noise**2 - seen.reach @ seen.reach.T
+    score = seen.score
+
+    def nats(scale: Array) -> float:
+        variance = scale[terms.of_term] ** 2
+        spread = np.eye(len(score)) + variance[:, None] * information
+        gain = score @ np.linalg.solve(spread, variance * score)
+        return 0.5 * float(gain - np.linalg.slogdet(spread)[1])
+
+    scale = np.full(count, _START)
+    each: list[Array] = []
+    for _ in range(_SWEEPS):
+        each = []
+        for i, term in enumerate(fit.model.terms):
+            likely = PRIOR.scales[scales_of(term.name)]
+            tried = np.array([nats(np.where(np.arange(count) == i, one, scale)) for one in likely])
+            scale[i] = likely[int(np.argmax(tried))]
+            each.append(tried)
+    total = nats(scale) + sum(float(logsumexp(t) - t.max() - np.log(len(t))) for t in each)
+    inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+    value = inverse @ score
+    powers = []
+    for i in range(count):
+        own = terms.of_term == i
+        powers.append(float(value[own] @ np.linalg.pinv(inverse[np.ix_(own, own)], hermitian=True) @ value[own]))
+    return total, scale, tuple(powers), plain.square - float(score @ value)

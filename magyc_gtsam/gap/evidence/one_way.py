@@ -1,0 +1,52 @@
+"""Any course in time along one direction that stays: an actuator, a load, what has a channel that nobody logged.
+
+The direction is the strongest of a free course beside the model, and pays for its choice: the share of the half
+sphere within which it explains as much.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import COURSE, Batch, Candidates
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
+
+ONE_WAY = "time:one-way"
+_LEAST_POWER = 4.0
+
+
+def one_way(candidates: Candidates, beside: Beside) -> dict[str, Weighed]:
+    """{`ONE_WAY`: its evidence}; empty where there is no course among the candidates."""
+    for batch in candidates.batches:
+        for i, name in enumerate(batch.names):
+            if name == COURSE and not batch.settings[i]["first"]:
+                return {ONE_WAY: _weighed(candidates, batch.rows[i], batch.gram[i], beside)}
+    return {}
+
+
+def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Beside) -> Weighed:
+    columns, pull = candidates.columns[rows], candidates.pull[rows]
+    seen = beside.see(columns, pull)
+    information = gram / beside.noise**2 - seen.reach @ seen.reach.T
+    value, vector = np.linalg.eigh(information)
+    value, own = np.maximum(value, 0.0), vector.T @ seen.score
+    variance = PRIOR.scales[:, None] ** 2
+    spread = 1 + variance * value
+    best = int(np.argmax((own**2 * variance / spread - np.log(spread)).sum(axis=1)))
+    amplitude = (vector @ (variance[best] / spread[best] * own)).reshape(-1, 3)
+    direction = np.linalg.svd(amplitude, full_matrices=False)[2][0]
+    along = np.einsum("kan,a->kn", columns.reshape(-1, 3, columns.shape[1]), direction)
+    walk = along / np.arange(1.0, len(along) + 1)[:, None]  # what is slower is larger
+    stacked = np.concatenate([along, walk * np.sqrt((along**2).sum() / (walk**2).sum())])
+    places = np.arange(len(stacked)).reshape(2, -1)
+    own_rows = stacked[places]
+    batch = Batch(places, own_rows @ own_rows.swapaxes(1, 2), (ONE_WAY,) * 2, ({}, {}), np.full(2, -np.log(2.0)))
+    found = weigh(Candidates(stacked, np.zeros(len(stacked)), (batch,)), beside)[ONE_WAY]
+    power = max(float(found.power[int(np.argmax(found.by_scale))]), _LEAST_POWER)
+    cost = float(np.log(power / 2.0))  # of a half sphere 2π, the solid angle 4π / power
+    return replace(found, log=found.log - cost, by_scale=found.by_scale - cost)

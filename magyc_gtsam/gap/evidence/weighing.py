@@ -1,0 +1,105 @@
+"""The evidence of every candidate beside a model, with amplitudes marginalised and scales and settings averaged.
+
+With G and b the information and the score of a candidate's columns beside the model (`beside`), in units of what
+matters, and G = U diag(λ) Uᵀ, a scale s is worth ½ Σ [ (Uᵀb)² s² / (1 + s² λ) − ln(1 + s² λ) ] nats against nothing.
+The average over settings and scales pays for the search over them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import logsumexp
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import Setting
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
+from magyc_gtsam.gap.evidence.prior import PRIOR
+
+_BEYOND = 2.0  # times the prior's deviation of a name, that no value reaches
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A candidate beside a model.
+
+    Attributes:
+        name: of the catalogue or of a family.
+        log: nats against nothing, scales and settings averaged.
+        by_scale: (S,) the part of it of each scale, settings averaged: `log` is their logsumexp.
+        power: (S,) squared length of what it would explain, at each scale.
+        setting: the likeliest.
+        search: nats, that the average over settings costs against the likeliest.
+    """
+
+    name: str
+    log: float
+    by_scale: Array
+    power: Array
+    setting: Setting
+    search: float
+
+
+def weigh(candidates: Candidates, beside: Beside) -> dict[str, Weighed]:
+    """Every candidate by its name."""
+    if not candidates.batches:
+        return {}
+    seen = beside.see(candidates.columns, candidates.pull)
+    parts: dict[str, list[tuple[Array, Array, Setting, float]]] = {}
+    for batch in candidates.batches:
+        log, power = _by_scale(batch, beside.noise, seen.reach, seen.score)
+        for i, name in enumerate(batch.names):
+            parts.setdefault(name, []).append(
+                (log[i] + batch.prior[i], power[i], batch.settings[i], float(batch.prior[i]))
+            )
+    return {name: _averaged(name, many) for name, many in parts.items()}
+
+
+def _by_scale(batch: Batch, noise: float, reach: Array, score: Array) -> tuple[Array, Array]:
+    """(B, S) nats and powers."""
+    own = reach[batch.rows]
+    gram = batch.gram / noise**2 - own @ own.swapaxes(1, 2)
+    value, vector = np.linalg.eigh(gram)
+    value = np.maximum(value, 0.0)[:, None]
+    pull = np.einsum("bki,bk->bi", vector, score[batch.rows])[:, None]
+    variance = PRIOR.scales[:, None] ** 2
+    spread = 1 + variance * value
+    log = 0.5 * (pull**2 * variance / spread - np.log(spread)).sum(axis=2)
+    share = variance / spread
+    power = ((share * pull) ** 2 * value + share * value).sum(axis=2)
+    for i, name in enumerate(batch.names):
+        likely = scales_of(name)
+        log[i, ~likely] = -np.inf
+        log[i] += np.log(len(likely) / likely.sum())
+    return log, power
+
+
+def scales_of(name: str) -> np.ndarray:
+    """(S,) which scales a name may have, by its data sheets; a family any."""
+    if name not in TERMS:
+        return np.ones(len(PRIOR.scales), dtype=bool)
+    return PRIOR.scales <= max(_BEYOND * TERMS[name].prior / TERMS[name].matters, PRIOR.scales[0])
+
+
+def _averaged(name: str, many: list[tuple[Array, Array, Setting, float]]) -> Weighed:
+    log = np.array([each[0] for each in many])
+    by_scale = logsumexp(log, axis=0)
+    weight = np.exp(log - np.where(np.isfinite(by_scale), by_scale, 0.0))
+    power = (weight * np.array([each[1] for each in many])).sum(axis=0)
+    of_setting = logsumexp(log, axis=1)
+    # Of a name each setting is as likely as the other, and the likeliest is fitted.
+    best = int(np.argmax(of_setting))
+    scales = float(np.log(len(PRIOR.scales)))
+    total = float(logsumexp(by_scale)) - scales
+    search = float(of_setting[best]) - many[best][3] - scales - total
+    return Weighed(name, total, by_scale - scales, power, many[best][2], search)
+
+
+def best_of(weighed: Mapping[str, Weighed], count: int) -> list[Weighed]:
+    """The likeliest names."""
+    names = [each for each in weighed.values() if each.name in TERMS]
+    return sorted(names, key=lambda each: -each.log)[:count]

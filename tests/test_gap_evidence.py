@@ -1,0 +1,96 @@
+"""The evidence of effects: against explicit Gaussian integrals, and what is said of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import multivariate_normal
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.evidence.answer import answer
+from magyc_gtsam.gap.evidence.beside import Beside
+from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
+from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
+from magyc_gtsam.gap.evidence.weighing import weigh
+from magyc_gtsam.gap.find import _problem as problem_of
+from magyc_gtsam.gap.find import base_model
+
+RANDOM = np.random.default_rng(3)
+ROWS = 60
+
+
+def normal(residual: np.ndarray, columns: np.ndarray, variance: np.ndarray, noise: float) -> float:
+    """Log density of white noise and of columns with a prior."""
+    covariance = noise**2 * np.eye(ROWS) + (columns.T * variance) @ columns
+    return float(multivariate_normal.logpdf(residual, cov=covariance))
+
+
+@pytest.mark.parametrize("noise", [1.0, 1.7])
+def test_the_evidence_is_the_gaussian_integral(noise: float) -> None:
+    flat, soft, own = (RANDOM.standard_normal((k, ROWS)) for k in (4, 3, 2))
+    variance, wide = np.array([0.5, 2.0, 0.1]), np.full(4, 1e6)
+    residual = RANDOM.standard_normal(ROWS) + own[0]
+    beside = Beside(residual, flat, soft, variance, np.zeros(7), noise)
+    batch = Batch(np.array([[0, 1]]), (own @ own.T)[None], ("time:any",), ({},), np.zeros(1))
+    found = weigh(Candidates(own, np.zeros(2), (batch,)), beside)["time:any"]
+    around = np.concatenate([flat, soft]), np.concatenate([wide, variance])
+    nothing = normal(residual, *around, noise)
+    for scale, log in zip(PRIOR.scales, found.by_scale, strict=True):
+        columns, variances = np.concatenate([around[0], own]), np.concatenate([around[1], np.full(2, scale**2)])
+        explicit = normal(residual, columns, variances, noise) - nothing - np.log(len(PRIOR.scales))
+        assert log == pytest.approx(explicit, abs=2e-3)
+
+
+def test_what_is_marginalised_has_its_mean_and_covariance() -> None:
+    flat, soft = RANDOM.standard_normal((2, ROWS)), RANDOM.standard_normal((2, ROWS))
+    variance, noise = np.array([0.5, 2.0]), 1.3
+    residual = RANDOM.standard_normal(ROWS)
+    value, covariance = Beside(residual, flat, soft, variance, np.zeros(4), noise).solution()
+    rows = np.concatenate([flat, soft])
+    information = rows @ rows.T / noise**2 + np.diag(np.concatenate([np.zeros(2), 1 / variance]))
+    np.testing.assert_allclose(covariance, np.linalg.inv(information), rtol=1e-6)
+    np.testing.assert_allclose(value, -np.linalg.solve(information, rows @ residual / noise**2), rtol=1e-6)
+
+
+def test_probabilities_are_of_all_sets() -> None:
+    posterior = {((), False): 0.2, (("timing",), False): 0.5, (("cubic", "timing"), True): 0.3}
+    assert marginals(posterior) == pytest.approx({"timing": 0.8, UNKNOWN: 0.3, "cubic": 0.3, NOTHING: 0.2})
+
+
+def test_a_field_that_varies_is_in_the_hypotheses() -> None:
+    """A field that wanders in the world's axes is the place's; the same in the sensor's axes is something else."""
+    recording = mg.simulate("wide", 300, seed=8).recording
+    phases = np.random.default_rng(1).uniform(0, 6, (3, 5))
+    slow = np.sin(2 * np.pi * recording.time[:, None, None] / np.array([31, 43, 57, 71, 97.0]) + phases).sum(
+        axis=2
+    )
+    stated = {}
+    for name, added in (("world", Rotation.from_quat(recording.attitude).inv().apply(slow)), ("sensor", slow)):
+        field = recording.magnetic_field + 0.4e-6 * added
+        own = mg.Recording(recording.time, field, recording.angular_rate)
+        noise = short_term_noise(own)
+        stated[name] = marginals(answer(own, base_model(own, None, noise), noise, NAMES, problem_of).posterior)
+    assert stated["world"][FIELD_VARIATION] > 0.95
+    assert stated["world"][UNKNOWN] + stated["world"][NOTHING] < 0.5
+    assert stated["sensor"].get(FIELD_VARIATION, 0.0) < 0.5
+
+
+def test_the_probability_of_what_was_found_is_stated() -> None:
+    gap = mg.find_gap(mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording)
+    assert gap.effects[0].probability == gap.probabilities["timing"] > 0.95
+    assert gap.probabilities[NOTHING] < 0.05
+
+
+def test_a_tree_follows_what_is_likely() -> None:
+    recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
+    noise = short_term_noise(recording)
+    tree = Tree(base_model(recording, None, noise), ("timing", "cubic", "hard-iron-step"))
+    assert tree.best.names == ("timing",)
+    assert len(tree.nodes) <= PRIOR.nodes
+    value, _ = tree.best.fit.value_of(0)
+    assert value[0] == pytest.approx(0.08, abs=0.01)
