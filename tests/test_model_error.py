@@ -104,6 +104,27 @@ def test_products_of_all_families_have_no_negative_direction(fit) -> None:
         assert np.linalg.eigvalsh(scaled).min() > -1e-12
 
 
+def test_derivatives_and_integrals_of_what_windows_sample_coarsely(fit) -> None:
+    """A cubic exactly, up to the ends; of a wave that turns by 2 rad a window most, at uneven windows."""
+    motion = Motion.of(fit)
+    time = motion.time
+    share = (time - time[0]) / (time[-1] - time[0])
+    inner, length = slice(20, -20), time[-1] - time[0]
+    np.testing.assert_allclose(motion.derivative(share**3)[inner], 3 * share[inner] ** 2 / length, rtol=1e-6)
+    np.testing.assert_allclose(motion.integral(share**3)[inner], np.diff(share**4)[inner] * length / 4, rtol=1e-6)
+    frequency = 2.0 / np.median(np.diff(time))
+    wave, slope = np.sin(frequency * time), frequency * np.cos(frequency * time)
+    turned = np.diff(wave)[inner]
+    by_spline, by_trapezoid = (
+        values[inner] @ turned / (turned @ turned)
+        for values in (motion.integral(slope), 0.5 * (slope[1:] + slope[:-1]) * np.diff(time))
+    )
+    assert by_spline == pytest.approx(1.0, abs=0.15)
+    assert by_trapezoid < 0.8
+    kept = motion.derivative(wave)[inner] @ slope[inner] / (slope[inner] @ slope[inner])
+    assert kept == pytest.approx(0.85, abs=0.1)
+
+
 def test_what_the_parameters_explain_is_not_new(fit) -> None:
     beside = Beside(fit)
     hard_iron = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(fit.chain.windows)))
@@ -143,15 +164,16 @@ def test_no_amplitude_where_there_is_none() -> None:
 
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
-def test_clean_logs_are_not_widened(motion: str) -> None:
+def test_clean_logs_are_hardly_widened(motion: str) -> None:
+    """What instruments may do and the motion does not show has its odds from before, which costs a few per cent."""
     ratios = []
     for seed in range(600, 612):
         calibration = calibrate(simulate(motion, duration=300, seed=seed).recording)
         assert calibration.trusted
         ratio = np.diag(calibration.covariance)[6:] / np.diag(calibration.noise_covariance)[6:]
-        ratios.append(np.sqrt(ratio.max()))
-    assert np.median(ratios) == 1.0
-    assert np.sum(np.array(ratios) > 1.15) <= 1
+        ratios.append(np.sqrt(ratio))
+    assert np.median(np.max(ratios, axis=1)) < 1.15
+    assert np.mean(ratios, axis=0).max() < 1.3
 
 
 def test_a_sensor_on_an_arm_in_a_gradient_is_covered() -> None:
@@ -197,6 +219,26 @@ def test_a_filtered_magnetometer_is_covered_or_not_trusted() -> None:
         assert not calibration.trusted or within(calibration, simulation.truth) < 16
 
 
+@pytest.mark.parametrize("fault", ["reading bends", "gyroscope's scale"])
+def test_what_the_motion_does_not_show_is_in_the_sigma(fault: str) -> None:
+    """On tiny a bend of 1 % or a scale of 1 % gains little and moves the hard iron by a sigma of the sensors' noise."""
+    scores, alone = [], []
+    for seed in range(12):
+        simulation = simulate("tiny", duration=300, seed=seed)
+        recording = simulation.recording
+        if fault == "reading bends":
+            field = recording.magnetic_field
+            bent = field + 0.01 * field**3 / np.abs(field).max() ** 2
+            recording = replace(recording, magnetic_field=bent)
+        else:
+            recording = replace(recording, angular_rate=1.01 * recording.angular_rate)
+        calibration = calibrate(recording)
+        scores.append(within(calibration, simulation.truth))
+        alone.append(within(replace(calibration, covariance=calibration.noise_covariance), simulation.truth))
+    assert np.mean(np.array(scores) > 11.3) <= 0.15  # 1 % of χ² with three degrees of freedom
+    assert np.median(scores) < np.median(alone)
+
+
 def test_spikes_to_one_side_are_covered_or_not_trusted() -> None:
     """A fifth of the samples off by up to 80 µT one way pull the hard iron by 5 µT; two-sided ones do not."""
     for seed in range(4):
@@ -212,11 +254,12 @@ def test_spikes_to_one_side_are_covered_or_not_trusted() -> None:
         assert "to one side" not in both.message
 
 
-def test_samples_too_few_for_the_motion_are_said() -> None:
-    """A swell of 1.8 s sampled once a second, and the same sampled ten times as fast."""
-    for step, told in ((1.0, True), (0.1, False)):
-        time, random = np.arange(0, 400, step), np.random.default_rng(1)
-        swell = 2 * np.pi * time / 1.8
+@pytest.mark.parametrize(("period", "step", "told"), [(1.8, 1.0, True), (4.0, 1.0, True), (1.8, 0.1, False)])
+def test_samples_too_few_for_the_motion_are_said(period: float, step: float, told: bool) -> None:
+    """A swell sampled once a second, of which the trapezoidal rule loses a fifth and more, and ten times as fast."""
+    for seed in range(4):
+        time, random = np.arange(0, 400, step), np.random.default_rng(seed)
+        swell = 2 * np.pi * time / period
         rate = np.stack([0.5 * np.sin(swell), 0.3 * np.cos(swell), 0.02 * np.sin(time / 30)], axis=1)
         field = np.array([20e-6, 0, 40e-6]) + 1e-6 * random.normal(size=(len(time), 3))
         recording = Recording(time, field, rate + 5e-3 * random.normal(size=rate.shape))

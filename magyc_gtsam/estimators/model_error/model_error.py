@@ -29,7 +29,7 @@ _SIGNIFICANT = (
 _SUSPECT = 3.0  # of a family of the first test, from which all the others are looked at
 _LEAST_WINDOWS = 30
 _HARD_IRON = slice(6, 9)
-_PROBABLE, _TOLD = 0.5, 1.0  # probability, and nats, from which what is averaged is told as being there
+_PROBABLE, _TOLD = 0.8, 1.0  # probability, and nats, from which what is averaged is told as being there
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def _of_windows(fit: Fit) -> ModelError:
         every += tested(beside, motion, [family for family in families if not family.first])
         found = sorted((each for each in every if each.gain > _SIGNIFICANT), key=lambda each: -each.gain)
     shown = shown_by(beside, motion, found)
-    weighed = not_excluded(beside, motion, [each for each in every if each.family.prior > 0], shown)
+    weighed = not_excluded(beside, motion, every, shown)
     told = tuple(c for c in weighed if c.share > _PROBABLE and c.gain > _TOLD)
     covariance = shown.covariance + sum((c.covariance for c in weighed), np.zeros_like(shown.covariance))
     return ModelError(covariance, shown.components + told, tuple(c for c in weighed if c not in told))

@@ -1,7 +1,7 @@
 """What an instrument may do and the data neither show nor exclude, by its odds (`averaging`).
 
-It counts where the data speak for it at all, or where the delay says so: a filter that delays by τ has a second order
-of up to τ²/2, whether or not the motion shows that.
+There is no threshold of evidence: on a motion that does not show it, it has its odds and sizes from before the data,
+times the move that these make. A filter's size the delay says: one that delays by τ has a second order of up to τ²/2.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ import numpy as np
 from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged
 from magyc_gtsam.estimators.model_error.component import Component, Tested
 from magyc_gtsam.estimators.model_error.components import by_others, likeliest
-from magyc_gtsam.estimators.model_error.families import USUAL
 from magyc_gtsam.estimators.model_error.motion import Motion
 from magyc_gtsam.estimators.model_error.shown import Shown
 from magyc_gtsam.estimators.smoother.beside import Beside
 from magyc_gtsam.factors.chain.rotations import Array
 
-_SAYS = 1.0  # nats, below which the data do not speak for it; one clean log in twenty reaches it
 _FARTHEST = 50.0  # nats
+_LITTLE = 0.03  # odds that no mean can pass, below which a family moves nothing
 
 
 def not_excluded(beside: Beside, motion: Motion, every: Sequence[Tested], shown: Shown) -> list[Component]:
@@ -29,12 +28,11 @@ def not_excluded(beside: Beside, motion: Motion, every: Sequence[Tested], shown:
     there = [each.family for each, _ in shown.active]
     for each in every:
         family = each.family
-        unasked = not there and family.expected is None and each.gain < _SAYS  # no mean is above the largest
-        if unasked or family in there or family.likely(motion) <= 0:
+        # Beside others its gain may be another one; by itself no mean over amplitudes is above the likeliest.
+        unlikely = family.prior * _likelihood(each.gain) < _LITTLE
+        if unlikely or family in there or family.likely(motion) <= 0:
             continue
         odds, known = max(_ways(beside, each, shown, family.likely(motion)), key=lambda way: way[0])
-        if family.expected is None and known.evidence < _SAYS:
-            continue
         share = odds / (1 + odds)
         move = each.moves(beside, motion)
         covariance = share * (move @ known.second @ move.T)
@@ -69,7 +67,7 @@ def _ways(beside: Beside, each: Tested, shown: Shown, largest: float) -> Iterato
         products = without(others, own)
         gain = likeliest(*products, freedom, rival.family.most**2 * freedom / products[2]).gain
         known = averaged(*without(others, mine), freedom, largest, octaves)
-        yield each.family.prior / (rival.family.prior or USUAL) * _likelihood(known.evidence - gain), known
+        yield each.family.prior / rival.family.prior * _likelihood(known.evidence - gain), known
 
 
 def _likelihood(nats: float) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.families import EVEN, USUAL, Family
+from magyc_gtsam.estimators.model_error.families import EVEN, SELDOM, USUAL, Family
 from magyc_gtsam.estimators.model_error.motion import ALIKE, Motion
 from magyc_gtsam.estimators.smoother.columns import Columns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
@@ -30,10 +30,6 @@ def _one(profile: Array) -> Array:
 def _each_axis(profile: Array) -> Array:
     """(3, 3, n): each axis by itself."""
     return profile[None] * np.eye(3)[:, :, None]
-
-
-def _derivative(motion: Motion, values: Array) -> Array:
-    return np.asarray(np.gradient(values, motion.time, axis=-1))
 
 
 def _sign(values: Array, within: Array | float) -> Array:
@@ -62,13 +58,13 @@ def _play(motion: Motion) -> Columns:
 
 def _late_axis(motion: Motion) -> Columns:
     """Per s: each axis later than the others, to the second order for a lag of some size."""
-    first, second = motion.reading_change, _derivative(motion, motion.reading_change)
+    first, second = motion.reading_change, motion.derivative(motion.reading_change)
     return Columns(np.concatenate([_each_axis(first), 0.5 * _LATE * _each_axis(second)]), None)
 
 
 def _filter(motion: Motion) -> Columns:
     """Per s²: the second order of a filter, whose first is a delay."""
-    return Columns(_one(_derivative(motion, motion.reading_change)), None)
+    return Columns(_one(motion.derivative(motion.reading_change)), None)
 
 
 def _gain_drift(motion: Motion) -> Columns:
@@ -107,7 +103,7 @@ def _dead_band(motion: Motion) -> Columns:
 
 def _gyroscope_filter(motion: Motion) -> Columns:
     """Per s²: also what samples too far apart leave of a rate's integral, a twelfth of their step squared."""
-    return motion.on_gyroscope(_one(_derivative(motion, _derivative(motion, motion.rate))))
+    return motion.on_gyroscope(_one(motion.derivative(motion.derivative(motion.rate))))
 
 
 def _by_delay(motion: Motion) -> float:
@@ -176,7 +172,7 @@ PHYSICAL = (
         "the scales of the gyroscope's axes are off by {}",
         _gyroscope_scales,
         0.03,
-        prior=USUAL,
+        prior=SELDOM,
         unit="share",
     ),
     Family("gyroscope:bend", "the gyroscope bends by {}", _gyroscope_bend, 0.05, prior=USUAL, unit="share"),

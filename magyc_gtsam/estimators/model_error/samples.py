@@ -17,14 +17,15 @@ _MOST = 20000  # samples looked at: a stretch of them in the middle of longer lo
 _LEAST = 200
 _CERTAIN = 6.0  # standard deviations of its chance from which a lean to one side counts; real logs reach 1.7
 _SEGMENT = 256  # samples of a spectrum
-_EDGE = 0.35  # of the sampling rate, from which on motion is nearly lost between samples
 _FLOOR = 4.0  # times the median of the spectrum, below which it is noise
-_TOO_SLOW = 0.1  # share of the motion's power beyond the edge
+_TOO_SLOW = 0.1  # share of the turn rate that is lost between samples; where it was 0.09 all results were right
 _BLOCK = 50  # samples, in which an axis with noise has more than two values but once in 10¹⁵
 _NARROW = 0.5  # of the median spread of a block
 _NOISY = 1.5  # of the distance of two values, from which noise has more of them
 _LOST = 0.01  # share of the recording
-_ROUGH = 0.5  # mean square of second differences, of the variance, below which so much cannot lie beyond the edge
+_ROUGH = (
+    16 * _TOO_SLOW**2
+)  # mean square of second differences, of the variance, below which so much cannot be lost
 
 
 class Outliers(NamedTuple):
@@ -80,8 +81,8 @@ def flickers(recording: Streams) -> str:
 def too_slow(recording: Streams) -> str:
     """Why the gyroscope's samples are too few for the motion; "" where they are not.
 
-    Motion loses its power towards half the sampling rate; where a tenth of it lies beyond 0.7 of that, as much is
-    beyond it altogether and folded back. What stands out of the noise is counted, not the noise.
+    The trapezoidal rule keeps x / tan x of a turn to and fro at f Hz, x = π f / (samples a second), and none of one at
+    half of these. What stands out of the noise is counted, not the noise.
     """
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
@@ -94,14 +95,14 @@ def too_slow(recording: Streams) -> str:
     from scipy.signal import welch  # which takes longer to import than a calibration
 
     frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(time) // 4), axis=0)
-    power = spectrum.sum(axis=1)[1:]
+    power, x = spectrum.sum(axis=1)[1:], np.pi * frequency[1:] * step
     above = np.maximum(power - _FLOOR * np.median(power), 0.0)
-    beyond = float(above[frequency[1:] * step > _EDGE].sum() / max(above.sum(), 1e-300))
-    if beyond < _TOO_SLOW:
+    lost = float(np.sqrt(above @ (1 - x / np.tan(x)) ** 2 / max(above.sum(), 1e-300)))
+    if lost < _TOO_SLOW:
         return ""
     return (
-        f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({beyond:.0%} of its turn rate "
-        f"lies beyond {_EDGE / step:.2g} Hz): record faster"
+        f"the gyroscope's {1 / step:.3g} samples a second are too few for this motion ({lost:.0%} of its turn rate is "
+        f"lost between them, at most {_TOO_SLOW:.0%} is tolerated): record faster"
     )
 
 
