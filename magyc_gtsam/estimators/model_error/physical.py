@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.families import EVEN, SELDOM, USUAL, Family
+from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, USUAL, Family
 from magyc_gtsam.estimators.model_error.motion import ALIKE, Motion
 from magyc_gtsam.estimators.smoother.columns import Columns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
@@ -121,7 +121,7 @@ def _if_felt(amplitude: float) -> float:
 
 
 PHYSICAL = (
-    Family("bend", "the reading bends by {} of the field", _bend, 0.02, prior=USUAL),
+    Family("bend", "the reading bends by {} of the field", _bend, 0.02, prior=COMMON),
     Family(
         "dead zone",
         "the reading jumps by {} about zero",
@@ -164,7 +164,7 @@ PHYSICAL = (
         "the gyroscope's scale is off by {}",
         _gyroscope_scale,
         0.03,
-        prior=USUAL,
+        prior=COMMON,
         unit="share",
     ),
     Family(
@@ -172,7 +172,7 @@ PHYSICAL = (
         "the scales of the gyroscope's axes are off by {}",
         _gyroscope_scales,
         0.03,
-        prior=SELDOM,
+        prior=GENERAL,
         unit="share",
     ),
     Family("gyroscope:bend", "the gyroscope bends by {}", _gyroscope_bend, 0.05, prior=USUAL, unit="share"),
