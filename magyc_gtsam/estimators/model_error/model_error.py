@@ -47,6 +47,11 @@ class ModelError:
     possible: tuple[Component, ...] = ()
 
     @property
+    def probable(self) -> Array:
+        """(P, P) the covariance without what is merely possible."""
+        return self.covariance - sum((c.covariance for c in self.possible), np.zeros_like(self.covariance))
+
+    @property
     def field_variation(self) -> tuple[float, float | None] | None:
         """T and s: how much the field of the place varies along the way, an axis, and its period; None where not."""
         found = [c for c in self.components if c.of_place]

@@ -18,20 +18,21 @@ _NAMED = 2  # components in a sentence
 _ROWS = {"hard": slice(6, 9), "soft": slice(0, 6), "gyroscope": slice(9, 12)}
 
 
-def reason(error: ModelError, whole: Observability, noise: Observability) -> str:
+def reason(error: ModelError, probable: Observability, noise: Observability) -> str:
     """Why model error forbids to trust a result; "" where it does not.
 
     Args:
         error: of the fit.
-        whole: judged with all of the error; noise: with the sensors' part alone.
+        probable: judged with what is probably there; noise: with the sensors' part alone.
     """
-    if not whole.weak or not noise.observable:
+    if not probable.weak or not noise.observable:
         return ""
-    worst = whole.weak[0]
+    worst = probable.weak[0]
     if worst.sigma <= _MOST * worst.limit:
         return ""
     rows = _ROWS[worst.what.split()[0]]
-    places = "; ".join(_said(component, error) for component in error.worst(rows)[:_NAMED])
+    found = [component for component in error.worst(rows) if component in error.components]
+    places = "; ".join(component.sentence for component in found[:_NAMED])
     moved = f"by ±{worst.sigma:.2g}" if worst.sigma < 100 * worst.limit else "without bounds, in"
     return (
         f"what the model does not explain may move the {worst.what} {moved} {worst.unit} (limit "

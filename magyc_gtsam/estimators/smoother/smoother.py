@@ -140,6 +140,11 @@ def calibration_of(
     whole = observability
     if unexplained.covariance.any():
         whole = assess(reported, soft_iron, unit, recording, parameters[6:9], askew)
+    probable = whole
+    if whole.weak and unexplained.possible:  # what is merely possible widens the sigmas and leaves the verdict
+        of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
+        of_probable = fix_scale(soft, of_probable[:12, :12], *scale)[2]
+        probable = assess(of_probable, soft_iron, unit, recording, parameters[6:9], askew)
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
     reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
     if not observability.observable:
@@ -149,7 +154,7 @@ def calibration_of(
             return assess(given, soft_iron, unit, recording, parameters[6:9]).observable
 
         reasons += remedies(fit, colour * fit.widening, enough, options, recording)
-    reasons += filter(None, (flickers(samples), too_slow(samples), reason(unexplained, whole, observability)))
+    reasons += filter(None, (flickers(samples), too_slow(samples), reason(unexplained, probable, observability)))
     dip = dip_of(fit)
     told = [
         f"converged in {fit.iterations} iterations",
