@@ -20,7 +20,7 @@ from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
 # Odds beforehand that something is there at all. They set what clean logs pay, ten minutes at 10 Hz: the sigmas of hard
-# iron are 1.03 to 1.10 times as wide in the median (wide to tiny), and the mean NEES of 11 falls by 0.7.
+# iron are 1.04 to 1.15 times as wide in the median (wide to tiny), and the mean NEES of 11 falls by 0.7.
 EVEN = 1.0  # what something else says that is measured
 COMMON = 0.2  # what every data sheet states as one number
 USUAL = 0.1  # what some do
