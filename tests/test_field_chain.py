@@ -428,7 +428,7 @@ def test_the_linearised_information_is_the_schur_complement(wide):
 
 @pytest.mark.parametrize("delay", [None, 0.0])
 def test_levenberg_marquardt_over_the_factor_is_the_smoother(wide, delay):
-    """From A = I, h = 0 to the estimate and covariance of `calibrate_smoother`."""
+    """From A = I, h = 0 to the estimate of `calibrate_smoother` and the covariance that the sensors' noise leaves."""
     simulation, samples = wide
     recording = simulation.recording
     expected = calibrate_smoother(
@@ -457,7 +457,7 @@ def test_levenberg_marquardt_over_the_factor_is_the_smoother(wide, delay):
     for key, unit, block in ((HARD, MICROTESLA, slice(6, 9)), (BIAS, 1.0, slice(9, 12))):
         covariance = marginals.marginalCovariance(key) * unit**2 * colour
         np.testing.assert_allclose(
-            covariance, expected.covariance[block, block], rtol=0.01, atol=0.01 * np.diag(covariance).max()
+            covariance, expected.noise_covariance[block, block], rtol=0.01, atol=0.01 * np.diag(covariance).max()
         )
 
 

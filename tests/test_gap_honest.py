@@ -153,7 +153,7 @@ def test_wrong_arguments_are_named(clean: mg.Recording, arguments: dict[str, Any
 
 def test_a_simulator_that_stands_still_is_refused(clean: mg.Recording) -> None:
     with pytest.raises(mg.MagycError, match="simulated: "):
-        mg.find_gap(clean, simulated=mg.simulate("tiny", 30, seed=1).recording)
+        mg.find_gap(clean, simulated=mg.simulate("tiny", 15, seed=1).recording)
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
