@@ -86,6 +86,11 @@ def test_the_probability_of_what_was_found_is_stated() -> None:
     assert gap.probabilities[NOTHING] < 0.05
 
 
+def test_colour_is_weighed_beside_names_and_without() -> None:
+    recording = mg.simulate("wide", 300, seed=4, effects=[("coloured-noise", 2.0)]).recording
+    assert mg.find_gap(recording).probabilities["coloured-noise"] > 0.95
+
+
 def test_a_tree_follows_what_is_likely() -> None:
     recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
     noise = short_term_noise(recording)

@@ -99,6 +99,8 @@ def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
 
 def filtered(rows: Array, colour: Colour) -> Array:
     """Rows (…, 3n) made white."""
+    if not len(rows):
+        return rows  # which scipy does not filter
     shape = rows.shape
     n = shape[-1] // 3
     result: Array = lfilter(colour.filter, [1.0], rows.reshape(*shape[:-1], 3, n), axis=-1) / colour.sigma
