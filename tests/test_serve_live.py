@@ -178,7 +178,7 @@ def test_in_a_browser_with_a_reload_in_the_middle(
         page.locator("#live-verdict.bad", has_text="Not yet").wait_for()
         send_lines(port, lines[600:])
         page.locator("#live-verdict.good").wait_for()
-        page.locator("#residual", has_text="Quiet").wait_for()
+        page.locator("#residual", has_text="Undisturbed").wait_for()
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         duration = lines[-1]["time"] - lines[0]["time"]
         until(server, has(duration))
