@@ -19,9 +19,9 @@ from magyc_gtsam.factors.chain.field_chain import (
     PARAMETERS,
     SKEW,
     WITH_SKEW,
+    ChainState,
     FieldChain,
     SensorNoise,
-    State,
     Weights,
 )
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -124,7 +124,7 @@ class _Marginal:
         chain = self._chain
         state = chain.start(parameters)
         if self._direction is not None:
-            state = State(parameters, self._direction)
+            state = ChainState(parameters, self._direction)
         state, reduced = chain.settle(state, self._weights)
         self._direction = state.direction
         return reduced.cost, reduced.information, reduced.gradient

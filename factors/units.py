@@ -12,7 +12,7 @@ from magyc_gtsam.factors.variables import Array
 
 
 @dataclass(frozen=True)
-class Limits:
+class LargestReadings:
     """What a value in SI units cannot exceed.
 
     Attributes:
@@ -30,7 +30,7 @@ class Limits:
     rate_noise: float = 0.5
 
 
-LIMITS = Limits()
+LIMITS = LargestReadings()
 _SCALES = {"µT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "milligauss": 1e-7}
 _ROUNDING = 1e-9  # relative, so that a limit itself is allowed
 

@@ -77,7 +77,7 @@ def model_cost(
 
 
 @dataclass(frozen=True)
-class Scores:
+class RunScores:
     """Review (77) to (79) over the runs of one method.
 
     robustness: share of the runs with J < δ J_o; accuracy: 1/ρ, one over the mean J of those runs; time: τ,
@@ -91,7 +91,7 @@ class Scores:
 
 def scores(
     cost: Sequence[float], trivial_cost: Sequence[float], time: Sequence[float], *, delta: float = 1.0
-) -> Scores:
+) -> RunScores:
     """Review (76) to (79).
 
     Args:
@@ -102,8 +102,8 @@ def scores(
     """
     J, success = np.asarray(cost), np.asarray(cost) < delta * np.asarray(trivial_cost)
     if not success.any():
-        return Scores(0.0, float("nan"), float("nan"))
-    return Scores(float(success.mean()), float(1 / J[success].mean()), float(np.asarray(time)[success].mean()))
+        return RunScores(0.0, float("nan"), float("nan"))
+    return RunScores(float(success.mean()), float(1 / J[success].mean()), float(np.asarray(time)[success].mean()))
 
 
 def real_data_cost(matrix: ArrayLike, offset: ArrayLike, samples: ArrayLike) -> float:

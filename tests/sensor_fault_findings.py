@@ -7,7 +7,7 @@ from magyc_gtsam.recording import Samples
 from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff, inside
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
-from magyc_gtsam.sensor_faults.gate import Gate
+from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.stuck import SMALL, Stuck
 
 
@@ -30,14 +30,14 @@ def find_clipped_field(recording: mg.Recording) -> ClippedField | None:
     return detector.finding(*recording.field_shown)
 
 
-def watched(samples: Samples, step: int = 16) -> Gate:
+def watched(samples: Samples, step: int = 16) -> SampleGate:
     """A gate behind the detector of cut-off turns that has seen all samples, so many at a time."""
-    gate = Gate(CutOff())
+    gate = SampleGate(CutOff())
     for i in range(0, len(samples.time), step):
         gate.take(Samples(samples.time[i : i + step], samples.value[i : i + step]))
     return gate
 
 
-def cut_off(gate: Gate) -> Clipped | None:
+def cut_off(gate: SampleGate) -> Clipped | None:
     """What the detector of a gate found."""
     return gate.detector.finding(gate.dropped / max(gate.taken, 1))

@@ -31,7 +31,7 @@ from magyc_gtsam.study import judging
 from magyc_gtsam.study.comparison import compare
 from magyc_gtsam.study.heading import heading_error
 from magyc_gtsam.study.judging import UNCALIBRATED
-from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 HOSTILE = "<script>document.title = 'taken'</script>"
 QUICK = ("smoother", "magfactor3", "sar-ls", "ellipsoid", "autocal")
@@ -227,7 +227,7 @@ def test_an_interrupt_while_the_methods_are_judged_is_held(
     write_mcap("dive.mcap", dive.recording)
     ordinary = judging._judged
 
-    def interrupted(recording: mg.Recording, result: Outcome, *more: Any) -> Outcome:
+    def interrupted(recording: mg.Recording, result: MethodOutcome, *more: Any) -> MethodOutcome:
         if result.method == "ellipsoid":
             os.kill(os.getpid(), signal.SIGINT)
         return ordinary(recording, result, *more)

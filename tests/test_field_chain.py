@@ -14,9 +14,9 @@ from magyc_gtsam.factors.chain.banded import solved
 from magyc_gtsam.factors.chain.field_chain import (
     DELAY,
     PARAMETERS,
+    ChainState,
     FieldChain,
     SensorNoise,
-    State,
     Weights,
 )
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -60,7 +60,7 @@ def state(chain, request):
     parameters = np.concatenate([soft_iron, [5e-6, 1e-6, -3e-6], chain.windows.bias, [chain.windows.delay]])
     parameters = np.append(parameters, request.param)
     direction = chain.start(parameters).direction + 0.02 * rng.normal(size=(3, len(chain.windows)))
-    return State(parameters, direction / np.linalg.norm(direction, axis=0))
+    return ChainState(parameters, direction / np.linalg.norm(direction, axis=0))
 
 
 @pytest.fixture
@@ -91,7 +91,7 @@ def dense_jacobian(chain, state, weights):
             for sign in (1, -1):
                 direction = state.direction.copy()
                 direction[:, n] += sign * 1e-6 * basis[:, a, n]
-                moved.append(whitened(chain, State(state.parameters, direction), weights))
+                moved.append(whitened(chain, ChainState(state.parameters, direction), weights))
             columns.append((moved[0] - moved[1]) / 2e-6)
     return np.array(columns).T
 
@@ -130,7 +130,7 @@ def test_gradient_is_that_of_the_cost_at_the_best_directions(chain, state, weigh
     size = len(state.parameters)
 
     def best(parameters):
-        found = State(parameters, state.direction)
+        found = ChainState(parameters, state.direction)
         for _ in range(30):
             found = chain.move(found, chain.eliminate(found, weights), np.zeros(size))
         return chain.eliminate(found, weights)
@@ -194,7 +194,8 @@ def test_a_link_of_weight_zero_parts_the_chain_in_two(chain, state, weights):
             NOISE,
         )  # fmt: skip
         reduced = piece.eliminate(
-            State(state.parameters, state.direction[:, part]), Weights(weights.window[part], weights.link[links])
+            ChainState(state.parameters, state.direction[:, part]),
+            Weights(weights.window[part], weights.link[links]),
         )
         information, cost = information + reduced.information, cost + reduced.cost
     assert whole.cost == pytest.approx(cost, rel=1e-4)
@@ -221,7 +222,7 @@ def test_the_integrated_world_is_arbitrary(chain, state, weights):
         lever=np.einsum("ij,jkn->ikn", q, chain.windows.lever),
     )
     one = chain.eliminate(state, weights)
-    moved = State(state.parameters, q @ state.direction)
+    moved = ChainState(state.parameters, q @ state.direction)
     other = FieldChain(turned, NOISE)
     two = other.eliminate(moved, weights)
     scale = 1 / np.sqrt(np.diag(one.information))
@@ -259,7 +260,7 @@ def noisy_chain(n, interval_mean):
     w = rate + NOISE.gyroscope * rng.normal(size=(n, 3))
     chain = FieldChain(Preintegration(time, m, time, w, interval_mean, turn=1e-9).integrate(), NOISE)
     direction = np.einsum("ijn,ni->jn", chain.windows.rotation, np.array(body))
-    return chain, State(np.concatenate([soft_iron, hard_iron, np.zeros(4)]), direction)
+    return chain, ChainState(np.concatenate([soft_iron, hard_iron, np.zeros(4)]), direction)
 
 
 def test_residuals_at_the_truth_are_as_likely_as_the_noise_says():

@@ -1,4 +1,4 @@
-"""Imports go down only, and the factors stand on gtsam, numpy and scipy alone."""
+"""Imports go down only, the factors stand on gtsam, numpy and scipy alone, and no two types share a name."""
 
 from __future__ import annotations
 
@@ -63,10 +63,22 @@ def _imported(body: list[ast.stmt]) -> Iterator[str]:
             yield from _imported(node.body)
 
 
+OWN = [file for file in (ROOT / "magyc_gtsam").rglob("*.py") if file.relative_to(ROOT).parts[1] != "factors"]
+
+
+def test_a_type_has_its_name_for_itself() -> None:
+    where: dict[str, list[str]] = {}
+    for file in [*OWN, *FILES]:
+        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                where.setdefault(node.name, []).append(str(file.relative_to(ROOT)))
+    assert len(where) > 200
+    assert {name: files for name, files in where.items() if len(files) > 1} == {}
+
+
 def test_no_module_imports_itself_by_way_of_others() -> None:
-    own = [file for file in (ROOT / "magyc_gtsam").rglob("*.py") if file.relative_to(ROOT).parts[1] != "factors"]
     modules = {}
-    for file in [*own, *FILES]:
+    for file in [*OWN, *FILES]:
         parts = file.relative_to(ROOT).with_suffix("").parts
         name = ".".join(parts if parts[0] == "magyc_gtsam" else ("magyc_gtsam", *parts))
         modules[name.removesuffix(".__init__")] = file

@@ -22,7 +22,7 @@ from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros2 import definition, encode
 from magyc_gtsam.live.json_lines import JsonLines
 from magyc_gtsam.live.mcap_follow import McapFollower
-from magyc_gtsam.live.source import Batch
+from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.recording import Recording, Samples
 from magyc_gtsam.simulation import simulate
 
@@ -59,14 +59,14 @@ def write(path: Path, recording: Recording, **options: Any) -> Path:
     return path
 
 
-def joined(batches: list[Batch]) -> Batch:
+def joined(batches: list[NewSamples]) -> NewSamples:
     parts = [[batch[i] for batch in batches] for i in range(2)]
-    return Batch(
+    return NewSamples(
         *(Samples(np.concatenate([p.time for p in part]), np.vstack([p.value for p in part])) for part in parts)
     )
 
 
-def drained(source: Any) -> Batch:
+def drained(source: Any) -> NewSamples:
     """All that a source has until it ends or has nothing more."""
     batches = [source.read(0.0)]
     while batches[-1] and not source.ended:
@@ -74,7 +74,7 @@ def drained(source: Any) -> Batch:
     return joined(batches)
 
 
-def same(batch: Batch, recording: Recording) -> None:
+def same(batch: NewSamples, recording: Recording) -> None:
     for samples, (at, value) in zip(batch, (recording.magnetometer, recording.gyroscope), strict=True):
         np.testing.assert_array_equal(samples.time, (np.round(at * 1e9).astype(np.int64) + EPOCH) / 1e9)
         np.testing.assert_array_equal(samples.value, value)
@@ -216,7 +216,7 @@ def test_a_file_that_shrinks_was_replaced(tmp_path: Path, recording: Recording) 
         follower.read()
 
 
-def lines_of(*texts: str, request: Request | None = None) -> tuple[JsonLines, Batch]:
+def lines_of(*texts: str, request: Request | None = None) -> tuple[JsonLines, NewSamples]:
     """A source that got these pieces one by one, and all that it gave."""
     reader, writer = os.pipe()
     source = JsonLines(reader, request or Request())

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.live.picture import Picture
-from magyc_gtsam.live.source import Batch, none
+from magyc_gtsam.live.source import NewSamples, none
 from magyc_gtsam.online.coverage import cell_of, cells
 from magyc_gtsam.online.next_move import next_move
 from magyc_gtsam.recording import Samples
@@ -62,7 +62,7 @@ def test_a_picture_before_and_after_there_is_a_calibration() -> None:
 
     def pass_on(first: int, stop: int, extra: float = 0.0) -> None:
         value = field[first:stop] + extra
-        picture.take(Batch(Samples(time[first:stop], value), none()))
+        picture.take(NewSamples(Samples(time[first:stop], value), none()))
         online.update(time[first:stop], value, recording.angular_rate[first:stop])
 
     for first in range(0, 2400, 100):
@@ -81,7 +81,7 @@ def test_a_picture_before_and_after_there_is_a_calibration() -> None:
     assert sum(shown["cells"]) / 60 == pytest.approx(online.progress.coverage, abs=0.05)
     assert not shown["residual"]["disturbed"]
     for first in range(2400, 2500, 10):
-        picture.take(Batch(Samples(time[first : first + 10], field[first : first + 10] + 8e-6), none()))
+        picture.take(NewSamples(Samples(time[first : first + 10], field[first : first + 10] + 8e-6), none()))
     assert picture.to_dict(calibration)["residual"]["disturbed"]
     again = Picture(online)
     assert abs(sum(again.to_dict(calibration)["cells"]) - sum(shown["cells"])) <= 2, (
@@ -94,6 +94,6 @@ def test_a_picture_takes_no_more_memory_as_the_run_goes_on() -> None:
     random = np.random.default_rng(0)
     for second in range(1500):
         time = second + np.arange(100) / 100
-        picture.take(Batch(Samples(time, random.normal(size=(100, 3)) * 5e-5), none()))
+        picture.take(NewSamples(Samples(time, random.normal(size=(100, 3)) * 5e-5), none()))
     assert len(picture._seen) <= 4000
     assert sum(len(samples.time) for samples in picture._recent) <= 700

@@ -27,7 +27,7 @@ from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.address import open_source
 from magyc_gtsam.live.arrival import ArrivalClock
 from magyc_gtsam.live.health import StreamMonitor
-from magyc_gtsam.live.source import Batch, LiveSource
+from magyc_gtsam.live.source import LiveSource, NewSamples
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.simulation import simulate
 
@@ -221,14 +221,14 @@ def test_an_autopilot(recording: mg.Recording, online: Any) -> None:
     vehicle.close()
 
 
-def read_until(source: LiveSource, count: int) -> Batch:
-    batches: list[Batch] = []
+def read_until(source: LiveSource, count: int) -> NewSamples:
+    batches: list[NewSamples] = []
     until = time.monotonic() + 60
     while sum(len(batch.magnetometer.time) for batch in batches) < count:
         batches.append(source.read(0.05))
         assert time.monotonic() < until, source.waiting_for
     parts = [[batch[i] for batch in batches] for i in range(2)]
-    return Batch(
+    return NewSamples(
         *(Samples(np.concatenate([p.time for p in part]), np.vstack([p.value for p in part])) for part in parts)
     )
 
@@ -352,7 +352,7 @@ def test_rate_losses_and_delay() -> None:
     rate = np.arange(12000) / 200
     for second in np.arange(0, 60, 0.1):
         parts = [t[(t >= second - 1e-9) & (t < second + 0.1 - 1e-9)] for t in (field, rate)]
-        batch = Batch(*(Samples(t, np.zeros((len(t), 3))) for t in parts))
+        batch = NewSamples(*(Samples(t, np.zeros((len(t), 3))) for t in parts))
         monitor.take(batch, 1000 + second + 0.1 + 0.08 * (second > 57), round_trip=0.01)
     health = monitor.health
     assert health.rate[0] == pytest.approx(95, abs=4)

@@ -11,10 +11,10 @@ from magyc_gtsam import Recording, calibrate, simulate
 from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES
-from magyc_gtsam.estimators.model_error.motion import Motion
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.samples import too_slow
-from magyc_gtsam.estimators.smoother.beside import Beside
-from magyc_gtsam.estimators.smoother.columns import Columns, Products
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts
+from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import descend, explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 
@@ -40,7 +40,7 @@ def with_field(recording: Recording, world: np.ndarray) -> Recording:
 
 def test_a_column_moves_the_parameters_as_a_new_fit_does(fit) -> None:
     """S is what happens to θ when a little of the column is put into the reading (and out of the fit's weights)."""
-    motion, beside = Motion.of(fit), Beside(fit)
+    motion, beside = WindowMotion.of(fit), ColumnProducts(fit)
     random = np.random.default_rng(1)
     columns = FAMILIES[0].columns(motion)
     beta = 1e-4 * random.normal(size=len(columns.window))
@@ -59,7 +59,7 @@ def test_a_column_moves_the_parameters_as_a_new_fit_does(fit) -> None:
 
 def test_columns_have_the_products_that_elimination_leaves(fit) -> None:
     """A column of the windows: G is its square less what directions and θ explain of it (fit.explained)."""
-    motion, beside = Motion.of(fit), Beside(fit)
+    motion, beside = WindowMotion.of(fit), ColumnProducts(fit)
     for name in ("attitude", "second", "drift:slow"):
         family = next(f for f in FAMILIES if f.name == name)
         columns = family.columns(motion)
@@ -72,7 +72,7 @@ def test_columns_have_the_products_that_elimination_leaves(fit) -> None:
 
 def test_products_of_profiles_and_axes_are_as_any_columns(fit) -> None:
     """The short way through the elimination, many groups together, against the long one, each by itself."""
-    motion, beside = Motion.of(fit), Beside(fit)
+    motion, beside = WindowMotion.of(fit), ColumnProducts(fit)
     groups = [g for g in (family.columns(motion) for family in FAMILIES) if isinstance(g, Products)]
     assert len(groups) > 6
     for together, group in zip(beside.of_each(groups), groups, strict=True):
@@ -91,7 +91,7 @@ def test_products_of_all_families_have_no_negative_direction(fit) -> None:
     """Of all columns together, on a motion that shows little of many of them."""
     weak = fit_field_chain(simulate("tiny", duration=120, seed=5).recording)[0]
     for each in (fit, weak):
-        motion, beside = Motion.of(each), Beside(each)
+        motion, beside = WindowMotion.of(each), ColumnProducts(each)
         new = [beside.of(family.columns(motion)) for family in FAMILIES]
         normal = np.block(
             [[one.across(other) if one is not other else one.normal for other in new] for one in new]
@@ -106,7 +106,7 @@ def test_products_of_all_families_have_no_negative_direction(fit) -> None:
 
 def test_derivatives_and_integrals_of_what_windows_sample_coarsely(fit) -> None:
     """A cubic exactly, up to the ends; of a wave that turns by 2 rad a window most, at uneven windows."""
-    motion = Motion.of(fit)
+    motion = WindowMotion.of(fit)
     time = motion.time
     share = (time - time[0]) / (time[-1] - time[0])
     inner, length = slice(20, -20), time[-1] - time[0]
@@ -126,9 +126,9 @@ def test_derivatives_and_integrals_of_what_windows_sample_coarsely(fit) -> None:
 
 
 def test_what_the_parameters_explain_is_not_new(fit) -> None:
-    beside = Beside(fit)
+    beside = ColumnProducts(fit)
     hard_iron = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(fit.chain.windows)))
-    new = beside.of(Columns(1e-6 * hard_iron, None))
+    new = beside.of(UnmodelledColumns(1e-6 * hard_iron, None))
     assert np.abs(new.normal).max() < 1e-9 * np.square(new.window).sum(axis=1).max()
     np.testing.assert_allclose(beside.move(new)[6:9], 1e-6 * np.eye(3), atol=1e-9)
 

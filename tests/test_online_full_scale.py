@@ -17,7 +17,7 @@ from magyc_gtsam.cli import main
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.sensor_faults.cut_off import CutOff
-from magyc_gtsam.sensor_faults.gate import Gate
+from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.simulation import AMPLITUDES, Simulation
 from magyc_gtsam.study.efficiency import error, nees
 
@@ -121,7 +121,7 @@ def test_what_the_watch_passes_does_not_depend_on_the_cuts(step: float) -> None:
     rate = recording.angular_rate if not step else np.round(recording.angular_rate / step) * step
     results = []
     for cut in (1, 7, 400, 2000):
-        gate, blocks = Gate(CutOff()), np.arange(0, len(rate), cut)
+        gate, blocks = SampleGate(CutOff()), np.arange(0, len(rate), cut)
         passed = [gate.take(Samples(recording.time[i : i + cut], rate[i : i + cut])) for i in blocks]
         kept = np.concatenate([part.time for part in passed])
         results.append((kept.tolist(), gate.dropped, cut_off(gate), gate.detector.spans.tolist()))

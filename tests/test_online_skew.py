@@ -11,7 +11,7 @@ import magyc_gtsam as mg
 from magyc_gtsam import cli
 from magyc_gtsam.estimators.smoother.search import preintegrate
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.field_chain import FieldChain, SensorNoise, State
+from magyc_gtsam.factors.chain.field_chain import ChainState, FieldChain, SensorNoise
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.recording import Recording
@@ -74,9 +74,10 @@ def test_a_marginal_holds_what_all_its_windows_say_of_a_skew() -> None:
     chain = ContinuedChain(windows, SensorNoise(1e-6, 5e-3))
     weights = chain.unweighted()
     state, whole = chain.settle(chain.start(parameters), weights)
-    past = chain.marginalise(State(parameters[:13], state.direction), weights, 40)  # carried though θ has none
+    without = ChainState(parameters[:13], state.direction)  # the marginal carries the skew nevertheless
+    past = chain.marginalise(without, weights, 40)
     rest = ContinuedChain(windows.part(40, len(windows)), chain.noise, past)
-    begun = State(parameters, state.direction[:, 40:])
+    begun = ChainState(parameters, state.direction[:, 40:])
     _, joined = rest.settle(begun, rest.unweighted())
     scale = 1 / np.sqrt(np.diag(whole.information))
     np.testing.assert_allclose(

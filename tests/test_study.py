@@ -55,12 +55,12 @@ def test_table_one_of_the_paper():
 
 
 def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not(tmp_path):
-    from magyc_gtsam.study.known import Unit, fact_cells, known_rows, matrix_cell, skew_cells
+    from magyc_gtsam.study.known import KnownCase, fact_cells, known_rows, matrix_cell, skew_cells
 
     pytest.importorskip("pyarrow")
-    units = [Unit("skew", "wide", 0.7, seed) for seed in range(3)]
-    units += [Unit("fact", "level", 300.0, seed) for seed in range(2)]
-    units += [Unit("matrix", "wide", 1.0, 0)]
+    units = [KnownCase("skew", "wide", 0.7, seed) for seed in range(3)]
+    units += [KnownCase("fact", "level", 300.0, seed) for seed in range(2)]
+    units += [KnownCase("matrix", "wide", 1.0, 0)]
     rows = known_rows(units, tmp_path)
     assert known_rows(units, tmp_path) == rows  # taken from the parts
     cells = skew_cells("wide", 0.7, rows)

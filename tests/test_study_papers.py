@@ -20,7 +20,7 @@ DATASETS = Path(__file__).parents[1] / "datasets"
 def test_fig_3b_the_cost_of_magyc_misleads_on_a_survey_at_the_published_noise() -> None:
     pytest.importorskip("gtsam")
     methods = ("magyc-bfg", "magyc-ifg", "smoother")
-    chosen = [dive_survey.Unit(noise, 0) for noise in (1.0, 0.1)]
+    chosen = [dive_survey.DivePair(noise, 0) for noise in (1.0, 0.1)]
     rows = dive_survey.dive_survey_rows(chosen, methods=methods)
     loud, quiet = (dive_survey.cells(rows, noise) for noise in (1.0, 0.1))
     for found in (loud, quiet):  # on the dive all methods are right
@@ -39,7 +39,7 @@ def test_fig_3b_the_cost_of_magyc_misleads_on_a_survey_at_the_published_noise() 
 
 
 def test_the_shipped_pair_is_the_first_of_the_study() -> None:
-    dive, survey = dive_survey.pair(dive_survey.Unit(1.0, 0))
+    dive, survey = dive_survey.pair(dive_survey.DivePair(1.0, 0))
     for simulation, name in ((dive, "calibration_dive"), (survey, "lawn_mower_survey")):
         shipped = mg.read(DATASETS / f"{name}.mcap")
         np.testing.assert_allclose(shipped.magnetic_field, simulation.recording.magnetic_field, rtol=0, atol=1e-15)

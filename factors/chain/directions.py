@@ -78,7 +78,7 @@ class Sight(NamedTuple):
         return LinearDirections(basis, window, on_direction, link, before, after, ahead, scale**2)
 
 
-class Known(NamedTuple):
+class QuadraticPrior(NamedTuple):
     """A quadratic cost on θ and the tangent of the first direction: value, information (15, 15), gradient (15,)."""
 
     cost: float

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from magyc_gtsam.factors.chain.banded import inverse_blocks, solved
-from magyc_gtsam.factors.chain.directions import Known, Sight, stepped
+from magyc_gtsam.factors.chain.directions import QuadraticPrior, Sight, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
 from magyc_gtsam.factors.chain.rotations import (
@@ -57,7 +57,7 @@ class SensorNoise(NamedTuple):
     gyroscope: float
 
 
-class State(NamedTuple):
+class ChainState(NamedTuple):
     """θ (p,), p = 13 or 16, and the directions g (3, n)."""
 
     parameters: Array
@@ -162,13 +162,13 @@ class FieldChain:
         """All weights one."""
         return Weights(np.ones(len(self.windows)), np.ones(len(self.windows) - 1))
 
-    def start(self, parameters: Array) -> State:
+    def start(self, parameters: Array) -> ChainState:
         """A state at θ: each direction read off its own window's field."""
         body = np.linalg.solve(iron_matrix(parameters), self.windows.field - parameters[6:9, None])
         g = np.einsum("ijn,in->jn", self.rotation(parameters), body)
-        return State(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
+        return ChainState(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
 
-    def residuals(self, state: State) -> Residuals:
+    def residuals(self, state: ChainState) -> Residuals:
         """Unwhitened residuals of both groups."""
         parameters, g = state
         body = np.einsum("ijn,jn->in", self.rotation(parameters), g)
@@ -183,7 +183,7 @@ class FieldChain:
             np.einsum("in,in->n", residuals.link, residuals.link) * self.link_scale**2,
         )
 
-    def eliminate(self, state: State, weights: Weights) -> Reduced:
+    def eliminate(self, state: ChainState, weights: Weights) -> Reduced:
         """Linearise at `state` and eliminate the directions.
 
         Raises:
@@ -271,13 +271,13 @@ class FieldChain:
             result *= self.answer
         return result
 
-    def move(self, state: State, reduced: Reduced, step: Array) -> State:
+    def move(self, state: ChainState, reduced: Reduced, step: Array) -> ChainState:
         """The state after a step on θ; the directions follow by back-substitution."""
         pull = reduced.right[-1] + step @ reduced.right[:-1]
         tangent, _ = dpbtrs(reduced.factor, pull, lower=1)
-        return State(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
+        return ChainState(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
 
-    def settle(self, state: State, weights: Weights) -> tuple[State, Reduced]:
+    def settle(self, state: ChainState, weights: Weights) -> tuple[ChainState, Reduced]:
         """The directions at their best for the state's θ, and the linearisation there."""
         sight = self._sight(state, weights, self.rotation(state.parameters))
         for _ in range(_SETTLING):
@@ -289,7 +289,7 @@ class FieldChain:
             tangent, _ = dpbtrs(self._factor(band), pull.ravel(), lower=1)
             ahead = stepped(state.direction, linear.basis, tangent)
             moved = float(np.square(ahead - state.direction).max())
-            state = State(state.parameters, ahead)
+            state = ChainState(state.parameters, ahead)
             if moved < _SETTLED:
                 break
         return state, self.eliminate(state, weights)
@@ -313,11 +313,11 @@ class FieldChain:
         flat = across.reshape(len(covariance), -1)
         return float(inner + np.vdot(covariance, flat @ flat.T))
 
-    def _known(self, state: State, basis: Array) -> Known | None:
+    def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
         """What is known of θ and the first direction besides the windows; here nothing."""
         return None
 
-    def _sight(self, state: State, weights: Weights, rotation: Array) -> Sight:
+    def _sight(self, state: ChainState, weights: Weights, rotation: Array) -> Sight:
         parameters = state.parameters
         scale = self.window_scale * np.sqrt(weights.window)
         seen = (iron_matrix(parameters) @ rotation.reshape(3, -1)).reshape(rotation.shape) * scale

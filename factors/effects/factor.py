@@ -22,10 +22,10 @@ from magyc_gtsam.factors.chain.field_chain import (
     DELAY,
     PARAMETERS,
     WITH_SKEW,
+    ChainState,
     FieldChain,
     Reduced,
     SensorNoise,
-    State,
     iron_matrix,
 )
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -194,7 +194,7 @@ def semidefinite_root(information: Array, gradient: Array, alone: Array) -> tupl
 
 
 def bordered(
-    chain: FieldChain, state: State, reduced: Reduced, window: Array, link: Array
+    chain: FieldChain, state: ChainState, reduced: Reduced, window: Array, link: Array
 ) -> tuple[Array, Array, Array]:
     """Information (p + k, p + k) and gradient on θ (p,) and k more parameters, the directions eliminated.
 

@@ -15,7 +15,7 @@ from magyc_gtsam.cli.accelerometer import calibrate_accelerometer
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.history import Engine, More
-from magyc_gtsam.cli.known import Known
+from magyc_gtsam.cli.known import GivenFacts
 from magyc_gtsam.cli.many import Task, calibrate_logs, each_compass, each_log, many
 from magyc_gtsam.cli.reading import Reading, parse_pairs
 from magyc_gtsam.cli.results import dated_folder, remove_exports, write_configuration, write_exports, write_page
@@ -34,7 +34,7 @@ def run(
     context: typer.Context,
     reading: Reading,
     scale: Scale,
-    known: Known,
+    known: GivenFacts,
     method: Annotated[str, typer.Option(help="Calibration method, one of magyc_gtsam.methods().")] = "smoother",
     sensor: Annotated[
         Literal["magnetometer", "accelerometer"],

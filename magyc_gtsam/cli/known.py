@@ -14,7 +14,7 @@ from magyc_gtsam.cli.scale import Scale
 
 
 @dataclass(frozen=True)
-class Known:
+class GivenFacts:
     """What the smoother is told beforehand."""
 
     misalignment: given.Misalignment = None

@@ -16,7 +16,7 @@ import numpy as np
 
 from magyc_gtsam.cli.files import refuse_unwritable
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.live.source import Batch, LiveSource
+from magyc_gtsam.live.source import LiveSource, NewSamples
 from magyc_gtsam.recording import Array, Samples
 
 if TYPE_CHECKING:
@@ -36,10 +36,10 @@ class End(str, Enum):
     __str__ = str.__str__
 
 
-class View(Protocol):
+class RunView(Protocol):
     """What a run shows while it goes on."""
 
-    def take(self, batch: Batch) -> None:
+    def take(self, batch: NewSamples) -> None:
         """Called with all that is read, before it is learnt from."""
 
     def refresh(self) -> None:
@@ -75,7 +75,7 @@ class Session:
         every: float,
         idle: float | None,
         axes: Array | None,
-        view: View,
+        view: RunView,
     ) -> None:
         self.source, self.online, self.output, self.state = source, online, output, state
         self.end = End.COMPLETE
@@ -129,7 +129,7 @@ class Session:
                 self._view.report()
                 written = time.monotonic()
 
-    def _take(self, batch: Batch) -> None:
+    def _take(self, batch: NewSamples) -> None:
         """Both sensors in one call: neither is ahead of the other by a block."""
         magnetometer, gyroscope = (
             Samples(samples.time[new], samples.value[new])

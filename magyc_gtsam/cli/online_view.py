@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from magyc_gtsam.calibration import Calibration
-    from magyc_gtsam.live.source import Batch, LiveSource
+    from magyc_gtsam.live.source import LiveSource, NewSamples
     from magyc_gtsam.online import Change, OnlineCalibrator
     from magyc_gtsam.report.verdict import Verdict
 
@@ -33,7 +33,7 @@ _INTERRUPTED = 130
 _BAR = 24  # characters
 
 
-class Quiet:
+class QuietView:
     """Shows what was left out, and at the end what must not be trusted."""
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
@@ -41,8 +41,8 @@ class Quiet:
         self.monitor = StreamMonitor()
         self._said = 0
 
-    def take(self, batch: Batch) -> None:
-        """As `View.take`."""
+    def take(self, batch: NewSamples) -> None:
+        """As `RunView.take`."""
         self.monitor.take(batch, time.monotonic(), getattr(self.source, "round_trip", None))
 
     def refresh(self) -> None:
@@ -94,15 +94,15 @@ class Quiet:
         return False
 
 
-class Plain(Quiet):
+class Plain(QuietView):
     """A line per report, and the result at the end."""
 
     def report(self) -> None:
-        """As `View.report`."""
+        """As `RunView.report`."""
         show(line(self.online, self.source, self.monitor.health))
 
     def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:
-        """As `Quiet.result`; no numbers of what must not be trusted."""
+        """As `QuietView.result`; no numbers of what must not be trusted."""
         progress = self.online.progress
         show(
             verdict.sentence,
@@ -118,7 +118,7 @@ class Plain(Quiet):
         return True
 
 
-class Live(Plain):
+class LiveView(Plain):
     """The view of a terminal, drawn in place."""
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
@@ -131,7 +131,7 @@ class Live(Plain):
         self._screen.start()
 
     def refresh(self) -> None:
-        """As `View.refresh`; a look at the estimate can cost a fit, so it is not taken too often."""
+        """As `RunView.refresh`; a look at the estimate can cost a fit, so it is not taken too often."""
         began = time.monotonic()
         if began < self._next:
             return
@@ -141,12 +141,12 @@ class Live(Plain):
         self._next = ended + max(_REFRESH, _SHARE * (ended - began))
 
     def report(self) -> None:
-        """As `View.report`."""
+        """As `RunView.report`."""
         if self.online.calibration is not None:
             self._written = f"written {time.strftime('%H:%M:%S')}"
 
     def complain(self, text: str) -> None:
-        """As `Quiet.complain`, above the view."""
+        """As `QuietView.complain`, above the view."""
         self._console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     def stop(self) -> None:
@@ -154,7 +154,7 @@ class Live(Plain):
         self._screen.stop()
 
 
-class Json(Quiet):
+class JsonView(QuietView):
     """A line of JSON per report; the last one says `"final": true`.
 
     Args:
@@ -167,14 +167,14 @@ class Json(Quiet):
         self._every, self._next = every, 0.0
         self._picture = None if every is None else Picture(online)
 
-    def take(self, batch: Batch) -> None:
-        """As `View.take`."""
+    def take(self, batch: NewSamples) -> None:
+        """As `RunView.take`."""
         super().take(batch)
         if self._picture is not None:
             self._picture.take(batch)
 
     def refresh(self) -> None:
-        """As `View.refresh`; a look costs at most a tenth of the time, as on a terminal."""
+        """As `RunView.refresh`; a look costs at most a tenth of the time, as on a terminal."""
         began = time.monotonic()
         if self._every is None or began < self._next:
             return
@@ -183,11 +183,11 @@ class Json(Quiet):
         self._next = ended + max(self._every, _SHARE * (ended - began))
 
     def report(self) -> None:
-        """As `View.report`."""
+        """As `RunView.report`."""
         typer.echo(json.dumps(self._values()))
 
     def conclude(self, session: Session) -> int:
-        """As `Quiet.conclude`."""
+        """As `QuietView.conclude`."""
         code = super().conclude(session)
         final = {"final": True, "end": str(session.end), "exit_code": code, "output": str(session.output)}
         typer.echo(json.dumps(self._values() | final))
@@ -227,16 +227,16 @@ class Json(Quiet):
 @contextmanager
 def view(
     source: LiveSource, online: OnlineCalibrator, *, quiet: bool, json: bool, picture: float | None
-) -> Iterator[Quiet]:
+) -> Iterator[QuietView]:
     """The view that fits the options and the terminal."""
     if json:
-        yield Json(source, online, picture)
+        yield JsonView(source, online, picture)
     elif quiet:
-        yield Quiet(source, online)
+        yield QuietView(source, online)
     elif not console().is_terminal:
         yield Plain(source, online)
     else:
-        live = Live(source, online)
+        live = LiveView(source, online)
         try:
             yield live
         finally:

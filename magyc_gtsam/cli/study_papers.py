@@ -12,9 +12,9 @@ from magyc_gtsam.cli.terminal import show, show_table, stages
 from magyc_gtsam.factors.errors import MagycError
 
 if TYPE_CHECKING:
-    from magyc_gtsam.study.review import Score
+    from magyc_gtsam.study.review import MethodScore
     from magyc_gtsam.study.rows import Running
-    from magyc_gtsam.study.table_one import Cell
+    from magyc_gtsam.study.table_one import MethodOnMotion
 
 
 class Place(NamedTuple):
@@ -64,7 +64,7 @@ def review(place: Place, runs: int) -> None:
     shown.append(["bound", f"{table[0].bound:.3g}", *[""] * 7])
     show_table([*header, f"time / {table[0].method}", "paper"], shown)
 
-    def cell(score: Score) -> str:
+    def cell(score: MethodScore) -> str:
         share = score.scores.robustness
         return f"{score.scores.accuracy:.3g}" + (f" ({share:.0%})" if share < 1 else "") if share else "–"
 
@@ -88,7 +88,7 @@ def autocal(place: Place, runs: int) -> None:
     """Figs 5 and 6 of the Autocal paper, and one-sided data."""
     from magyc_gtsam.study import autocal as study
 
-    def cell(score: study.Score) -> str:
+    def cell(score: study.ModelErrors) -> str:
         error = "–" if score.failed == 1 and not score.median < 10 else f"{100 * score.median:.2f}"
         return error if not score.failed else f"{error} ({score.failed:.0%})"
 
@@ -169,13 +169,13 @@ def table_one(place: Place, runs: int, gyroscope_noise: float) -> None:
     def spread(values: tuple[float, float, float]) -> str:
         return "–" if values[0] != values[0] else f"{values[0]:.2f} ({values[1]:.2f} to {values[2]:.2f})"
 
-    def printed(cell: Cell, column: int) -> str:
+    def printed(cell: MethodOnMotion, column: int) -> str:
         if cell.method not in study.PUBLISHED:
             return ""
         value = study.PUBLISHED[cell.method][cell.motion][column]
         return "N/A" if value is None else f"{value:.3f}"
 
-    ours: list[Cell] = []
+    ours: list[MethodOnMotion] = []
     for convention in study.CONVENTIONS:
         with place.running(f"{convention}, {runs} runs") as running:
             found = study.table_one(runs, convention=convention, gyroscope_noise=gyroscope_noise, running=running)
@@ -222,7 +222,7 @@ def dive_survey(place: Place, runs: int) -> None:
         rows = study.dive_survey_rows(study.units(runs), running)
     each = [study.cells(rows, noise) for noise in study.NOISES]
 
-    def text(cell: study.Cell) -> str:
+    def text(cell: study.MethodOnDives) -> str:
         heading = "none" if cell.heading == float("inf") else f"{cell.heading:.2f}"
         cost = "" if cell.cost != cell.cost else f" [{cell.cost:.4f}]"
         return heading + cost + (f" ({cell.trusted:.0%})" if cell.trusted < 1 else "")

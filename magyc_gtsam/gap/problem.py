@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.search import short_term_noise
-from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain, Reduced, SensorNoise, State
+from magyc_gtsam.factors.chain.field_chain import DELAY, ChainState, FieldChain, Reduced, SensorNoise
 from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
@@ -149,7 +149,7 @@ def prepare(problem: Problem, model: Model) -> tuple[Preintegration, Array]:
     return samples.with_rate((true + bias[:, None]).T), true
 
 
-def window_signals(problem: Problem, windows: FieldWindows, state: State, rate: Array) -> Signals:
+def window_signals(problem: Problem, windows: FieldWindows, state: ChainState, rate: Array) -> Signals:
     """What the forms read, window by window, as the model has it."""
     parameters, g = state
     soft = unvech(parameters[:6])
@@ -184,7 +184,7 @@ def _answer(bent: Sequence[Active], signals: Signals) -> Array:
     return 1 + (more - less) / (2 * _NEARBY)
 
 
-def build(problem: Problem, model: Model) -> tuple[FieldChain, State, Reduced, Array]:
+def build(problem: Problem, model: Model) -> tuple[FieldChain, ChainState, Reduced, Array]:
     """The chain of a model, settled, and the true rate (3, G).
 
     The magnetometer's terms read the field as the model has it, so that the chain is settled, corrected and

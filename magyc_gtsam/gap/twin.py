@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.factors.chain.banded import inverse_blocks
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain, Reduced, State
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, ChainState, FieldChain, Reduced
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
 from magyc_gtsam.factors.chain.rate_columns import attitude, rate_columns, turned_by
 from magyc_gtsam.factors.chain.rotations import Array, cross, skew
@@ -54,7 +54,7 @@ class Twin:
     problem: Problem
     model: Model
     chain: FieldChain
-    state: State
+    state: ChainState
     reduced: Reduced
     windows: Signals
     gyroscope: Signals

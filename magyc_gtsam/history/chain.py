@@ -39,7 +39,7 @@ class Observations:
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class HistoryPosterior:
     """The joint posterior of s and all h.
 
     Attributes:
@@ -80,7 +80,7 @@ def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Arr
     return band, border, corner, right
 
 
-def solve(observed: Observations, step_variance: Array, *, marginals: bool = True) -> Posterior:
+def solve(observed: Observations, step_variance: Array, *, marginals: bool = True) -> HistoryPosterior:
     """The posterior at given variances of the steps.
 
     Args:
@@ -110,14 +110,16 @@ def solve(observed: Observations, step_variance: Array, *, marginals: bool = Tru
     shape_covariance = np.linalg.inv(schur)
     empty = np.zeros((0, 3, 3))
     if not marginals:
-        return Posterior(shape, shape_covariance, hard_iron, empty, np.zeros((0, 3, SHAPE)), empty, log_likelihood)
+        return HistoryPosterior(
+            shape, shape_covariance, hard_iron, empty, np.zeros((0, 3, SHAPE)), empty, log_likelihood
+        )
     own, change = _marginals(band, 1 / step_variance)
     on_shape = solved[:, :SHAPE].reshape(k, 3, SHAPE)
     spread = np.einsum("kia,ab,kjb->kij", on_shape, shape_covariance, on_shape)
     moved = np.diff(on_shape, axis=0)
     change = change + np.einsum("kia,ab,kjb->kij", moved, shape_covariance, moved)
     cross = -np.einsum("kia,ab->kib", on_shape, shape_covariance)
-    return Posterior(shape, shape_covariance, hard_iron, own + spread, cross, change, log_likelihood)
+    return HistoryPosterior(shape, shape_covariance, hard_iron, own + spread, cross, change, log_likelihood)
 
 
 def _marginals(band: Array, ties: Array) -> tuple[Array, Array]:

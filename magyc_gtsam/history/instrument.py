@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from magyc_gtsam.history.chain import Observations, Posterior, solve
+from magyc_gtsam.history.chain import HistoryPosterior, Observations, solve
 from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.history.forward import (
     JUMPED,
@@ -85,7 +85,7 @@ class Instrument:
         return mean, covariance
 
     @cached_property
-    def posterior(self) -> Posterior:
+    def posterior(self) -> HistoryPosterior:
         """By all logs, at the likeliest labelling and scatter, averaged over the walk."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
         observed = _observations(self.logs, elapsed, self.scatter, self.label != WRONG)
@@ -142,7 +142,7 @@ def _observations(logs: Sequence[LogFactor], elapsed: Array, scatter: float, kep
     return Observations(mean, information, elapsed)
 
 
-def _averaged(each: Sequence[Posterior], share: Array) -> Posterior:
+def _averaged(each: Sequence[HistoryPosterior], share: Array) -> HistoryPosterior:
     """The mixture's mean and covariance."""
     shape = np.einsum("n,ni->i", share, [p.shape for p in each])
     hard_iron = np.einsum("n,nki->ki", share, [p.hard_iron for p in each])
@@ -156,7 +156,7 @@ def _averaged(each: Sequence[Posterior], share: Array) -> Posterior:
         )
         return result
 
-    return Posterior(
+    return HistoryPosterior(
         shape,
         mean([p.shape_covariance for p in each], off_shape, off_shape),
         hard_iron,

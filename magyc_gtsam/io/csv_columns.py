@@ -38,7 +38,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Columns:
+class SensorColumns:
     """The columns of a sensor in the order x, y, z (attitude x, y, z, w), and what they have in common."""
 
     label: str
@@ -98,7 +98,7 @@ def find_time(columns: Sequence[Column], named: str | None) -> Column | None:
     return found[0] if found else None
 
 
-def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) -> Columns | None:
+def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) -> SensorColumns | None:
     """The three columns of a sensor (four of the attitude); None where there are none.
 
     Args:
@@ -126,7 +126,7 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
         if len(names) != len(axes):
             raise MagycError(f"{sensor}: {len(names)} columns named, {len(axes)} are needed ({', '.join(axes)})")
         found = tuple(_named(columns, n) for n in names)
-        return Columns(_listed(found), found)
+        return SensorColumns(_listed(found), found)
     elif sensor == "attitude":
         groups = _groups(columns, _QUATERNION, axes)
     else:
@@ -139,7 +139,7 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
     return next(iter(groups.values()), None)
 
 
-def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> dict[str, Columns]:
+def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> dict[str, SensorColumns]:
     """Complete sets of axes, by the beginning that their names share."""
     found: dict[str, dict[str, Column]] = {}
     for column in columns:
@@ -151,7 +151,7 @@ def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> d
                     "which one is meant? name all columns anew (columns=)"
                 )
             group[match[2]] = column
-    return {k: Columns(k, tuple(v[a] for a in axes)) for k, v in found.items() if len(v) == len(axes)}
+    return {k: SensorColumns(k, tuple(v[a] for a in axes)) for k, v in found.items() if len(v) == len(axes)}
 
 
 def _named(columns: Sequence[Column], name: str) -> Column:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed
-from magyc_gtsam.io.csv_columns import Column, Columns, find_sensor, find_time, parse_header
+from magyc_gtsam.io.csv_columns import Column, SensorColumns, find_sensor, find_time, parse_header
 from magyc_gtsam.io.csv_stamps import StampColumn
 from magyc_gtsam.io.csv_table import Stamps, Table, is_number, load
 from magyc_gtsam.io.growing import GrowingColumns
@@ -41,7 +41,7 @@ def read(path: Path, request: Request) -> Recording:
     _check(request.options)
     table = load(path, request.options.get("columns"))
     notes: list[str] = []
-    found: dict[str, Columns | None] = {}
+    found: dict[str, SensorColumns | None] = {}
     for sensor in (*_TARGETS, "attitude"):
         try:
             found[sensor] = find_sensor(table.columns, sensor, request.sensors.get(sensor))
@@ -131,7 +131,7 @@ def info(path: Path) -> LogInfo:
     return LogInfo(str(path), f"CSV ({table.separator_name})", span[1] if span else 0.0, sources, notes)
 
 
-def _require(table: Table, magnetometer: Columns | None, time: Column | None, request: Request) -> None:
+def _require(table: Table, magnetometer: SensorColumns | None, time: Column | None, request: Request) -> None:
     missing, remedies = [], []
     if not table.columns:
         missing.append("a header with column names")
@@ -177,7 +177,7 @@ def _channel_columns(table: Table, used: set[int], request: Request, notes: list
     return [c for c in free if c not in text]
 
 
-def _scale(sensor: str, group: Columns, request: Request) -> tuple[float, tuple[str, ...]]:
+def _scale(sensor: str, group: SensorColumns, request: Request) -> tuple[float, tuple[str, ...]]:
     unit, asked = group.unit, request.units.get(sensor)
     if asked is not None:
         scale, said = request.scale(sensor)

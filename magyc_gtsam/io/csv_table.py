@@ -31,7 +31,7 @@ _LONGEST_BYTES = 1 << 25  # before it is known to be text
 _SHOWN = 80  # characters of a cell in a message
 
 
-class Lines(NamedTuple):
+class DataLines(NamedTuple):
     """Lines of data, and the number of each in the file, from 1."""
 
     numbers: Sequence[int]
@@ -100,7 +100,7 @@ class Table:
             report(place / size)
         return numbers, stamps.column(0), count, tuple(notes)
 
-    def _data(self) -> Iterator[tuple[Lines, bool, int]]:
+    def _data(self) -> Iterator[tuple[DataLines, bool, int]]:
         """Lines of data, whether they are the last, and how many bytes have been read."""
         pieces = _pieces(self.path)
         piece = next(pieces, None)
@@ -109,11 +109,11 @@ class Table:
             lines, place = piece
             if lines.numbers and lines.numbers[0] <= self.header:
                 kept = [k for k, number in enumerate(lines.numbers) if number > self.header]
-                lines = Lines([lines.numbers[k] for k in kept], [lines.text[k] for k in kept], lines.quoted)
+                lines = DataLines([lines.numbers[k] for k in kept], [lines.text[k] for k in kept], lines.quoted)
             yield lines, following is None, place
             piece = following
 
-    def _whole(self, lines: Lines, last: bool, before: int, notes: list[str]) -> Lines:
+    def _whole(self, lines: DataLines, last: bool, before: int, notes: list[str]) -> DataLines:
         """The lines, all of the same number of cells; without the last of the file where it is cut off."""
         if self.separator is None:
             counts = list(map(len, map(str.split, lines.text)))
@@ -124,7 +124,7 @@ class Table:
         if last and counts and before + len(counts) > 1 and counts[-1] < self.width:
             notes.append(f"line {lines.numbers[-1]}, the last, is cut off and was left out")
             counts.pop()
-            lines = Lines(lines.numbers[:-1], lines.text[:-1], lines.quoted)
+            lines = DataLines(lines.numbers[:-1], lines.text[:-1], lines.quoted)
         if counts.count(self.width) != len(counts):
             row = next(k for k, n in enumerate(counts) if n != self.width)
             raise MagycError(
@@ -133,13 +133,13 @@ class Table:
             )
         return lines
 
-    def _column(self, lines: Lines, column: int) -> list[str]:
+    def _column(self, lines: DataLines, column: int) -> list[str]:
         """The cells of one column."""
         if self.separator is None or lines.quoted:
             return [_split(line, self.separator)[column] for line in lines.text]
         return [line.split(self.separator, column + 1)[column] for line in lines.text]
 
-    def _numbers(self, lines: Lines, wanted: Sequence[int]) -> Array:
+    def _numbers(self, lines: DataLines, wanted: Sequence[int]) -> Array:
         if not wanted:
             return np.empty((len(lines.text), 0))
         try:
@@ -244,7 +244,7 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def _pieces(path: Path) -> Iterator[tuple[Lines, int]]:
+def _pieces(path: Path) -> Iterator[tuple[DataLines, int]]:
     """The lines that are neither empty nor comments, piece by piece."""
     number = 0
     for data, place in _raw(path):
@@ -255,7 +255,7 @@ def _pieces(path: Path) -> Iterator[tuple[Lines, int]]:
             kept = [k for k, line in enumerate(text) if line.strip() and not line.lstrip().startswith("#")]
             text, numbers = [text[k] for k in kept], [numbers[k] for k in kept]
         if text:
-            yield Lines(numbers, text, b'"' in data), place
+            yield DataLines(numbers, text, b'"' in data), place
 
 
 def _separator(lines: Sequence[str]) -> str | None:

@@ -35,7 +35,7 @@ _LATEST = 10**18  # ns of a clock that counts from the boot: 31 years
 
 
 @dataclass(frozen=True, eq=False)
-class Kind:
+class MessageType:
     """A type of message.
 
     Args:
@@ -67,7 +67,7 @@ class Kind:
         return code in "nNZ" if what == "text" else code not in "nNZa"
 
 
-_DESCRIPTION = Kind(
+_DESCRIPTION = MessageType(
     "FMT",
     _FORMAT,
     89,
@@ -86,7 +86,7 @@ class Dataflash:
         skipped: bytes that belong to no message.
     """
 
-    kinds: dict[str, Kind] = field(default_factory=dict)
+    kinds: dict[str, MessageType] = field(default_factory=dict)
     skipped: int = 0
     _data: Any = None
     _bytes: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
@@ -216,10 +216,10 @@ def _chain(
     return chain, size - covered - (tail if tail < _PAGE else 0)
 
 
-def _kinds(log: Dataflash, descriptions: Places) -> dict[str, Kind]:
+def _kinds(log: Dataflash, descriptions: Places) -> dict[str, MessageType]:
     """The types by name, as described last."""
     rows = zip(*(log.column("FMT", c, descriptions).tolist() for c in _DESCRIPTION.columns), strict=True)
-    kinds: dict[int, Kind] = {}
+    kinds: dict[int, MessageType] = {}
     for number, length, name, codes, columns in rows:
         kinds[number] = _kind(number, length, _text(name), _text(codes), _text(columns))
     by_name = {kind.name: kind for kind in kinds.values() if kind.number in log._places}
@@ -233,13 +233,13 @@ def _kinds(log: Dataflash, descriptions: Places) -> dict[str, Kind]:
         kind = kinds.get(number)
         place = _text(text).find("#") if isinstance(text, bytes) else -1
         if kind is not None and 0 <= place < len(kind.columns) and kind.name in by_name:
-            by_name[kind.name] = Kind(
+            by_name[kind.name] = MessageType(
                 kind.name, kind.number, kind.length, kind.codes, kind.columns, kind.fields, kind.columns[place]
             )
     return by_name
 
 
-def _kind(number: int, length: int, name: str, codes: str, columns: str) -> Kind:
+def _kind(number: int, length: int, name: str, codes: str, columns: str) -> MessageType:
     names = tuple(columns.split(",")) if columns else ()
     fields = None
     if len(names) == len(codes) == len(set(names)) and all(
@@ -247,7 +247,7 @@ def _kind(number: int, length: int, name: str, codes: str, columns: str) -> Kind
     ):
         fields = np.dtype([(n, _FIELDS[c]) for n, c in zip(names, codes, strict=True)])
         fields = fields if fields.itemsize + 3 == length else None
-    return Kind(name, number, length, codes, names, fields)
+    return MessageType(name, number, length, codes, names, fields)
 
 
 def _text(value: bytes) -> str:

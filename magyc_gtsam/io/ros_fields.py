@@ -98,7 +98,7 @@ def _full(kind: str, package: str) -> str:
 
 
 @dataclass
-class Table:
+class FieldLayout:
     """Where everything stands in the messages that are alike.
 
     Args:
@@ -130,7 +130,7 @@ class _Walk:
             raise MagycError(
                 f"encapsulation 0x{data[:2].hex()} of CDR is not supported, only plain CDR (0x0000, 0x0001)"
             )
-        self.table = Table(len(data), order)
+        self.table = FieldLayout(len(data), order)
         self.steps = 0
 
     def message(self, kind: str, prefix: str, depth: int = 0, kept: bool = True) -> None:
@@ -208,7 +208,7 @@ class FieldReader:
         self.columns: list[tuple[str, int | None]] | None = None
         self.stamped = False
         self._seen = 0
-        self._tables: list[Table] = []
+        self._tables: list[FieldLayout] = []
 
     @property
     def width(self) -> int:
@@ -252,7 +252,7 @@ class FieldReader:
             value[rows] = numbers
         return stamp, value
 
-    def _look(self, message: bytes, index: int) -> Table:
+    def _look(self, message: bytes, index: int) -> FieldLayout:
         try:
             walk = _Walk(self._types, message, self._encoding)
             walk.message(self.kind, "")
@@ -296,7 +296,7 @@ class FieldReader:
 
     def _rows(
         self,
-        table: Table,
+        table: FieldLayout,
         data: Bytes,
         start: Stamps,
         length: Stamps,
@@ -323,7 +323,7 @@ class FieldReader:
         parts.append((rows, self._numbers(table, data, place)))
         return rest[~alike]
 
-    def _numbers(self, table: Table, data: Bytes, place: Stamps) -> Array:
+    def _numbers(self, table: FieldLayout, data: Bytes, place: Stamps) -> Array:
         value = np.empty((len(place), self.width))
         column = 0
         runs: list[tuple[str, list[int], int]] = []  # of one type, so that each is one look into the bytes

@@ -21,7 +21,7 @@ _AXES = {"attitude": "xyzw"}
 
 
 @dataclass(frozen=True)
-class Source:
+class SensorSource:
     """Where a sensor's numbers are: the topic, and the columns of what is read of it."""
 
     topic: Topic
@@ -34,7 +34,7 @@ class Source:
         return self.topic.name
 
 
-def choose(topics: Mapping[str, Topic], sensor: str, request: Request, notes: list[str]) -> Source | None:
+def choose(topics: Mapping[str, Topic], sensor: str, request: Request, notes: list[str]) -> SensorSource | None:
     """The topic of a sensor: the one named, else the only one of its type; None where there is none.
 
     Raises:
@@ -61,7 +61,7 @@ def choose(topics: Mapping[str, Topic], sensor: str, request: Request, notes: li
     return None
 
 
-def checked(topics: Mapping[str, Topic], sensor: str, name: str) -> Source:
+def checked(topics: Mapping[str, Topic], sensor: str, name: str) -> SensorSource:
     """The topic of that name, or the field of one ("/vectornav/raw.imu.mag"), if it can hold the sensor.
 
     Raises:
@@ -84,10 +84,10 @@ def checked(topics: Mapping[str, Topic], sensor: str, name: str) -> Source:
     if topic.encoding not in ("cdr", "ros1"):
         raise MagycError(f"{sensor}: {name} is encoded as {topic.encoding}; cdr (ROS 2) and ros1 can be read")
     order = topic.fields
-    return Source(topic, [order.index(p) for p in fields[sensor]], UNKNOWN.get(topic.type, {}).get(sensor))
+    return SensorSource(topic, [order.index(p) for p in fields[sensor]], UNKNOWN.get(topic.type, {}).get(sensor))
 
 
-def _nested(topic: Topic, sensor: str, path: str) -> Source:
+def _nested(topic: Topic, sensor: str, path: str) -> SensorSource:
     """A vector or short array within a message of any type."""
     if topic.problem is not None:
         raise topic.problem
@@ -104,7 +104,7 @@ def _nested(topic: Topic, sensor: str, path: str) -> Source:
             f"{sensor}: {topic.name} ({topic.schema.name}) has no field {path!r} of {len(axes)} numbers; "
             f"it has {listed(_vectors(topic)) or 'none'}"
         )
-    return Source(topic, found)
+    return SensorSource(topic, found)
 
 
 def _vectors(topic: Topic) -> list[str]:
@@ -125,7 +125,7 @@ def _listed(topics: Mapping[str, Topic]) -> str:
     return listed([f"{t.name} ({t.schema.name})" for t in topics.values()])
 
 
-def unknown(source: Source) -> bool:
+def unknown(source: SensorSource) -> bool:
     """Whether all messages say that they have no estimate of the sensor (covariance[0] is -1)."""
     return source.mark is not None and source.topic.unknown(source.mark)
 

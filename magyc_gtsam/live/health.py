@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.live.source import Batch
+from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.recording import Array
 
 _MEMORY = 5.0  # s over which rate and lateness are taken
@@ -67,7 +67,7 @@ class StreamMonitor:
         self._quickest: deque[tuple[float, float]] = deque()
         self._link: float | None = None
 
-    def take(self, batch: Batch, arrived: float, round_trip: float | None = None) -> None:
+    def take(self, batch: NewSamples, arrived: float, round_trip: float | None = None) -> None:
         """A batch that came at `arrived`, s on a clock that does not go back."""
         self._link = None if round_trip is None else round_trip / 2
         self._forget(arrived)

@@ -7,7 +7,7 @@ import select
 
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.lines import SourceOfLines
-from magyc_gtsam.live.source import Batch, nothing
+from magyc_gtsam.live.source import NewSamples, nothing
 
 _AT_ONCE = 1 << 16  # bytes
 
@@ -25,7 +25,7 @@ class JsonLines(SourceOfLines):
         super().__init__(name, request)
         self._descriptor = descriptor
 
-    def read(self, wait: float = 0.0) -> Batch:
+    def read(self, wait: float = 0.0) -> NewSamples:
         """As `LiveSource.read`."""
         if not select.select([self._descriptor], [], [], wait)[0]:
             return nothing()

@@ -21,7 +21,7 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.live.source import SENSORS, Batch, none
+from magyc_gtsam.live.source import SENSORS, NewSamples, none
 from magyc_gtsam.recording import Samples
 
 _LONGEST = 1 << 20  # bytes of a line
@@ -56,7 +56,7 @@ class Lines:
         absent = [sensor for sensor in SENSORS if sensor not in self._seen]
         return f"no {' and no '.join(absent)} in {self.count} lines so far" if absent else ""
 
-    def take(self, data: bytes, last: bool = False) -> Batch:
+    def take(self, data: bytes, last: bool = False) -> NewSamples:
         """The samples of the lines that these bytes complete; `last`, where no more of the last line will come.
 
         Raises:
@@ -83,7 +83,7 @@ class Lines:
                 for sensor, row in found.items():
                     rows[sensor].append(row)
         self._seen |= {sensor for sensor in SENSORS if rows[sensor]}
-        return Batch(*(_samples(rows[sensor]) for sensor in SENSORS))
+        return NewSamples(*(_samples(rows[sensor]) for sensor in SENSORS))
 
     def _parse(self, line: bytes) -> dict[str, list[float]]:
         """{sensor: [time, x, y, z]}, SI units."""

@@ -20,7 +20,7 @@ from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.mavlink_messages import FILTERED, MESSAGES
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.arrival import ArrivalClock
-from magyc_gtsam.live.source import SENSORS, Batch, none, nothing
+from magyc_gtsam.live.source import SENSORS, NewSamples, none, nothing
 from magyc_gtsam.recording import Samples
 
 BAUD = 57600
@@ -104,7 +104,7 @@ class MavlinkSource:
         listed = ", ".join(sorted(self._link.messages.keys() - {"HOME", "MAV"})) or "nothing"
         return f"none of {self._wanted or ', '.join(MESSAGES)} with both sensors yet; heard so far: {listed[:200]}"
 
-    def read(self, wait: float = 0.0) -> Batch:
+    def read(self, wait: float = 0.0) -> NewSamples:
         """As `LiveSource.read`."""
         rows: list[_Row] = []
         with redirect_stdout(sys.stderr):
@@ -186,7 +186,7 @@ class MavlinkSource:
             self.notes.append(f"{self.name}: vehicle {self._chosen[0]} is listened to, and not {others}")
         return rows
 
-    def _batch(self, rows: list[_Row]) -> Batch:
+    def _batch(self, rows: list[_Row]) -> NewSamples:
         if not rows:
             return nothing()
         stamps = [self._arrival(row.arrived) if self._by_arrival else row.stamp for row in rows]
@@ -196,4 +196,4 @@ class MavlinkSource:
                 [[t, *row.values[sensor]] for t, row in zip(stamps, rows, strict=True) if sensor in row.values]
             )
             parts.append(Samples(table[:, 0], table[:, 1:]) if len(table) else none())
-        return Batch(*parts)
+        return NewSamples(*parts)

@@ -21,8 +21,8 @@ from magyc_gtsam.foreign_text import listed, shortened
 from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Damage, Record, block_of, broken_up, parsed, unpacked
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, Source, choose, needed, unknown
-from magyc_gtsam.live.source import SENSORS, Batch, none
+from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, SensorSource, choose, needed, unknown
+from magyc_gtsam.live.source import SENSORS, NewSamples, none
 from magyc_gtsam.recording import Samples
 
 _AT_ONCE = 1 << 20  # bytes after which a batch is handed over, so that catching up with a long file can be watched
@@ -62,7 +62,7 @@ class McapFollower:
         self._place = 0  # where complete records end
         # No channels: only what the sensors are read from.
         self._topics = Topics(needed(replace(request, channels=()), SENSORS), request, self.notes, announced=True)
-        self._chosen: dict[str, Source] = {}
+        self._chosen: dict[str, SensorSource] = {}
 
     def close(self) -> None:
         """Let go of the file."""
@@ -80,7 +80,7 @@ class McapFollower:
         found = listed([f"{t.name} ({t.schema.name})" for t in self._topics.values()])
         return f"no topic of {wanted} yet; the file has {found or 'no topic'} so far"
 
-    def read(self, wait: float = 0.0) -> Batch:
+    def read(self, wait: float = 0.0) -> NewSamples:
         """As `LiveSource.read`."""
         until = time.monotonic() + wait
         while True:
@@ -138,7 +138,7 @@ class McapFollower:
             what = "chunk" if opcode == Opcode.CHUNK else "record"
             self.notes.append(f"a {what} at byte {self._place} is damaged and was left out ({shortened(error)})")
 
-    def _batch(self) -> Batch:
+    def _batch(self) -> NewSamples:
         for sensor in SENSORS:
             if sensor not in self._chosen and self._present(sensor):
                 source = choose(self._topics, sensor, self._request, self.notes)
@@ -147,7 +147,7 @@ class McapFollower:
         samples = {sensor: self._samples(sensor, source) for sensor, source in self._chosen.items()}
         for source in self._chosen.values():  # one topic may hold both sensors
             source.topic.forget()
-        return Batch(*(samples.get(sensor, none()) for sensor in SENSORS))
+        return NewSamples(*(samples.get(sensor, none()) for sensor in SENSORS))
 
     def _present(self, sensor: str) -> bool:
         """Whether a topic that could be the sensor's has been seen."""
@@ -157,7 +157,7 @@ class McapFollower:
             return any(topic.lstrip("/") in own for topic in self._topics)
         return any(topic.type == FOUND_BY_TYPE[sensor] for topic in self._topics.values())
 
-    def _samples(self, sensor: str, source: Source) -> Samples:
+    def _samples(self, sensor: str, source: SensorSource) -> Samples:
         stamp = source.topic.stamp
         if not len(stamp):
             return none()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.live.source import Batch
+from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.online.calibrator import OnlineCalibrator
 from magyc_gtsam.online.coverage import cells
 from magyc_gtsam.online.next_move import next_move
@@ -34,7 +34,7 @@ class Picture:
         self._every, self._phase = 1, 0
         self._recent: deque[Samples] = deque()
 
-    def take(self, batch: Batch) -> None:
+    def take(self, batch: NewSamples) -> None:
         """New samples."""
         time, value = batch.magnetometer
         if not len(time):

@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
-from magyc_gtsam.live.source import SENSORS, Batch, none
+from magyc_gtsam.live.source import SENSORS, NewSamples, none
 from magyc_gtsam.recording import Samples
 
 _VECTOR = {"magnetic_field": "magnetic_field", "angular_rate": "angular_velocity"}  # fields of the messages
@@ -56,7 +56,7 @@ class Ros2Topics:
         absent = [f"{s} ({self._request.named(s) or FOUND_BY_TYPE[s]})" for s in SENSORS if s not in self._topic]
         return f"no topic of {' and '.join(absent)} yet" if absent else ""
 
-    def read(self, wait: float = 0.0) -> Batch:
+    def read(self, wait: float = 0.0) -> NewSamples:
         """As `LiveSource.read`."""
         self._subscribe()
         until = time.monotonic() + wait
@@ -65,7 +65,7 @@ class Ros2Topics:
             if time.monotonic() >= until:
                 break
         rows, self._rows = self._rows, {sensor: [] for sensor in SENSORS}
-        return Batch(*(_samples(rows[sensor], self._request.scale(sensor)[0]) for sensor in SENSORS))
+        return NewSamples(*(_samples(rows[sensor], self._request.scale(sensor)[0]) for sensor in SENSORS))
 
     def close(self) -> None:
         """Leave the ROS network."""

@@ -8,7 +8,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.arrival import ArrivalClock
 from magyc_gtsam.live.lines import SourceOfLines
-from magyc_gtsam.live.source import Batch, nothing
+from magyc_gtsam.live.source import NewSamples, nothing
 
 BAUD = 115200
 
@@ -40,7 +40,7 @@ class SerialLines(SourceOfLines):
         super().__init__(port, request, ArrivalClock())
         self._begun = False
 
-    def read(self, wait: float = 0.0) -> Batch:
+    def read(self, wait: float = 0.0) -> NewSamples:
         """As `LiveSource.read`."""
         try:
             self._port.timeout = wait

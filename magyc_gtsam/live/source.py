@@ -16,7 +16,7 @@ def none() -> Samples:
     return Samples(np.empty(0), np.empty((0, 3)))
 
 
-class Batch(NamedTuple):
+class NewSamples(NamedTuple):
     """New samples of both sensors, T and rad/s at their own stamps in s, in the order in which they came."""
 
     magnetometer: Samples
@@ -26,9 +26,9 @@ class Batch(NamedTuple):
         return bool(len(self.magnetometer.time) or len(self.gyroscope.time))
 
 
-def nothing() -> Batch:
+def nothing() -> NewSamples:
     """No samples of either sensor."""
-    return Batch(none(), none())
+    return NewSamples(none(), none())
 
 
 class LiveSource(Protocol):
@@ -54,7 +54,7 @@ class LiveSource(Protocol):
     @property
     def waiting_for(self) -> str: ...
 
-    def read(self, wait: float) -> Batch:
+    def read(self, wait: float) -> NewSamples:
         """What has come since the last call; where that is nothing, wait for at most so many seconds."""
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ import socket
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.lines import SourceOfLines
-from magyc_gtsam.live.source import Batch, nothing
+from magyc_gtsam.live.source import NewSamples, nothing
 
 LOOPBACK = "127.0.0.1"
 _AT_ONCE = 1000  # datagrams of one batch
@@ -44,7 +44,7 @@ class UdpLines(SourceOfLines):
         self.port = self._socket.getsockname()[1]
         super().__init__(f"udp://{host or LOOPBACK}:{self.port}", request)
 
-    def read(self, wait: float = 0.0) -> Batch:
+    def read(self, wait: float = 0.0) -> NewSamples:
         """As `LiveSource.read`."""
         if not select.select([self._socket], [], [], wait)[0]:
             return nothing()

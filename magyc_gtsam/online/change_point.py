@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend, misfit, weigh
-from magyc_gtsam.factors.chain.field_chain import State, Weights
+from magyc_gtsam.factors.chain.field_chain import ChainState, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.online.likelihood_ratio import change_time, step_profile
@@ -65,14 +65,14 @@ class Step:
     after: Fit
 
 
-class Search(NamedTuple):
+class ChangeSearch(NamedTuple):
     """The step found, if one was; else whether something happened of which more windows will tell what."""
 
     step: Step | None
     undecided: bool
 
 
-def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Search:
+def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> ChangeSearch:
     """Look for a step inside the chain of `fit` (a `ContinuedChain` with a past).
 
     Args:
@@ -91,16 +91,16 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Sear
     ratio[:_BEFORE] = 0.0
     n = int(np.argmax(ratio))
     if ratio[n] < limit:
-        return Search(None, undecided=False)
+        return ChangeSearch(None, undecided=False)
     if np.linalg.norm(step[n]) < smallest:
-        return Search(None, undecided=True)
+        return ChangeSearch(None, undecided=True)
     placed = step_profile(chain, state, weights, reduced, chain.seen(state.parameters))
     rival = placed.at_windows()[0][_BEFORE : len(ratio)]
     strength = np.cbrt(abs(np.linalg.det(unvech(state.parameters[:6]))))
     lead = (ratio[n] - rival.max()) / colour
     told = lead > MARGIN or (lead > -ALIKE and turned(chain.windows.rotation[:, :, n:]) > TURNED)
     if not told and np.linalg.norm(step[n]) < NO_PLACE * strength:
-        return Search(None, undecided=True)
+        return ChangeSearch(None, undecided=True)
     # The step taken off: does that explain all windows, and what, seen from there, were its time and size?
     found = change_time(chain, profile, colour)
     for _ in range(_CORRECTIONS):
@@ -109,7 +109,7 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Sear
         profile = step_profile(chain, corrected.state, corrected.weights, linear, in_sensor(len(chain.windows)))
         found = change_time(chain, profile, colour)
     if _cost(fit) - _cost(corrected) < limit or np.linalg.norm(found.value) < smallest:
-        return Search(None, undecided=True)
+        return ChangeSearch(None, undecided=True)
     held = found.window
     before = _fitted(fit, replace(chain, windows=chain.windows.part(0, held)), state.parameters)
     past = _until(chain, before).forget(HARD_IRON)
@@ -119,7 +119,7 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Sear
     after = _fitted(fit, rest, parameters)
     sigma = np.sqrt(np.diag(found.covariance))
     found_step = Step(held + 1, found.time, found.time_sigma, found.value, sigma, before, past, after)
-    return Search(found_step, undecided=False)
+    return ChangeSearch(found_step, undecided=False)
 
 
 def _until(chain: ContinuedChain, before: Fit) -> Marginal:
@@ -129,7 +129,7 @@ def _until(chain: ContinuedChain, before: Fit) -> Marginal:
     count = windows.count.copy()
     count[held] = _NOTHING
     parameters, direction = before.state
-    state = State(parameters, np.column_stack([direction, direction[:, -1]]))
+    state = ChainState(parameters, np.column_stack([direction, direction[:, -1]]))
     weights = Weights(np.append(before.weights.window, 1.0), np.append(before.weights.link, 1.0))
     return replace(chain, windows=replace(windows, count=count)).marginalise(state, weights, held)
 
@@ -185,7 +185,7 @@ def find_earlier_change(chain: ContinuedChain, parameters: Array) -> EarlierChan
     # The directions before it follow from those after by the gyroscope alone.
     window, link = chain.unweighted()
     window[:n] = _UNKNOWN
-    state = State(parameters, fit.state.direction.copy())
+    state = ChainState(parameters, fit.state.direction.copy())
     state.direction[:, :n] = state.direction[:, n : n + 1]
     state, _ = chain.settle(state, Weights(window, link))
     # Not all before the split need be of one hard iron, with a hand at work: the middle of its samples.

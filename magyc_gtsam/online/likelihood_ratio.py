@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, Reduced, State, Weights
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, ChainState, Reduced, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import ContinuedChain
 
@@ -68,7 +68,7 @@ class StepProfile:
 
 
 def step_profile(
-    chain: ContinuedChain, state: State, weights: Weights, reduced: Reduced, column: Array
+    chain: ContinuedChain, state: ChainState, weights: Weights, reduced: Reduced, column: Array
 ) -> StepProfile:
     """The profile of a chain, linearised.
 

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.directions import Known
+from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.field_chain import (
     PARAMETERS,
     SKEW,
     WITH_SKEW,
+    ChainState,
     FieldChain,
-    State,
     Weights,
     iron_matrix,
 )
@@ -105,7 +105,7 @@ class ContinuedChain(FieldChain):
             sigma[0] *= _UNMEASURED
         return sigma
 
-    def _known(self, state: State, basis: Array) -> Known | None:
+    def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
         """The past, on θ and on the first direction as this chain sees it."""
         if self.past is None:
             return None
@@ -115,7 +115,7 @@ class ContinuedChain(FieldChain):
         onto = np.eye(size + 2)
         onto[size:, size:] = self.origin[1].T @ basis[:, :, 0]
         information = self.past.information[np.ix_(rows, rows)]
-        return Known(self.past_cost(state), _symmetric(onto.T @ information @ onto), onto.T @ slope[rows])
+        return QuadraticPrior(self.past_cost(state), _symmetric(onto.T @ information @ onto), onto.T @ slope[rows])
 
     def part(self, first: int, stop: int) -> ContinuedChain:
         """See `FieldChain`; what is before `first` is in none but the first part."""
@@ -125,17 +125,17 @@ class ContinuedChain(FieldChain):
         """(3, 3, n) T, what the windows read per unit of a field fixed in the world."""
         return np.einsum("ij,jkn->ikn", iron_matrix(parameters), self.rotation(parameters))
 
-    def past_cost(self, state: State) -> float:
+    def past_cost(self, state: ChainState) -> float:
         """The past's share of the cost at `state`, relative to the point of its marginal."""
         if self.past is None:
             return 0.0
         away = self._away(state)
         return float(self.past.gradient @ away + 0.5 * away @ self.past.information @ away)
 
-    def marginalise(self, state: State, weights: Weights, last: int) -> Marginal:
+    def marginalise(self, state: ChainState, weights: Weights, last: int) -> Marginal:
         """The windows up to `last` (and the past) as the past of those that follow."""
         part = self.part(0, last + 1)
-        state = State(with_angles(state.parameters), state.direction[:, : last + 1])
+        state = ChainState(with_angles(state.parameters), state.direction[:, : last + 1])
         state, reduced = part.settle(state, Weights(weights.window[: last + 1], weights.link[:last]))
         # The last direction comes last in the elimination: its corner of the factor is its Schur complement.
         corner = np.array([[reduced.factor[0, -2], 0.0], [reduced.factor[1, -2], reduced.factor[0, -1]]])
@@ -149,7 +149,7 @@ class ContinuedChain(FieldChain):
             state.parameters, mean @ state.direction[:, -1], mean @ reduced.basis[:, :, -1], information, gradient
         )
 
-    def _away(self, state: State) -> Array:
+    def _away(self, state: ChainState) -> Array:
         """x of `state` (18,), seen from the marginal's point."""
         assert self.past is not None
         direction, tangent = self.origin

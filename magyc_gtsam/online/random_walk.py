@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, colour_of, descend, weigh
-from magyc_gtsam.factors.chain.field_chain import FieldChain, SensorNoise, State, Weights
+from magyc_gtsam.factors.chain.field_chain import ChainState, FieldChain, SensorNoise, Weights
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, widened
@@ -54,7 +54,7 @@ def fit_random_walk(online: SmootherState, stop: int) -> Fit:
         # The end of a walk of length T is T/3 (in variance) away from its mean, which the block estimates.
         information, _ = widened(information, rows, walk * np.sqrt((time[-1] - time[0]) / 3 / 3600))
     reduced = fit.reduced._replace(information=information)
-    return replace(fit, state=State(last.state.parameters, fit.state.direction), reduced=reduced)
+    return replace(fit, state=ChainState(last.state.parameters, fit.state.direction), reduced=reduced)
 
 
 def advance_filter(online: SmootherState) -> None:
@@ -105,7 +105,7 @@ def _filtered(online: SmootherState, chain: ContinuedChain, parameters: Array) -
     return past
 
 
-def _widened(online: SmootherState, block: ContinuedChain, state: State, weights: Weights) -> Marginal:
+def _widened(online: SmootherState, block: ContinuedChain, state: ChainState, weights: Weights) -> Marginal:
     """A block as the past of its last window, the parameters walked meanwhile."""
     marginal = block.marginalise(state, weights, len(block.windows) - 1)
     elapsed = float(block.windows.time[-1] - block.windows.time[0])

@@ -10,13 +10,13 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
 from magyc_gtsam.report.words import uncertain
-from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 _BEYOND = 1.5  # times the spread of the trusted methods, from which an estimate is drawn at the edge
 
 
 @dataclass(frozen=True)
-class Scale:
+class DotAxis:
     """The dots of one axis, and what stands at both ends and in the middle of their scale."""
 
     axis: str
@@ -37,7 +37,7 @@ class Dot:
     beyond: bool
 
 
-def ellipsoid(comparison: Comparison, outcome: Outcome) -> Figure:
+def ellipsoid(comparison: Comparison, outcome: MethodOutcome) -> Figure:
     """Raw samples, those that fit no ellipsoid in another colour, and the method's ellipsoid."""
     calibration, strength = outcome.calibration, outcome.strength
     assert calibration is not None
@@ -52,7 +52,7 @@ def ellipsoid(comparison: Comparison, outcome: Outcome) -> Figure:
     return sphere(f"Samples and ellipsoid ({unit})", "", clouds, radius, outlines=[(matrix, centre, "ink")])
 
 
-def strength(comparison: Comparison, outcome: Outcome) -> Figure:
+def strength(comparison: Comparison, outcome: MethodOutcome) -> Figure:
     """Strength of the field over time, before and after."""
     assert outcome.calibration is not None
     time, field = comparison.recording.magnetometer
@@ -69,7 +69,7 @@ def strength(comparison: Comparison, outcome: Outcome) -> Figure:
     )
 
 
-def heading(comparison: Comparison, outcome: Outcome) -> Figure:
+def heading(comparison: Comparison, outcome: MethodOutcome) -> Figure:
     """Error of the magnetic heading against the reference over time, before and after."""
     raw, calibrated = comparison.raw.heading, outcome.heading
     assert raw is not None
@@ -85,7 +85,7 @@ def heading(comparison: Comparison, outcome: Outcome) -> Figure:
     )
 
 
-def hard_irons(comparison: Comparison, axis: int) -> Scale:
+def hard_irons(comparison: Comparison, axis: int) -> DotAxis:
     """Hard iron of every method along an axis, on a scale that shows where the trusted ones differ."""
     outcomes = [o for o in comparison.by_trust if o.calibration is not None]
     scale, unit = comparison.recording.field_shown
@@ -113,10 +113,10 @@ def hard_irons(comparison: Comparison, axis: int) -> Scale:
     ]
     decimals = int(np.clip(2 - np.floor(np.log10(reach)), 0, 6))
     left, middle, right = (f"{low + share * reach:.{decimals}f}" for share in (0, 1, 2))
-    return Scale("xyz"[axis], dots, (left, middle, f"{right} {unit}"))
+    return DotAxis("xyz"[axis], dots, (left, middle, f"{right} {unit}"))
 
 
-def _estimates(outcomes: Sequence[Outcome], axis: int, scale: float) -> tuple[Array, Array]:
+def _estimates(outcomes: Sequence[MethodOutcome], axis: int, scale: float) -> tuple[Array, Array]:
     unknown = np.full(3, np.nan)
     known = [o.calibration for o in outcomes if o.calibration is not None]
     value = np.array([calibration.hard_iron[axis] for calibration in known]) * scale

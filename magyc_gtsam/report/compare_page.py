@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from magyc_gtsam.report import compare_charts, compare_words
 from magyc_gtsam.report.charts import Figure
 from magyc_gtsam.report.html import rendered
-from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 
 @dataclass(frozen=True)
 class Card:
     """A method with its figures."""
 
-    outcome: Outcome
+    outcome: MethodOutcome
     summary: str
     caution: str
     figures: tuple[Figure, ...]
@@ -48,13 +48,13 @@ def render_comparison(comparison: Comparison) -> str:
     )
 
 
-def _overview(comparison: Comparison) -> list[compare_charts.Scale]:
+def _overview(comparison: Comparison) -> list[compare_charts.DotAxis]:
     if not comparison.calibrated:
         return []
     return [compare_charts.hard_irons(comparison, axis) for axis in range(3)]
 
 
-def _card(comparison: Comparison, outcome: Outcome) -> Card:
+def _card(comparison: Comparison, outcome: MethodOutcome) -> Card:
     figures = [compare_charts.ellipsoid(comparison, outcome), compare_charts.strength(comparison, outcome)]
     if outcome.heading is not None and comparison.raw.heading is not None:
         figures.append(compare_charts.heading(comparison, outcome))
@@ -63,7 +63,7 @@ def _card(comparison: Comparison, outcome: Outcome) -> Card:
     return Card(outcome, ", ".join(summary), caution, tuple(figures))
 
 
-def _changes(raw: Outcome, outcome: Outcome, scale: float, unit: str) -> Iterable[str]:
+def _changes(raw: MethodOutcome, outcome: MethodOutcome, scale: float, unit: str) -> Iterable[str]:
     if raw.spread is not None and outcome.spread is not None:
         yield f"field spread {raw.spread * scale:.2f} → {outcome.spread * scale:.2f} {unit}"
     if raw.heading is not None and outcome.heading is not None:

@@ -11,7 +11,7 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import uncertain
-from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 _HUGE = 1e5  # in the unit shown, from where digits behind the point say nothing
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
@@ -250,7 +250,7 @@ def duration(seconds: float | None) -> str:
     )
 
 
-def _triple(outcome: Outcome, name: str, scale: float) -> list[str]:
+def _triple(outcome: MethodOutcome, name: str, scale: float) -> list[str]:
     value = None if outcome.calibration is None else getattr(outcome.calibration, name)
     if outcome.calibration is None or value is None:
         return [""] * 3

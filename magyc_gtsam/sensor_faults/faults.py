@@ -10,7 +10,7 @@ from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
-from magyc_gtsam.sensor_faults.gate import Gate
+from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.repeats import Repeats
 from magyc_gtsam.sensor_faults.stuck import Stretch, Stuck, StuckAxes, field_turned, named
 from magyc_gtsam.sensor_faults.zeros import Zeros
@@ -35,8 +35,9 @@ class SensorFaults:
         self.magnetometer = StuckAxes()
         self.gyroscope = StuckAxes(self._field_turned, *([np.inf] if self._whole else []))
         # A long turn at full scale looks like an axis that is stuck, so it is rejected first.
-        self._zeros_gate = Gate(self.zeros)
-        self._cut_off_gate, self._gates = Gate(self.cut_off), (Gate(self.magnetometer), Gate(self.gyroscope))
+        self._zeros_gate = SampleGate(self.zeros)
+        self._cut_off_gate = SampleGate(self.cut_off)
+        self._gates = SampleGate(self.magnetometer), SampleGate(self.gyroscope)
         self._field = GrowingRows(4)  # magnetometer samples that the gyroscope has not come to
         self._latest = -np.inf  # s, stamp of the last gyroscope sample
 
@@ -110,7 +111,7 @@ class SensorFaults:
         return field_turned(field[between, 1:], rows[0, 1:])
 
     @property
-    def _parts(self) -> Mapping[str, Gate | FullScale | Repeats]:
+    def _parts(self) -> Mapping[str, SampleGate | FullScale | Repeats]:
         return {
             "zeros": self._zeros_gate,
             "cut_off": self._cut_off_gate,

@@ -35,7 +35,7 @@ class Detector(Protocol):
         """Continue from `state`."""
 
 
-class Gate:
+class SampleGate:
     """Passes on the samples that a detector does not reject.
 
     Attributes:

@@ -18,7 +18,7 @@ _EVEN = 0.9  # share of repeats from which the whole recording is at even rates:
 _REMEMBERED = 256  # stamps of samples at the largest value, before it is known to be a full scale
 
 
-class Part(NamedTuple):
+class SideOfBlock(NamedTuple):
     """What one side of an axis says of a block: (n,) samples at its largest value, those of them that follow another,
     those since the value is known to be a full scale; the rows (indices) at which it became known; the stamps of all
     samples at a full scale, earlier blocks' with them where it became known in this one."""
@@ -63,7 +63,7 @@ class LargestValue:
         step: Array,
         step_before: float,
         allowed: np.ndarray,
-    ) -> Part | None:
+    ) -> SideOfBlock | None:
         """Take samples (n,) of this side; None where none comes near the largest value."""
         first = int(np.isnan(change[0]))  # of all, which has no neighbour
         if self.is_far(float(x.max()), step_before):
@@ -111,7 +111,7 @@ class LargestValue:
         often = np.bincount(where, np.concatenate([self._near[:, 1], np.ones(len(x))]))
         kept = values > self._level - _BAND * step[-1]
         self._near = np.column_stack([values[kept], often[kept]])
-        return Part(at, continued, known, decisive, stamps)
+        return SideOfBlock(at, continued, known, decisive, stamps)
 
     def state(self) -> Mapping[str, Array]:
         """For `restore`."""

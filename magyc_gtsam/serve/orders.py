@@ -10,7 +10,7 @@ from typing import Any
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.units import factor
 from magyc_gtsam.serve.limits import Limits
-from magyc_gtsam.serve.store import Log
+from magyc_gtsam.serve.store import StoredLog
 
 KINDS = ("look", "calibrate", "gap", "compare", "history")
 _TEXTS = ("magnetic_field", "angular_rate")  # topics, messages or columns
@@ -30,7 +30,7 @@ class Order:
     """
 
     kind: str
-    logs: tuple[Log, ...]
+    logs: tuple[StoredLog, ...]
     start: float | None
     end: float | None
     reading: tuple[str, ...]
@@ -50,7 +50,7 @@ class Order:
         return [self.kind, *logs, "--json", f"--output={output}", *interval, *self.reading]
 
 
-def order(asked: Any, logs: Mapping[str, Log], limits: Limits) -> Order:
+def order(asked: Any, logs: Mapping[str, StoredLog], limits: Limits) -> Order:
     """What the page asked for.
 
     Raises:

@@ -9,7 +9,7 @@ from typing import Any
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.live.mavlink import ADDRESS
 from magyc_gtsam.live.udp import LOOPBACK
-from magyc_gtsam.serve.store import Log
+from magyc_gtsam.serve.store import StoredLog
 
 KINDS = ("udp", "mavlink", "serial", "file", "ros2")
 _BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
@@ -25,7 +25,7 @@ def serial_ports() -> list[str]:
     return sorted(port.device for port in comports())
 
 
-def source_of(asked: Any, logs: Mapping[str, Log]) -> str:
+def source_of(asked: Any, logs: Mapping[str, StoredLog]) -> str:
     """The SOURCE of `magyc-gtsam online`.
 
     Args:

@@ -38,7 +38,7 @@ class Full(MagycError):
 
 
 @dataclass(frozen=True)
-class Log:
+class StoredLog:
     """A log that can be calibrated.
 
     Attributes:
@@ -84,17 +84,17 @@ class Store:
         self._arriving: set[Path] = set()
         self.remove_old()
 
-    def logs(self) -> dict[str, Log]:
+    def logs(self) -> dict[str, StoredLog]:
         """Uploads, the latest first, and the logs of the folder by their names."""
         found = [*self._uploaded(), *self._in_folder()]
         return {log.key: log for log in found}
 
-    def _in_folder(self) -> list[Log]:
+    def _in_folder(self) -> list[StoredLog]:
         paths = sorted(
             p for p in self.folder.iterdir() if p.suffix.lower() in _SUFFIXES and not p.name.startswith(".")
         )
         return [
-            Log(
+            StoredLog(
                 f"f{hashlib.sha256(path.name.encode()).hexdigest()[:16]}",
                 path.name,
                 path,
@@ -105,13 +105,15 @@ class Store:
             if path.is_file()
         ]
 
-    def _uploaded(self) -> list[Log]:
+    def _uploaded(self) -> list[StoredLog]:
         if not self._uploads.is_dir():
             return []
         found = []
         for place in sorted(self._uploads.iterdir(), key=lambda p: -p.stat().st_mtime):
             files = [] if place in self._arriving else [f for f in place.iterdir() if f.is_file()]
-            found += [Log(f"u{place.name}", file.name, file, file.stat().st_size, True) for file in files[:1]]
+            found += [
+                StoredLog(f"u{place.name}", file.name, file, file.stat().st_size, True) for file in files[:1]
+            ]
         return found
 
     @contextmanager

@@ -53,7 +53,7 @@ SAID = {
 """What the paper's text says of its figures, which it prints as pictures only."""
 
 
-class Unit(NamedTuple):
+class AutocalCase(NamedTuple):
     """One recording: which part of the study, the value of its condition, and the seed."""
 
     part: str
@@ -62,7 +62,7 @@ class Unit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Score:
+class ModelErrors:
     """Model errors (39) of one method under one condition.
 
     Attributes:
@@ -133,7 +133,7 @@ def variants(names: Iterable[str] | None = None) -> Rows:
 
 
 @dataclass(frozen=True)
-class Part:
+class StudyPart:
     """One figure, or one kind of one-sided data.
 
     Attributes:
@@ -172,13 +172,13 @@ def hard_iron_error(estimate: Calibration, truth: Calibration) -> float:
     return float(np.linalg.norm(estimate.hard_iron - truth.hard_iron) / (truth.field_strength or np.nan))
 
 
-PARTS: dict[str, Part] = {
-    "noise": Part("Fig. 5 without outliers", "σ", NOISES, partial(_noisy, outliers=0.0)),
-    "noise-1": Part("Fig. 5 with 1 % of outliers", "σ", NOISES, partial(_noisy, outliers=0.01)),
-    "noise-10": Part("Fig. 5 with 10 % of outliers", "σ", NOISES, partial(_noisy, outliers=0.1)),
-    "outliers": Part("Fig. 6", "η", OUTLIERS, _spoilt),
-    "one-sided": Part("Directions on one side", "η", SHARES, partial(_spoilt, one_sided=True)),
-    "vehicle": Part(
+PARTS: dict[str, StudyPart] = {
+    "noise": StudyPart("Fig. 5 without outliers", "σ", NOISES, partial(_noisy, outliers=0.0)),
+    "noise-1": StudyPart("Fig. 5 with 1 % of outliers", "σ", NOISES, partial(_noisy, outliers=0.01)),
+    "noise-10": StudyPart("Fig. 5 with 10 % of outliers", "σ", NOISES, partial(_noisy, outliers=0.1)),
+    "outliers": StudyPart("Fig. 6", "η", OUTLIERS, _spoilt),
+    "one-sided": StudyPart("Directions on one side", "η", SHARES, partial(_spoilt, one_sided=True)),
+    "vehicle": StudyPart(
         "Vehicle that never turns over, hard iron",
         "share disturbed",
         SHARES,
@@ -189,22 +189,26 @@ PARTS: dict[str, Part] = {
 }
 
 
-def units(runs: int, parts: Iterable[str] | None = None, values: Sequence[float] | None = None) -> list[Unit]:
+def units(
+    runs: int, parts: Iterable[str] | None = None, values: Sequence[float] | None = None
+) -> list[AutocalCase]:
     """Of so many recordings a condition (25 in the paper), seeds 0 to runs − 1, at all values of a part or at those."""
     return [
-        Unit(part, value, seed)
+        AutocalCase(part, value, seed)
         for part in (PARTS if parts is None else parts)
         for value in (PARTS[part].values if values is None else values)
         for seed in range(runs)
     ]
 
 
-def autocal_rows(chosen: Sequence[Unit], running: Running = HERE, names: Sequence[str] | None = None) -> list[Row]:
+def autocal_rows(
+    chosen: Sequence[AutocalCase], running: Running = HERE, names: Sequence[str] | None = None
+) -> list[Row]:
     """One row for each recording and method of VARIANTS, or those of them that are named."""
     return study_rows("autocal", partial(worked, names=names), chosen, running)
 
 
-def worked(unit: Unit, names: Sequence[str] | None = None) -> Row:
+def worked(unit: AutocalCase, names: Sequence[str] | None = None) -> Row:
     """All methods on one recording; the error is infinite where one gave no calibration."""
     part = PARTS[unit.part]
     recording, truth = part.draw(unit.value, unit.seed)
@@ -218,7 +222,7 @@ def worked(unit: Unit, names: Sequence[str] | None = None) -> Row:
     return {"method": list(rows), "model_error": errors}
 
 
-def method_scores(rows: Sequence[Row], part: str) -> dict[float, dict[str, Score]]:
+def method_scores(rows: Sequence[Row], part: str) -> dict[float, dict[str, ModelErrors]]:
     """{value: {method: score}} of a part."""
     errors: dict[float, dict[str, list[float]]] = {}
     for row in rows:
@@ -227,8 +231,8 @@ def method_scores(rows: Sequence[Row], part: str) -> dict[float, dict[str, Score
     return {value: {name: _score(np.array(each)) for name, each in own.items()} for value, own in errors.items()}
 
 
-def _score(values: Array) -> Score:
-    return Score(float(np.median(values)), float(np.mean(values)), float((values > FAILED).mean()))
+def _score(values: Array) -> ModelErrors:
+    return ModelErrors(float(np.median(values)), float(np.mean(values)), float((values > FAILED).mean()))
 
 
 def draw(target: Path, rows: Sequence[Row]) -> None:

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.smoother.starts import parameters
-from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain, SensorNoise, State
+from magyc_gtsam.factors.chain.field_chain import DELAY, ChainState, FieldChain, SensorNoise
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
@@ -32,7 +32,7 @@ def cramer_rao(simulation: Simulation) -> Array:
     chain = FieldChain(windows, SensorNoise(truth.noise["magnetic_field"], truth.noise["angular_rate"]))
     scaled = truth.soft_iron * truth.field_strength
     body = Rotation.from_quat(recording.attitude).inv().apply(simulation.field / np.linalg.norm(simulation.field))
-    state = State(
+    state = ChainState(
         parameters(scaled, truth.hard_iron, truth.gyro_bias, 0.0),
         np.einsum("ijn,ni->jn", windows.rotation, body),
     )

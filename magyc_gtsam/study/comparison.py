@@ -13,7 +13,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.study.judging import judge
-from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 Progress = Callable[[str, float], None]
 
@@ -54,7 +54,7 @@ def run_methods(
     asked: Sequence[str],
     field_strength: float | None = None,
     progress: Progress | None = None,
-) -> list[Outcome]:
+) -> list[MethodOutcome]:
     """What each method makes of a recording, as in `compare`.
 
     A method that fails, in whatever way, says so in its outcome and never stops the others. An interrupt does: what
@@ -64,7 +64,7 @@ def run_methods(
         KeyboardInterrupt: interrupted before the first method was done.
     """
     known = methods()
-    ran: list[Outcome] = []
+    ran: list[MethodOutcome] = []
     try:
         for name in asked:
             ran.append(_run(recording, name, known[name], field_strength, progress))
@@ -95,10 +95,10 @@ def checked_methods(names: Sequence[str] | None) -> tuple[str, ...]:
 
 def _run(
     recording: Recording, name: str, method: Method, field_strength: float | None, progress: Progress | None
-) -> Outcome:
+) -> MethodOutcome:
     missing = [lacking for need in method.needs if (lacking := _lacking(recording, need))]
     if missing:
-        return Outcome(name, OutcomeStatus.IMPOSSIBLE, f"needs {' and '.join(missing)}")
+        return MethodOutcome(name, OutcomeStatus.IMPOSSIBLE, f"needs {' and '.join(missing)}")
     used, note = (recording, "") if method.needs else _thinned(recording)
 
     def report(share: float) -> None:
@@ -111,15 +111,15 @@ def _run(
         result = calibrate(used, name, field_strength=field_strength, progress=report)
     except MagycError as error:
         reason = str(error).removeprefix(f"method {name!r} failed: ")
-        return Outcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
+        return MethodOutcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
     except Exception as error:  # noqa: BLE001 - a method's own defect is its outcome, not the end of the others
         if isinstance(error.__cause__, KeyboardInterrupt):  # met while an extension module was being loaded
             raise error.__cause__ from None
         reason = f"{type(error).__name__}: {error}"
-        return Outcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
+        return MethodOutcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
     seconds = time.perf_counter() - start
     status = OutcomeStatus.TRUSTED if result.trusted else OutcomeStatus.UNTRUSTED
-    return Outcome(name, status, result.message, note, result, seconds)
+    return MethodOutcome(name, status, result.message, note, result, seconds)
 
 
 def _lacking(recording: Recording, need: str) -> str | None:

@@ -38,26 +38,26 @@ SAID = (
 _DURATION, _RATE = 600.0, 10.0  # s, Hz
 
 
-class Unit(NamedTuple):
+class DivePair(NamedTuple):
     """One pair of a dive and a survey: share of the published noise, and its seed."""
 
     noise: float
     seed: int
 
 
-def units(runs: int) -> list[Unit]:
+def units(runs: int) -> list[DivePair]:
     """So many pairs at each noise."""
-    return [Unit(noise, seed) for noise in NOISES for seed in range(runs)]
+    return [DivePair(noise, seed) for noise in NOISES for seed in range(runs)]
 
 
 def dive_survey_rows(
-    chosen: Sequence[Unit], running: Running = HERE, methods: Sequence[str] = METHODS
+    chosen: Sequence[DivePair], running: Running = HERE, methods: Sequence[str] = METHODS
 ) -> list[Row]:
     """One row for each pair, method and direction; "raw" for no calibration, "truth" for what the noise leaves."""
     return study_rows("dive-survey", partial(worked, methods=methods), chosen, running)
 
 
-def pair(unit: Unit) -> tuple[Simulation, Simulation]:
+def pair(unit: DivePair) -> tuple[Simulation, Simulation]:
     """The dive and the survey."""
     dive, survey = (
         simulate(
@@ -73,7 +73,7 @@ def pair(unit: Unit) -> tuple[Simulation, Simulation]:
     return dive, survey
 
 
-def worked(unit: Unit, methods: Sequence[str] = METHODS) -> Row:
+def worked(unit: DivePair, methods: Sequence[str] = METHODS) -> Row:
     """Heading deviations in degrees on the other recording."""
     dive, survey = pair(unit)
     columns: dict[str, list[object]] = {name: [] for name in ("method", "way", "heading", "trusted", "cost")}
@@ -123,7 +123,7 @@ def cost(calibration: Calibration, fitted: Simulation) -> float:
 
 
 @dataclass(frozen=True)
-class Cell:
+class MethodOnDives:
     """One method one way: medians of the heading deviation (°) and of the cost over the truth's, share trusted."""
 
     heading: float
@@ -131,15 +131,15 @@ class Cell:
     trusted: float
 
 
-def cells(rows: Sequence[Row], noise: float) -> dict[str, dict[str, Cell]]:
+def cells(rows: Sequence[Row], noise: float) -> dict[str, dict[str, MethodOnDives]]:
     """{method: {way: what came out}}."""
-    result: dict[str, dict[str, Cell]] = {}
+    result: dict[str, dict[str, MethodOnDives]] = {}
     own = [row for row in rows if row["noise"] == noise]
     for method in dict.fromkeys(row["method"] for row in own):
         for way in dict.fromkeys(row["way"] for row in own):
             each = [row for row in own if (row["method"], row["way"]) == (method, way)]
             heading, costs, trusted = ([row[name] for row in each] for name in ("heading", "cost", "trusted"))
-            cell = Cell(float(np.median(heading)), float(np.median(costs)), float(np.mean(trusted)))
+            cell = MethodOnDives(float(np.median(heading)), float(np.median(costs)), float(np.mean(trusted)))
             result.setdefault(method, {})[way] = cell
     return result
 

@@ -27,7 +27,7 @@ _ROLL = 5.0  # deg
 _CONTOURS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0)  # deg
 
 
-class Unit(NamedTuple):
+class DurationCase(NamedTuple):
     """One recording: amplitudes of heading and pitch in degrees, and its seed; calibrated at all times."""
 
     heading: float
@@ -36,7 +36,7 @@ class Unit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Cell:
+class ErrorsByDuration:
     """Over the runs of one motion and time: heading error over a level turn (deg) and hard iron error of an axis (T),
     both root mean square, the heading's stated sigma (deg, likewise), and the share that is not trusted."""
 
@@ -46,17 +46,19 @@ class Cell:
     refused: float
 
 
-def units(runs: int) -> list[Unit]:
+def units(runs: int) -> list[DurationCase]:
     """Of the whole study."""
-    return [Unit(heading, pitch, seed) for seed in range(runs) for heading in HEADINGS for pitch in PITCHES]
+    return [
+        DurationCase(heading, pitch, seed) for seed in range(runs) for heading in HEADINGS for pitch in PITCHES
+    ]
 
 
-def duration_rows(chosen: Sequence[Unit], running: Running = HERE) -> list[Row]:
+def duration_rows(chosen: Sequence[DurationCase], running: Running = HERE) -> list[Row]:
     """One row for each unit and time."""
     return study_rows("duration", worked, chosen, running)
 
 
-def worked(unit: Unit) -> Row:
+def worked(unit: DurationCase) -> Row:
     """One row for each of `MINUTES`; errors squared."""
     simulation = simulate((_ROLL, unit.pitch, unit.heading), 60 * max(MINUTES), seed=unit.seed)
     whole = replace(simulation.recording, attitude=None)
@@ -80,7 +82,7 @@ def worked(unit: Unit) -> Row:
     return row
 
 
-def cells(rows: Sequence[Row], heading: float) -> Mapping[tuple[float, float], Cell]:
+def cells(rows: Sequence[Row], heading: float) -> Mapping[tuple[float, float], ErrorsByDuration]:
     """{(pitch, minutes): what came out}."""
     result = {}
     for pitch in PITCHES:
@@ -92,7 +94,7 @@ def cells(rows: Sequence[Row], heading: float) -> Mapping[tuple[float, float], C
             def mean(name: str, own: Sequence[Row] = own) -> float:
                 return float(np.mean([row[name] for row in own]))
 
-            result[pitch, minutes] = Cell(
+            result[pitch, minutes] = ErrorsByDuration(
                 mean("error") ** 0.5, mean("hard_iron") ** 0.5, mean("stated") ** 0.5, mean("refused")
             )
     return result

@@ -12,7 +12,7 @@ from magyc_gtsam.estimators.autocal.autocal import inliers
 from magyc_gtsam.observability import HARD_IRON_LIMIT
 from magyc_gtsam.recording import Mask, Recording
 from magyc_gtsam.study.heading import heading_error
-from magyc_gtsam.study.outcome import Comparison, Outcome, OutcomeStatus
+from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 ROBUST = ("autocal", "smoother")  # which tell disturbed samples from others
 _MANY = 6.0  # sigmas of both together, from which two methods contradict each other
@@ -21,11 +21,11 @@ _WORSE = 1.05  # spread after over spread before, from which a calibration made 
 UNCALIBRATED = Calibration(np.eye(3), np.zeros(3), method="raw")
 
 
-def judge(recording: Recording, asked: Sequence[str], ran: Sequence[Outcome]) -> Comparison:
+def judge(recording: Recording, asked: Sequence[str], ran: Sequence[MethodOutcome]) -> Comparison:
     """The outcomes of `run_methods` side by side: the spread of the field and the heading's error of each."""
     delay, delay_from = _delay(ran)
     inlier, inlier_from = _inliers(recording, ran)
-    raw = Outcome("raw", OutcomeStatus.UNTRUSTED, "", calibration=UNCALIBRATED)
+    raw = MethodOutcome("raw", OutcomeStatus.UNTRUSTED, "", calibration=UNCALIBRATED)
     judged = [_judged(recording, outcome, delay, inlier) for outcome in (raw, *ran)]
     not_run = tuple(asked[len(ran) :])
     comparison = Comparison(
@@ -34,7 +34,7 @@ def judge(recording: Recording, asked: Sequence[str], ran: Sequence[Outcome]) ->
     return replace(comparison, outcomes=tuple(_doubted(comparison, outcome) for outcome in comparison.outcomes))
 
 
-def _delay(ran: Sequence[Outcome]) -> tuple[float, str]:
+def _delay(ran: Sequence[MethodOutcome]) -> tuple[float, str]:
     """Of the first method that estimated it and can be trusted."""
     for outcome in ran:
         calibration = outcome.calibration
@@ -47,7 +47,7 @@ def _delay(ran: Sequence[Outcome]) -> tuple[float, str]:
     return 0.0, ""
 
 
-def _inliers(recording: Recording, ran: Sequence[Outcome]) -> tuple[Mask, str]:
+def _inliers(recording: Recording, ran: Sequence[MethodOutcome]) -> tuple[Mask, str]:
     """By the ellipsoid of the first method of ROBUST that can be trusted."""
     trusted = {o.method: o.calibration for o in ran if o.status is OutcomeStatus.TRUSTED}
     for name in ROBUST:
@@ -57,7 +57,7 @@ def _inliers(recording: Recording, ran: Sequence[Outcome]) -> tuple[Mask, str]:
     return np.ones(len(recording.magnetometer.time), dtype=bool), ""
 
 
-def _judged(recording: Recording, outcome: Outcome, delay: float, inlier: Mask) -> Outcome:
+def _judged(recording: Recording, outcome: MethodOutcome, delay: float, inlier: Mask) -> MethodOutcome:
     """With the spread of the field and the heading's error."""
     if outcome.calibration is None:
         return outcome
@@ -75,7 +75,7 @@ def _judged(recording: Recording, outcome: Outcome, delay: float, inlier: Mask) 
     )
 
 
-def _doubted(comparison: Comparison, outcome: Outcome) -> Outcome:
+def _doubted(comparison: Comparison, outcome: MethodOutcome) -> MethodOutcome:
     """With what the others show and the method itself has not noticed."""
     doubts = [] if outcome.status is OutcomeStatus.TRUSTED else [outcome.reason]
     before, after = comparison.raw.inlier_spread, outcome.inlier_spread
@@ -89,7 +89,7 @@ def _doubted(comparison: Comparison, outcome: Outcome) -> Outcome:
     return replace(outcome, status=status, reason="; ".join(doubts))
 
 
-def _contradictions(reference: Outcome, calibration: Calibration) -> list[str]:
+def _contradictions(reference: MethodOutcome, calibration: Calibration) -> list[str]:
     """Hard iron and gyroscope bias that are off those of the reference by many sigmas of both, and matter."""
     assert reference.calibration is not None
     assert reference.strength is not None
@@ -109,7 +109,7 @@ def _contradictions(reference: Outcome, calibration: Calibration) -> list[str]:
     return doubts
 
 
-def _apart(comparison: Comparison, outcome: Outcome) -> list[str]:
+def _apart(comparison: Comparison, outcome: MethodOutcome) -> list[str]:
     """Whether its hard iron is far from that of the most accurate method."""
     reference = comparison.reference
     if reference is None or reference.calibration is None or outcome.calibration is None:

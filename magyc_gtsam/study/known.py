@@ -61,7 +61,7 @@ class FactCell:
     refused: float
 
 
-class Unit(NamedTuple):
+class KnownCase(NamedTuple):
     """One recording of the study: kind "skew" (size in degrees), "fact" (duration in s) or "matrix" (percent)."""
 
     kind: str
@@ -127,19 +127,19 @@ def heading_error(simulation: Simulation, degrees: float, seed: int, calibration
     return float(np.degrees(np.sqrt(np.mean(np.angle(np.exp(1j * angle)) ** 2))))
 
 
-def units(runs: int, kinds: Iterable[str] = ("skew", "fact", "matrix")) -> list[Unit]:
+def units(runs: int, kinds: Iterable[str] = ("skew", "fact", "matrix")) -> list[KnownCase]:
     """Of the whole study."""
     cells = {
         "skew": [(motion, size) for motion in MOTIONS for size in SKEWS],
         "fact": list(LIMITED),
         "matrix": [(motion, size) for motion in ("wide", "tiny", "level") for size in PERCENTS],
     }
-    return [Unit(kind, *cell, seed) for seed in range(runs) for kind in kinds for cell in cells[kind]]
+    return [KnownCase(kind, *cell, seed) for seed in range(runs) for kind in kinds for cell in cells[kind]]
 
 
 def known_rows(
-    chosen: Sequence[Unit], folder: Path | None = None, workers: int = 1, progress: Progress | None = None
-) -> dict[Unit, Row]:
+    chosen: Sequence[KnownCase], folder: Path | None = None, workers: int = 1, progress: Progress | None = None
+) -> dict[KnownCase, Row]:
     """The rows of all units; with a folder in `known.parquet` there, and a run that was stopped goes on.
 
     Raises:
@@ -155,13 +155,13 @@ def known_rows(
     return rows
 
 
-def worked(unit: Unit) -> Row:
+def worked(unit: KnownCase) -> Row:
     """One row: "<way> <number>" for all ways and numbers of the unit's kind."""
     found = {"skew": _skew_row, "fact": _fact_row, "matrix": _matrix_row}[unit.kind](unit)
     return {f"{way} {name}": value for way, numbers in found.items() for name, value in numbers.items()}
 
 
-def _skew_row(unit: Unit) -> dict[str, Row]:
+def _skew_row(unit: KnownCase) -> dict[str, Row]:
     simulation = skewed(unit.motion, unit.size, unit.seed)
     rows = {}
     for way, misalignment in WAYS.items():
@@ -183,7 +183,7 @@ def _earlier(seed: int) -> Calibration:
     return calibrate(simulate("wide", seed=_EARLIER + seed).recording, misalignment=0)
 
 
-def _fact_row(unit: Unit) -> dict[str, Row]:
+def _fact_row(unit: KnownCase) -> dict[str, Row]:
     run = placed(unit.motion, unit.size, unit.seed)
     recording = replace(run.recording, attitude=None)
     matrix: dict[str, Any] = {"prior": _earlier(unit.seed), "misalignment": 0}
@@ -203,7 +203,7 @@ def _fact_row(unit: Unit) -> dict[str, Row]:
     return rows
 
 
-def _matrix_row(unit: Unit) -> dict[str, Row]:
+def _matrix_row(unit: KnownCase) -> dict[str, Row]:
     """The earlier matrix is off by a stretch in a random direction, of which nothing is said; the place is known."""
     run = placed(unit.motion, 60.0 if unit.motion == "tiny" else 600.0, unit.seed)
     shape = np.random.default_rng([unit.seed, 23]).normal(size=(3, 3))
@@ -229,7 +229,7 @@ def _hard_iron(calibration: Calibration, truth: Calibration) -> Row:
     }
 
 
-def skew_cells(motion: str, degrees: float, rows: Mapping[Unit, Row]) -> dict[str, SkewCell]:
+def skew_cells(motion: str, degrees: float, rows: Mapping[KnownCase, Row]) -> dict[str, SkewCell]:
     """{way of `WAYS`: what came out}."""
     mean = _means(rows, "skew", motion, degrees)
     return {
@@ -244,13 +244,13 @@ def skew_cells(motion: str, degrees: float, rows: Mapping[Unit, Row]) -> dict[st
     }
 
 
-def fact_cells(motion: str, duration: float, rows: Mapping[Unit, Row]) -> dict[str, FactCell]:
+def fact_cells(motion: str, duration: float, rows: Mapping[KnownCase, Row]) -> dict[str, FactCell]:
     """{what was known, of `FACTS`: what came out}; the chips are known to be aligned."""
     mean = _means(rows, "fact", motion, duration)
     return {way: _fact_cell(way, mean) for way in FACTS}
 
 
-def matrix_cell(motion: str, percent: float, rows: Mapping[Unit, Row]) -> FactCell:
+def matrix_cell(motion: str, percent: float, rows: Mapping[KnownCase, Row]) -> FactCell:
     """Where the earlier matrix is off."""
     return _fact_cell("wrong", _means(rows, "matrix", motion, percent))
 
@@ -260,7 +260,7 @@ def _fact_cell(way: str, mean: Callable[[str], float]) -> FactCell:
     return FactCell(*root, mean(f"{way} ratio"), mean(f"{way} refused"))
 
 
-def _means(rows: Mapping[Unit, Row], kind: str, motion: str, size: float) -> Callable[[str], float]:
+def _means(rows: Mapping[KnownCase, Row], kind: str, motion: str, size: float) -> Callable[[str], float]:
     chosen = [row for unit, row in rows.items() if (unit.kind, unit.motion, unit.size) == (kind, motion, size)]
     return lambda name: float(np.mean([row[name] for row in chosen]))
 

@@ -27,7 +27,7 @@ class OutcomeStatus(str, Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class MethodOutcome:
     """One method on the recording.
 
     Attributes:
@@ -79,8 +79,8 @@ class Comparison:
     """
 
     recording: Recording
-    raw: Outcome
-    outcomes: tuple[Outcome, ...]
+    raw: MethodOutcome
+    outcomes: tuple[MethodOutcome, ...]
     delay: float
     delay_from: str
     inlier: Mask
@@ -93,18 +93,18 @@ class Comparison:
         return bool(self.not_run) or any(o.interrupted for o in self.outcomes)
 
     @property
-    def calibrated(self) -> tuple[Outcome, ...]:
+    def calibrated(self) -> tuple[MethodOutcome, ...]:
         """The methods that gave parameters, trusted or not."""
         return tuple(o for o in self.outcomes if o.calibration is not None)
 
     @property
-    def reference(self) -> Outcome | None:
+    def reference(self) -> MethodOutcome | None:
         """The result to hold the others against: the first of REFERENCES that can be trusted."""
         by_name = {o.method: o for o in self.trusted}
         return next((by_name[name] for name in REFERENCES if name in by_name), None)
 
     @property
-    def recommended(self) -> Outcome | None:
+    def recommended(self) -> MethodOutcome | None:
         """The result to use: `reference`, else the trusted one whose calibrated field varies least."""
         if self.reference is not None:
             return self.reference
@@ -121,7 +121,7 @@ class Comparison:
         return text
 
     @property
-    def by_trust(self) -> tuple[Outcome, ...]:
+    def by_trust(self) -> tuple[MethodOutcome, ...]:
         """All outcomes, the one to use first, then by status and by how much the calibrated field varies."""
         order = list(OutcomeStatus)
         return tuple(
@@ -132,6 +132,6 @@ class Comparison:
         )
 
     @property
-    def trusted(self) -> tuple[Outcome, ...]:
+    def trusted(self) -> tuple[MethodOutcome, ...]:
         """The methods whose result can be trusted."""
         return tuple(o for o in self.outcomes if o.status is OutcomeStatus.TRUSTED)

@@ -18,7 +18,7 @@ from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.metrics import (
-    Scores,
+    RunScores,
     model,
     normalised_model_error,
     real_data_cost,
@@ -66,7 +66,7 @@ PUBLISHED: dict[Sensor, dict[str, tuple[tuple[float, float], tuple[float, float]
 }
 
 
-class Unit(NamedTuple):
+class TrackPair(NamedTuple):
     """One method on one track, and the track that it is held against."""
 
     sensor: Sensor
@@ -92,7 +92,7 @@ def real_rows(
         raise MagycError("real tracks: no recordings; give one or more logs, the reference first")
     tracks = {name: track_of(recording, sensor) for name, recording in recordings.items()}
     names = [name for name in METHODS if name in variants() or name in REVIEWED]
-    chosen = [Unit(sensor, next(iter(tracks)), track, method) for track in tracks for method in names]
+    chosen = [TrackPair(sensor, next(iter(tracks)), track, method) for track in tracks for method in names]
     return study_rows(f"real-{sensor}", partial(worked, tracks=tracks), chosen, running)
 
 
@@ -110,7 +110,7 @@ def track_of(recording: Recording, sensor: Sensor) -> Recording:
     return Recording(time[::step], value[::step], name=recording.name)
 
 
-def worked(unit: Unit, tracks: Mapping[str, Recording]) -> Row:
+def worked(unit: TrackPair, tracks: Mapping[str, Recording]) -> Row:
     """What a method makes of one track, by all three measures."""
     reference = tracks[unit.reference]
     found, own = _calibrated(unit.method, tracks[unit.track]), _calibrated(unit.method, reference)
@@ -133,7 +133,7 @@ def worked(unit: Unit, tracks: Mapping[str, Recording]) -> Row:
     return row
 
 
-def over_tracks(rows: Sequence[Row], method: str) -> Scores:
+def over_tracks(rows: Sequence[Row], method: str) -> RunScores:
     """Accuracy and robustness (77), (78) of a method by (81), as Fig. 6 has them; at δ = 1."""
     own = [row for row in rows if row["method"] == method]
     return scores([row["cost"] for row in own], [row["trivial"] for row in own], [np.nan] * len(own))

@@ -43,7 +43,7 @@ from magyc_gtsam.estimators.ellipsoid.twostep import twostep
 from magyc_gtsam.estimators.ellipsoid.vasconcelos import vasconcelos
 from magyc_gtsam.estimators.ellipsoid.wu_shi import wu_shi
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.metrics import Scores, model, model_cost, scores
+from magyc_gtsam.metrics import RunScores, model, model_cost, scores
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.study.drawing import Panel, draw_panels
 from magyc_gtsam.study.rows import HERE, Running, study_rows
@@ -100,7 +100,7 @@ SAID = {
 """What the review's text says of its figures, which it prints as pictures only."""
 
 
-class Unit(NamedTuple):
+class ReviewCase(NamedTuple):
     """One data set."""
 
     gamma: float
@@ -111,7 +111,7 @@ class Unit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Score:
+class MethodScore:
     """One method over all runs of a condition.
 
     scores: at δ = 1; strict: at δ = STRICT; refused: runs that failed or that the method did not trust; bound: 1/ρ at
@@ -119,8 +119,8 @@ class Score:
     """
 
     method: str
-    scores: Scores
-    strict: Scores
+    scores: RunScores
+    strict: RunScores
     refused: int
     bound: float
 
@@ -170,17 +170,17 @@ def bound(sample: Sample) -> float:
     return float(np.trace(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-9, hermitian=True)) * sample.noise**2)
 
 
-def units(runs: int, conditions: Sequence[Condition]) -> list[Unit]:
+def units(runs: int, conditions: Sequence[Condition]) -> list[ReviewCase]:
     """Of `runs` data sets of each condition, seeds 0 to runs − 1; the review takes 250."""
-    return [Unit(*condition, seed) for condition in dict.fromkeys(conditions) for seed in range(runs)]
+    return [ReviewCase(*condition, seed) for condition in dict.fromkeys(conditions) for seed in range(runs)]
 
 
-def review_rows(chosen: Sequence[Unit], running: Running = HERE) -> list[Row]:
+def review_rows(chosen: Sequence[ReviewCase], running: Running = HERE) -> list[Row]:
     """One row for each data set, method, and way of taking the samples."""
     return study_rows("review", worked, chosen, running)
 
 
-def worked(unit: Unit) -> Row:
+def worked(unit: ReviewCase) -> Row:
     """All methods on one data set, by `calibrate` and on the samples as drawn."""
     gamma, beta, samples, noise, seed = unit
     data = draw(seed, samples=samples, beta=beta, gamma=gamma, noise=noise)
@@ -199,7 +199,9 @@ def worked(unit: Unit) -> Row:
     return columns
 
 
-def method_scores(rows: Sequence[Row], condition: Condition = BASELINE, *, centred: bool = True) -> list[Score]:
+def method_scores(
+    rows: Sequence[Row], condition: Condition = BASELINE, *, centred: bool = True
+) -> list[MethodScore]:
     """One for each method."""
     result = []
     for name in PUBLISHED:
@@ -211,7 +213,7 @@ def method_scores(rows: Sequence[Row], condition: Condition = BASELINE, *, centr
         cost, trivial, took = ([row[column] for row in own] for column in ("cost", "trivial", "seconds"))
         loose, strict = (scores(cost, trivial, took, delta=delta) for delta in (1.0, STRICT))
         least = float(1 / np.mean([row["bound"] for row in own]))
-        result.append(Score(name, loose, strict, sum(not row["trusted"] for row in own), least))
+        result.append(MethodScore(name, loose, strict, sum(not row["trusted"] for row in own), least))
     return result
 
 

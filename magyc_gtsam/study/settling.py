@@ -20,7 +20,7 @@ from magyc_gtsam.study.table_one import PUBLISHED, RATE, SAMPLES
 _SHARES = tuple(np.round(np.arange(0.0, 1.01, 0.1), 1))
 
 
-class Unit(NamedTuple):
+class SettlingCase(NamedTuple):
     """One recording of Table I, and the gyroscope's noise in rad/s."""
 
     motion: str
@@ -44,11 +44,11 @@ def settling_rows(
     runs: int = 100, *, gyroscope_noise: float = 5e-3, samples: int = SAMPLES, running: Running = HERE
 ) -> list[Row]:
     """Run MAGYC-IFG over `runs` recordings of each motion of Table I; see `table_one` for the arguments."""
-    chosen = [Unit(motion, gyroscope_noise, seed) for seed in range(runs) for motion in PUBLISHED["raw"]]
+    chosen = [SettlingCase(motion, gyroscope_noise, seed) for seed in range(runs) for motion in PUBLISHED["raw"]]
     return study_rows("settling", partial(worked, samples=samples), chosen, running)
 
 
-def worked(unit: Unit, samples: int) -> Row:
+def worked(unit: SettlingCase, samples: int) -> Row:
     """One recording."""
     noise = unit.gyroscope_noise
     recording = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=noise).recording

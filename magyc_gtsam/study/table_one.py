@@ -54,7 +54,7 @@ _SMOOTHED = 51, 2  # samples and degree of its Savitzky–Golay filter (50 there
 _JUDGE = 1_000_000  # seed of the recording that judges
 
 
-class Unit(NamedTuple):
+class TableOneCase(NamedTuple):
     """One recording: by whose conventions, of which motion, the gyroscope's noise in rad/s, and its seed."""
 
     convention: str
@@ -64,7 +64,7 @@ class Unit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Cell:
+class MethodOnMotion:
     """One method on one motion: medians and 5–95 % ranges over the runs.
 
     heading: deg, root-mean-square error; spread: mG, standard deviation of the calibrated field's norm;
@@ -90,7 +90,7 @@ def table_one(
     gyroscope_noise: float = 5e-3,
     samples: int = SAMPLES,
     running: Running = HERE,
-) -> list[Cell]:
+) -> list[MethodOnMotion]:
     """Calibrate `runs` recordings of each motion with each method.
 
     Args:
@@ -102,7 +102,9 @@ def table_one(
         running: where it runs.
     """
     motions = list(PUBLISHED["raw"])
-    chosen = [Unit(convention, motion, gyroscope_noise, seed) for seed in range(runs) for motion in motions]
+    chosen = [
+        TableOneCase(convention, motion, gyroscope_noise, seed) for seed in range(runs) for motion in motions
+    ]
     work = partial(worked, methods=("raw", *methods), samples=samples)
     rows = study_rows(f"table-one-{convention}", work, chosen, running)
     judges = _judges(samples, gyroscope_noise)
@@ -113,7 +115,7 @@ def table_one(
     ]
 
 
-def worked(unit: Unit, methods: Sequence[str], samples: int) -> Row:
+def worked(unit: TableOneCase, methods: Sequence[str], samples: int) -> Row:
     """All methods on one recording."""
     noise = unit.gyroscope_noise
     simulation = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=noise)
@@ -147,7 +149,7 @@ def _as_authors(simulation: Simulation, seed: int, gyroscope_noise: float) -> Si
     return replace(simulation, recording=replace(recording, magnetic_field=field, angular_rate=rate))
 
 
-def _estimate(name: str, simulation: Simulation, unit: Unit) -> Calibration:
+def _estimate(name: str, simulation: Simulation, unit: TableOneCase) -> Calibration:
     recording = simulation.recording
     options: dict[str, Any] = {}
     off = np.ones(3)
@@ -210,7 +212,7 @@ def _score(estimate: Calibration, judge: Simulation, quiet: Simulation) -> tuple
     )
 
 
-def _cell(rows: Sequence[Row], judges: tuple[Simulation, Simulation]) -> Cell:
+def _cell(rows: Sequence[Row], judges: tuple[Simulation, Simulation]) -> MethodOnMotion:
     """Of one method and motion."""
     good = [row for row in rows if row["soft_iron"] is not None]
     lost, averaged = (np.nan, np.nan, np.nan), (np.nan, np.nan)
@@ -222,7 +224,7 @@ def _cell(rows: Sequence[Row], judges: tuple[Simulation, Simulation]) -> Cell:
         hard_iron = np.mean([row["hard_iron"] for row in good], axis=0)
         averaged = _score(Calibration(soft_iron, hard_iron), *judges)[:2]
     method, motion = rows[0]["method"], rows[0]["motion"]
-    return Cell(method, motion, heading, spread, systematic, len(rows) - len(good), averaged)
+    return MethodOnMotion(method, motion, heading, spread, systematic, len(rows) - len(good), averaged)
 
 
 def _range(values: Sequence[float]) -> tuple[float, float, float]:
@@ -230,7 +232,7 @@ def _range(values: Sequence[float]) -> tuple[float, float, float]:
     return float(middle), float(low), float(high)
 
 
-def draw(target: Path, cells: Sequence[Cell]) -> None:
+def draw(target: Path, cells: Sequence[MethodOnMotion]) -> None:
     """Median heading error and field spread over the motions, one line a method."""
     motions = list(PUBLISHED["raw"])
     panels = []

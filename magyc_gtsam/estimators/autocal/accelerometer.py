@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.closest_point import closest_points
 from magyc_gtsam.estimators.autocal.autocal import OUTLIER, covariance
-from magyc_gtsam.estimators.autocal.fit import Fit, autocal
+from magyc_gtsam.estimators.autocal.fit import AutocalFit, autocal
 from magyc_gtsam.estimators.ellipsoid.m_estimate import time_blocks
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import UNKNOWNS, symmetric_root
 from magyc_gtsam.factors.errors import MagycError
@@ -222,7 +222,7 @@ def _check(samples: Array, gravity: float) -> None:
         )
 
 
-def _reasons(fit: Fit, known: Array | None, scale: Array, gravity: float, trusted: float) -> list[str]:
+def _reasons(fit: AutocalFit, known: Array | None, scale: Array, gravity: float, trusted: float) -> list[str]:
     """Why the result must not be trusted; empty where it may be."""
     remedy = "hold it still in six or more attitudes, or turn it slowly all over"
     reasons: list[str] = []

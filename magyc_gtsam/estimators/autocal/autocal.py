@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.closest_point import closest_points
-from magyc_gtsam.estimators.autocal.fit import WIDTH, Fit, autocal, noise_of, relative_width
+from magyc_gtsam.estimators.autocal.fit import WIDTH, AutocalFit, autocal, noise_of, relative_width
 from magyc_gtsam.estimators.ellipsoid.m_estimate import (
     Blocks,
     distance_jacobian,
@@ -35,7 +35,7 @@ OUTLIER = 5.0  # widths from which a sample counts as an outlier (Table III)
 _LEAST_TRUSTED = 0.5  # share of inliers below which the result must not be trusted
 
 
-def covariance(fit: Fit, kernel_name: str, blocks: Blocks | None = None) -> Array | None:
+def covariance(fit: AutocalFit, kernel_name: str, blocks: Blocks | None = None) -> Array | None:
     """(9, 9) of vech(√(K Kᵀ)) and b of a fit with that kernel; None where the samples do not determine them.
 
     `blocks` as in `m_covariance`.

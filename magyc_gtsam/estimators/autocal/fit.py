@@ -47,7 +47,7 @@ _LONGEST = 4.0  # longest over shortest axis of an ellipsoid that needs no secon
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class AutocalFit:
     """A minimum of (8), in the unit of the samples.
 
     Attributes:
@@ -85,7 +85,7 @@ class _Step(NamedTuple):
 
 def autocal(
     samples: Array, kernel_name: str = "cauchy", *, sigma: float | None = None, width: float | None = None
-) -> Fit:
+) -> AutocalFit:
     """Both stages on samples (n, 3) of any unit.
 
     Args:
@@ -114,13 +114,13 @@ def autocal(
     return fit
 
 
-def _rank(fit: Fit) -> tuple[bool, float]:
+def _rank(fit: AutocalFit) -> tuple[bool, float]:
     return not fit.converged, float(np.median(np.abs(fit.distance)))
 
 
 def _refine(
     data: Standardised, matrix: Array, offset: Array, kernel_name: str, sigma: float | None, width: float | None
-) -> Fit:
+) -> AutocalFit:
     """The second stage, section II-D and Algorithm 2, from K (upper triangular) and b.
 
     A σ that is not given follows the distances until it settles, and with it τ.
@@ -234,7 +234,7 @@ def fitted(
     tuning: float,
     iterations: int,
     failure: str,
-) -> Fit:
+) -> AutocalFit:
     """What `parameters` (k 6, b 3) of the standardised samples stand for, back in the unit of the samples.
 
     `failure` is why the method failed, empty where it converged.
@@ -242,7 +242,7 @@ def fitted(
     unit, matrix = data.unit, triangle(parameters)
     signs = np.sign(np.diag(matrix))  # of the columns of K and of x̂ along with them
     e = np.abs(points.distance) / sigma
-    return Fit(
+    return AutocalFit(
         matrix=unit * matrix * signs,
         offset=data.centre + unit * parameters[6:],
         distance=unit * points.distance,

@@ -50,7 +50,7 @@ def autocal_graph(
 
 def refine_graph(
     samples: Array, matrix: Array, offset: Array, kernel: str, *, sigma: float, width: float
-) -> autocal_fit.Fit:
+) -> autocal_fit.AutocalFit:
     """As the second stage of `autocal_fit.autocal`, by GTSAM's Levenberg–Marquardt.
 
     It stalls where the directions of outliers, far from the surface, are badly approximated. All directions

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from magyc_gtsam.estimators.model_error.components import likeliest_of_each
-from magyc_gtsam.estimators.model_error.families import Family
-from magyc_gtsam.estimators.model_error.motion import Motion
-from magyc_gtsam.estimators.smoother.beside import Beside, New
+from magyc_gtsam.estimators.model_error.families import ColumnFamily
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts, New
 from magyc_gtsam.factors.chain.rotations import Array
 
 _SAYS = 1.0  # nats of gain, below which nothing depends on a family
@@ -45,11 +45,11 @@ class Component:
 class Tested(NamedTuple):
     """A family beside a fit: its columns' products, and its gain in log-likelihood by itself."""
 
-    family: Family
+    family: ColumnFamily
     new: New
     gain: float
 
-    def moves(self, beside: Beside, motion: Motion) -> Array:
+    def moves(self, beside: ColumnProducts, motion: WindowMotion) -> Array:
         """(P, k) by how much a unit of each column puts the parameters off those that hold at the end."""
         move = beside.move(self.new)
         if self.family.at_end is not None:
@@ -58,20 +58,20 @@ class Tested(NamedTuple):
         return move
 
 
-def tested(beside: Beside, motion: Motion, families: Sequence[Family]) -> list[Tested]:
+def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[Tested]:
     """Each family by itself."""
     new = beside.of_each(family.columns(motion) for family in families)
     every = [Tested(*each) for each in zip(families, new, _gains(beside, families, new), strict=True)]
     return [_of_the_motion(beside, motion, each) for each in every]
 
 
-def _gains(beside: Beside, families: Sequence[Family], new: Sequence[New]) -> list[float]:
+def _gains(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Sequence[New]) -> list[float]:
     most = [family.most**2 * beside.freedom / beside.square for family in families]
     products = [(each.normal, each.score) for each in new]
     return [each.gain for each in likeliest_of_each(products, beside.square, beside.freedom, most)]
 
 
-def _of_the_motion(beside: Beside, motion: Motion, tested: Tested) -> Tested:
+def _of_the_motion(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
     """Without the columns that the gyroscope's noise makes up, where the data speak for the family.
 
     That noise is in the residual as well, so that the score of such a column is biased.

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, Motion
-from magyc_gtsam.estimators.smoother.columns import Columns, Products
+from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
+from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
@@ -29,7 +29,7 @@ GENERAL = 2.5e-3  # what has no one cause: with so many families some gain 6 nat
 
 
 @dataclass(frozen=True)
-class Family:
+class ColumnFamily:
     """A group of columns with one amplitude.
 
     Attributes:
@@ -53,7 +53,7 @@ class Family:
 
     name: str
     place: str
-    columns: Callable[[Motion], Columns | Products]
+    columns: Callable[[WindowMotion], UnmodelledColumns | Products]
     most: float
     functions: int = 1
     first: bool = False
@@ -62,23 +62,23 @@ class Family:
     unit: str = "field"
     waves: tuple[int, int] | None = None
     prior: float = GENERAL
-    at_end: Callable[[Motion], Array] | None = None
-    expected: Callable[[Motion], float] | None = None
+    at_end: Callable[[WindowMotion], Array] | None = None
+    expected: Callable[[WindowMotion], float] | None = None
     octaves: int = 6
     from_rate: bool = False
 
-    def likely(self, motion: Motion) -> float:
+    def likely(self, motion: WindowMotion) -> float:
         """The largest amplitude that is believed before the data show one."""
         return self.most if self.expected is None else min(self.expected(motion), self.most)
 
-    def size(self, amplitude: float, motion: Motion) -> float:
+    def size(self, amplitude: float, motion: WindowMotion) -> float:
         """Root mean square an axis of an amplitude of each column: T, rad/s, a share or s."""
         if self.unit == "filter":
             return float(np.sqrt(2 * amplitude))
         scale = motion.strength if self.unit == "field" else 1.0
         return amplitude * scale * float(np.sqrt(self.functions))
 
-    def period(self, motion: Motion) -> float | None:
+    def period(self, motion: WindowMotion) -> float | None:
         """s, the middle one of its waves."""
         if self.waves is None:
             return None
@@ -123,45 +123,45 @@ def _third(vector: Array) -> Array:
     )
 
 
-def _skew(motion: Motion) -> Columns:
+def _skew(motion: WindowMotion) -> UnmodelledColumns:
     """The soft iron's antisymmetric part: the axes of the two chips turned against each other."""
     turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
-    return Columns(np.einsum("ab,bkn->kan", motion.soft_iron, turned), None)
+    return UnmodelledColumns(np.einsum("ab,bkn->kan", motion.soft_iron, turned), None)
 
 
-def _attitude(motion: Motion) -> Products:
+def _attitude(motion: WindowMotion) -> Products:
     """The world's field linear in the attitude: the field's gradient times an arm, rigid or a person's."""
     return motion.in_world(motion.rotation.swapaxes(0, 1).reshape(9, -1) * np.sqrt(3.0))
 
 
-def _rate_times_field(motion: Motion) -> Products:
+def _rate_times_field(motion: WindowMotion) -> Products:
     products = np.einsum("in,jn->ijn", motion.relative, motion.unit).reshape(9, -1)
     return motion.in_sensor(products * np.sqrt(3.0))
 
 
-def _slope(motion: Motion) -> Array:
+def _slope(motion: WindowMotion) -> Array:
     """(3, n) T, the change of the reading over its deviation, times the field strength: a delay's own shape."""
     change = motion.soft_iron @ motion.change
     size = float(np.sqrt(np.mean(motion.change**2)))
     return change / max(size, ALIKE)
 
 
-def _delays(motion: Motion) -> Columns:
+def _delays(motion: WindowMotion) -> UnmodelledColumns:
     """A delay that varies slowly, with the speed of turn, and against it; and a filter, by its second order."""
     speed = np.sqrt(np.square(motion.relative).sum(axis=0) / 3.0)
     profiles = np.concatenate([motion.waves(1, 5), [speed, 1 / np.sqrt(speed**2 + 0.05)]])
     bent = motion.soft_iron @ motion.derivative(motion.change)
     filtered = bent * motion.strength / max(float(np.sqrt(np.mean(bent**2))), ALIKE * motion.strength)
-    return Columns(np.concatenate([profiles[:, None, :] * _slope(motion), filtered[None]]), None)
+    return UnmodelledColumns(np.concatenate([profiles[:, None, :] * _slope(motion), filtered[None]]), None)
 
 
-def _split(motion: Motion, side: Array) -> Columns:
+def _split(motion: WindowMotion, side: Array) -> UnmodelledColumns:
     """Soft iron, hard iron and delay that differ between two parts of the recording, `side` being ±1 (n,)."""
     irons = motion.in_sensor(np.concatenate([side[None], side * motion.unit]))
-    return Columns(np.concatenate([irons.window, (side * _slope(motion))[None]]), None)
+    return UnmodelledColumns(np.concatenate([irons.window, (side * _slope(motion))[None]]), None)
 
 
-def _second_half(motion: Motion) -> Array:
+def _second_half(motion: WindowMotion) -> Array:
     """Of `_halves`: soft and hard iron of the second half against their means."""
     result = np.zeros((PARAMETERS, 13))
     result[6:9, :3] = -motion.strength * np.eye(3)
@@ -174,36 +174,36 @@ def _second_half(motion: Motion) -> Array:
     return result
 
 
-def _halves(motion: Motion) -> Columns:
+def _halves(motion: WindowMotion) -> UnmodelledColumns:
     return _split(motion, np.where(np.arange(len(motion.time)) < len(motion.time) // 2, 1.0, -1.0))
 
 
-def _directions(motion: Motion) -> Columns:
+def _directions(motion: WindowMotion) -> UnmodelledColumns:
     """The sense of turn about the axis about which it turned most."""
     axis = np.linalg.eigh(motion.rate @ motion.rate.T)[1][:, -1]
     return _split(motion, np.sign(axis @ motion.rate))
 
 
-def _speeds(motion: Motion) -> Columns:
+def _speeds(motion: WindowMotion) -> UnmodelledColumns:
     speed = np.linalg.norm(motion.rate, axis=0)
     return _split(motion, np.sign(speed - np.median(speed)))
 
 
-def _bent_rate(motion: Motion) -> Columns:
+def _bent_rate(motion: WindowMotion) -> UnmodelledColumns:
     """Squares and products of the rate, and each rate times its size."""
     w = motion.relative
     products = np.array([w[i] * w[j] for i in range(3) for j in range(i, 3)] + [row * abs(row) for row in w])
     return motion.on_gyroscope(_each(motion.spread * products))
 
 
-def _bias(motion: Motion, profiles: Array) -> Columns:
+def _bias(motion: WindowMotion, profiles: Array) -> UnmodelledColumns:
     return motion.on_gyroscope(_each(profiles))
 
 
-def _drift_at_end(waves: tuple[int, int]) -> Callable[[Motion], Array]:
+def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
     """Of waves along the sensor's axes: the hard iron by the end of the recording."""
 
-    def there(motion: Motion) -> Array:
+    def there(motion: WindowMotion) -> Array:
         result = np.zeros((PARAMETERS, 3 * (waves[1] - waves[0])))
         ends = np.sqrt(2) * (-1.0) ** np.arange(*waves)
         result[6:9] = motion.strength * (ends[:, None, None] * np.eye(3)).swapaxes(0, 1).reshape(3, -1)
@@ -215,14 +215,14 @@ def _drift_at_end(waves: tuple[int, int]) -> Callable[[Motion], Array]:
 def _in_time(
     name: str,
     place: str,
-    put: Callable[[Motion, Array], Columns | Products],
+    put: Callable[[WindowMotion, Array], UnmodelledColumns | Products],
     most: float,
     waves: tuple[int, int],
     **more: Any,
-) -> Family:
+) -> ColumnFamily:
     """A family of waves."""
     count = waves[1] - waves[0]
-    return Family(name, place, lambda m: put(m, m.waves(*waves)), most, count, waves=waves, **more)
+    return ColumnFamily(name, place, lambda m: put(m, m.waves(*waves)), most, count, waves=waves, **more)
 
 
 _VARIES = "the field varies along the way by {}"
@@ -237,25 +237,36 @@ _BENT = "in fast turns the gyroscope is off by {} of its rate"
 _TILTED = "the gyroscope's bias goes with the attitude by {}"
 
 FAMILIES = (
-    _in_time("wander:slow", _VARIES, Motion.in_world, 0.05, SLOW, first=True, of_place=True),
-    _in_time("wander:fast", _VARIES, Motion.in_world, 0.05, _FASTER, of_place=True),
+    _in_time("wander:slow", _VARIES, WindowMotion.in_world, 0.05, SLOW, first=True, of_place=True),
+    _in_time("wander:fast", _VARIES, WindowMotion.in_world, 0.05, _FASTER, of_place=True),
     _in_time(
-        "drift:slow", _CHANGES, Motion.in_sensor, 0.05, SLOW, first=True, of_iron=True, at_end=_drift_at_end(SLOW)
+        "drift:slow",
+        _CHANGES,
+        WindowMotion.in_sensor,
+        0.05,
+        SLOW,
+        first=True,
+        of_iron=True,
+        at_end=_drift_at_end(SLOW),
     ),
-    _in_time("drift:fast", _CHANGES, Motion.in_sensor, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)),
-    Family("attitude", _GOES, _attitude, 0.03, 9, first=True, of_place=True, prior=SELDOM),
-    Family("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, 2, first=True),
-    Family("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
-    Family("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),
-    Family("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
-    Family("rate × field", _TURNS, _rate_times_field, 0.02, 9),
-    Family("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
-    Family("gyroscope:linear", _SCALED, lambda m: m.on_gyroscope(_each(m.rate)), 0.03, first=True, unit="share"),
+    _in_time(
+        "drift:fast", _CHANGES, WindowMotion.in_sensor, 0.05, _FASTER, of_iron=True, at_end=_drift_at_end(_FASTER)
+    ),
+    ColumnFamily("attitude", _GOES, _attitude, 0.03, 9, first=True, of_place=True, prior=SELDOM),
+    ColumnFamily("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, 2, first=True),
+    ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
+    ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),
+    ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
+    ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9),
+    ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
+    ColumnFamily(
+        "gyroscope:linear", _SCALED, lambda m: m.on_gyroscope(_each(m.rate)), 0.03, first=True, unit="share"
+    ),
     _in_time("gyroscope:drift", _BIASED, _bias, 0.015, _SLOWEST, unit="rate", first=True),
     _in_time("gyroscope:wander", _BIASED, _bias, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"),
-    Family("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),
-    Family("gyroscope:field", _TILTED, lambda m: m.on_gyroscope(_each(m.unit)), 0.0075, 3, unit="rate"),
-    Family("halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half),
-    Family("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4),
-    Family("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4),
+    ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),
+    ColumnFamily("gyroscope:field", _TILTED, lambda m: m.on_gyroscope(_each(m.unit)), 0.0075, 3, unit="rate"),
+    ColumnFamily("halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half),
+    ColumnFamily("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4),
+    ColumnFamily("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4),
 )

@@ -14,7 +14,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.component import Component, tested
 from magyc_gtsam.estimators.model_error.families import FAMILIES
-from magyc_gtsam.estimators.model_error.motion import Motion
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import one_sided
@@ -86,7 +86,7 @@ def model_error(fit: Fit, recording: Streams | None = None) -> ModelError:
 def _of_windows(fit: Fit) -> ModelError:
     if len(fit.chain.windows) < _LEAST_WINDOWS:
         return ModelError(np.zeros_like(fit.reduced.information))
-    beside, motion = fit.beside, Motion.of(fit)
+    beside, motion = fit.beside, WindowMotion.of(fit)
     # A skew that the fit was asked for is in its own covariance.
     families = [family for family in FAMILIES if fit.skew is None or family.name != "skew"]
     every = tested(beside, motion, [*PHYSICAL, *(family for family in families if family.first)])

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dgttrf, dgttrs
 
-from magyc_gtsam.estimators.smoother.columns import Columns, Products
+from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array, cross
@@ -19,7 +19,7 @@ ALIKE = 1e-9  # rad/s, below which nothing turns
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class WindowMotion:
     """What the windows of a fit say of the motion, all (…, n) with the windows last.
 
     Attributes:
@@ -51,7 +51,7 @@ class Motion:
     rate_noise: float
 
     @classmethod
-    def of(cls, fit: Fit) -> Motion:
+    def of(cls, fit: Fit) -> WindowMotion:
         """Of a fit at its minimum."""
         windows, parameters = fit.chain.windows, fit.state.parameters
         soft = unvech(parameters[:6])
@@ -81,7 +81,7 @@ class Motion:
         )
 
     @cached_property
-    def noisier(self) -> Motion:
+    def noisier(self) -> WindowMotion:
         """The same with once more of the gyroscope's noise in the rate of turn and in what is derived from it."""
         rate = np.random.default_rng(0).normal(0.0, self.rate_noise, self.rate.shape)
         change = cross(rate, self.unit)
@@ -118,12 +118,12 @@ class Motion:
     def _world_axes(self) -> Array:
         return self.seen.swapaxes(0, 1)
 
-    def on_gyroscope(self, profiles: Array) -> Columns:
+    def on_gyroscope(self, profiles: Array) -> UnmodelledColumns:
         """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""
         turned = np.einsum("jin,kjn->kin", self.rotation, profiles)
         angle = -self.integral(turned)
         link = -cross(self.direction[:, None, :-1], angle.swapaxes(0, 1))
-        return Columns(None, np.ascontiguousarray(link.swapaxes(0, 1)))
+        return UnmodelledColumns(None, np.ascontiguousarray(link.swapaxes(0, 1)))
 
     def derivative(self, values: Array) -> Array:
         """(…, n) 1/s, slopes in time of a cubic spline through values (…, n).

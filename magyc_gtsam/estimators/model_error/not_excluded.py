@@ -13,16 +13,18 @@ import numpy as np
 from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged
 from magyc_gtsam.estimators.model_error.component import Component, Tested
 from magyc_gtsam.estimators.model_error.components import by_others, likeliest
-from magyc_gtsam.estimators.model_error.motion import Motion
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.shown import Shown
-from magyc_gtsam.estimators.smoother.beside import Beside
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.factors.chain.rotations import Array
 
 _FARTHEST = 50.0  # nats
 _LITTLE = 0.03  # odds that no mean can pass, below which a family moves nothing
 
 
-def not_excluded(beside: Beside, motion: Motion, every: Sequence[Tested], shown: Shown) -> list[Component]:
+def not_excluded(
+    beside: ColumnProducts, motion: WindowMotion, every: Sequence[Tested], shown: Shown
+) -> list[Component]:
     """Each family with odds beforehand: beside what is shown, or in the place of one of it, whichever is likelier."""
     components = []
     there = [each.family for each, _ in shown.active]
@@ -42,7 +44,7 @@ def not_excluded(beside: Beside, motion: Motion, every: Sequence[Tested], shown:
     return components
 
 
-def _ways(beside: Beside, each: Tested, shown: Shown, largest: float) -> Iterator[tuple[float, Averaged]]:
+def _ways(beside: ColumnProducts, each: Tested, shown: Shown, largest: float) -> Iterator[tuple[float, Averaged]]:
     """The odds of a family in each way that it may be there, and what is then known of it."""
     freedom, octaves = beside.freedom, each.family.octaves
     if not shown.variance.any():

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, USUAL, Family
-from magyc_gtsam.estimators.model_error.motion import ALIKE, Motion
-from magyc_gtsam.estimators.smoother.columns import Columns
+from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, USUAL, ColumnFamily
+from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -36,44 +36,44 @@ def _sign(values: Array, within: Array | float) -> Array:
     return np.asarray(values / np.sqrt(values**2 + np.square(within)))
 
 
-def _bend(motion: Motion) -> Columns:
+def _bend(motion: WindowMotion) -> UnmodelledColumns:
     """The cube of the reading over its largest."""
     share = motion.reading / float(np.abs(motion.reading).max())
-    return Columns(_one(motion.strength * share * share * share), None)
+    return UnmodelledColumns(_one(motion.strength * share * share * share), None)
 
 
-def _dead_zone(motion: Motion) -> Columns:
-    return Columns(_one(motion.strength * _sign(motion.reading, _SHARP * motion.strength)), None)
+def _dead_zone(motion: WindowMotion) -> UnmodelledColumns:
+    return UnmodelledColumns(_one(motion.strength * _sign(motion.reading, _SHARP * motion.strength)), None)
 
 
-def _play(motion: Motion) -> Columns:
+def _play(motion: WindowMotion) -> UnmodelledColumns:
     """The reading stays behind the field by a width, whichever way it goes, and its sweep is narrower by as much."""
     change = motion.reading_change
     spread = np.sqrt(np.mean(change**2, axis=1, keepdims=True))
     behind = _sign(change, _SHARP * np.maximum(spread, ALIKE * motion.strength))
     low, high = motion.reading.min(axis=1, keepdims=True), motion.reading.max(axis=1, keepdims=True)
     narrower = (2 * motion.reading - low - high) / np.maximum(high - low, 1e-3 * motion.strength)
-    return Columns(motion.strength * np.concatenate([_each_axis(behind), _each_axis(narrower)]), None)
+    return UnmodelledColumns(motion.strength * np.concatenate([_each_axis(behind), _each_axis(narrower)]), None)
 
 
-def _late_axis(motion: Motion) -> Columns:
+def _late_axis(motion: WindowMotion) -> UnmodelledColumns:
     """Per s: each axis later than the others, to the second order for a lag of some size."""
     first, second = motion.reading_change, motion.derivative(motion.reading_change)
-    return Columns(np.concatenate([_each_axis(first), 0.5 * _LATE * _each_axis(second)]), None)
+    return UnmodelledColumns(np.concatenate([_each_axis(first), 0.5 * _LATE * _each_axis(second)]), None)
 
 
-def _filter(motion: Motion) -> Columns:
+def _filter(motion: WindowMotion) -> UnmodelledColumns:
     """Per s²: the second order of a filter, whose first is a delay."""
-    return Columns(_one(motion.derivative(motion.reading_change)), None)
+    return UnmodelledColumns(_one(motion.derivative(motion.reading_change)), None)
 
 
-def _gain_drift(motion: Motion) -> Columns:
+def _gain_drift(motion: WindowMotion) -> UnmodelledColumns:
     """Each axis' gain moves evenly."""
     share = np.linspace(-1, 1, len(motion.time))
-    return Columns(_each_axis(share * (motion.soft_iron @ motion.unit)), None)
+    return UnmodelledColumns(_each_axis(share * (motion.soft_iron @ motion.unit)), None)
 
 
-def _gain_at_end(motion: Motion) -> Array:
+def _gain_at_end(motion: WindowMotion) -> Array:
     """(P, 3) by how much the soft iron is another one at the end."""
     result = np.zeros((PARAMETERS, 3))
     rows, columns = np.triu_indices(3)
@@ -84,34 +84,34 @@ def _gain_at_end(motion: Motion) -> Array:
     return result
 
 
-def _gyroscope_scale(motion: Motion) -> Columns:
+def _gyroscope_scale(motion: WindowMotion) -> UnmodelledColumns:
     return motion.on_gyroscope(_one(motion.rate))
 
 
-def _gyroscope_scales(motion: Motion) -> Columns:
+def _gyroscope_scales(motion: WindowMotion) -> UnmodelledColumns:
     return motion.on_gyroscope(_each_axis(motion.rate))
 
 
-def _gyroscope_bend(motion: Motion) -> Columns:
+def _gyroscope_bend(motion: WindowMotion) -> UnmodelledColumns:
     share = motion.rate / max(float(np.abs(motion.rate).max()), ALIKE)
     return motion.on_gyroscope(_one(motion.rate * share * share))
 
 
-def _dead_band(motion: Motion) -> Columns:
+def _dead_band(motion: WindowMotion) -> UnmodelledColumns:
     return motion.on_gyroscope(_one(np.clip(motion.rate / _BAND, -1.0, 1.0)))
 
 
-def _gyroscope_filter(motion: Motion) -> Columns:
+def _gyroscope_filter(motion: WindowMotion) -> UnmodelledColumns:
     """Per s²: also what samples too far apart leave of a rate's integral, a twelfth of their step squared."""
     return motion.on_gyroscope(_one(motion.derivative(motion.derivative(motion.rate))))
 
 
-def _by_delay(motion: Motion) -> float:
+def _by_delay(motion: WindowMotion) -> float:
     """s²: a filter of the first order with the delay τ has τ²/2, a mean has τ²/6, and a delay without filter none."""
     return _if_felt(0.5 * max(motion.delay, 0.0) ** 2)
 
 
-def _by_lead(motion: Motion) -> float:
+def _by_lead(motion: WindowMotion) -> float:
     """s²: the same of the gyroscope, and the twelfth of the squared step that the trapezoidal rule leaves."""
     return _if_felt(max(0.5 * max(-motion.delay, 0.0) ** 2, motion.gyroscope_step**2 / 12))
 
@@ -121,16 +121,16 @@ def _if_felt(amplitude: float) -> float:
 
 
 PHYSICAL = (
-    Family("bend", "the reading bends by {} of the field", _bend, 0.02, prior=COMMON),
-    Family(
+    ColumnFamily("bend", "the reading bends by {} of the field", _bend, 0.02, prior=COMMON),
+    ColumnFamily(
         "dead zone",
         "the reading jumps by {} about zero",
         _dead_zone,
         0.1,
         prior=USUAL,
     ),
-    Family("play", "the reading stays behind the field by {}", _play, 0.05, prior=USUAL),
-    Family(
+    ColumnFamily("play", "the reading stays behind the field by {}", _play, 0.05, prior=USUAL),
+    ColumnFamily(
         "late axis",
         "axes of the magnetometer are late by {}",
         _late_axis,
@@ -139,7 +139,7 @@ PHYSICAL = (
         unit="time",
         from_rate=True,
     ),
-    Family(
+    ColumnFamily(
         "filter",
         "the magnetometer is filtered by {}",
         _filter,
@@ -150,7 +150,7 @@ PHYSICAL = (
         octaves=2,
         from_rate=True,
     ),
-    Family(
+    ColumnFamily(
         "gain drift",
         "the magnetometer's gain drifts by {}",
         _gain_drift,
@@ -159,7 +159,7 @@ PHYSICAL = (
         unit="share",
         at_end=_gain_at_end,
     ),
-    Family(
+    ColumnFamily(
         "gyroscope:scale",
         "the gyroscope's scale is off by {}",
         _gyroscope_scale,
@@ -167,7 +167,7 @@ PHYSICAL = (
         prior=COMMON,
         unit="share",
     ),
-    Family(
+    ColumnFamily(
         "gyroscope:scales",
         "the scales of the gyroscope's axes are off by {}",
         _gyroscope_scales,
@@ -175,8 +175,8 @@ PHYSICAL = (
         prior=GENERAL,
         unit="share",
     ),
-    Family("gyroscope:bend", "the gyroscope bends by {}", _gyroscope_bend, 0.05, prior=USUAL, unit="share"),
-    Family(
+    ColumnFamily("gyroscope:bend", "the gyroscope bends by {}", _gyroscope_bend, 0.05, prior=USUAL, unit="share"),
+    ColumnFamily(
         "gyroscope:dead band",
         "the gyroscope loses {} about zero",
         _dead_band,
@@ -184,7 +184,7 @@ PHYSICAL = (
         prior=USUAL,
         unit="rate",
     ),
-    Family(
+    ColumnFamily(
         "gyroscope:filter",
         "the gyroscope is filtered by {}",
         _gyroscope_filter,

@@ -10,8 +10,8 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.component import Component, Tested
 from magyc_gtsam.estimators.model_error.components import fit_components
-from magyc_gtsam.estimators.model_error.motion import Motion
-from magyc_gtsam.estimators.smoother.beside import Beside
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -37,7 +37,7 @@ class Shown(NamedTuple):
         return ((each, own) for each, own in self.found if self.variance[own].any())
 
 
-def shown_by(beside: Beside, motion: Motion, found: Sequence[Tested]) -> Shown:
+def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Tested]) -> Shown:
     """What `found` comes to, in the order given."""
     varying = np.zeros_like(beside.fit.reduced.information)
     if not found:

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
 
-from magyc_gtsam.estimators.smoother.columns import Columns, Products
+from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.banded import solved
 from magyc_gtsam.factors.chain.rotations import Array, along
@@ -47,7 +47,7 @@ class New:
     score: Array
     absorbed: Array
     explained: Array
-    columns: Columns | Products
+    columns: UnmodelledColumns | Products
     window_scale: Array
     link_scale: Array
 
@@ -72,7 +72,7 @@ class New:
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class ColumnProducts:
     """The products of columns with one fit at its minimum."""
 
     fit: Fit
@@ -92,14 +92,14 @@ class Beside:
             left.absorbed @ left.absorbed + left.explained @ left.explained
         )
 
-    def of(self, columns: Columns | Products) -> New:
+    def of(self, columns: UnmodelledColumns | Products) -> New:
         """What is new in columns."""
         return self.of_each([columns])[0]
 
-    def of_each(self, groups: Iterable[Columns | Products]) -> list[New]:
+    def of_each(self, groups: Iterable[UnmodelledColumns | Products]) -> list[New]:
         """What is new in each of some groups; those alike are taken through the elimination together."""
         result: dict[int, New] = {}
-        waiting: dict[object, dict[int, Columns | Products]] = {}
+        waiting: dict[object, dict[int, UnmodelledColumns | Products]] = {}
         for i, group in enumerate(groups):
             kind = id(group.axes) if isinstance(group, Products) else (group.window is None, group.link is None)
             alike = waiting.setdefault(kind, {})
@@ -111,7 +111,7 @@ class Beside:
             result |= self._of_alike(alike)
         return [result[i] for i in range(len(result))]
 
-    def _of_alike(self, groups: dict[int, Columns | Products]) -> dict[int, New]:
+    def _of_alike(self, groups: dict[int, UnmodelledColumns | Products]) -> dict[int, New]:
         """Of groups that are all on the same sensors, or all products with the same axes."""
         if not groups:
             return {}
@@ -134,7 +134,7 @@ class Beside:
             )
         return result
 
-    def _dense(self, groups: Sequence[Columns | Products]) -> _Part:
+    def _dense(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
         """The products of any columns."""
         reduced, left, size = self.fit.reduced, self._left, len(self.fit.free)
         window = _whitened([group.window for group in groups], self._window_scale)
@@ -160,7 +160,7 @@ class Beside:
 
         return _Part(border, pull, score, square)
 
-    def _products(self, groups: Sequence[Columns | Products]) -> _Part:
+    def _products(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
         """Those of profiles along the same axes: what the axes have is the same for all profiles."""
         reduced, size = self.fit.reduced, len(self.fit.free)
         products = [group for group in groups if isinstance(group, Products)]

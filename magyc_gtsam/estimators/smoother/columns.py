@@ -10,7 +10,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 
 
-class Columns(NamedTuple):
+class UnmodelledColumns(NamedTuple):
     """Unmodelled columns per unit: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None is zero."""
 
     window: Array | None
@@ -23,20 +23,20 @@ class Columns(NamedTuple):
         return 0 if one is None else len(one)
 
     @property
-    def dense(self) -> Columns:
+    def dense(self) -> UnmodelledColumns:
         """Themselves."""
         return self
 
-    def less(self, other: Columns) -> Columns:
+    def less(self, other: UnmodelledColumns) -> UnmodelledColumns:
         """By how much each differs from another's on the same sensors."""
         window = None if self.window is None or other.window is None else self.window - other.window
         link = None if self.link is None or other.link is None else self.link - other.link
-        return Columns(window, link)
+        return UnmodelledColumns(window, link)
 
-    def only(self, kept: np.ndarray) -> Columns:
+    def only(self, kept: np.ndarray) -> UnmodelledColumns:
         """With zeros in place of those that are not kept, (k,) bool."""
         share = kept[:, None, None]
-        return Columns(
+        return UnmodelledColumns(
             None if self.window is None else share * self.window, None if self.link is None else share * self.link
         )
 
@@ -58,7 +58,7 @@ class Products:
 
     @property
     def window(self) -> Array:
-        """(k, 3, n) as `Columns` has them."""
+        """(k, 3, n) as `UnmodelledColumns` has them."""
         columns = self.profiles[:, None, None, :] * self.axes
         return columns.reshape(self.size, *self.axes.shape[1:])
 
@@ -68,6 +68,6 @@ class Products:
         return None
 
     @property
-    def dense(self) -> Columns:
+    def dense(self) -> UnmodelledColumns:
         """The same as any columns."""
-        return Columns(self.window, None)
+        return UnmodelledColumns(self.window, None)

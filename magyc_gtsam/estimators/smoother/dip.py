@@ -19,7 +19,7 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA, PlaceField
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.field_chain import WITH_SKEW, State, direction_slopes
+from magyc_gtsam.factors.chain.field_chain import WITH_SKEW, ChainState, direction_slopes
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.level_turn import vertical
@@ -209,7 +209,7 @@ def _linearised(fact: DipFact, fit: Fit) -> DipFact:
     vertical_sigma = MODEL.attitude if fact.by_attitude else MODEL.offset * float(np.linalg.norm(lever))
     sigma = float(np.sqrt(fact.place.dip_sigma**2 + scatter / independent + vertical_sigma**2))
     at = with_angles(fit.state.parameters)
-    wide = fit.chain.eliminate(State(at, g), fit.weights)
+    wide = fit.chain.eliminate(ChainState(at, g), fit.weights)
     total = np.einsum("n,in,pin->p", weight * slope, up, direction_slopes(wide))
     return replace(
         fact,

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.linalg.lapack import dpbtrs
 
 from magyc_gtsam.factors.chain.facts import quadratic
-from magyc_gtsam.factors.chain.field_chain import FieldChain, Reduced, Residuals, SensorNoise, State, Weights
+from magyc_gtsam.factors.chain.field_chain import ChainState, FieldChain, Reduced, Residuals, SensorNoise, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 if TYPE_CHECKING:
-    from magyc_gtsam.estimators.smoother.beside import Beside
+    from magyc_gtsam.estimators.smoother.beside import ColumnProducts
     from magyc_gtsam.estimators.smoother.skew import Skew
 
 MAX_ITERATIONS = 40
@@ -48,7 +48,7 @@ class Fit:
     """
 
     chain: FieldChain
-    state: State
+    state: ChainState
     weights: Weights
     reduced: Reduced
     free: np.ndarray
@@ -64,11 +64,11 @@ class Fit:
         return result
 
     @cached_property
-    def beside(self) -> Beside:
+    def beside(self) -> ColumnProducts:
         """The products of columns with this fit, at its minimum."""
-        from magyc_gtsam.estimators.smoother.beside import Beside  # which is of fits
+        from magyc_gtsam.estimators.smoother.beside import ColumnProducts  # which is of fits
 
-        return Beside(self)
+        return ColumnProducts(self)
 
     @cached_property
     def covariance(self) -> Array:

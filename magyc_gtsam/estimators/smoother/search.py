@@ -16,7 +16,7 @@ from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, asked, given, on_skew, skew_of, widened
 from magyc_gtsam.factors.chain.facts import LinearFact
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain, SensorNoise, State, Weights
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, ChainState, FieldChain, SensorNoise, Weights
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
@@ -317,7 +317,7 @@ def _upright(fit: Fit) -> Fit:
         return fit
     flipped = parameters.copy()
     flipped[:6] *= -1
-    state = State(flipped, -direction)
+    state = ChainState(flipped, -direction)
     return replace(fit, state=state, reduced=fit.chain.eliminate(state, fit.weights))
 
 

@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.columns import Columns
+from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, State, Weights, iron_matrix
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, ChainState, Weights, iron_matrix
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _LEAST_SPLIT = 40  # windows, of a recording whose halves are compared
@@ -126,7 +126,7 @@ def widened(fit: Fit, prior: SkewPrior, known: LinearFact | None = None) -> Fit:
     says of it."""
     facts = fit.chain.facts if known is None else (*fit.chain.facts, known)
     chain = replace(fit.chain, facts=(*facts, held(prior.widest)))
-    state = State(with_angles(fit.state.parameters), fit.state.direction)
+    state = ChainState(with_angles(fit.state.parameters), fit.state.direction)
     free = np.append(fit.free[:PARAMETERS], np.ones(3, dtype=bool))
     return replace(fit, chain=chain, state=state, free=free, reduced=chain.eliminate(state, fit.weights))
 
@@ -175,7 +175,7 @@ def asked(fit: Fit, prior: SkewPrior) -> Skew:
         "ij,kjn->kin", iron_matrix(parameters), cross(np.eye(3)[:, :, None], body[:, None]).swapaxes(0, 1)
     )
     beside = fit.beside
-    new = beside.of(Columns(columns, None))
+    new = beside.of(UnmodelledColumns(columns, None))
     profile = _Profile(new.normal, new.score, -beside.move(new), np.zeros(PARAMETERS))
     return _Believed.of(profile, prior).around(np.zeros(3), profile)
 
@@ -281,7 +281,7 @@ def _of_part(fit: Fit, rows: slice, factor: float) -> _Angle:
     """ε of some of the windows alone, held by the widest prior."""
     links = slice(rows.start, rows.stop - 1)
     chain = fit.chain.part(rows.start, rows.stop)
-    state = State(fit.state.parameters, fit.state.direction[:, rows])
+    state = ChainState(fit.state.parameters, fit.state.direction[:, rows])
     weights = Weights(fit.weights.window[rows], fit.weights.link[links])
     _, reduced = chain.settle(state, weights)
     part = replace(fit, chain=chain, state=state, weights=weights, reduced=reduced)

@@ -14,7 +14,7 @@ from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
 from magyc_gtsam.gap.many.result import GapOfMany, Own, SharedEffect, Weight
 from magyc_gtsam.gap.many.told import Added, told
-from magyc_gtsam.gap.many.weighing import Weighed, weigh
+from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh
 from magyc_gtsam.gap.refit import as_calibration, widened
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
@@ -33,7 +33,7 @@ class _Course:
     logs: tuple[OneLog, ...]
     added: tuple[Added, ...] = ()
     own: tuple[Own, ...] = ()
-    weighed: tuple[Weighed, ...] = ()
+    weighed: tuple[WeighedOverLogs, ...] = ()
     unknown: str = ""
 
 
@@ -110,7 +110,7 @@ def _step(course: _Course, names: Sequence[str], more: bool) -> tuple[_Course, b
     return _with(course, strongest, _as_good(weighed)), True
 
 
-def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[Weighed, ...]:
+def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs, ...]:
     """All hypotheses, strongest first."""
     tests = [log.tests(names) for log in logs]
     for name in names:
@@ -123,7 +123,7 @@ def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[Weighed, ...]:
     return tuple(sorted((w for w in weighed if _possible(w, logs)), key=lambda each: -each.nats))
 
 
-def _possible(weighed: Weighed, logs: Sequence[OneLog]) -> bool:
+def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
     """Whether an effect that the data want has values that it can have, in most of the logs that have it."""
     if not weighed.named or weighed.nats < MODEL.sure:
         return True
@@ -149,11 +149,11 @@ def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
     return list({test.key: dict(test.setting) for test in best}.values())
 
 
-def _as_good(weighed: Sequence[Weighed]) -> tuple[str, ...]:
+def _as_good(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
     """Names that are not clearly behind the strongest."""
     first = weighed[0]
 
-    def lead(other: Weighed) -> float:
+    def lead(other: WeighedOverLogs) -> float:
         return MODEL.moments if first.name in MOMENTS and other.name in MOMENTS else MODEL.lead
 
     return tuple(
@@ -161,7 +161,7 @@ def _as_good(weighed: Sequence[Weighed]) -> tuple[str, ...]:
     )
 
 
-def _left_out(course: _Course, few: np.ndarray, strongest: Weighed) -> _Course:
+def _left_out(course: _Course, few: np.ndarray, strongest: WeighedOverLogs) -> _Course:
     own = tuple(
         Own(log.name, f"holds something that no name explains ({strongest.name}); it was left out")
         for log, out in zip(course.logs, few, strict=True)
@@ -175,7 +175,7 @@ def _left_out(course: _Course, few: np.ndarray, strongest: Weighed) -> _Course:
     return replace(course, logs=kept, own=(*course.own, *own), added=added)
 
 
-def _with(course: _Course, chosen: Weighed, rivals: tuple[str, ...]) -> _Course:
+def _with(course: _Course, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _Course:
     """The effect in all logs, or in those that have it; a log whose model does not bear it is left out."""
     instrument = chosen.instrument >= 0.5
     logs: list[OneLog] = []

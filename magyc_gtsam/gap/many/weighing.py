@@ -27,7 +27,7 @@ _CORRELATED = 2.0  # knots over which a field that wanders in the world is alike
 
 
 @dataclass(frozen=True, eq=False)
-class Weighed:
+class WeighedOverLogs:
     """One effect, or family without a name, over all logs.
 
     Attributes:
@@ -66,15 +66,15 @@ class Weighed:
         return 1.0 if self.name in OF_THE_INSTRUMENT else float(expit(self.shared - self.apart))
 
 
-def weigh(name: str, logs: Sequence[Tests]) -> Weighed:
+def weigh(name: str, logs: Sequence[Tests]) -> WeighedOverLogs:
     """All hypotheses of one effect."""
     of_log = [log.get(name, ()) for log in logs]
     best = tuple(max(tests, key=_surprise, default=None) for tests in of_log)
     apart, present = _apart(name, of_log)
     if name in MOMENTS or name.startswith("time:"):
-        return Weighed(name, -np.inf, apart, {}, np.zeros(0), present, best)
+        return WeighedOverLogs(name, -np.inf, apart, {}, np.zeros(0), present, best)
     shared, setting, value = _shared(of_log)
-    return Weighed(name, shared, apart, setting, value, present, best)
+    return WeighedOverLogs(name, shared, apart, setting, value, present, best)
 
 
 def _surprise(test: Test) -> float:

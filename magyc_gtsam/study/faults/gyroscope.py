@@ -7,51 +7,51 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.scene import lagged
-from magyc_gtsam.study.faults.signals import Motion, direction, one_stretch, slow
+from magyc_gtsam.study.faults.signals import TrueMotion, direction, one_stretch, slow
 
 Random = np.random.Generator
 _BIT = 1e-3  # rad/s
 _SPIKE = 2.0  # rad/s
 
 
-def turned_axes(turn: Array, scene: Motion, angle: float, random: Random) -> Array:
+def turned_axes(turn: Array, scene: TrueMotion, angle: float, random: Random) -> Array:
     """The axes are turned against those of the magnetometer, by deg."""
     return Rotation.from_rotvec(np.deg2rad(angle) * direction(random)).apply(turn)
 
 
-def scale(turn: Array, scene: Motion, share: float, random: Random) -> Array:
+def scale(turn: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """All gains are off by a share."""
     return turn * (1 + share)
 
 
-def scale_of_one_axis(turn: Array, scene: Motion, share: float, random: Random) -> Array:
+def scale_of_one_axis(turn: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """One gain is off by a share."""
     return turn * (1 + share * np.eye(3)[random.integers(3)])
 
 
-def held(rate: Array, scene: Motion, rows: float, random: Random) -> Array:
+def held(rate: Array, scene: TrueMotion, rows: float, random: Random) -> Array:
     """Every value is repeated for so many rows."""
     return rate[np.arange(len(rate)) // int(rows) * int(rows)]
 
 
-def spikes(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def spikes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """In a share of the samples something of 2 rad/s adds, in any direction."""
     hit = random.random(len(rate)) < share
     return rate + np.where(hit[:, None], _SPIKE * random.standard_normal(rate.shape), 0)
 
 
-def one_sided_spikes(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def one_sided_spikes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The same, always in one direction."""
     hit = random.random(len(rate)) < share
     return rate + _SPIKE * np.outer(hit * random.random(len(rate)), direction(random))
 
 
-def zero_rows(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def zero_rows(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """A share of the rows reads zero on all axes."""
     return np.where((random.random(len(rate)) < share)[:, None], 0.0, rate)
 
 
-def bias_steps(rate: Array, scene: Motion, amount: float, random: Random) -> Array:
+def bias_steps(rate: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The bias was another one for the middle third."""
     part = slice(len(rate) // 3, 2 * len(rate) // 3)
     rate = rate.copy()
@@ -59,102 +59,102 @@ def bias_steps(rate: Array, scene: Motion, amount: float, random: Random) -> Arr
     return rate
 
 
-def bias_drift(rate: Array, scene: Motion, amount: float, random: Random) -> Array:
+def bias_drift(rate: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The bias moves evenly by so much, and ends at the true one."""
     return rate + amount * np.outer(np.linspace(-1, 0, len(rate)), direction(random))
 
 
-def bias_wander(turn: Array, scene: Motion, amount: float, random: Random) -> Array:
+def bias_wander(turn: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The bias wanders over minutes with such a deviation."""
     return turn + amount * np.outer(slow(scene, random, 60.0), direction(random))
 
 
-def full_scale(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def full_scale(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The full scale is a share of the largest rate."""
     level = share * np.abs(rate).max()
     return np.clip(rate, -level, level)
 
 
-def wrapping_full_scale(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def wrapping_full_scale(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The same, and what is beyond comes back from the other side."""
     level = share * np.abs(rate).max()
     return (rate + level) % (2 * level) - level
 
 
-def stuck_axis(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def stuck_axis(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """One axis keeps its value for a share of the log."""
     rate, part, axis = rate.copy(), one_stretch(len(rate), share, random), random.integers(3)
     rate[part, axis] = rate[part.start, axis]
     return rate
 
 
-def flickering_axis(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def flickering_axis(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """One axis keeps its value for a share of the log, but for its last bit."""
     rate, part, axis = np.round(rate / _BIT) * _BIT, one_stretch(len(rate), share, random), random.integers(3)
     rate[part, axis] = rate[part.start, axis] + _BIT * random.integers(0, 2, part.stop - part.start)
     return rate
 
 
-def dead(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def dead(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """All axes read zero for a share of the log."""
     rate = rate.copy()
     rate[one_stretch(len(rate), share, random)] = 0.0
     return rate
 
 
-def low_pass(turn: Array, scene: Motion, constant: float, random: Random) -> Array:
+def low_pass(turn: Array, scene: TrueMotion, constant: float, random: Random) -> Array:
     """A filter of the first order, with such a time constant in s."""
     return lagged(turn, scene.step, constant)
 
 
-def coarse(rate: Array, scene: Motion, step: float, random: Random) -> Array:
+def coarse(rate: Array, scene: TrueMotion, step: float, random: Random) -> Array:
     """In steps."""
     return np.round(rate / step) * step
 
 
-def dead_band(rate: Array, scene: Motion, width: float, random: Random) -> Array:
+def dead_band(rate: Array, scene: TrueMotion, width: float, random: Random) -> Array:
     """What is smaller than `width` rad/s on an axis reads zero."""
     return np.where(np.abs(rate) < width, 0.0, rate)
 
 
-def cubic(turn: Array, scene: Motion, share: float, random: Random) -> Array:
+def cubic(turn: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """Bent by a share of the largest rate, with its cube."""
     return turn + share * turn**3 / np.abs(turn).max() ** 2
 
 
-def gravity(turn: Array, scene: Motion, amount: float, random: Random) -> Array:
+def gravity(turn: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The bias depends on gravity, by so much per g."""
     down = scene.attitude.inv().apply([0.0, 0.0, 1.0])
     return turn + amount * np.outer(down @ direction(random), direction(random))
 
 
-def flipped_axis(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def flipped_axis(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """One axis has the wrong sign for a share of the log."""
     rate, part = rate.copy(), one_stretch(len(rate), share, random)
     rate[part, random.integers(3)] *= -1
     return rate
 
 
-def swapped_axes(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def swapped_axes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """Two axes are exchanged for a share of the log."""
     rate, part, axis = rate.copy(), one_stretch(len(rate), share, random), random.integers(3)
     rate[part] = np.roll(rate[part], 1, axis=1) if axis == 2 else rate[part][:, [1, 0, 2] if axis else [0, 2, 1]]
     return rate
 
 
-def wrong_unit(rate: Array, scene: Motion, factor: float, random: Random) -> Array:
+def wrong_unit(rate: Array, scene: TrueMotion, factor: float, random: Random) -> Array:
     """Multiplied with a wrong factor."""
     return rate * factor
 
 
-def vibration(turn: Array, scene: Motion, amplitude: float, random: Random) -> Array:
+def vibration(turn: Array, scene: TrueMotion, amplitude: float, random: Random) -> Array:
     """Turns to and fro at 31.7 Hz about two axes, a quarter of a period apart, sampled far too slowly."""
     phase = 2 * np.pi * 31.7 * scene.time
     first, second = direction(random), direction(random)
     return turn + amplitude * (np.outer(np.sin(phase), first) + np.outer(np.cos(phase), second))
 
 
-def noise_bursts(rate: Array, scene: Motion, share: float, random: Random) -> Array:
+def noise_bursts(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """For a share of the log the noise is 0.2 rad/s."""
     rate, part = rate.copy(), one_stretch(len(rate), share, random)
     rate[part] += 0.2 * random.standard_normal(rate[part].shape)

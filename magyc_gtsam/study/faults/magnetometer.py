@@ -6,85 +6,85 @@ import numpy as np
 
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.scene import lagged
-from magyc_gtsam.study.faults.signals import Motion, direction, one_stretch, stretches
+from magyc_gtsam.study.faults.signals import TrueMotion, direction, one_stretch, stretches
 
 Random = np.random.Generator
 _SPIKE = 30e-6  # T
 _BIT = 0.15e-6  # T
 
 
-def one_sided_spikes(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def one_sided_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """In a share of the samples something of 15 to 45 µT adds, always in one direction."""
     hit = random.random(len(field)) < share
     return field + np.where(hit, random.uniform(0.5, 1.5, len(field)), 0)[:, None] * _SPIKE * direction(random)
 
 
-def two_sided_spikes(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def two_sided_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The same in any direction."""
     hit = random.random(len(field)) < share
     return field + np.where(hit[:, None], _SPIKE * random.standard_normal(field.shape), 0)
 
 
-def one_axis_spikes(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def one_axis_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The same on one axis, with one sign."""
     hit = random.random(len(field)) < share
     return field + np.outer(hit * random.exponential(_SPIKE, len(field)), np.eye(3)[random.integers(3)])
 
 
-def zero_rows(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def zero_rows(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """A share of the rows reads zero on all axes."""
     return np.where((random.random(len(field)) < share)[:, None], 0.0, field)
 
 
-def stuck_axis(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def stuck_axis(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """One axis keeps its value for a share of the log."""
     field, part, axis = field.copy(), one_stretch(len(field), share, random), random.integers(3)
     field[part, axis] = field[part.start, axis]
     return field
 
 
-def flickering_axis(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def flickering_axis(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """One axis keeps its value for a share of the log, but for its last bit."""
     field, part, axis = np.round(field / _BIT) * _BIT, one_stretch(len(field), share, random), random.integers(3)
     field[part, axis] = field[part.start, axis] + _BIT * random.integers(0, 2, part.stop - part.start)
     return field
 
 
-def frozen(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def frozen(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """All axes keep their values for a share of the log."""
     field, part = field.copy(), one_stretch(len(field), share, random)
     field[part] = field[part.start]
     return field
 
 
-def full_scale(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def full_scale(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """A share of the samples is beyond the full scale."""
     level = np.quantile(np.abs(field).max(axis=1), 1 - share)
     return np.clip(field, -level, level)
 
 
-def wrapping_full_scale(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def wrapping_full_scale(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The same, and what is beyond comes back from the other side."""
     level = np.quantile(np.abs(field).max(axis=1), 1 - share)
     return (field + level) % (2 * level) - level
 
 
-def coarse(field: Array, scene: Motion, step: float, random: Random) -> Array:
+def coarse(field: Array, scene: TrueMotion, step: float, random: Random) -> Array:
     """In steps."""
     return np.round(field / step) * step
 
 
-def held(field: Array, scene: Motion, rows: float, random: Random) -> Array:
+def held(field: Array, scene: TrueMotion, rows: float, random: Random) -> Array:
     """Every value is repeated for so many rows."""
     return field[np.arange(len(field)) // int(rows) * int(rows)]
 
 
-def low_pass(iron: Array, scene: Motion, constant: float, random: Random) -> Array:
+def low_pass(iron: Array, scene: TrueMotion, constant: float, random: Random) -> Array:
     """A filter of the first order, with such a time constant in s."""
     return lagged(iron, scene.step, constant)
 
 
-def moving_mean(iron: Array, scene: Motion, window: float, random: Random) -> Array:
+def moving_mean(iron: Array, scene: TrueMotion, window: float, random: Random) -> Array:
     """The mean of the last so many s."""
     from scipy.ndimage import uniform_filter1d
 
@@ -92,38 +92,38 @@ def moving_mean(iron: Array, scene: Motion, window: float, random: Random) -> Ar
     return np.asarray(uniform_filter1d(iron, width, axis=0, origin=(width - 1) // 2))
 
 
-def noise_bursts(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def noise_bursts(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """For a share of the log the noise is 10 µT."""
     loud = stretches(len(field), share, 100, random)
     return field + 1e-5 * loud[:, None] * random.standard_normal(field.shape)
 
 
-def sign_flips(field: Array, scene: Motion, share: float, random: Random) -> Array:
+def sign_flips(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """One axis has the wrong sign for a share of the log."""
     field, part = field.copy(), one_stretch(len(field), share, random)
     field[part, random.integers(3)] *= -1
     return field
 
 
-def late_axis(iron: Array, scene: Motion, delay: float, random: Random) -> Array:
+def late_axis(iron: Array, scene: TrueMotion, delay: float, random: Random) -> Array:
     """One axis is read later than the others, by s."""
     iron, axis = iron.copy(), random.integers(3)
     iron[:, axis] = np.interp(scene.time - delay, scene.time, iron[:, axis])
     return iron
 
 
-def cubic(iron: Array, scene: Motion, share: float, random: Random) -> Array:
+def cubic(iron: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """Bent by a share of the largest reading, with its cube."""
     largest = np.abs(iron).max()
     return iron + share * iron**3 / largest**2
 
 
-def dead_zone(iron: Array, scene: Motion, width: float, random: Random) -> Array:
+def dead_zone(iron: Array, scene: TrueMotion, width: float, random: Random) -> Array:
     """What is smaller than `width` T on an axis reads zero."""
     return np.sign(iron) * np.maximum(np.abs(iron) - width, 0)
 
 
-def hysteresis(iron: Array, scene: Motion, width: float, random: Random) -> Array:
+def hysteresis(iron: Array, scene: TrueMotion, width: float, random: Random) -> Array:
     """A play of `width` T: the reading follows once the field has moved by that."""
     low, high = iron - width, iron + width
     result, value = np.empty_like(iron), iron[0]
@@ -133,44 +133,44 @@ def hysteresis(iron: Array, scene: Motion, width: float, random: Random) -> Arra
     return result
 
 
-def offset_drift(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def offset_drift(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The offset moves evenly by so much, and ends at the true hard iron."""
     return iron + amount * np.outer(scene.time / scene.time[-1] - 1, direction(random))
 
 
-def offset_walk(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def offset_walk(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The offset walks at random, by so much over the log, and ends at the true hard iron."""
     walk = np.cumsum(random.standard_normal(iron.shape), axis=0) / np.sqrt(len(iron))
     return iron + amount * (walk - walk[-1])
 
 
-def iron_step(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def iron_step(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The hard iron was another one until some time in the middle."""
     before = scene.time < scene.time[-1] * random.uniform(0.3, 0.7)
     return iron + amount * np.outer(before, direction(random))
 
 
-def iron_steps(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def iron_steps(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """Two steps, the last one at some 70 % of the log."""
     share = scene.time / scene.time[-1]
     parts = (share < random.uniform(0.2, 0.4), share < random.uniform(0.6, 0.8))
     return iron + amount * sum(np.outer(part, direction(random)) for part in parts)
 
 
-def scale_drift(iron: Array, scene: Motion, share: float, random: Random) -> Array:
+def scale_drift(iron: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The gain of one axis moves by a share, and ends at the true one."""
     gain = np.ones_like(iron)
     gain[:, random.integers(3)] += share * (scene.time / scene.time[-1] - 1)
     return iron * gain
 
 
-def reset_flips(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def reset_flips(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """A set/reset that fails: the offset jumps between two values every 20 s or so."""
     state = np.repeat(random.integers(0, 2, 1 + int(scene.time[-1] / 20)), round(20 / scene.step))
     return iron + amount * np.outer(np.resize(state, len(iron)), direction(random))
 
 
-def hum(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def hum(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """A mains field of 50.3 Hz, sampled far too slowly."""
     phase = 2 * np.pi * 50.3 * scene.time + random.uniform(0, 2 * np.pi)
     return iron + amount * np.outer(np.sin(phase), direction(random))

@@ -18,7 +18,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.storage.whole_file import whole_file
 from magyc_gtsam.study.faults.catalogue import FAULTS
-from magyc_gtsam.study.faults.scoring import OUTCOMES, Score, crashed, refused, score
+from magyc_gtsam.study.faults.scoring import OUTCOMES, FaultScore, crashed, refused, score
 from magyc_gtsam.study.faults.signals import record
 
 Method = Callable[[Recording], Calibration | None]
@@ -41,7 +41,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Cell:
+class OutcomeCounts:
     """All seeds of one fault at one strength, on one motion, by one method: how many came to each outcome, and the
     median errors of those that were trusted and wrong (T and deg)."""
 
@@ -90,7 +90,7 @@ def run(
     """
     parts = folder / "parts"
     parts.mkdir(parents=True, exist_ok=True)
-    jobs = [Job(parts, case, name, method) for case in every for name, method in methods.items()]
+    jobs = [CaseByMethod(parts, case, name, method) for case in every for name, method in methods.items()]
     pending = {job.name: job for job in jobs if not job.part.exists()}
     done = len(jobs) - len(pending)
     fresh = run_many(
@@ -103,7 +103,7 @@ def run(
 
 
 @dataclass(frozen=True)
-class Job:
+class CaseByMethod:
     """One case by one method, and the folder of its part."""
 
     parts: Path
@@ -122,7 +122,7 @@ class Job:
         return self.parts / f"{self.name}.json"
 
 
-def work(job: Job) -> Row:
+def work(job: CaseByMethod) -> Row:
     """The row of a job, which is also written to its part."""
     case, fault = job.case, FAULTS[job.case.fault]
     log = record(case.motion, case.seed, fault, getattr(fault, case.strength), case.fault)
@@ -135,7 +135,7 @@ def work(job: Job) -> Row:
     return _write(job, result)
 
 
-def _write(job: Job, result: Score) -> Row:
+def _write(job: CaseByMethod, result: FaultScore) -> Row:
     fault = FAULTS[job.case.fault]
     made = {"size": getattr(fault, job.case.strength), "unit": fault.unit, "shows": fault.shows}
     row = {**vars(job.case), **made, "method": job.method_name, **result.row()}
@@ -147,7 +147,7 @@ def _write(job: Job, result: Score) -> Row:
     return row
 
 
-def cells(rows: Iterable[Mapping[str, Any]]) -> list[Cell]:
+def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
     """The rows by fault, strength, motion and method; the worst first."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
@@ -160,7 +160,7 @@ def cells(rows: Iterable[Mapping[str, Any]]) -> list[Cell]:
             float(np.median([row[name] for row in wrong])) if wrong else np.nan
             for name in ("hard_iron", "heading")
         ]
-        result.append(Cell(fault, strength, motion, method, counts, *errors))
+        result.append(OutcomeCounts(fault, strength, motion, method, counts, *errors))
     return sorted(result, key=lambda cell: -cell.counts[OUTCOMES[0]] / sum(cell.counts.values()))
 
 

@@ -20,7 +20,7 @@ OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
 
 
 @dataclass(frozen=True)
-class Score:
+class FaultScore:
     """The outcome of one method on one recording.
 
     Attributes:
@@ -42,17 +42,17 @@ class Score:
         return asdict(self)
 
 
-def refused(message: str) -> Score:
+def refused(message: str) -> FaultScore:
     """Of a method that gave no calibration."""
-    return Score("refused", np.nan, np.nan, np.nan, np.nan, message)
+    return FaultScore("refused", np.nan, np.nan, np.nan, np.nan, message)
 
 
-def crashed(error: Exception) -> Score:
+def crashed(error: Exception) -> FaultScore:
     """Of a method that ended in an error of its own: a defect."""
-    return Score("crashed", np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
+    return FaultScore("crashed", np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
 
 
-def score(calibration: Calibration | None, message: str = "", body_R_sensor: Array = _ALIGNED) -> Score:
+def score(calibration: Calibration | None, message: str = "", body_R_sensor: Array = _ALIGNED) -> FaultScore:
     """A calibration beside the truth of `signals.record`; the heading is that of the body's axes."""
     if calibration is None or calibration.covariance is None:
         return refused(message or "no calibration with a covariance")
@@ -64,7 +64,7 @@ def score(calibration: Calibration | None, message: str = "", body_R_sensor: Arr
     outcome = "refused"
     if calibration.trusted:
         outcome = "wrong and trusted" if iron_wrong or heading_wrong else "right and trusted"
-    return Score(
+    return FaultScore(
         outcome,
         float(off.max()),
         float((off / sigma).max()),

@@ -24,7 +24,7 @@ NOISE = (1e-6, 5e-3)  # T and rad/s per sample
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class TrueMotion:
     """What the vehicle did, on the fine grid.
 
     Attributes:
@@ -46,7 +46,7 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Log:
+class LoggedSamples:
     """What was logged: stamps (n,) s and values (n, 3) of both sensors, T and rad/s.
 
     `body_R_sensor` (3, 3) turns the magnetometer's axes into the body's, which are those of the gyroscope.
@@ -65,7 +65,7 @@ class Log:
         return Recording.from_streams((self.field_time, self.field), (self.rate_time, self.rate), name=name)
 
 
-Change = Callable[[Any, Motion, float, np.random.Generator], Any]
+Change = Callable[[Any, TrueMotion, float, np.random.Generator], Any]
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Fault:
         place: where it acts: "angles" ((n, 3) rad and its derivative, on the fine grid), "world" and "body" ((n, 3) T,
             the field in world and sensor axes), "iron" ((n, 3) T, with soft and hard iron), "field" ((rows, 3) T, with
             noise), "turn" ((n, 3) rad/s, on the fine grid), "rate" ((rows, 3) rad/s, with bias and noise) or "log" (a
-            `Log`).
+            `LoggedSamples`).
         change: (value, motion, strength, random) → the changed value.
         weak, strong: strengths, in `unit`.
         shows: whether data without the cause's own channel can show it.
@@ -101,7 +101,7 @@ def record(
     strength: float = 0.0,
     name: str = "",
     duration: float = 600.0,
-) -> Log:
+) -> LoggedSamples:
     """The log of an instrument with a fault, on one of the simulator's motions."""
     random = np.random.default_rng([seed, crc32(motion.encode())])
     own = np.random.default_rng([seed, crc32(name.encode())])
@@ -114,9 +114,9 @@ def record(
     def changed(place: str, value: Any) -> Any:
         return fault.change(value, scene, strength, own) if fault is not None and fault.place == place else value
 
-    scene = Motion(time, rows, *_turned(path(time)))
+    scene = TrueMotion(time, rows, *_turned(path(time)))
     if fault is not None and fault.place == "angles":
-        scene = Motion(time, rows, *_turned(fault.change(path(time), scene, strength, own)))
+        scene = TrueMotion(time, rows, *_turned(fault.change(path(time), scene, strength, own)))
     world = changed("world", np.tile(FIELD, (len(time), 1)))
     body = changed("body", scene.attitude.inv().apply(world))
     iron = changed("iron", body @ SOFT_IRON.T + HARD_IRON)
@@ -124,7 +124,7 @@ def record(
     turn = changed("turn", scene.rate)
     rates = changed("rate", turn[rows] + GYRO_BIAS + noise[1])
     between = Rotation.align_vectors(turn, scene.rate)[0].as_matrix() if fault and fault.turns else np.eye(3)
-    log = Log(time[rows], readings, time[rows], rates, between)
+    log = LoggedSamples(time[rows], readings, time[rows], rates, between)
     return log if fault is None or fault.place != "log" else fault.change(log, scene, strength, own)
 
 
@@ -138,7 +138,7 @@ def direction(random: np.random.Generator) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def slow(scene: Motion, random: np.random.Generator, correlation: float) -> Array:
+def slow(scene: TrueMotion, random: np.random.Generator, correlation: float) -> Array:
     """(n,) a random walk that is drawn back, of unit deviation, correlated over so many s."""
     white = random.standard_normal(len(scene.time))
     walk = lagged(white, scene.step, correlation)
@@ -159,6 +159,6 @@ def one_stretch(count: int, share: float, random: np.random.Generator) -> slice:
     return slice(first, first + length)
 
 
-def kept(log: Log, rows: np.ndarray) -> Log:
+def kept(log: LoggedSamples, rows: np.ndarray) -> LoggedSamples:
     """A log of some rows, of both sensors."""
-    return Log(log.field_time[rows], log.field[rows], log.rate_time[rows], log.rate[rows])
+    return LoggedSamples(log.field_time[rows], log.field[rows], log.rate_time[rows], log.rate[rows])

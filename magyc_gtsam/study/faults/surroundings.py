@@ -8,56 +8,64 @@ import numpy as np
 
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.scene import lagged
-from magyc_gtsam.study.faults.signals import Log, Motion, direction, kept, one_stretch, slow, stretches
+from magyc_gtsam.study.faults.signals import (
+    LoggedSamples,
+    TrueMotion,
+    direction,
+    kept,
+    one_stretch,
+    slow,
+    stretches,
+)
 
 Random = np.random.Generator
 
 
-def delayed(iron: Array, scene: Motion, delay: float, random: Random) -> Array:
+def delayed(iron: Array, scene: TrueMotion, delay: float, random: Random) -> Array:
     """The magnetometer is late, by s."""
     return _at(scene.time - delay, scene.time, iron)
 
 
-def wandering_latency(iron: Array, scene: Motion, largest: float, random: Random) -> Array:
+def wandering_latency(iron: Array, scene: TrueMotion, largest: float, random: Random) -> Array:
     """The magnetometer's latency wanders between 0 and `largest` s."""
     wander = slow(scene, random, 20.0)
     delay = largest * (wander - wander.min()) / np.ptp(wander)
     return _at(scene.time - delay, scene.time, iron)
 
 
-def stepping_latency(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def stepping_latency(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The magnetometer's latency is another one from the middle on."""
     return _at(scene.time - amount * (scene.time > 0.5 * scene.time[-1]), scene.time, iron)
 
 
-def clock_drift(log: Log, scene: Motion, rate: float, random: Random) -> Log:
+def clock_drift(log: LoggedSamples, scene: TrueMotion, rate: float, random: Random) -> LoggedSamples:
     """The magnetometer's clock runs fast."""
     return replace(log, field_time=log.field_time * (1 + rate))
 
 
-def jitter(log: Log, scene: Motion, amount: float, random: Random) -> Log:
+def jitter(log: LoggedSamples, scene: TrueMotion, amount: float, random: Random) -> LoggedSamples:
     """The magnetometer's stamps are off at random, by such a deviation in s."""
     step = log.field_time[1] - log.field_time[0]
     off = np.clip(amount * random.standard_normal(len(log.field_time)), -0.49 * step, 0.49 * step)
     return replace(log, field_time=log.field_time + off)
 
 
-def lost_samples(log: Log, scene: Motion, share: float, random: Random) -> Log:
+def lost_samples(log: LoggedSamples, scene: TrueMotion, share: float, random: Random) -> LoggedSamples:
     """A share of the rows is lost, at random."""
     return kept(log, random.random(len(log.field_time)) >= share)
 
 
-def lost_bursts(log: Log, scene: Motion, share: float, random: Random) -> Log:
+def lost_bursts(log: LoggedSamples, scene: TrueMotion, share: float, random: Random) -> LoggedSamples:
     """A share of the rows is lost, 30 in a row."""
     return kept(log, ~stretches(len(log.field_time), share, 30, random))
 
 
-def slow_log(log: Log, scene: Motion, rows: float, random: Random) -> Log:
+def slow_log(log: LoggedSamples, scene: TrueMotion, rows: float, random: Random) -> LoggedSamples:
     """Only every so many rows are logged."""
     return kept(log, np.arange(len(log.field_time)) % int(rows) == 0)
 
 
-def swell(angles: tuple[Array, Array], scene: Motion, period: float, random: Random) -> tuple[Array, Array]:
+def swell(angles: tuple[Array, Array], scene: TrueMotion, period: float, random: Random) -> tuple[Array, Array]:
     """On top of the motion roll and pitch of 10° in a swell of such a period, in a log of 1 Hz."""
     angle, derivative = angles
     frequency, phase = 2 * np.pi / period, random.uniform(0, 2 * np.pi, 3)
@@ -67,7 +75,7 @@ def swell(angles: tuple[Array, Array], scene: Motion, period: float, random: Ran
 
 
 def mostly_at_rest(
-    angles: tuple[Array, Array], scene: Motion, share: float, random: Random
+    angles: tuple[Array, Array], scene: TrueMotion, share: float, random: Random
 ) -> tuple[Array, Array]:
     """At rest for the last share of the log."""
     angle, derivative = angles
@@ -76,44 +84,46 @@ def mostly_at_rest(
     return np.where(moving[:, None], angle, angle[last]), np.where(moving[:, None], derivative, 0.0)
 
 
-def nearly_level(angles: tuple[Array, Array], scene: Motion, share: float, random: Random) -> tuple[Array, Array]:
+def nearly_level(
+    angles: tuple[Array, Array], scene: TrueMotion, share: float, random: Random
+) -> tuple[Array, Array]:
     """Roll and pitch are smaller, by a share."""
     gain = np.array([1 - share, 1 - share, 1.0])
     return angles[0] * gain, angles[1] * gain
 
 
-def current_with_pitch(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def current_with_pitch(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """A current that goes with pitch (nose-up thrust), whose field turns with the vehicle."""
     pitch = scene.angles[:, 1]
     return iron + amount * np.outer((pitch - pitch.mean()) / pitch.std(), direction(random))
 
 
-def current_with_turning(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def current_with_turning(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """A current that goes with the rate of turn (rudder, thruster)."""
     rate = np.abs(scene.rate[:, 2])
     return iron + amount * np.outer((rate - rate.mean()) / rate.std(), direction(random))
 
 
-def switched_current(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def switched_current(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """Something is switched on and off every half minute or so, whose current is not logged."""
     state = np.resize(np.repeat(random.integers(0, 2, 100), round(30 / scene.step)), len(iron))
     return iron + amount * np.outer(state, direction(random))
 
 
-def steel_by_heading(world: Array, scene: Motion, amount: float, random: Random) -> Array:
+def steel_by_heading(world: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """Another field on each side of a lawn-mower's leg: where the vehicle points is where it is."""
     side = np.tanh(3 * np.sin(scene.angles[:, 2]))
     return world + amount * np.outer(side, direction(random))
 
 
-def stay_beside_steel(world: Array, scene: Motion, amount: float, random: Random) -> Array:
+def stay_beside_steel(world: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """One stay of 40 % of the time in another field."""
     world = world.copy()
     world[one_stretch(len(world), 0.4, random)] += amount * direction(random)
     return world
 
 
-def passes_of_steel(world: Array, scene: Motion, amount: float, random: Random) -> Array:
+def passes_of_steel(world: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """Ten passages of 6 s beside steel."""
     result = world.copy()
     for at in random.uniform(0, scene.time[-1], 10):
@@ -121,7 +131,7 @@ def passes_of_steel(world: Array, scene: Motion, amount: float, random: Random) 
     return result
 
 
-def gradient_on_an_arm(world: Array, scene: Motion, amount: float, random: Random) -> Array:
+def gradient_on_an_arm(world: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The sensor is at the end of an arm in a field with a gradient: the field depends on the attitude."""
     gradient = random.standard_normal((3, 3))
     gradient = gradient + gradient.T
@@ -129,41 +139,41 @@ def gradient_on_an_arm(world: Array, scene: Motion, amount: float, random: Rando
     return world + amount * scene.attitude.apply(direction(random)) @ (gradient / np.linalg.norm(gradient))
 
 
-def wandering_field(world: Array, scene: Motion, amount: float, random: Random) -> Array:
+def wandering_field(world: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The field of the place wanders over half minutes with such a deviation."""
     return world + amount * np.stack([slow(scene, random, 30.0) for _ in range(3)], axis=1)
 
 
-def weakening_field(world: Array, scene: Motion, share: float, random: Random) -> Array:
+def weakening_field(world: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """The field weakens by a share on the way."""
     return world * (1 - share * scene.time / scene.time[-1])[:, None]
 
 
-def eddy_currents(body: Array, scene: Motion, constant: float, random: Random) -> Array:
+def eddy_currents(body: Array, scene: TrueMotion, constant: float, random: Random) -> Array:
     """A plate beside the sensor: a third of the field across it comes late, by such a time constant in s."""
     normal = direction(random)
     late = lagged(body, scene.step, constant) - body
     return body + (late @ normal)[:, None] * normal * 0.33
 
 
-def rotating_iron(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def rotating_iron(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """Something magnetic turns with 0.7 Hz on the vehicle."""
     phase = 2 * np.pi * 0.7 * scene.time
     return iron + amount * np.column_stack([np.cos(phase), np.sin(phase), np.zeros_like(phase)])
 
 
-def iron_that_swings(iron: Array, scene: Motion, amount: float, random: Random) -> Array:
+def iron_that_swings(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """A magnetic load hangs: its field follows roll."""
     roll = scene.angles[:, 0]
     return iron + amount * np.outer(roll / max(roll.std(), 1e-9), direction(random))
 
 
-def helper_at_the_start(iron: Array, scene: Motion, duration: float, random: Random) -> Array:
+def helper_at_the_start(iron: Array, scene: TrueMotion, duration: float, random: Random) -> Array:
     """Somebody with a tool of 20 µT stands by for the first so many s."""
     return iron + 20e-6 * np.outer(scene.time < duration, direction(random))
 
 
-def magnet_and_gap(log: Log, scene: Motion, amount: float, random: Random) -> Log:
+def magnet_and_gap(log: LoggedSamples, scene: TrueMotion, amount: float, random: Random) -> LoggedSamples:
     """The log pauses for a minute in the middle, and before it the hard iron was another one."""
     middle = 0.5 * log.field_time[-1]
     before = log.field_time < middle

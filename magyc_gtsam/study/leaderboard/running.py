@@ -28,7 +28,7 @@ DELIVERED, OPTICS = "as delivered", "own optics"  # beside the methods: the read
 
 
 @dataclass(frozen=True)
-class Log:
+class LeaderboardLog:
     """A recording of the leaderboard: its name, where it is, and what `Kind` says of it."""
 
     name: str
@@ -39,24 +39,24 @@ class Log:
 
 
 @dataclass(frozen=True)
-class Task:
+class MethodOnLog:
     """A unit of work: calibrate `log` by `method`, judge on `others`; `same` judges of the unit hold the truth."""
 
-    log: Log
+    log: LeaderboardLog
     method: str
-    others: tuple[Log, ...]
-    same: tuple[Log, ...]
+    others: tuple[LeaderboardLog, ...]
+    same: tuple[LeaderboardLog, ...]
     reader: Reader
 
 
-class Score(NamedTuple):
+class HeadingScore(NamedTuple):
     """deg: circular deviation of the magnetic heading, and root mean square of the direction's angle to its mean."""
 
     heading: float
     direction: float
 
 
-def logs_of(files: Sequence[Path]) -> tuple[list[Log], list[Path]]:
+def logs_of(files: Sequence[Path]) -> tuple[list[LeaderboardLog], list[Path]]:
     """The recordings whose unit is known, and the files that are none."""
     logs, unknown = [], []
     for file in files:
@@ -64,11 +64,11 @@ def logs_of(files: Sequence[Path]) -> tuple[list[Log], list[Path]]:
         if kind is None:
             unknown.append(file)
         else:
-            logs.append(Log(file.stem, file, kind.collection.name, kind.unit, kind.judges))
+            logs.append(LeaderboardLog(file.stem, file, kind.collection.name, kind.unit, kind.judges))
     return logs, unknown
 
 
-def tasks_of(logs: Sequence[Log], names: Sequence[str], reader: Reader) -> dict[str, Task]:
+def tasks_of(logs: Sequence[LeaderboardLog], names: Sequence[str], reader: Reader) -> dict[str, MethodOnLog]:
     """{name of its row: task}, of every recording that another of its unit can judge.
 
     A row's name holds the checksum of its recording, so that a run into an old folder takes no row of other data.
@@ -82,12 +82,12 @@ def tasks_of(logs: Sequence[Log], names: Sequence[str], reader: Reader) -> dict[
         digest = sha256(log.file)[:8]
         for name in (DELIVERED, OPTICS, *names):
             called = f"{log.name}-{name.replace(' ', '-').replace(':', '-')}-{len(others)}-{digest}"
-            tasks[called] = Task(log, name, others, same, reader)
+            tasks[called] = MethodOnLog(log, name, others, same, reader)
     return tasks
 
 
 def leaderboard_rows(
-    tasks: Mapping[str, Task],
+    tasks: Mapping[str, MethodOnLog],
     folder: Path | None = None,
     engine: str = "local",
     workers: int | None = None,
@@ -125,7 +125,7 @@ _COLUMNS = (
 )
 
 
-def worked(task: Task) -> Row:
+def worked(task: MethodOnLog) -> Row:
     """Calibrate and judge."""
     recording, device = _read(task.log.file, task.reader)
     if task.method == DELIVERED:
@@ -142,7 +142,9 @@ def worked(task: Task) -> Row:
     return row | _coverage(task, outcome.calibration)
 
 
-def _judged(task: Task, calibration: Calibration | None, status: str, reason: str, seconds: float | None) -> Row:
+def _judged(
+    task: MethodOnLog, calibration: Calibration | None, status: str, reason: str, seconds: float | None
+) -> Row:
     """`calibration` None: of each judge by itself."""
     scores = []
     for other in task.others:
@@ -160,7 +162,7 @@ def _judged(task: Task, calibration: Calibration | None, status: str, reason: st
     }
 
 
-def score(recording: Recording, reference: Reference, calibration: Calibration) -> Score:
+def score(recording: Recording, reference: Reference, calibration: Calibration) -> HeadingScore:
     """How still the calibrated field stands in the world of the optics, with their delay for all alike."""
     time, field = recording.magnetometer
     rows = np.searchsorted(time, reference.time)
@@ -173,10 +175,10 @@ def score(recording: Recording, reference: Reference, calibration: Calibration) 
     angle = np.arccos(np.clip(unit @ (mean / np.linalg.norm(mean)), -1.0, 1.0))
     turned = np.exp(1j * np.arctan2(world[:, 1], world[:, 0]))
     heading = np.angle(turned * np.conj(turned.mean()))
-    return Score(*(float(np.degrees(np.sqrt(np.mean(each**2)))) for each in (heading, angle)))
+    return HeadingScore(*(float(np.degrees(np.sqrt(np.mean(each**2)))) for each in (heading, angle)))
 
 
-def _coverage(task: Task, calibration: Calibration) -> Row:
+def _coverage(task: MethodOnLog, calibration: Calibration) -> Row:
     """Of the stated hard iron by the optics': components within 1.96 sigmas of both, and squared error per freedom."""
     if calibration.covariance is None:
         return {}
@@ -191,7 +193,7 @@ def _coverage(task: Task, calibration: Calibration) -> Row:
     }
 
 
-def _truth(task: Task) -> tuple[Array, Array]:
+def _truth(task: MethodOnLog) -> tuple[Array, Array]:
     """Hard iron (3,) T and covariance, by optics: the recording's own if it may judge, else the mean of those that
     may, with their scatter."""
     if task.log.judges:
