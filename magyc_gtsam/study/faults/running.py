@@ -1,11 +1,8 @@
-"""Runs the study on the engine for many, one file per recording, so that an interrupted study goes on where it was."""
+"""Runs the study on the engine for many, with a part for each row: an interrupted study goes on where it was."""
 
 from __future__ import annotations
 
-import csv
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,10 +10,9 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.engine import Row, run_many
+from magyc_gtsam.engine import DIED, Progress, Row, run_many, write_rows
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
-from magyc_gtsam.storage.whole_file import whole_file
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import OUTCOMES, FaultScore, crashed, refused, score
 from magyc_gtsam.study.faults.signals import record
@@ -77,53 +73,55 @@ def run(
     every: Sequence[Case],
     methods: Mapping[str, Method],
     workers: int = 2,
-    progress: Callable[[float], None] = lambda _: None,
-) -> list[dict[str, Any]]:
-    """One row for every case and method; what `folder` holds already is not done again.
+    progress: Progress | None = None,
+) -> list[Row]:
+    """One row for every case and method, and all of them in `folder`; what is there already is not done again.
 
     Args:
-        folder: of the parts, `parts/CASE-METHOD.json`.
+        folder: of `faults.parquet`, and of a part for each row.
         every: what to record.
         methods: {name: recording → calibration}, functions that worker processes can import.
         workers: processes.
         progress: called with the share done.
+
+    Raises:
+        MagycError: the extra `parquet` is not installed.
     """
-    parts = folder / "parts"
-    parts.mkdir(parents=True, exist_ok=True)
-    jobs = [CaseByMethod(parts, case, name, method) for case in every for name, method in methods.items()]
-    pending = {job.name: job for job in jobs if not job.part.exists()}
-    done = len(jobs) - len(pending)
-    fresh = run_many(
-        work, pending, workers=workers, progress=lambda share: progress((done + share * len(pending)) / len(jobs))
-    )
-    for name, row in fresh.items():
-        if "error" in row:  # its process died, and died again
-            _write(pending[name], crashed(RuntimeError(row["error"])))
-    return [json.loads(job.part.read_text("utf-8")) for job in jobs]
+    jobs = {job.name: job for job in (CaseByMethod(case, *by) for case in every for by in methods.items())}
+    rows = run_many(work, jobs, workers=workers, parts=folder / "parts", progress=progress)
+    for name, row in rows.items():
+        if row.get("error") == DIED:
+            rows[name] = jobs[name].row(crashed(RuntimeError(DIED)))
+    write_rows(folder / "faults.parquet", list(rows.values()))
+    return list(rows.values())
 
 
 @dataclass(frozen=True)
 class CaseByMethod:
-    """One case by one method, and the folder of its part."""
+    """One case by one method."""
 
-    parts: Path
     case: Case
     method_name: str
     method: Method
 
     @property
     def name(self) -> str:
-        """Of its unit."""
+        """Of its part."""
         return f"{self.case.name}-{self.method_name}"
 
-    @property
-    def part(self) -> Path:
-        """Its file."""
-        return self.parts / f"{self.name}.json"
+    def row(self, result: FaultScore) -> Row:
+        """What was made and what came of it; None for what is not finite."""
+        fault = FAULTS[self.case.fault]
+        made = {"size": getattr(fault, self.case.strength), "unit": fault.unit, "shows": fault.shows}
+        row = {**vars(self.case), **made, "method": self.method_name, **result.row()}
+        return {
+            key: None if isinstance(value, float) and not np.isfinite(value) else value
+            for key, value in row.items()
+        }
 
 
 def work(job: CaseByMethod) -> Row:
-    """The row of a job, which is also written to its part."""
+    """The row of a job."""
     case, fault = job.case, FAULTS[job.case.fault]
     log = record(case.motion, case.seed, fault, getattr(fault, case.strength), case.fault)
     try:
@@ -132,19 +130,7 @@ def work(job: CaseByMethod) -> Row:
         result = refused(str(problem))
     except Exception as error:  # noqa: BLE001 - counted, and the study ends with exit code 1
         result = crashed(error)
-    return _write(job, result)
-
-
-def _write(job: CaseByMethod, result: FaultScore) -> Row:
-    fault = FAULTS[job.case.fault]
-    made = {"size": getattr(fault, job.case.strength), "unit": fault.unit, "shows": fault.shows}
-    row = {**vars(job.case), **made, "method": job.method_name, **result.row()}
-    row = {
-        key: None if isinstance(value, float) and not np.isfinite(value) else value for key, value in row.items()
-    }
-    with whole_file(job.part) as file:
-        file.write_text(json.dumps(row), "utf-8")
-    return row
+    return job.row(result)
 
 
 def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
@@ -162,21 +148,3 @@ def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
         ]
         result.append(OutcomeCounts(fault, strength, motion, method, counts, *errors))
     return sorted(result, key=lambda cell: -cell.counts[OUTCOMES[0]] / sum(cell.counts.values()))
-
-
-def write(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """All rows as Parquet where pyarrow is installed, else as CSV."""
-    with suppress(ImportError):
-        import pyarrow
-        from pyarrow import parquet
-
-        path = folder / "faults.parquet"
-        with whole_file(path) as part:
-            parquet.write_table(pyarrow.Table.from_pylist([dict(row) for row in rows]), part)
-        return path
-    path = folder / "faults.csv"
-    with whole_file(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
