@@ -24,14 +24,21 @@ _LINES = 20  # of what a job said, kept
 ACTIVE = ("waiting", "running")
 
 
-def command(arguments: Sequence[str]) -> list[str]:
-    """The ordinary command line with these arguments."""
-    return [sys.executable, "-m", "magyc_gtsam.cli", *arguments]
-
-
-def environment() -> dict[str, str]:
-    """That of the server, with progress in lines."""
-    return os.environ | {"MAGYC_GTSAM_PROGRESS": "lines", "PYTHONIOENCODING": "utf-8"}
+async def started(arguments: Sequence[str], place: Path, line: int = 1 << 16) -> asyncio.subprocess.Process:
+    """The ordinary command line in a process of its own, its progress in lines of at most `line` bytes."""
+    return await asyncio.create_subprocess_exec(
+        sys.executable,
+        "-m",
+        "magyc_gtsam.cli",
+        *arguments,
+        cwd=place,
+        env=os.environ | {"MAGYC_GTSAM_PROGRESS": "lines", "PYTHONIOENCODING": "utf-8"},
+        stdin=asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        start_new_session=True,
+        limit=line,
+    )
 
 
 @dataclass
@@ -190,15 +197,7 @@ class Jobs:
         self._changed()
 
     async def _process(self, job: Job) -> None:
-        job.process = await asyncio.create_subprocess_exec(
-            *command(job.arguments),
-            cwd=self._place,
-            env=environment(),
-            stdin=asyncio.subprocess.DEVNULL,
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-            start_new_session=True,
-        )
+        job.process = await started(job.arguments, self._place)
         if job.cancelled:  # while it was being started
             _end(job.process)
         assert job.process.stdout is not None
