@@ -26,6 +26,18 @@ from magyc_gtsam.factors.chain.rotations import (
 _CHUNK = 32768  # stamps whose matrices are held at a time
 
 
+def summed_rate(time: Array, rate: Array) -> Array:
+    """(G, …) rad, rates (G, …) rad/s summed from the first stamp on by the trapezoid rule.
+
+    No attitude: the angle about an axis only where the others hardly turn, and the length of the way of a speed. For
+    what asks how much the sensor turned and not where to.
+    """
+    total = np.zeros_like(rate)
+    step = np.diff(time).reshape(-1, *[1] * (rate.ndim - 1))
+    np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step, axis=0, out=total[1:])
+    return total
+
+
 @dataclass(frozen=True, eq=False)
 class GyroscopeTrack:
     """The gyroscope integrated from its first stamp on.

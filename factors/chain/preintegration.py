@@ -31,6 +31,17 @@ _CHUNK = 32768  # samples whose matrices are held at a time
 _MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the samples next to its own
 
 
+def windows_passed(step: Array, rate: Array, turn: float, length: float) -> Array:
+    """(n − 1,) windows, in parts, that pass in steps (n − 1,) s between rates (n, 3) rad/s.
+
+    A window ends after a turn of `turn` rad, and after `length` s at the latest.
+    """
+    x, y, z = rate.T
+    speed = np.sqrt(x * x + y * y + z * z)
+    passed: Array = np.maximum(0.5 * (speed[1:] + speed[:-1]) / turn, 1 / length) * step
+    return passed
+
+
 @dataclass(frozen=True, eq=False)
 class FieldWindows:
     """n windows integrated at one bias and delay; the windows run along the last axis, contiguous.
@@ -156,10 +167,8 @@ class Preintegration:
         ended[0] = self.begun
         for first in range(0, len(time) - 1, _CHUNK):
             rows = slice(first, first + _CHUNK + 1)
-            x, y, z = self.angular_rate[rows].T
-            speed = np.sqrt(x * x + y * y + z * z)
-            share = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length)
-            ended[first + 1 : first + _CHUNK + 1] = share * np.diff(time[rows])
+            passed = windows_passed(np.diff(time[rows]), self.angular_rate[rows], self.turn, self.length)
+            ended[first + 1 : first + _CHUNK + 1] = passed
         ended[holes + 1] = 1.0
         np.cumsum(ended, out=ended)
         starts, last = [], -1

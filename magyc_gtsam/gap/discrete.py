@@ -9,6 +9,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.axes import arrangements, check
 from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.held_clock import on_own_clock
@@ -112,7 +113,7 @@ def moving(recording: Recording) -> Recording:
 def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.ndarray:
     """(n − 1,) whether the field changes more from one mean (n, 3) to the next than the gyroscope turned it."""
     when, rate = recording.gyroscope
-    turned = np.concatenate([[0.0], np.cumsum(np.linalg.norm(rate[1:], axis=1) * np.diff(when))])
+    turned = summed_rate(when, np.linalg.norm(rate, axis=1))
     # A mean reaches a second ahead of its first sample.
     turn = np.interp(time[1:] + _SECOND, when, turned) - np.interp(time[:-1], when, turned)
     change = np.linalg.norm(np.diff(mean, axis=0), axis=1)

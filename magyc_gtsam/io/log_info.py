@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.recording import Array
 
 
@@ -66,8 +67,7 @@ class LogInfo:
 
 def turned(time: Array, rate: Array) -> float:
     """rad; in steps of a second, so that the noise of the samples does not add up, nor the usual bias."""
-    angle = np.zeros_like(rate)
-    np.cumsum((rate - np.median(rate, axis=0))[1:] * np.diff(time)[:, None], axis=0, out=angle[1:])
+    angle = summed_rate(time, rate - np.median(rate, axis=0))
     seconds = np.arange(time[0], time[-1], 1.0)
     steps = np.diff([np.interp(seconds, time, column) for column in angle.T])
     return float(np.linalg.norm(steps, axis=0).sum())

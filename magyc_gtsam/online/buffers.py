@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration
+from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration, windows_passed
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 
@@ -186,9 +186,7 @@ class SampleBuffer:
         gyro, done = self._gyroscope.rows, self._measured - 1
         if done < len(gyro) - 1:
             step = np.diff(gyro[done:, 0])
-            x, y, z = gyro[done:, 1:4].T
-            speed = np.sqrt(x * x + y * y + z * z)
-            progress = np.maximum(0.5 * (speed[1:] + speed[:-1]) / self.turn, 1 / self.length) * step
+            progress = windows_passed(step, gyro[done:, 1:4], self.turn, self.length)
             progress[step > self._hole] = 2.0  # a window of its own, and parted
             gyro[done:, 4] = np.cumsum(np.concatenate([gyro[done : done + 1, 4], progress]))
             self._measured = len(gyro)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.sensor_faults.stuck import LEAST_DURATION, LEAST_SAMPLES, Stretch
@@ -85,7 +86,7 @@ class Repeats:
         if inside.stop - inside.start < LEAST_SAMPLES // 2:
             return False
         rate = rate[inside] - np.median(rate[inside], axis=0)
-        angle = np.cumsum(rate[1:] * np.diff(time[inside])[:, None], axis=0)
+        angle = summed_rate(time[inside], rate)
         return bool(np.ptp(angle, axis=0).max() > _TURNED)
 
     def state(self) -> Mapping[str, Array]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
@@ -142,8 +143,7 @@ def _pairs(recording: Recording, factor: float) -> tuple[Array, Array, Array, Ar
     seconds = np.clip(_TURN / max(speed, 1e-6), *_LAGS)
     lag = int(np.clip(round(float(seconds / np.median(np.diff(time)))), 1, (len(time) - 1) // 2))
     first = np.arange(0, len(time) - lag, max((len(time) - lag) // _PAIRS, 1))
-    angle = np.zeros((len(gyro_time), 3))
-    np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(gyro_time)[:, None], axis=0, out=angle[1:])
+    angle = summed_rate(gyro_time, rate)
     at = np.stack([np.interp(time, gyro_time, column) for column in angle.T], axis=1)
     from scipy.ndimage import uniform_filter1d
 
