@@ -48,3 +48,14 @@ def printable(text: str) -> str:
 def with_minus(text: str) -> str:
     """With a minus sign where a hyphen stands before a number."""
     return _HYPHEN.sub("−", text)
+
+
+def clauses(message: str) -> list[str]:
+    """The parts of a message between semicolons, those in brackets left whole."""
+    parts, depth, start = [], 0, 0
+    for place, character in enumerate(message):
+        depth += (character == "(") - (character == ")")
+        if character == ";" and depth <= 0:
+            parts.append(message[start:place].strip())
+            start = place + 1
+    return [part for part in (*parts, message[start:].strip()) if part]

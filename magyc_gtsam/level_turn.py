@@ -115,6 +115,12 @@ class HeadingUncertainty:
             None if not noise else _known(turn.per_sample(noise, calibration.soft_iron)),
         )
 
+    @classmethod
+    def stated(cls, calibration: Calibration) -> HeadingUncertainty:
+        """Without the recording: what the method found on it, which is the same turn and covariance."""
+        sigma = None if calibration.observability is None else calibration.observability.heading_sigma
+        return cls(None if sigma is None or not sigma < UNKNOWN_FROM else sigma, None)
+
     def to_dict(self) -> Mapping[str, float | None]:
         """JSON types, units in the names."""
         return {"systematic_deg": self.systematic, "per_sample_deg": self.per_sample}

@@ -127,7 +127,7 @@ def _stretched(vech: Array) -> Array:
 
 
 def _rest_or_move(sigma: float) -> str:
-    return "record longer, and rest for some seconds" if sigma < 1e3 else "move: nothing turned"
+    return "record longer, with some seconds at rest" if sigma < 1e3 else "move: nothing turned"
 
 
 def _axis_name(axis: Array) -> str:
@@ -155,7 +155,7 @@ def _thin(values: Array, most: int = 2000) -> Array:
 def _remedy(axis: Array, up: Array | None) -> str:
     if up is None:
         across = [n for a, n in zip(axis, "xyz", strict=True) if abs(a) < 0.6] or ["all axes"]
-        return f"turn about {' and '.join(across)}, by 30° or more"
+        return f"turn about {' and '.join(across)} by 30° or more"
     along = abs(float(axis @ up))
     if along > 0.8:
         return "pitch or roll by 20° or more while turning"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.field_jumps import field_jumps
+from magyc_gtsam.estimators.field_jumps import beyond_turning, field_jumps
 from magyc_gtsam.foreign_text import MOST_WORDS
 from magyc_gtsam.report.verdict import judged
 
@@ -73,6 +73,19 @@ def test_sensor_noise_is_told_from_what_the_model_does_not_explain() -> None:
     whole, noise = (np.diag(np.full(12, sigma**2)) for sigma in (0.5e-6, 0.3e-6))
     calibration = mg.Calibration(np.eye(3), np.zeros(3), np.zeros(3), whole, noise_covariance=noise)
     assert (
-        "hard iron's 1σ: sensor noise 0.3 µT, what the model does not explain 0.4 µT"
-        in judged(calibration).details
+        "hard iron ±1σ: sensor noise 0.3 µT, what the model does not explain 0.4 µT" in judged(calibration).details
     )
+
+
+@pytest.mark.parametrize(("size", "expected"), [(3e-4, True), (0.0, False)])
+def test_a_field_that_sweeps_more_than_turning_is_no_lack_of_motion(size: float, expected: bool) -> None:
+    """A magnet that is carried past slowly, so that nothing jumps."""
+    made = mg.simulate("tiny", 180, seed=1).recording
+    passing = size * np.exp(-(((made.time - 90) / 40) ** 2))
+    recording = replace(made, magnetic_field=made.magnetic_field + passing[:, None] * [0.6, 0.0, 0.8])
+    swept = beyond_turning(recording)
+    assert (swept is not None) is expected
+    failed = mg.Calibration(np.eye(3), np.zeros(3), converged=False, message="too little motion: turn")
+    reason = judged(failed, recording).reason
+    assert ("a magnet came near" in reason) is expected
+    assert len(reason.split()) <= MOST_WORDS

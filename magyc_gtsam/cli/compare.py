@@ -136,7 +136,12 @@ def _show(comparison: Comparison, name: str, folder: Path) -> None:
     show(words.judged_comparison(comparison).sentence)
     show(f"{name}: {recording.duration:.1f} s, {len(comparison.inlier):,} magnetometer samples", "")
     show_table(words.short_header(comparison), words.short_rows(comparison))
-    show("", *words.footnotes(comparison), "Uncertainties, soft iron and gyroscope bias are on the page.", "")
+    show(
+        "",
+        *words.footnotes(comparison),
+        "Uncertainties, soft iron, gyroscope bias and all reasons are on the page.",
+        "",
+    )
     show(*(spelled(remark) for remark in words.remarks(comparison)))
     show(
         *(f"note: {note}" for note in recording.notes),

@@ -128,7 +128,7 @@ def show_calibration(calibration: Calibration) -> None:
     show("", *(f"{name}: {values[0]}" for name, values in rows if len(values) == 1))
     disturbed = calibration.diagnostics.get("disturbed") or []
     if disturbed:
-        longest = ", ".join(stretch((start, end)) for start, end in disturbed[:5])
+        longest = ", ".join(stretch((start, end)) for start, end in sorted(disturbed[:5]))
         show(f"disturbed, and weighed down: {longest}{' and more' if len(disturbed) > 5 else ''}")
     show(*(f"left out: {where}" for where in calibration.diagnostics.get("left_out", ())))
 

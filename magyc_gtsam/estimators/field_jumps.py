@@ -14,6 +14,7 @@ import numpy as np
 from magyc_gtsam.estimators.hard_iron.turning import turning_field
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.checks import EARTH_FIELD
 
 _BIN = 0.25  # s
 _LEAST = 0.2  # of the field's median strength: a change of this size spoils a calibration
@@ -21,6 +22,8 @@ _OUTSTANDING = 8.0  # times the spread of what is left elsewhere
 _MOST = 4  # jumps; a field that jumps more often is not one that jumps
 _LOCAL, _APART = 10.0, 1.0  # s
 _USUAL, _NOISE = 100e-6, 1e-6  # T, hard iron and the noise of a bin
+_STRETCH = 1.5  # by which a strong soft iron stretches the field along an axis
+_FEW = 0.5  # % of the samples at either end, which may be wrong
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,16 @@ def field_jumps(recording: Recording) -> tuple[FieldJump, ...]:
         return ()
     peaks = [group[np.argmax(left[group])] for group in groups]
     return tuple(FieldJump(float(middle[k] - recording.time[0]), float(left[k])) for k in peaks)
+
+
+def beyond_turning(recording: Recording) -> float | None:
+    """T, how far the field swept along its widest axis, where that is more than turning over in the Earth's field does.
+
+    None where turning over could be all.
+    """
+    low, high = np.percentile(recording.magnetic_field, (_FEW, 100 - _FEW), axis=0)
+    swept = float(np.max(high - low))
+    return swept if swept > 2 * _STRETCH * EARTH_FIELD[1] else None
 
 
 def _binned(time: Array, rotation: Array, field: Array) -> tuple[Array, Array, Array]:

@@ -17,6 +17,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.recording import Array, Recording
 
@@ -100,7 +101,8 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
         MagycError: the method states no covariance.
     """
     if not calibration.trusted:
-        return LogFactor(name, time, None, None, problem=calibration.message or "the calibration did not converge")
+        cause = next(iter(clauses(calibration.message)), "the calibration did not converge")
+        return LogFactor(name, time, None, None, problem=cause)
     if calibration.covariance is None:
         raise MagycError(
             f"method {calibration.method!r} states no covariance, so that logs cannot be weighed; use 'smoother'"

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 _HIGHEST_RATE = 1e6  # Hz
 OPTIONS = ("time", "time_unit", "rate", "columns")
+_USUAL_NAMES = {3: "mx,my,mz", 4: "time,mx,my,mz", 6: "mx,my,mz,gx,gy,gz"}  # of so many columns without a header
 
 
 def read(path: Path, request: Request) -> Recording:
@@ -132,21 +133,27 @@ def info(path: Path) -> LogInfo:
 
 
 def _require(table: Table, magnetometer: SensorColumns | None, time: Column | None, request: Request) -> None:
-    missing, remedies = [], []
-    if not table.columns:
-        missing.append("a header with column names")
-        remedies.append(f"name its {table.width} columns (columns='time,mx,my,mz,gx,gy,gz' or alike)")
-    elif magnetometer is None:
-        missing.append(f"magnetometer columns among {listed([c.written for c in table.columns])}")
-        remedies.append("name them (magnetic_field='x,y,z')")
-    if time is None and request.options.get("rate") is None:
-        missing.append("a column of time stamps")
-        remedies.append("name it (time=), or give the rate in Hz (rate=)")
-    if time is not None and request.options.get("rate") is not None:
+    rate = request.options.get("rate")
+    if time is not None and rate is not None:
         raise MagycError(f"rate: {table.path} has the time stamps of {time.written}; leave the rate out")
-    if missing:
-        verb = "are" if len(missing) > 1 else "is"
-        raise MagycError(f"{table.path}: {' and '.join(missing)} {verb} missing; {', and '.join(remedies)}")
+    if not table.columns:
+        names = _USUAL_NAMES.get(table.width, "time,mx,my,mz,gx,gy,gz")
+        clock = "" if rate is not None else ", and the rate in Hz (rate=) where none of them is a time"
+        raise MagycError(
+            f"{table.path}: {table.width} columns of numbers without a header; name the columns in their order "
+            f"(columns='{names}' or alike){clock}"
+        )
+    unclocked = time is None and rate is None
+    if magnetometer is None:
+        clock = ", and the column of time stamps (time=) or the rate in Hz (rate=)" if unclocked else ""
+        raise MagycError(
+            f"{table.path}: no magnetometer among the columns {listed([c.written for c in table.columns])}; name its "
+            f"three columns (magnetic_field='x,y,z'){clock}"
+        )
+    if unclocked:
+        raise MagycError(
+            f"{table.path}: no column of time stamps; name it (time=), or give the rate in Hz (rate=)"
+        )
 
 
 def _read(

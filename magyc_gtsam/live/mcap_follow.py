@@ -102,7 +102,9 @@ class McapFollower:
             )
         if self._place == 0 and size >= len(MAGIC):
             if self._file.read(len(MAGIC)) != MAGIC:
-                raise MagycError(f"{self._path}: not an MCAP file")
+                raise MagycError(
+                    f"{self._path}: not an MCAP file, the only one that can be followed; for a whole log use calibrate"
+                )
             self._place = len(MAGIC)
         enough = self._place + _AT_ONCE
         while 0 < self._place < enough and not self.ended:

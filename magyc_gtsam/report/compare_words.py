@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.recording import Array
-from magyc_gtsam.report.verdict import Verdict
+from magyc_gtsam.report.verdict import Verdict, cause_and_action
 from magyc_gtsam.report.words import uncertain
 from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
@@ -203,15 +204,26 @@ def gyroscope_rows(comparison: Comparison) -> list[list[str]]:
 
 
 def remarks(comparison: Comparison) -> list[str]:
-    """A sentence for each method that is to be doubted or gave nothing, and for what only some got to see."""
+    """A sentence for each method that is to be doubted or gave nothing, its first reason; the page has them all.
+
+    And one for what only some got to see.
+    """
     sentences = [
-        f"{o.method} {o.status}: {o.reason}" for o in comparison.by_trust if o.status is not OutcomeStatus.TRUSTED
+        f"{o.method} {o.status}: {_first(o.reason)}"
+        for o in comparison.by_trust
+        if o.status is not OutcomeStatus.TRUSTED
     ]
     if comparison.not_run:
         sentences.append(f"interrupted before {', '.join(comparison.not_run)}")
     notes = dict.fromkeys(o.note for o in comparison.outcomes if o.note)
     shared = {note: ", ".join(o.method for o in comparison.outcomes if o.note == note) for note in notes}
     return sentences + [f"{names}: {note}" for note, names in shared.items()]
+
+
+def _first(reason: str) -> str:
+    """The first of the reasons, in at most 30 words."""
+    first = next(iter(clauses(reason)), "no reason given")
+    return ": ".join(part for part in cause_and_action(first) if part)
 
 
 def footnotes(comparison: Comparison) -> list[str]:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magyc_gtsam.foreign_text import MOST_WORDS
+from magyc_gtsam.foreign_text import MOST_WORDS, clauses
 from magyc_gtsam.gap.doubt import Doubt, with_doubt
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.result import Effect, Gap, Metrics, Moved
-from magyc_gtsam.report.verdict import Verdict, clauses
+from magyc_gtsam.report.verdict import Verdict
 
 _WORSE = 0.005  # nats per window, by which what was found may make another recording worse
 _BETTER = 0.98  # prediction with the correction over that without, below which the correction helps there

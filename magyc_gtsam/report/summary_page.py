@@ -106,10 +106,13 @@ def judged_history(history: History) -> Verdict:
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
     scatter = f"{history.walk * 1e6:.2g} µT per square root of a {'day' if _dated(history) else 'log'}"
     between = "otherwise " if jumps else ""
+    out = len(history.contradictions)
+    left = f"; {out} more {'logs' if out > 1 else 'log'} left out" if out else ""
+    used = len(history) - out
     return Verdict(
         True,
-        worth=f"the hard iron {times}; it {between}changes by {scatter} (1σ)",
-        called=f"{len(history)} logs of one instrument" if len(history) > 1 else "1 log",
+        worth=f"the hard iron {times}; it {between}changes by {scatter} (1σ){left}",
+        called=f"{used} logs of one instrument" if used > 1 else "1 log",
     )
 
 

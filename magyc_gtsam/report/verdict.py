@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.field_jumps import field_jumps
-from magyc_gtsam.foreign_text import MOST_WORDS
+from magyc_gtsam.estimators.field_jumps import beyond_turning, field_jumps
+from magyc_gtsam.foreign_text import MOST_WORDS, clauses
 from magyc_gtsam.level_turn import HeadingUncertainty
 from magyc_gtsam.recording import Recording
 
 _STILL = 5e-6  # T, sweep of the field below which a log holds no motion
 _INTERVAL = "choose an interval without it (--start, --end)"
+_MODEL_ERROR = "what the model does not explain"
 
 
 @dataclass(frozen=True)
@@ -72,15 +73,19 @@ def judged(calibration: Calibration, recording: Recording | None = None) -> Verd
 
     Args:
         calibration: the result.
-        recording: what it was made from; without it nothing is said about heading, and no jump is looked for.
+        recording: what it was made from; without it the heading's error is the one that the method stated, that of
+            single samples is left out, and no jump is looked for.
     """
     details = _details(calibration)
     if not calibration.trusted:
         cause, action = _cause(calibration, recording)
         return Verdict(False, cause, action, worth="heading error unknown", details=details)
-    if recording is None or recording.magnetic_field_unit == "counts":
+    if recording is not None and recording.magnetic_field_unit == "counts":
         return Verdict(True, worth=calibration.message or "converged", details=details)
-    heading = HeadingUncertainty.of(recording, calibration)
+    if recording is None:
+        heading = HeadingUncertainty.stated(calibration)
+    else:
+        heading = HeadingUncertainty.of(recording, calibration)
     return Verdict(True, heading=heading, worth=_worth(calibration, heading), details=details)
 
 
@@ -120,6 +125,10 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
             times = [f"{jump.time:.0f} s" for jump in jumps]
             listed = times[0] if len(times) == 1 else f"{', '.join(times[:-1])} and {times[-1]}"
             return f"the field jumped at {listed}", f"run `magyc-gtsam gap`, or {_INTERVAL}"
+        swept = beyond_turning(recording)
+        if swept is not None:
+            size = f"the field changed by {swept * 1e6:.0f} µT, more than turning makes it"
+            return f"a magnet came near ({size})", _INTERVAL
     first = next(iter(clauses(calibration.message)), "the method did not converge")
     observability = calibration.observability
     motion = "too little motion" in first or "not observable" in first or calibration.converged
@@ -128,31 +137,22 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
         cause = f"too little motion to determine the {observability.weak[0].what}"
         if recording is not None and float(np.ptp(recording.magnetic_field, axis=0).max()) < _STILL:
             cause = "the instrument hardly moved"
-        return cause, f"{_joined(missing)}, and record again"
-    return _shortened(first)
+        return cause, _joined(missing)
+    return cause_and_action(first)
 
 
 def _joined(remedies: list[str]) -> str:
-    """One remedy for several."""
+    """One action for several remedies."""
     turn, pitch = "turn through all headings", "pitch or roll by 20° or more"
     if any(turn in remedy for remedy in remedies) and any(pitch in remedy for remedy in remedies):
-        return f"{turn}, and {pitch}"
-    return " and ".join(remedies[:2])
+        remedies = [turn, pitch]
+    *first, last = sorted(remedies[:2], key=lambda remedy: remedy.startswith("record"))
+    again = last if last.startswith("record") else f"{last}, and record again"
+    return ", ".join([*first, again])
 
 
-def clauses(message: str) -> list[str]:
-    """The parts of a message between semicolons, those in brackets left whole."""
-    parts, depth, start = [], 0, 0
-    for place, character in enumerate(message):
-        depth += (character == "(") - (character == ")")
-        if character == ";" and depth <= 0:
-            parts.append(message[start:place].strip())
-            start = place + 1
-    return [part for part in (*parts, message[start:].strip()) if part]
-
-
-def _shortened(message: str) -> tuple[str, str]:
-    """A message of the form "cause (numbers): remedy; more" without its numbers, to at most 30 words."""
+def cause_and_action(message: str) -> tuple[str, str]:
+    """A message of the form "cause (numbers): remedy" without its numbers, to at most 30 words."""
     cause, _, action = message.partition(": ")
     if len(f"{cause} {action}".split()) > MOST_WORDS:
         cause = _without_brackets(cause)
@@ -184,12 +184,13 @@ def cut_to_words(text: str, words: int) -> str:
 def _details(calibration: Calibration) -> tuple[str, ...]:
     sentences = clauses(calibration.message)
     parts = parts_of_sigma(calibration)
-    if parts is not None:
+    if parts is not None and calibration.trusted and _MODEL_ERROR not in calibration.message:
         noise, model = (f"{value * 1e6:.2g} µT" for value in parts)
-        sentences.append(f"hard iron's 1σ: sensor noise {noise}, what the model does not explain {model}")
+        sentences.append(f"hard iron ±1σ: sensor noise {noise}, {_MODEL_ERROR} {model}")
     observability = calibration.observability
     if observability is None:
         sentences.append("the method does not say whether the motion was sufficient: judge by the figures")
     else:
-        sentences += [weakness.sentence for weakness in observability.weak]
+        weak = [weakness.sentence for weakness in observability.weak]
+        sentences += [sentence for sentence in weak if sentence not in calibration.message]
     return tuple(dict.fromkeys(sentences))

@@ -78,8 +78,7 @@ def _judged(recording: Recording, outcome: MethodOutcome, delay: float, inlier: 
 def _doubted(comparison: Comparison, outcome: MethodOutcome) -> MethodOutcome:
     """With what the others show and the method itself has not noticed."""
     doubts = [] if outcome.status is OutcomeStatus.TRUSTED else [outcome.reason]
-    before, after = comparison.raw.inlier_spread, outcome.inlier_spread
-    if before is not None and after is not None and after > _WORSE * before:
+    if _varies_more(comparison, outcome):
         doubts.append("the strength of the calibrated field varies more than that of the raw field")
     if outcome.status is OutcomeStatus.TRUSTED:
         doubts += _apart(comparison, outcome)
@@ -89,10 +88,37 @@ def _doubted(comparison: Comparison, outcome: MethodOutcome) -> MethodOutcome:
     return replace(outcome, status=status, reason="; ".join(doubts))
 
 
-def _contradictions(reference: MethodOutcome, calibration: Calibration) -> list[str]:
-    """Hard iron and gyroscope bias that are off those of the reference by many sigmas of both, and matter."""
+def _varies_more(comparison: Comparison, outcome: MethodOutcome) -> bool:
+    """Whether the calibrated field varies more than the raw one, and by more than the stated errors let it.
+
+    An error (dA, dh) of the parameters changes a reading's length by u · A⁻¹ (dA u + dh), with u its unit vector times
+    the length: the variance that it brings is known from the covariance. The fits of ellipsoids minimise this spread
+    itself, others do not, so the least spread is no sign of the least error.
+    """
+    before, after, calibration = comparison.raw.inlier_spread, outcome.inlier_spread, outcome.calibration
+    if before is None or after is None or calibration is None or after <= _WORSE * before:
+        return False
+    if calibration.covariance is None:
+        return True
+    field = calibration.corrected(comparison.recording.magnetometer.value[comparison.inlier])
+    across = (field / np.linalg.norm(field, axis=1, keepdims=True)) @ np.linalg.inv(calibration.soft_iron)
+    rows, columns = np.triu_indices(3)
+    mirrored = np.where(rows == columns, 0.0, across[:, columns] * field[:, rows])
+    slope = np.hstack([across[:, rows] * field[:, columns] + mirrored, across])
+    slope -= slope.mean(axis=0)
+    stated = float(np.einsum("na,na->", slope @ calibration.covariance[:9, :9], slope)) / len(slope)
+    return after**2 - before**2 > _MANY**2 * stated
+
+
+def _contradictions(reference: MethodOutcome, calibration: Calibration, shown: tuple[float, str]) -> list[str]:
+    """Hard iron and gyroscope bias that are off those of the reference by many sigmas of both, and matter.
+
+    Which the classic methods often are: they state what sensor noise does, or nothing, and not what their own
+    shortcomings do (a biased least-squares fit, a derivative of noisy readings, a room that is not uniform).
+    """
     assert reference.calibration is not None
     assert reference.strength is not None
+    scale, unit = shown
     doubts = []
     for name, words in (("hard_iron", "hard iron"), ("gyro_bias", "gyroscope bias")):
         here, there = getattr(calibration, name), getattr(reference.calibration, name)
@@ -104,8 +130,15 @@ def _contradictions(reference: MethodOutcome, calibration: Calibration) -> list[
         sigma = np.hypot(known, calibration.sigma.get(name, np.zeros(3)))
         off = float(np.abs((here - there) / sigma).max())
         least = _MATTERS[name] * (reference.strength if name == "hard_iron" else 1.0)
-        if off > _MANY and float(np.linalg.norm(here - there)) > least:
-            doubts.append(f"its {words} contradicts that of {reference.method} by {off:.0f} sigmas")
+        apart = float(np.linalg.norm(here - there))
+        if off > _MANY and apart > least:
+            size = f"{apart * scale:.2g} {unit}" if name == "hard_iron" else f"{apart * 1e3:.2g} mrad/s"
+            narrow = (
+                f"{off:.0f} sigmas of both: its own sigma is too narrow"
+                if name in calibration.sigma
+                else f"{off:.0f} of the latter's sigmas, and it states none"
+            )
+            doubts.append(f"its {words} is {size} from that of {reference.method}, {narrow}")
     return doubts
 
 
@@ -119,7 +152,7 @@ def _apart(comparison: Comparison, outcome: MethodOutcome) -> list[str]:
     apart = float(np.linalg.norm(outcome.calibration.hard_iron - reference.calibration.hard_iron))
     limit = HARD_IRON_LIMIT * reference.strength
     if apart <= limit:
-        return _contradictions(reference, outcome.calibration)
+        return _contradictions(reference, outcome.calibration, comparison.recording.field_shown)
     return [
         f"its hard iron is {apart * scale:.1f} {unit} from that of {reference.method} (more than the "
         f"{limit * scale:.1f} that make three degrees of heading)"

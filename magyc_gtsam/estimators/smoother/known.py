@@ -188,22 +188,23 @@ def remedies(
     strength, _ = field_strength(parameters[:6])
     matrix = typical_matrix(parameters)
     dip = () if dip_of(fit) is not None else known_dip(recording, fit)
-    ways: tuple[tuple[str, tuple[Fact, ...]], ...] = (
-        ("the place (--location, --date), whose dip this log can use", dip),
-        ("an earlier calibration of this instrument (--prior)", (matrix,)),
+    ways: tuple[tuple[str, str, tuple[Fact, ...]], ...] = (
+        ("place and date", "--location, --date", dip),
+        ("an earlier calibration of the instrument", "--prior", (matrix,)),
         (
-            "an earlier calibration and the strength of the field at the place (--prior, --location, --date)",
+            "an earlier calibration, place and date",
+            "--prior, --location, --date",
             (matrix, StrengthFact(strength, FIELD_SIGMA)),
         ),
     )
     data = fit.reduced.information[:PARAMETERS, :PARAMETERS] / factor
     found = []
-    for name, facts in ways:
+    for name, options_of, facts in ways:
         if not facts:
             continue
         information = data + quadratic(facts, parameters)[2]
         covariance = inverse_information(information, fit.free[:PARAMETERS])
         if enough(covariance):
             worst = 1e6 * np.sqrt(max(float(np.linalg.eigvalsh(covariance[6:9, 6:9])[-1]), 0.0))
-            found.append(f"{name}: hard iron ±{worst:.2g} µT")
-    return [f"or give, without another motion, {' or '.join(found)}"] if found else []
+            found.append(f"{name} ({options_of}: hard iron ±{worst:.2g} µT)")
+    return [f"this motion is enough with {', or with '.join(found)}"] if found else []

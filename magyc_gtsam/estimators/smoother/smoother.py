@@ -253,10 +253,11 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
             f"{1 - trusted:.0%} of the recording is disturbed, at most {1 - _LEAST_TRUSTED:.0%} is tolerated"
         )
     if not observability.observable:
-        x, y, z = np.ptp(fit.chain.windows.field, axis=1) * 1e6
+        swept = np.ptp(fit.chain.windows.field, axis=1) * 1e6
+        along = ", ".join(f"{value:.0f}" for value in swept)
+        much = "; turning over sweeps some 90 along each" if swept.min() < 90 else ""
         reasons.append(
-            f"too little motion (the field swept {x:.0f}, {y:.0f}, {z:.0f} µT along x, y, z; turning over sweeps "
-            f"some 90 along each): {observability.weak[0].sentence}"
+            f"too little motion (the field swept {along} µT along x, y, z{much}): {observability.weak[0].sentence}"
         )
     if rival is not None:
         other = rival.state.parameters[6:9] * 1e6
