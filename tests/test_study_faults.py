@@ -96,7 +96,7 @@ def wrong(recording: Recording) -> mg.Calibration:
 
 
 def test_it_runs_in_processes_and_goes_on_where_it_was(tmp_path: Path) -> None:
-    every = running.cases(["clean", "lost-samples"], ["wide"], 2)
+    every = running.cases(["clean", "lost-samples"], ["wide"], range(2))
     assert len(every) == 2 + 4
     shares: list[float] = []
     rows = running.run(tmp_path, every, {"a": seen, "b": wrong}, 2, shares.append)
@@ -119,7 +119,7 @@ def test_it_runs_in_processes_and_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(mg.MagycError, match="fault: 'nothing' is none of clean, one-sided-spikes, "):
-        running.cases(["nothing"], ["wide"], 1)
+        running.cases(["nothing"], ["wide"], range(1))
 
 
 def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

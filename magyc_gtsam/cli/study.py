@@ -90,6 +90,7 @@ def run(
     by: Annotated[
         list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
     ] = None,
+    first_seed: Annotated[int, typer.Option(min=0, help="efficiency, faults: of the first recording.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes, of all but efficiency and gap.")] = 2,
     engine: Annotated[
         str,
@@ -130,7 +131,7 @@ def run(
     """Run a study and print its table."""
     noise = gyroscope_noise * 1e-3
     if study is Study.EFFICIENCY:
-        _efficiency(runs, disturbed, noise)
+        _efficiency(runs, disturbed, noise, first_seed)
     elif study is Study.KNOWN:
         _known(output or Path("results/known"), runs, workers)
     elif study is Study.LEADERBOARD:
@@ -144,7 +145,8 @@ def run(
     elif study is Study.FAULTS:
         from magyc_gtsam.cli.study_faults import faults
 
-        return faults(output or Path("results/faults"), runs, motion, fault or (), by or (), workers)
+        seeds = range(first_seed, first_seed + runs)
+        return faults(output or Path("results/faults"), seeds, motion, fault or (), by or (), workers)
     elif study is Study.GAP_STRENGTHS:
         from magyc_gtsam.cli.study_gap import strengths
 
@@ -170,32 +172,39 @@ def run(
     return 0
 
 
-def _efficiency(runs: int, disturbed: float, gyroscope_noise: float) -> None:
+def _efficiency(runs: int, disturbed: float, gyroscope_noise: float, first_seed: int) -> None:
+    from functools import partial
+
+    from magyc_gtsam.estimators import calibrate
     from magyc_gtsam.simulation import AMPLITUDES
     from magyc_gtsam.study.efficiency import BLOCKS, efficiency
 
     rows = []
     with stages() as stage:
         for motion in AMPLITUDES:
-            result = efficiency(
-                motion,
-                runs,
-                disturbed=disturbed,
-                gyroscope_noise=gyroscope_noise,
-                progress=stage(f"{motion}, {runs} runs"),
-            )
-            low, high = result.band
-            rows.append(
-                [
+            for known, method in (("", calibrate), (", aligned", partial(calibrate, misalignment=0))):
+                result = efficiency(
                     motion,
-                    *(f"{result.ratio[block]:.3f}" for block in BLOCKS),
-                    f"{result.rmse['hard iron'] * 1e9:.0f}",
-                    f"{result.nees:.2f}",
-                    f"{low:.2f} to {high:.2f}",
-                    f"{result.refused}",
-                ]
-            )
+                    runs,
+                    disturbed=disturbed,
+                    gyroscope_noise=gyroscope_noise,
+                    method=method,
+                    first_seed=first_seed,
+                    progress=stage(f"{motion}{known}, {runs} runs"),
+                )
+                low, high = result.band
+                rows.append(
+                    [
+                        motion + known,
+                        *(f"{result.ratio[block]:.3f}" for block in BLOCKS),
+                        f"{result.rmse['hard iron'] * 1e9:.0f}",
+                        f"{result.nees:.2f}",
+                        f"{low:.2f} to {high:.2f}",
+                        f"{result.refused}",
+                    ]
+                )
     show_table(["RMSE / bound", *BLOCKS, "hard iron nT", "NEES", "95 % band", "refused"], rows)
+    show("aligned: the chips are known to be aligned (misalignment=0)", "")
 
 
 def _known(folder: Path, runs: int, workers: int) -> None:

@@ -57,7 +57,7 @@ METHODS = {"batch": batch, "online": online, "gap": gap}
 
 def faults(
     folder: Path,
-    seeds: int,
+    seeds: Sequence[int],
     motions: Sequence[str] | None,
     names: Sequence[str],
     methods: Sequence[str],

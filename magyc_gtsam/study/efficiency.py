@@ -69,19 +69,21 @@ def efficiency(
     gyroscope_noise: float = 5e-3,
     disturbed: float = 0.0,
     method: Callable[[Recording], Calibration] = calibrate,
+    first_seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Efficiency:
-    """Calibrate `runs` recordings, seeds 0 to runs − 1, and compare with the bound of the clean data.
+    """Calibrate `runs` recordings, of `first_seed` and the next seeds, and compare with the bound of the clean data.
 
     Args:
         motion: as `simulate`.
         runs, duration, rate, gyroscope_noise: of the simulation; s, Hz, rad/s.
         disturbed: share of all one-second stretches to which up to 50 µT are added.
         method: recording → calibration with covariance.
+        first_seed: of the first recording.
         progress: called with the share done.
     """
     deviations, bounds, consistency, refused = [], [], [], 0
-    for seed in range(runs):
+    for seed in range(first_seed, first_seed + runs):
         simulation = simulate(motion, duration, rate, seed, gyroscope_noise=gyroscope_noise)
         recording = disturb(simulation.recording, disturbed, seed=seed) if disturbed else simulation.recording
         estimate = method(recording)
@@ -92,7 +94,7 @@ def efficiency(
         if estimate.covariance is not None:
             consistency.append(nees(deviation, estimate.covariance))
         if progress:
-            progress((seed + 1) / runs)
+            progress((seed + 1 - first_seed) / runs)
     square, bound = np.mean(np.square(deviations), axis=0), np.mean(bounds, axis=0)
     half = 1.96 * np.sqrt(2 * FREEDOMS / runs)
     return Efficiency(

@@ -143,11 +143,11 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
     """
     if known is None and len(fit.state.parameters) == PARAMETERS and dip_of(fit) is None:
         skew = asked(fit, prior)
-        if skew.evidence <= prior.tested:
+        if skew.probability <= prior.tested:
             return fit.saying(skew)
     wide = widened(fit, prior, known)
     skew = skew_of(wide, prior, 1.0)
-    if skew.evidence > prior.tested:
+    if skew.probability > prior.tested:
         try:
             wide = adapted(descend(wide))
         except MagycError:  # it ran away, as where the field jumps

@@ -8,9 +8,10 @@ split into ε and the rest a, and the data's information Λ, divided by the resi
     S = Λ_εε − Λ_εa Λ_aa⁻¹ Λ_aε,   b = S ε₀ − (g_ε − Λ_εa Λ_aa⁻¹ g_a),   Q = S + 1/s²,
     ln p(data | s) / p(data | 0) = ½ bᵀ Q⁻¹ b − ½ ln |I + s² S|,   ε | s ~ N(Q⁻¹ b, Q⁻¹).
 
-Where a skew is decided, its mean over all s is taken out of the readings, in the directions that the motion resolves.
-Where not, the twelve parameters are reported as if there were none; what a skew may still be, the second moment of ε
-over all s, is carried into their covariance by da/dε = −Λ_aa⁻¹ Λ_aε, so that the stated sigmas hold either way.
+Where a skew is probable, its mean over all s is taken out of the readings, in the directions that the motion resolves;
+that is a decision, and is made with more belief in aligned chips than the covariance has (`SkewPrior.aligned`). Where
+not, the twelve parameters are reported as if there were none. Either way the second moment of ε about what was taken
+out, over all s, is carried into their covariance by da/dε = −Λ_aa⁻¹ Λ_aε, so that the stated sigmas hold.
 """
 
 from __future__ import annotations
@@ -40,23 +41,27 @@ class SkewPrior:
             motions and skews of 0 to 1.5°, a mean logarithm of the stated density no worse than others and a NEES of
             8.7 to 12.1, but 13.6 at 1.5° in a level turn. Where the motion does not show a skew no weights bring all
             sizes to 11: the room that is left for one is too much for aligned chips and too little for 1.5°.
-        evidence: nats from which a skew is decided. By the same simulation 1.4 keeps the rms heading of every cell
-            within 1.27 times the better of twelve and fifteen parameters; at 3 it was 1.52 times at 0.7° on moderate.
+        aligned: how far aligned chips are believed where a skew is to be taken out: what is taken out of aligned chips
+            adds to their error, what is left in others is in the sigma. By the same simulation 0.65 leaves the error of
+            the hard iron of aligned chips within 3 % of that with twelve parameters, and the heading of every cell
+            within 1.29 times the better of twelve and fifteen. (By a threshold of 1.4 nats: 4 %, 1.28.)
+        probable: probability, with that belief, from which it is taken out.
         resolved: rad, standard deviation of a direction of ε by the data beyond which it is left open: what is known
             worse than boards differ would be noise in the heading (a level motion knows yaw to 1.4°).
         most: rad, of a skew that is believed. Rooms whose field varies with the place show larger ones (BROAD's
             trials with translation: 3.9°).
-        tested: nats from which the chain is fitted with a skew, to decide.
+        tested: the same by the fit without a skew, from which the chain is fitted with one, to decide.
         apart: squared difference between the skews of the two halves, in their covariance, from which it is none;
             the 99.99 % point of χ² with three degrees of freedom.
     """
 
     deviations: tuple[float, ...]
     weights: tuple[float, ...]
-    evidence: float = 1.4
+    aligned: float = 0.65
+    probable: float = 0.5
     resolved: float = np.radians(0.5)
     most: float = np.radians(2.0)
-    tested: float = 0.7
+    tested: float = 0.25
     apart: float = 21.1
 
     @property
@@ -64,14 +69,22 @@ class SkewPrior:
         """rad, the largest deviation: what holds ε where the motion does not show it."""
         return max(self.deviations)
 
+    @property
+    def cautious(self) -> Array:
+        """(k,) the weights where aligned chips are believed by `aligned`; those given where none may be."""
+        weights, none = np.array(self.weights), np.array(self.deviations) == 0
+        if not none.any():
+            return weights
+        return np.where(none, self.aligned, (1 - self.aligned) * weights / weights[~none].sum())
+
 
 AUTOMATIC = SkewPrior(tuple(np.radians((0.0, 0.125, 0.25, 0.5, 1.0, 2.0))), (0.1, 0.02, 0.1, 0.3, 0.38, 0.1))
 
 
 def given(deviation: float) -> SkewPrior:
     """A skew that is estimated with a prior of this deviation in rad, whatever the evidence."""
-    never, always = np.inf, -np.inf
-    return SkewPrior((deviation,), (1.0,), evidence=always, resolved=never, most=never, tested=always, apart=never)
+    never = np.inf
+    return SkewPrior((deviation,), (1.0,), resolved=never, most=never, apart=never)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +95,7 @@ class Skew:
         value: (3,) rad, ε as reported; 0 where it was not decided.
         covariance: (3, 3) of ε about `value`.
         evidence: nats for a skew of the most likely deviation against none, in the directions that are resolved.
+        probability: that there is one, in those, as a decision believes it.
         gain: (13, 3) dθ/dε of the other parameters.
         shift: (13,) what the other parameters are to be moved by from the fit's, for `value`.
         doubt: why a skew that the data ask for is not believed; "" where there is none.
@@ -90,6 +104,7 @@ class Skew:
     value: Array
     covariance: Array
     evidence: float
+    probability: float
     gain: Array
     shift: Array
     doubt: str = ""
@@ -161,7 +176,7 @@ def skew_of(fit: Fit, prior: SkewPrior, factor: float) -> Skew:
     """
     profile = _profile(fit, factor)
     believed = _Believed.of(profile, prior)
-    if believed.best <= prior.evidence:
+    if believed.probability <= prior.probable:
         return believed.around(np.zeros(3), profile)
     doubt = _doubt(fit, believed.mean, prior, factor)
     return believed.around(np.zeros(3) if doubt else believed.resolved, profile, doubt)
@@ -181,16 +196,18 @@ def asked(fit: Fit, prior: SkewPrior) -> Skew:
 
 
 class _Believed(NamedTuple):
-    """ε under each deviation of a prior: how far that is believed (k,), mean (k, 3) and variance (k, 3) along the
-    principal axes (3, 3) of the data's information; which of these are resolved; and the nats of the likeliest against
-    none, in those."""
+    """ε under each deviation of a prior: how far that is believed (k,), by the weights and in a decision, mean (k, 3)
+    and variance (k, 3) along the principal axes (3, 3) of the data's information; which of these are resolved; and
+    the nats of the likeliest against none, and the probability that there is any, in those."""
 
     share: Array
+    decisive: Array
     angle: Array
     variance: Array
     axes: Array
     kept: np.ndarray
     best: float
+    probability: float
 
     @classmethod
     def of(cls, profile: _Profile, prior: SkewPrior) -> _Believed:
@@ -200,10 +217,12 @@ class _Believed(NamedTuple):
         before = np.square(prior.deviations)[:, None]
         variance = before / (1 + before * known)
         angle = variance * pull
-        nats = 0.5 * pull * angle - 0.5 * np.log1p(before * known)
-        every, kept = nats.sum(axis=1), known > prior.resolved**-2
-        share = np.array(prior.weights) * np.exp(every - every.max())
-        return cls(share / share.sum(), angle, variance, axes, kept, float(nats[:, kept].sum(axis=1).max()))
+        nats, kept = 0.5 * pull * angle - 0.5 * np.log1p(before * known), known > prior.resolved**-2
+        seen = nats[:, kept].sum(axis=1)
+        decisive = _normalised(prior.cautious, seen)
+        probability = float(decisive[before[:, 0] > 0].sum())
+        share = _normalised(np.array(prior.weights), nats.sum(axis=1))
+        return cls(share, decisive, angle, variance, axes, kept, float(seen.max()), probability)
 
     @property
     def mean(self) -> Array:
@@ -213,15 +232,22 @@ class _Believed(NamedTuple):
 
     @property
     def resolved(self) -> Array:
-        """(3,) the same, along the axes that are resolved."""
-        result: Array = self.axes @ np.where(self.kept, self.share @ self.angle, 0.0)
+        """(3,) what a decision takes out: the mean along the axes that are resolved."""
+        result: Array = self.axes @ np.where(self.kept, self.decisive @ self.angle, 0.0)
         return result
 
     def around(self, value: Array, profile: _Profile, doubt: str = "") -> Skew:
         """With its second moment about `value`."""
         away = self.angle @ self.axes.T - value
         second = (self.axes * (self.share @ self.variance)) @ self.axes.T + (self.share * away.T) @ away
-        return Skew(value, second, self.best, profile.gain, profile.shift + profile.gain @ value, doubt)
+        shift = profile.shift + profile.gain @ value
+        return Skew(value, second, self.best, self.probability, profile.gain, shift, doubt)
+
+
+def _normalised(weights: Array, nats: Array) -> Array:
+    share = weights * np.exp(nats - nats.max())
+    result: Array = share / share.sum()
+    return result
 
 
 def _profile(fit: Fit, factor: float) -> _Profile:

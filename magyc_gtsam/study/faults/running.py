@@ -50,7 +50,7 @@ class OutcomeCounts:
     heading: float
 
 
-def cases(names: Sequence[str], motions: Sequence[str], seeds: int) -> list[Case]:
+def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) -> list[Case]:
     """Every fault at both strengths; "clean" once.
 
     Raises:
@@ -64,7 +64,7 @@ def cases(names: Sequence[str], motions: Sequence[str], seeds: int) -> list[Case
         for name in names or FAULTS
         for strength in (STRENGTHS if FAULTS[name].weak != FAULTS[name].strong else STRENGTHS[:1])
         for motion in motions
-        for seed in range(seeds)
+        for seed in seeds
     ]
 
 
