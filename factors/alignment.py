@@ -195,13 +195,22 @@ def rotation_of(point: gtsam.Values, key: int) -> Array:
         return choose("coarse alignment", attitude, point, key)(point, key)[0].reshape(3, 3)
 
 
+def heading_axis(point: gtsam.Values, key: int) -> Array:
+    """The tangent vector of a turn by 1 rad about the world's vertical of an attitude."""
+    rotation, tangent = choose("coarse alignment", attitude, point, key)(point, key)
+    assert tangent is not None
+    axis = np.zeros(tangent.shape[1])
+    if _kind(point, key) in ("Rot2", "Pose2"):
+        axis[-1] = 1.0
+    else:
+        axis[:3] = rotation.reshape(3, 3)[2]
+    return axis
+
+
 def heading_sigma(point: gtsam.Values, key: int, covariance: Array) -> float:
     """rad, standard deviation about the vertical of an attitude whose covariance is given."""
-    rotation, tangent = choose("coarse alignment", attitude, point, key)(point, key)
-    axis = rotation.reshape(3, 3)[2]
-    if tangent is not None and tangent.shape[1] in (1, 3) and _kind(point, key) in ("Rot2", "Pose2"):
-        return float(np.sqrt(covariance[-1, -1]))
-    return float(np.sqrt(axis @ covariance[:3, :3] @ axis))
+    axis = heading_axis(point, key)
+    return float(np.sqrt(axis @ covariance @ axis))
 
 
 def _kind(point: gtsam.Values, key: int) -> str:

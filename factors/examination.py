@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gtsam
 import numpy as np
+from scipy.special import chdtrc
 
 from magyc_gtsam.factors.alignment import rotation_of
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits, free_block
 from magyc_gtsam.factors.health import BlockFit, HealthLimits, Monitor, block_fit
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
@@ -27,6 +29,7 @@ class Examiner:
 
     def __init__(self, limits: HealthLimits) -> None:
         self.monitor = Monitor(limits)
+        self.mounting = HeldMounting(MountingLimits())
         self.judged = self.quiet = 0
         self._blocks = 0
         self._held: dict[int, gtsam.NonlinearFactor] = {}
@@ -34,25 +37,35 @@ class Examiner:
     def restart(self) -> None:
         """Forget all fits, as the graph has turned."""
         self.monitor, self.judged, self.quiet = Monitor(self.monitor.limits), 0, 0
+        self.mounting = HeldMounting(self.mounting.limits)
 
     def note_priors(self, holding: list[gtsam.NonlinearFactor]) -> None:
         """Remember the priors that may hold a mounting or a delay."""
         for factor in holding:
             self._held[factor.keys()[0]] = factor
 
-    def judge(self, entered: list[Delivered], view: View) -> None:
-        """Examine the factors that have entered, unless it is quiet."""
-        for each in [] if self.quiet else entered:
-            self.judged += 1
-            self._examine(each, view)
+    def judge(self, entered: list[Delivered], view: View, delivered: list[Delivered]) -> None:
+        """Examine the factors that have entered, unless it is quiet; `delivered` are all that the solver holds."""
+        if not self.quiet:
+            for each in entered:
+                self.judged += 1
+                self._examine(each, view, self.mounting)
+            if self.mounting.due and not (self.monitor.open or self.monitor.over):
+                self._free_mounting(view, delivered)
         self.quiet = max(self.quiet - len(entered), 0)
+
+    def judge_batch(self, blocks: list[Delivered], view: View) -> None:
+        """Examine all blocks of a batch at its solution, and whether the mounting that they hold is right."""
+        for each in blocks:
+            self._examine(each, view, None)
+        self._free_mounting(view, blocks)
 
     def spans_over(self) -> list[tuple[float, float]]:
         """(first, last) s of disturbances that are over, each told once."""
         spans, self.monitor.over = self.monitor.over, []
         return spans
 
-    def _examine(self, each: Delivered, view: View) -> None:
+    def _examine(self, each: Delivered, view: View, mounting: HeldMounting | None) -> None:
         """The NIS of a block that has entered, and at times what priors hold."""
         details = each.details
         keys = list(each.factor.keys())
@@ -62,15 +75,25 @@ class Examiner:
         if covariance is None:
             return
         point = view.values(keys)
-        augmented = each.native.linearize(point).augmentedInformation()
+        block = None if mounting is None else free_block(each, point)
         zero = point.zeroVectors()
         sizes = [zero.at(key).size for key in keys]
         start = sum(sizes[: keys.index(details.hard_iron_key)])
-        unit = details.field_unit
+        unit, turn = details.field_unit, np.eye(3)
+        if block is None or mounting is None:
+            gram = each.native.linearize(point).augmentedInformation()
+        else:
+            mounting.add(block, covariance, counts=not self.monitor.open)
+            if mounting.wrong:
+                gram, covariance = mounting.considered(block, covariance)
+                point, turn = self._moved(point, keys, sizes)
+            else:
+                kept = np.r_[0 : len(covariance), len(block.gram) - 1]
+                gram = block.gram[np.ix_(kept, kept)]
         nis, freedom, scatter, offset, spread = block_fit(
-            augmented[:-1, :-1],
-            augmented[:-1, -1],
-            float(augmented[-1, -1]),
+            gram[:-1, :-1],
+            gram[:-1, -1],
+            float(gram[-1, -1]),
             covariance,
             3 * details.block.samples,
             slice(start, start + 3),
@@ -85,7 +108,7 @@ class Examiner:
                 float(np.sqrt(max(np.trace(spread), 0.0))) * unit,
                 unvech(point.atVector(details.soft_iron_key)),
                 point.atPoint3(details.hard_iron_key) * unit,
-                details.mean_turn @ _body_field(details, point),
+                turn.T @ details.mean_turn @ _body_field(details, point),
                 details.mean_field,
             )
         )
@@ -93,6 +116,21 @@ class Examiner:
         if self._blocks % _EVERY == 0:
             for key in set(keys) & set(self._held):
                 self._examine_held(view, key, details.block.time)
+
+    def _moved(self, point: gtsam.Values, keys: list[int], sizes: list[int]) -> tuple[gtsam.Values, Array]:
+        """A block's values with the mounting free, and (3, 3) by how it is turned."""
+        mean, step = self.mounting.mean, gtsam.VectorValues()
+        parts = np.split(-self.mounting.shift @ mean, np.cumsum(sizes)[:-1])
+        for key, part in zip(keys, parts, strict=True):
+            step.insert(key, part)
+        return point.retract(step), gtsam.Rot3.Expmap(mean).matrix()
+
+    def _free_mounting(self, view: View, delivered: list[Delivered]) -> None:
+        """Solve the graph with the mounting free, and say what it found."""
+        mounting = self.mounting
+        mounting.solve(view, delivered)
+        text = f"mounting {np.degrees(np.linalg.norm(mounting.mean)):.1f}° from what the blocks hold"
+        self.monitor.hold("mounting held", mounting.wrong, text, mounting.since)
 
     def _examine_held(self, view: View, key: int, time: float) -> None:
         """Whether the data have moved a mounting or a delay from its prior by more than both allow."""
@@ -110,7 +148,8 @@ class Examiner:
             text = f"mounting {np.degrees(np.linalg.norm(moved)):.1f}° from its prior"
         else:
             text = f"delay {abs(float(moved[0])) * 1e3:.1f} ms from its prior"
-        self.monitor.hold(gtsam.DefaultKeyFormatter(key), distance, int(seen.sum()), text, time)
+        moved_away = bool(seen.any() and chdtrc(int(seen.sum()), distance) < self.monitor.limits.held)
+        self.monitor.hold(gtsam.DefaultKeyFormatter(key), moved_away, text, time)
 
 
 def _body_field(details: BlockDetails, point: gtsam.Values) -> Array:

@@ -231,9 +231,9 @@ class Monitor:
         if lasted >= limits.hold:
             self._named = f"step of the hard iron of {np.linalg.norm(self._size) * 1e6:.1f} µT"
 
-    def hold(self, name: str, distance: float, freedom: int, text: str, time: float) -> None:
-        """What a variable that is held by a prior says: squared distance from the prior, and its words."""
-        if freedom and chdtrc(freedom, distance) < self.limits.held:
+    def hold(self, name: str, moved: bool, text: str, time: float) -> None:
+        """Whether something that a prior or the blocks hold is not where it is held, and the words for it."""
+        if moved:
             self._held.setdefault(name, (text, time))
             self._held[name] = (text, self._held[name][1])
         else:

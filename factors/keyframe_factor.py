@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,6 +43,9 @@ class BlockDetails:
             settles (`NativeFactors`, `runners.Incremental`).
         misfit: median whitened norm of the samples at the last evaluation, 1 where the model fits; NaN before, and
             where there is no kernel.
+        freed: makes the same factor with its mounting as the variable of a key; None where the mounting is one
+            already, or where the attitude key holds a direction.
+        delay_last: whether the last key is the delay's.
     """
 
     attitude_key: int
@@ -59,6 +62,8 @@ class BlockDetails:
     more_keys: bool
     width: float = 1.0
     misfit: float = float("nan")
+    freed: Callable[[int], gtsam.CustomFactor] | None = None
+    delay_last: bool = False
 
     @cached_property
     def field_over_noise(self) -> float:
@@ -136,6 +141,17 @@ def keyframe_field_factor(
         block.design[:, :, :3].mean(axis=0), block.field.mean(axis=0), whole_sigma,
         None if known is None else known * field_unit, field_unit, robust, bool(extra),
     )  # fmt: skip
+    if mounting_key is None and not details.on_direction:
+        details.delay_last = late
+
+        def freed(key: int) -> gtsam.CustomFactor:
+            return keyframe_field_factor(
+                attitude_key, soft_iron_key, hard_iron_key, rows, noise, gyro_bias_key=gyro_bias_key, field=field,
+                field_key=field_key, mounting_key=key, delay_key=delay_key, gyroscope_noise=gyroscope_noise,
+                robust=robust, tuning=tuning, field_unit=field_unit,
+            )  # fmt: skip
+
+        details.freed = freed
     mounted = rows.body_R_sensor
     optional = [key for key, _ in extra]
 

@@ -154,7 +154,7 @@ class NativeFactors:
         if examiner is not None and entering and self._entrance.entered:
             if len(entering) > len(fresh):
                 examiner.quiet = _QUIET
-            examiner.judge(entering, View(solver))
+            examiner.judge(entering, View(solver), self._delivered)
         return result
 
     def settle(self, solver: Solver, timestamps: Mapping[int, float] | None = None, *, rounds: int = 20) -> int:
@@ -221,7 +221,7 @@ class NativeFactors:
             self._examiner.note_priors(new.holding)
             solved = gtsam.ISAM2()
             solved.update(own, values)
-            self._examiner.judge(fresh, View(solved))
+            self._examiner.judge_batch(fresh, View(solved))
         return own, values
 
     @property

@@ -53,6 +53,20 @@ class View:
             point.insert(self.new)
         return point
 
+    def estimate(self) -> gtsam.Values:
+        """All values that the solver holds, without those of the coming update."""
+        return self.solver if isinstance(self.solver, gtsam.Values) else self.solver.calculateEstimate()
+
+    def factors(self) -> gtsam.NonlinearFactorGraph:
+        """The solver's graph, by slots; a copy."""
+        if isinstance(self.solver, gtsam.Values):
+            raise MagycError("the values of a batch have no graph")
+        if isinstance(self.solver, gtsam.IncrementalFixedLagSmoother):
+            return gtsam.NonlinearFactorGraph(self.solver.getISAM2().getFactorsUnsafe())
+        if isinstance(self.solver, gtsam.BatchFixedLagSmoother):
+            return gtsam.NonlinearFactorGraph(self.solver.getFactors())
+        return gtsam.NonlinearFactorGraph(self.solver.getFactorsUnsafe())
+
     def covariance(self, keys: Sequence[int]) -> Array | None:
         """Joint covariance of keys that the solver holds, in their order; None where it cannot be had."""
         if isinstance(self.solver, gtsam.Values):

@@ -1,0 +1,201 @@
+"""Whether the mounting that blocks hold is the right one, without making it a variable of the graph.
+
+Where the true mounting is ᵇRₛ Exp(θ) and the graph holds ᵇRₛ, its estimate is off by D θ, and the innovation of a
+block with the Jacobians J on its keys and M on the mounting has the mean −G θ, G = M − J D. With the residual
+r = S⁻¹ν at the estimate that holds the block, and the covariance P of its keys there, score and information of θ are
+
+    −Gᵀ r    and    Gᵀ S⁻¹ G = Gᵀ G − (Jᵀ G)ᵀ P (Jᵀ G),    and D grows by P Jᵀ G
+
+(the generalised likelihood ratio of Willsky and Jones, 1976). Innovations are independent, so both may be summed over
+blocks whatever D is: where it is only nearly right, the test loses power and stays valid. With a prior on θ they give
+the evidence for a turned mounting, which exceeds 1/α at any time with a probability of at most α where the mounting is
+right (Ville's inequality). Where it says "perhaps", the graph is solved once with the mounting free, which is exact.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from magyc_gtsam.factors.alignment import heading_axis
+from magyc_gtsam.factors.delivered import Delivered
+from magyc_gtsam.factors.solver import View
+from magyc_gtsam.factors.variables import Array
+
+_MOUNTING = gtsam.symbol("~", 2**56 - 2)  # a key that no graph has
+
+
+@dataclass(frozen=True)
+class MountingLimits:
+    """When a held mounting counts as wrong.
+
+    Attributes:
+        prior: rad, standard deviation of each angle of θ, of which the evidence is against 0.
+        excess: factor by which squared innovations may exceed their expectation for a model that is nearly right.
+        perhaps: evidence from which the graph is solved with the mounting free.
+        evidence: evidence of that solution from which the mounting is wrong.
+        least: rad, smallest turn that is named.
+        growth: of the number of blocks between two solutions.
+    """
+
+    prior: float = math.radians(2.0)
+    excess: float = 1.3
+    perhaps: float = 10.0
+    evidence: float = 1e5
+    least: float = math.radians(1.0)
+    growth: float = 1.25
+
+
+@dataclass(frozen=True, eq=False)
+class FreeBlock:
+    """A block linearised with its mounting free.
+
+    Attributes:
+        gram: (p + 4, p + 4) products of the columns of [J M −r].
+        axis: (columns of the attitude,) its tangent vector of a turn about the world's vertical.
+    """
+
+    gram: Array
+    axis: Array
+
+
+def free_block(each: Delivered, point: gtsam.Values) -> FreeBlock | None:
+    """A block with its mounting free; None where that is a variable already, or the block has no attitude."""
+    details = each.details
+    if details is None or details.freed is None:
+        return None
+    gram = _free_factor(each, point).augmentedInformation()
+    if details.delay_last:  # behind the mounting
+        last = len(gram) - 1
+        order = np.r_[0 : last - 4, last - 1, last - 4 : last - 1, last]
+        gram = gram[np.ix_(order, order)]
+    return FreeBlock(gram, heading_axis(point, details.attitude_key))
+
+
+class HeldMounting:
+    """The evidence for a turned mounting, block by block.
+
+    Attributes:
+        blocks: number of blocks so far.
+        wrong: whether a solution with the mounting free has said so.
+        since: s, time of the block after which it first did; NaN before.
+        shift: (p, 3) D of the last block's keys.
+    """
+
+    def __init__(self, limits: MountingLimits) -> None:
+        self.limits = limits
+        self.blocks, self.wrong, self.since = 0, False, math.nan
+        self.shift: Array = np.zeros((0, 3))
+        self._axis: Array = np.zeros(0)
+        self._information, self._score = np.zeros((3, 3)), np.zeros(3)
+        self._next = 0.0
+
+    def add(self, block: FreeBlock, covariance: Array, *, counts: bool) -> None:
+        """One more block.
+
+        Args:
+            block: at the estimate that holds it.
+            covariance: (p, p) of its keys there.
+            counts: whether it is evidence; one that something else disturbs only moves the graph.
+        """
+        p, gram = len(covariance), block.gram
+        shift = self._carried(block.axis, p)
+        on_keys, crossed = gram[:p, :p], gram[:p, p : p + 3]
+        pulled = crossed - on_keys @ shift  # Jᵀ G
+        if counts:
+            square = gram[p : p + 3, p : p + 3] - shift.T @ crossed - pulled.T @ shift  # Gᵀ G
+            self._information = self._information + square - pulled.T @ covariance @ pulled
+            self._score = self._score + gram[p : p + 3, -1] - shift.T @ gram[:p, -1]
+        self.shift, self._axis = shift + covariance @ pulled, block.axis
+        self.blocks += 1
+
+    def _carried(self, axis: Array, columns: int) -> Array:
+        """D of the next block's keys before it: of the attitude the turn about the vertical, of the others as it is."""
+        if len(self.shift) != columns:
+            return np.zeros((columns, 3))
+        shift, attitude = self.shift.copy(), len(axis)
+        shift[:attitude] = np.outer(axis, self._axis @ self.shift[:attitude])
+        return shift
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) of θ, given all blocks and its prior."""
+        return np.asarray(np.linalg.inv(self._information + np.eye(3) / self.limits.prior**2))
+
+    @property
+    def mean(self) -> Array:
+        """(3,) rad, θ, given all blocks and its prior."""
+        return np.asarray(self.covariance @ self._score)
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of how much more probable the blocks are with θ from its prior than with θ = 0."""
+        limits = self.limits
+        information = np.eye(3) + limits.prior**2 * self._information / limits.excess
+        score = limits.prior * self._score / limits.excess
+        gained = 0.5 * float(score @ np.linalg.solve(information, score))
+        return gained - 0.5 * float(np.linalg.slogdet(information)[1])
+
+    @property
+    def due(self) -> bool:
+        """Whether to solve the graph with the mounting free."""
+        return self.blocks >= self._next and (self.wrong or self.evidence > math.log(self.limits.perhaps))
+
+    def solve(self, view: View, delivered: Sequence[Delivered]) -> None:
+        """Solve the graph with the mounting free.
+
+        Args:
+            view: of the solver.
+            delivered: all factors that stand in it as quadratics, oldest first.
+        """
+        self._next = self.limits.growth * self.blocks
+        blocks = [each for each in delivered if each.details is not None and each.details.freed is not None]
+        if not blocks:
+            return
+        graph, values, prior, last = view.factors(), view.estimate(), self.limits.prior, blocks[-1]
+        for each in blocks:
+            graph.remove(each.slot)
+        free = graph.linearize(values)
+        for each in blocks:
+            free.push_back(_free_factor(each, values))
+        free.add(_MOUNTING, np.eye(3) / prior, np.zeros(3), gtsam.noiseModel.Unit.Create(3))
+        try:
+            solution = free.optimize()
+            marginals = gtsam.Marginals(free, solution)
+            joint = marginals.jointMarginalCovariance([*last.factor.keys(), _MOUNTING]).fullMatrix()
+        except RuntimeError:  # not determined
+            return
+        mean, information = solution.at(_MOUNTING), np.linalg.inv(joint[-3:, -3:])
+        self._information, self._score = information - np.eye(3) / prior**2, information @ mean
+        self.shift = -joint[:-3, -3:] @ information
+        assert last.details is not None
+        self._axis = heading_axis(values, last.details.attitude_key)
+        certain = self.evidence > math.log(self.limits.evidence)
+        self.wrong = certain and bool(np.linalg.norm(mean) > self.limits.least)
+        if self.wrong != math.isfinite(self.since):
+            self.since = last.details.block.time if self.wrong else math.nan
+
+    def considered(self, block: FreeBlock, covariance: Array) -> tuple[Array, Array]:
+        """The products of the columns of [J M −r] at the estimate with the mounting at its mean, and the covariance.
+
+        Of the last block added: (p + 4, p + 4), and (p + 3, p + 3) of its keys and θ.
+        """
+        p, mean, spread, shift = len(covariance), self.mean, self.covariance, self.shift
+        turn = np.eye(p + 4)
+        turn[:p, -1], turn[p : p + 3, -1] = shift @ mean, -mean
+        crossed = -shift @ spread
+        return turn.T @ block.gram @ turn, np.block([[covariance - crossed @ shift.T, crossed], [crossed.T, spread]])
+
+
+def _free_factor(each: Delivered, point: gtsam.Values) -> gtsam.GaussianFactor:
+    """The block's linearisation at the mounting that it holds, with that as one more variable."""
+    details = each.details
+    assert details is not None
+    assert details.freed is not None
+    free = point.extract(list(each.factor.keys()))
+    free.insert(_MOUNTING, gtsam.Rot3(details.block.body_R_sensor))
+    return details.freed(_MOUNTING).linearize(free)
