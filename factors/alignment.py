@@ -197,13 +197,16 @@ def rotation_of(point: gtsam.Values, key: int) -> Array:
 
 def heading_axis(point: gtsam.Values, key: int) -> Array:
     """The tangent vector of a turn by 1 rad about the world's vertical of an attitude."""
-    rotation, tangent = choose("coarse alignment", attitude, point, key)(point, key)
-    assert tangent is not None
-    axis = np.zeros(tangent.shape[1])
-    if _kind(point, key) in ("Rot2", "Pose2"):
-        axis[-1] = 1.0
-    else:
-        axis[:3] = rotation.reshape(3, 3)[2]
+    try:
+        rotation, columns = point.atPose3(key).rotation().matrix(), 6  # the usual case
+    except RuntimeError:
+        rotation, tangent = choose("coarse alignment", attitude, point, key)(point, key)
+        assert tangent is not None
+        columns = tangent.shape[1]
+        if _kind(point, key) in ("Rot2", "Pose2"):
+            return np.eye(columns)[-1]
+    axis = np.zeros(columns)
+    axis[:3] = rotation.reshape(3, 3)[2]
     return axis
 
 

@@ -40,6 +40,35 @@ class _Place:
         return math.sqrt(0.5 * float(np.vdot(turned, turned))), math.sqrt(float(np.vdot(soft_iron, soft_iron)))
 
 
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """A held mounting's part of a linearisation [J M −r].
+
+    Attributes:
+        point: where it was made.
+        crossed, square, gradient: (p, 3) JᵀM, (3, 3) MᵀM, (3,) −Mᵀr.
+    """
+
+    point: gtsam.Values
+    crossed: Array
+    square: Array
+    gradient: Array
+
+    def joined(self, plain: Array, keys: list[int], point: gtsam.Values) -> Array:
+        """(p + 4, p + 4) products of all columns, from (p + 1, p + 1) of [J −r] at `point`."""
+        moved = self.point.localCoordinates(point)
+        step = np.concatenate([moved.at(key) for key in keys])
+        gradient = self.gradient - self.crossed.T @ step
+        p = len(step)
+        result = np.empty((p + 4, p + 4))
+        result[:p, :p], result[:p, -1], result[-1, :p] = plain[:p, :p], plain[:p, -1], plain[-1, :p]
+        result[:p, p : p + 3], result[p : p + 3, :p] = self.crossed, self.crossed.T
+        result[-1, -1] = plain[-1, -1]
+        result[p : p + 3, p : p + 3] = self.square
+        result[p : p + 3, -1] = result[-1, p : p + 3] = gradient
+        return result
+
+
 @dataclass(eq=False)
 class Delivered:
     """A Python factor, the quadratic that stands for it, and the quadratic's slot in the solver's graph."""
@@ -49,6 +78,7 @@ class Delivered:
     native: gtsam.NonlinearFactor
     slot: int = -1
     place: _Place | None = None  # where it was made, or looked at last
+    beside: _Beside | None = None  # of the native one
 
     @property
     def is_block(self) -> bool:
@@ -58,7 +88,24 @@ class Delivered:
     def make(self, view: View) -> None:
         """The quadratic at the present estimate."""
         point = view.values(self.factor.keys())
-        self.native, self.place = native_factor(self.factor, point), _place_of(self.details, point)
+        self._make(self.factor.linearize(point), point)
+        self.place = _place_of(self.details, point)
+
+    def _make(self, linear: gtsam.JacobianFactor, point: gtsam.Values) -> None:
+        self.native = gtsam.LinearContainerFactor(_square_root(linear), point)
+        self.beside = None if self.details is None else _beside(linear, point, self.details)
+
+    def products(self, point: gtsam.Values) -> tuple[Array, Array | None]:
+        """Products of the columns of [J −r] of the native factor, and of [J M −r] where the mounting M is held."""
+        linear = self.native.linearize(point)
+        plain: Array = linear.augmentedInformation()
+        if self.details is None:
+            return plain, None
+        if self.native is self.factor:
+            beside = _beside(linear, point, self.details)
+        else:
+            beside = self.beside
+        return plain, None if beside is None else beside.joined(plain, self.factor.keys(), point)
 
     def renew(self, view: View, tolerance: float) -> float:
         """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was."""
@@ -73,11 +120,11 @@ class Delivered:
             shift = place.shift + lost * details.field_over_noise
             if shift < tolerance:
                 return shift
-        exact = _square_root(self.factor, point)
+        exact = self.factor.linearize(point)
         shift = _shift(exact, self.native.linearize(point))
         self.place = _place_of(details, point)
         if shift > tolerance:
-            self.native = gtsam.LinearContainerFactor(exact, point)
+            self._make(exact, point)
         elif place is not None and self.place is not None:
             self.place = replace(self.place, shift=shift, angle=place.angle + angle, iron=place.iron + iron)
         return shift
@@ -88,7 +135,7 @@ def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.L
 
     Of a `field_chain_factor` at its solution it is the whole log's marginal, a prior for the next mission.
     """
-    return gtsam.LinearContainerFactor(_square_root(factor, point), point)
+    return gtsam.LinearContainerFactor(_square_root(factor.linearize(point)), point)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,12 +160,14 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
     own: list[int] = []
     for i in range(graph.size()):
         factor = graph.at(i)
-        if isinstance(factor, _HOLDING):
+        kind = type(factor)
+        if kind is gtsam.CustomFactor:
+            details = factor_details(factor)
+            if details is not None:
+                own.append(i)
+                fresh.append(Delivered(factor, details if isinstance(details, BlockDetails) else None, factor))
+        elif kind in _HOLDING:
             holding.append(factor)
-        details = factor_details(factor)
-        if details is not None:
-            own.append(i)
-            fresh.append(Delivered(factor, details if isinstance(details, BlockDetails) else None, factor))
     if not fresh:
         return Sorted(graph, fresh, holding)
     others = gtsam.NonlinearFactorGraph()
@@ -135,9 +184,18 @@ def _place_of(details: BlockDetails | None, point: gtsam.Values) -> _Place | Non
     return _Place(rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key))
 
 
-def _square_root(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.JacobianFactor:
-    """The factor's linearisation in as few rows as its keys have columns, and one for the rest."""
-    return gtsam.JacobianFactor(gtsam.HessianFactor(factor.linearize(point)))
+def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:
+    """The same in as few rows as its keys have columns, and one for the rest."""
+    return gtsam.JacobianFactor(gtsam.HessianFactor(linear))
+
+
+def _beside(linear: gtsam.JacobianFactor, point: gtsam.Values, details: BlockDetails) -> _Beside | None:
+    """The mounting's part of a block that has been linearised just now."""
+    turned = details.on_mounting
+    if turned is None:
+        return None
+    jacobian, right = linear.jacobian()
+    return _Beside(point.extract(list(linear.keys())), jacobian.T @ turned, turned.T @ turned, turned.T @ right)
 
 
 def _shift(exact: gtsam.GaussianFactor, stale: gtsam.GaussianFactor) -> float:

@@ -6,10 +6,10 @@ import gtsam
 import numpy as np
 from scipy.special import chdtrc
 
-from magyc_gtsam.factors.alignment import rotation_of
+from magyc_gtsam.factors.alignment import heading_axis, rotation_of
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.delivered import Delivered
-from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits, free_block
+from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.health import BlockFit, HealthLimits, Monitor, block_fit
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
@@ -75,21 +75,17 @@ class Examiner:
         if covariance is None:
             return
         point = view.values(keys)
-        block = None if mounting is None else free_block(each, point)
+        gram, free = each.products(point)
         zero = point.zeroVectors()
         sizes = [zero.at(key).size for key in keys]
         start = sum(sizes[: keys.index(details.hard_iron_key)])
         unit, turn = details.field_unit, np.eye(3)
-        if block is None or mounting is None:
-            gram = each.native.linearize(point).augmentedInformation()
-        else:
-            mounting.add(block, covariance, counts=not self.monitor.open)
+        if free is not None and mounting is not None:
+            axis = heading_axis(point, details.attitude_key)
+            mounting.add(free, axis, covariance, counts=not self.monitor.open)
             if mounting.wrong:
-                gram, covariance = mounting.considered(block, covariance)
+                gram, covariance = mounting.considered(free, covariance)
                 point, turn = self._moved(point, keys, sizes)
-            else:
-                kept = np.r_[0 : len(covariance), len(block.gram) - 1]
-                gram = block.gram[np.ix_(kept, kept)]
         nis, freedom, scatter, offset, spread = block_fit(
             gram[:-1, :-1],
             gram[:-1, -1],

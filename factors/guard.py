@@ -89,7 +89,7 @@ def custom_factor(
         arguments, tangents = [], []
         for i, key in enumerate(keys):
             value, tangent = read(i, values)
-            _check(name, f"variable {key_name(key)}", value, value.shape)
+            _check(name, "variable", value, value.shape, key)
             arguments.append(value)
             tangents.append(tangent)
         residual, derivatives = error(*arguments, jacobians is not None)
@@ -98,7 +98,7 @@ def custom_factor(
             if len(derivatives) != len(keys):
                 raise MagycError(f"{name}: {len(derivatives)} Jacobians for {len(keys)} keys")
             for i, (derivative, tangent) in enumerate(zip(derivatives, tangents, strict=True)):
-                _check(name, f"Jacobian on {key_name(keys[i])}", derivative, (rows, len(arguments[i])))
+                _check(name, "Jacobian on", derivative, (rows, len(arguments[i])), keys[i])
                 jacobians[i] = derivative if tangent is None else derivative @ tangent
         return residual
 
@@ -156,10 +156,14 @@ def measured(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Arra
     return array
 
 
-def _check(name: str, what: str, array: Array, shape: tuple[int, ...]) -> None:
-    if not isinstance(array, np.ndarray) or array.dtype != np.float64 or array.shape != shape:
+def _check(name: str, what: str, array: Array, shape: tuple[int, ...], key: int | None = None) -> None:
+    right = isinstance(array, np.ndarray) and array.dtype == np.float64 and array.shape == shape
+    if right and np.isfinite(array).all():
+        return
+    if key is not None:
+        what = f"{what} {key_name(key)}"
+    if not right:
         found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
         raise MagycError(f"{name}: {what} is {found}, expected float64 {shape}")
-    if not np.isfinite(array).all():
-        place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise NonFiniteError(f"{name}: {what} is {array[place]} at {place}")
+    place = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+    raise NonFiniteError(f"{name}: {what} is {array[place]} at {place}")

@@ -50,32 +50,6 @@ class MountingLimits:
     growth: float = 1.25
 
 
-@dataclass(frozen=True, eq=False)
-class FreeBlock:
-    """A block linearised with its mounting free.
-
-    Attributes:
-        gram: (p + 4, p + 4) products of the columns of [J M −r].
-        axis: (columns of the attitude,) its tangent vector of a turn about the world's vertical.
-    """
-
-    gram: Array
-    axis: Array
-
-
-def free_block(each: Delivered, point: gtsam.Values) -> FreeBlock | None:
-    """A block with its mounting free; None where that is a variable already, or the block has no attitude."""
-    details = each.details
-    if details is None or details.freed is None:
-        return None
-    gram = _free_factor(each, point).augmentedInformation()
-    if details.delay_last:  # behind the mounting
-        last = len(gram) - 1
-        order = np.r_[0 : last - 4, last - 1, last - 4 : last - 1, last]
-        gram = gram[np.ix_(order, order)]
-    return FreeBlock(gram, heading_axis(point, details.attitude_key))
-
-
 class HeldMounting:
     """The evidence for a turned mounting, block by block.
 
@@ -94,23 +68,24 @@ class HeldMounting:
         self._information, self._score = np.zeros((3, 3)), np.zeros(3)
         self._next = 0.0
 
-    def add(self, block: FreeBlock, covariance: Array, *, counts: bool) -> None:
+    def add(self, gram: Array, axis: Array, covariance: Array, *, counts: bool) -> None:
         """One more block.
 
         Args:
-            block: at the estimate that holds it.
+            gram: (p + 4, p + 4) products of its columns [J M −r], at the estimate that holds it.
+            axis: (columns of the attitude,) its tangent vector of a turn about the world's vertical.
             covariance: (p, p) of its keys there.
             counts: whether it is evidence; one that something else disturbs only moves the graph.
         """
-        p, gram = len(covariance), block.gram
-        shift = self._carried(block.axis, p)
+        p = len(covariance)
+        shift = self._carried(axis, p)
         on_keys, crossed = gram[:p, :p], gram[:p, p : p + 3]
         pulled = crossed - on_keys @ shift  # Jᵀ G
         if counts:
             square = gram[p : p + 3, p : p + 3] - shift.T @ crossed - pulled.T @ shift  # Gᵀ G
             self._information = self._information + square - pulled.T @ covariance @ pulled
             self._score = self._score + gram[p : p + 3, -1] - shift.T @ gram[:p, -1]
-        self.shift, self._axis = shift + covariance @ pulled, block.axis
+        self.shift, self._axis = shift + covariance @ pulled, axis
         self.blocks += 1
 
     def _carried(self, axis: Array, columns: int) -> Array:
@@ -179,16 +154,17 @@ class HeldMounting:
         if self.wrong != math.isfinite(self.since):
             self.since = last.details.block.time if self.wrong else math.nan
 
-    def considered(self, block: FreeBlock, covariance: Array) -> tuple[Array, Array]:
-        """The products of the columns of [J M −r] at the estimate with the mounting at its mean, and the covariance.
+    def considered(self, gram: Array, covariance: Array) -> tuple[Array, Array]:
+        """The last block at the estimate with the mounting at its mean: as in `add`, with the mounting among the keys.
 
-        Of the last block added: (p + 4, p + 4), and (p + 3, p + 3) of its keys and θ.
+        Returns:
+            (p + 4, p + 4) products of its columns, and (p + 3, p + 3) covariance of its keys and θ.
         """
         p, mean, spread, shift = len(covariance), self.mean, self.covariance, self.shift
         turn = np.eye(p + 4)
         turn[:p, -1], turn[p : p + 3, -1] = shift @ mean, -mean
         crossed = -shift @ spread
-        return turn.T @ block.gram @ turn, np.block([[covariance - crossed @ shift.T, crossed], [crossed.T, spread]])
+        return turn.T @ gram @ turn, np.block([[covariance - crossed @ shift.T, crossed], [crossed.T, spread]])
 
 
 def _free_factor(each: Delivered, point: gtsam.Values) -> gtsam.GaussianFactor:

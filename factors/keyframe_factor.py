@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 from numpy.typing import ArrayLike
 
+from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Residual, custom_factor, standard_deviation
@@ -45,7 +46,8 @@ class BlockDetails:
             where there is no kernel.
         freed: makes the same factor with its mounting as the variable of a key; None where the mounting is one
             already, or where the attitude key holds a direction.
-        delay_last: whether the last key is the delay's.
+        on_mounting: (rows, 3) whitened Jacobian on the mounting that is held, at the last linearisation; None before,
+            and where `freed` is.
     """
 
     attitude_key: int
@@ -63,7 +65,7 @@ class BlockDetails:
     width: float = 1.0
     misfit: float = float("nan")
     freed: Callable[[int], gtsam.CustomFactor] | None = None
-    delay_last: bool = False
+    on_mounting: Array | None = None
 
     @cached_property
     def field_over_noise(self) -> float:
@@ -136,13 +138,13 @@ def keyframe_field_factor(
     late = delay_key is not None
     whole = block if late else block.without_delay()
     rows = whole if robust is not None else block.compressed(delay=late)
+    share = rows.share / rows.samples  # a compression keeps the columns' products, and so the samples' means
     details = BlockDetails(
         attitude_key, soft_iron_key, hard_iron_key, field_key, rows,
-        block.design[:, :, :3].mean(axis=0), block.field.mean(axis=0), whole_sigma,
+        np.tensordot(share, rows.design[:, :, :3], 1), share @ rows.field, whole_sigma,
         None if known is None else known * field_unit, field_unit, robust, bool(extra),
     )  # fmt: skip
     if mounting_key is None and not details.on_direction:
-        details.delay_last = late
 
         def freed(key: int) -> gtsam.CustomFactor:
             return keyframe_field_factor(
@@ -194,12 +196,17 @@ def keyframe_field_factor(
                 on_mounting = np.einsum("il,kj->ijkl", soft_iron, mounted).reshape(9, 9)
                 jacobians.append(on_iron @ on_mounting)
             jacobians += on_tau
+            if details.freed is not None:  # A Exp(φ)ᵀ p = A p + A [p]× φ, p = G y
+                jacobians.append(soft_iron @ skew(on_iron[:, 0, :3]))
             jacobians = [jacobian / sigma for jacobian in jacobians]
         if robust is not None and constant is not None:
             norms = np.sqrt(np.einsum("ki,ki->k", residual, residual))
             details.misfit = float(np.median(norms)) / _MEDIAN
             residual, jacobians = robustify(robust, residual, jacobians, constant * details.width)
-        return residual.ravel(), [jacobian.reshape(residual.size, -1) for jacobian in jacobians]
+        flat = [jacobian.reshape(residual.size, -1) for jacobian in jacobians]
+        if want and details.freed is not None:
+            details.on_mounting = flat.pop()
+        return residual.ravel(), flat
 
     keys = [attitude_key, soft_iron_key, hard_iron_key, *optional]
     read = [direction if details.on_direction else attitude, vector(6), vector(3), *(how for _, how in extra)]

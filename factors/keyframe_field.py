@@ -135,7 +135,8 @@ class KeyframeField:
         if len(self.share) <= columns + 4:
             return kept
         rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
-        scale = np.maximum(np.abs(rows).max(axis=1), _SMALLEST)  # tesla beside numbers of order one
+        length = np.sqrt(np.einsum("ij,ij->i", rows, rows))
+        scale = np.maximum(length, _SMALLEST)  # tesla beside numbers of order one
         rows /= scale[:, None]
         root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)]) * scale
         return replace(
@@ -211,7 +212,8 @@ def _about(
 
 def _cross(first: Array, second: Array, out: Array) -> None:
     """first × second along the axis before the last, into `out`."""
-    (x, y, z), (u, v, w) = np.moveaxis(first, -2, 0), np.moveaxis(second, -2, 0)
+    x, y, z = first[..., 0, :], first[..., 1, :], first[..., 2, :]
+    u, v, w = second[..., 0, :], second[..., 1, :], second[..., 2, :]
     out[..., 0, :] = y * w - z * v
     out[..., 1, :] = z * u - x * w
     out[..., 2, :] = x * v - y * u

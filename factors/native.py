@@ -120,12 +120,13 @@ class NativeFactors:
         Raises:
             MagycError: as the factors; a solver of another kind; new keys of a smoother without a time stamp.
         """
-        view, new = View(solver, values), sorted_factors(graph)
+        new = sorted_factors(graph)
         fresh, examiner = new.fresh, self._examiner
-        if examiner is not None:
+        if new.holding and examiner is not None:
             examiner.note_priors(new.holding)
         if not (fresh or self._pending):
-            return update_solver(solver, new.others, view.new, timestamps, [])
+            return update_solver(solver, graph, gtsam.Values() if values is None else values, timestamps, [])
+        view = View(solver, values)
         self._forget(view)
         self._warm_up(view, fresh)
         remove = [each.slot for each in self._withdraw_disturbed()]

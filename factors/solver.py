@@ -23,11 +23,7 @@ class View:
     """
 
     def __init__(self, solver: Solver | gtsam.Values, new: gtsam.Values | None = None) -> None:
-        if not isinstance(solver, _READ):
-            raise MagycError(
-                f"solver is a {type(solver).__name__}; accepted: ISAM2, IncrementalFixedLagSmoother, "
-                "BatchFixedLagSmoother, and Values for a batch"
-            )
+        _check_solver(solver)
         self.solver, self.new = solver, gtsam.Values() if new is None else new
         self._held: gtsam.Values | None = None
 
@@ -94,6 +90,7 @@ def update_solver(
     """Update; the solver's result."""
     if isinstance(solver, gtsam.ISAM2):
         return solver.update(graph, values, list(remove)) if remove else solver.update(graph, values)
+    _check_solver(solver)
     stamps: Any = dict(timestamps or {})
     if missing := [key for key in list(values.keys()) if key not in stamps]:
         raise MagycError(
@@ -110,3 +107,12 @@ def new_slots(solver: Solver, result: Any) -> list[int] | None:
         return None
     done = result if isinstance(solver, gtsam.ISAM2) else solver.getISAM2Result()
     return list(done.getNewFactorsIndices())
+
+
+def _check_solver(solver: object) -> None:
+    """Refuse what is no solver."""
+    if not isinstance(solver, _READ):
+        raise MagycError(
+            f"solver is a {type(solver).__name__}; accepted: ISAM2, IncrementalFixedLagSmoother, "
+            "BatchFixedLagSmoother, and Values for a batch"
+        )
