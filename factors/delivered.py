@@ -91,7 +91,7 @@ class Delivered:
         self._make(self.factor.linearize(point), point)
         self.place = _place_of(self.details, point)
 
-    def _make(self, linear: gtsam.JacobianFactor, point: gtsam.Values) -> None:
+    def _make(self, linear: gtsam.GaussianFactor, point: gtsam.Values) -> None:
         self.native = gtsam.LinearContainerFactor(_square_root(linear), point)
         self.beside = None if self.details is None else _beside(linear, point, self.details)
 
@@ -101,10 +101,7 @@ class Delivered:
         plain: Array = linear.augmentedInformation()
         if self.details is None:
             return plain, None
-        if self.native is self.factor:
-            beside = _beside(linear, point, self.details)
-        else:
-            beside = self.beside
+        beside = _beside(linear, point, self.details) if self.native is self.factor else self.beside
         return plain, None if beside is None else beside.joined(plain, self.factor.keys(), point)
 
     def renew(self, view: View, tolerance: float) -> float:
@@ -189,7 +186,7 @@ def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:
     return gtsam.JacobianFactor(gtsam.HessianFactor(linear))
 
 
-def _beside(linear: gtsam.JacobianFactor, point: gtsam.Values, details: BlockDetails) -> _Beside | None:
+def _beside(linear: gtsam.GaussianFactor, point: gtsam.Values, details: BlockDetails) -> _Beside | None:
     """The mounting's part of a block that has been linearised just now."""
     turned = details.on_mounting
     if turned is None:

@@ -9,8 +9,8 @@ from scipy.special import chdtrc
 from magyc_gtsam.factors.alignment import heading_axis, rotation_of
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.delivered import Delivered
-from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.health import BlockFit, HealthLimits, Monitor, block_fit
+from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array

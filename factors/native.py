@@ -30,6 +30,7 @@ from magyc_gtsam.factors.kernels import narrowed
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
 from magyc_gtsam.factors.staleness import Staleness
+from magyc_gtsam.factors.variables import Array
 
 _QUIET = 4  # blocks after those that had waited, until their quadratics are renewed, that are not judged
 _QUIET_AFTER = 3  # blocks after those of a disturbance were taken out
@@ -93,6 +94,12 @@ class NativeFactors:
         if self._examiner is None or self.waiting:
             return Health(Word.WAITING if self.waiting else Word.CONSISTENT)
         return self._examiner.monitor.health
+
+    @property
+    def mounting_error(self) -> Array | None:
+        """(3,) rad θ, with which the mounting ᵇRₛ Exp(θ) of the blocks would be right; None where nothing is wrong."""
+        mounting = None if self._examiner is None else self._examiner.mounting
+        return mounting.mean if mounting is not None and mounting.wrong else None
 
     @property
     def fits(self) -> tuple[BlockFit, ...]:

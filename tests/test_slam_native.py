@@ -72,16 +72,41 @@ def test_a_step_of_the_hard_iron_is_named_with_its_size():
     assert 3.0 < float(health.by.split()[-2]) < 6.5
 
 
-def test_a_mounting_that_is_a_variable_is_found_and_named():
-    drive = Drive(23, duration=130.05, mounting=np.radians(0.5))
+def turned_mounting(drive, angles):
+    """The readings of a magnetometer whose mounting is turned by `angles` (3,) rad from what the blocks hold."""
     truth = drive.vehicle.simulation.truth
-    turned = gtsam.Rot3.Expmap(np.radians([2.0, -1.5, 1.7])).matrix()
-    iron = truth.soft_iron @ turned.T @ np.linalg.inv(truth.soft_iron)
+    iron = truth.soft_iron @ gtsam.Rot3.Expmap(angles).matrix().T @ np.linalg.inv(truth.soft_iron)
     drive.field = (drive.field - truth.hard_iron) @ iron.T + truth.hard_iron
+    return drive
+
+
+def test_a_mounting_that_is_a_variable_is_found_and_named():
+    drive = turned_mounting(Drive(23, duration=130.05, mounting=np.radians(0.5)), np.radians([2.0, -1.5, 1.7]))
     health = drive.run().native.health
     assert health.word == "inconsistent"
     assert health.by.startswith("mounting")
     assert "from its prior" in health.by
+    assert drive.native.mounting_error is None  # the graph's own variable says it
+
+
+@pytest.mark.parametrize("seed", [40, 41])
+def test_a_mounting_that_is_held_is_named_with_its_angles(seed):
+    axis = np.random.default_rng(seed).normal(size=3)
+    angles = np.radians(3.0) * axis / np.linalg.norm(axis)
+    drive = turned_mounting(Drive(seed, duration=160.05), angles).run()
+    health = drive.native.health
+    assert health.word == "inconsistent"
+    assert health.by.startswith("mounting")
+    assert health.since < 150
+    assert np.degrees(np.linalg.norm(drive.native.mounting_error - angles)) < 0.7
+    assert drive.native.withdrawn == 0  # not taken for a disturbance
+    assert {each.word for each in drive.words if "mounting" not in each.by} <= {"waiting", "consistent"}
+
+
+def test_a_right_mounting_that_is_held_is_not_named():
+    drives = [Drive(seed, duration=80.05).run() for seed in (60, 61, 62)]
+    assert all(drive.native.mounting_error is None for drive in drives)
+    assert {health.word for drive in drives for health in drive.words} <= {"waiting", "consistent"}
 
 
 @pytest.mark.parametrize("kernel", ["cauchy", "geman-mcclure"])

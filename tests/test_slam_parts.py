@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from magyc_gtsam.factors import GyroscopeTrack, HealthLimits, KeyframeField, MagycError, keyframe_field_factor
 from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
 from magyc_gtsam.factors.chain.heading_profile import block_rows, heading_profile, in_world
+from magyc_gtsam.factors.delivered import sorted_factors
 from magyc_gtsam.factors.guard import factor_details
 from magyc_gtsam.factors.health import BlockFit, Monitor, block_fit
+from magyc_gtsam.factors.held_mounting import HeldMounting, MountingLimits
 from magyc_gtsam.factors.kernels import narrowed
 from magyc_gtsam.factors.solver import View, new_slots, update_solver
 from magyc_gtsam.factors.staleness import Staleness
@@ -89,6 +91,81 @@ def test_the_words_of_a_disturbance_a_step_and_noise():
             BlockFit(*[getattr(each, name) if name != "scatter" else 2.0 for name in BlockFit.__annotations__])
         )
     assert noisy.health.by == "noise 2.0 times as stated"
+
+
+def test_the_evidence_for_a_turned_mounting_is_that_of_a_joint_fit():
+    """Blocks on a state that stays: block by block as in one least-squares fit of the state and θ together."""
+    random, limits, n = np.random.default_rng(5), MountingLimits(excess=1.0), 4
+    held, information, score, turn = HeldMounting(limits), np.eye(n), np.zeros(n), np.radians([1.0, -2.0, 1.5])
+    state, whole, right = random.normal(size=n), np.diag(np.r_[np.ones(n), np.full(3, limits.prior**-2)]), 0.0
+    for _ in range(20):
+        on_state, on_turn = random.normal(size=(8, n)), 20 * random.normal(size=(8, 3))
+        measured = on_state @ state + on_turn @ turn + random.normal(size=8)
+        information, score = information + on_state.T @ on_state, score + on_state.T @ measured
+        rows = np.column_stack([on_state, on_turn, measured - on_state @ np.linalg.solve(information, score)])
+        held.add(rows.T @ rows, np.zeros(0), np.linalg.inv(information), counts=True)
+        both = np.column_stack([on_state, on_turn])
+        whole, right = whole + both.T @ both, right + both.T @ measured
+    np.testing.assert_allclose(held.mean, np.linalg.solve(whole, right)[n:], rtol=1e-9)
+    np.testing.assert_allclose(held.covariance, np.linalg.inv(whole)[n:, n:], rtol=1e-9)
+    without = right[:n] @ np.linalg.solve(information, right[:n]) - np.linalg.slogdet(information)[1]
+    free = right @ np.linalg.solve(whole, right) - np.linalg.slogdet(whole)[1] - 6 * np.log(limits.prior)
+    assert held.evidence == pytest.approx(0.5 * (free - without), rel=1e-9)
+
+
+def test_evidence_above_its_bound_is_as_rare_as_the_bound_says():
+    """Where the mounting is right the evidence exceeds 10 at any of 60 blocks in at most a tenth of all runs."""
+    random, limits, above = np.random.default_rng(6), MountingLimits(excess=1.0), 0
+    for _ in range(100):
+        held, information, score = HeldMounting(limits), np.eye(3), np.zeros(3)
+        state, greatest = random.normal(size=3), -np.inf
+        for _ in range(60):
+            on_state, on_turn = random.normal(size=(4, 3)), 20 * random.normal(size=(4, 3))
+            measured = on_state @ state + random.normal(size=4)
+            information, score = information + on_state.T @ on_state, score + on_state.T @ measured
+            rows = np.column_stack([on_state, on_turn, measured - on_state @ np.linalg.solve(information, score)])
+            held.add(rows.T @ rows, np.zeros(0), np.linalg.inv(information), counts=True)
+            greatest = max(greatest, held.evidence)
+        above += greatest > np.log(10.0)
+    assert above <= 20  # 10 of 100, 99.9 % of a binomial
+
+
+@pytest.mark.parametrize("options", [{}, {"delay_key": 5}, {"gyro_bias_key": 4}, {"robust": "cauchy"}])
+def test_a_block_tells_what_its_held_mounting_would_do(options):
+    """The columns that it keeps beside its own are those of the factor with the mounting as a variable."""
+    random, time = np.random.default_rng(7), np.arange(0, 1, 0.01)
+    rates = 0.3 * random.normal(size=(100, 3))
+    mounting = gtsam.Rot3.Expmap(np.array([0.3, -0.8, 1.1]))
+    block = KeyframeField.from_samples(
+        (time, 3e-5 * random.normal(size=(100, 3))), (time, rates), 0.5, body_R_sensor=mounting
+    )
+    factor = keyframe_field_factor(1, 2, 3, block, 1e-6, field=[2e-5, 1e-6, 4e-5], field_unit=5e-5, **options)
+    graph, point = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.push_back(factor)
+    point.insert(1, gtsam.Pose3(gtsam.Rot3.Expmap(random.normal(size=3)), np.zeros(3)))
+    point.insert(2, np.r_[1.1, 0.02, -0.03, 0.9, 0.01, 1.05])
+    point.insert(3, gtsam.Point3(0.1, -0.3, 0.2))
+    point.insert(4, random.normal(size=3) * 1e-3)
+    point.insert(5, 0.004)
+    (delivered,) = sorted_factors(graph).fresh
+    delivered.make(View(point))
+    keys = list(factor.keys())
+    step, moved = 1e-9 * random.normal(size=30), gtsam.VectorValues()
+    for key in keys:
+        size = point.zeroVectors().at(key).size
+        moved.insert(key, step[:size])
+    there = point.extract(keys).retract(moved)
+    plain, joined = delivered.products(there)
+    there.insert(9, mounting)
+    ordering = gtsam.Ordering()
+    for key in [*keys, 9]:
+        ordering.push_back(key)
+    free = gtsam.GaussianFactorGraph()
+    free.push_back(delivered.details.freed(9).linearize(there))
+    matrix = free.augmentedHessian(ordering)
+    np.testing.assert_allclose(joined, matrix, atol=1e-6 * np.abs(matrix).max())
+    kept = np.r_[0 : len(plain) - 1, len(matrix) - 1]
+    np.testing.assert_allclose(joined[np.ix_(kept, kept)], plain, atol=1e-9 * np.abs(plain).max())
 
 
 @pytest.mark.parametrize("off", [0.0, 1.0, -2.5, np.pi])
