@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
+import pty
 import signal
+import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from sending import free_port, listened_to, rows, send_lines
+from sending import free_port, listened_to, rows, send_lines, taken_in
 from served import DIVE, PATIENCE, Served
 
 import magyc_gtsam as mg
@@ -194,3 +198,107 @@ def test_in_a_browser_with_a_reload_in_the_middle(
         context.close()
         server.stop()
     assert wrong == []
+
+
+@pytest.fixture
+def live_page(tmp_path: Path, browser: Any) -> Iterator[tuple[Any, Served]]:
+    """The live panel of a server's page; fails on errors of the page."""
+    server = Served(tmp_path)
+    context = browser.new_context(viewport={"width": 400, "height": 850})
+    context.set_default_timeout(1e3 * PATIENCE)
+    wrong: list[str] = []
+    page = context.new_page()
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.goto(server.address)
+    page.locator("[data-tab=live]").click()
+    yield page, server
+    context.close()
+    server.stop()
+    assert wrong == []
+
+
+def frozen_result(page: Any, server: Served, duration: float) -> Path:
+    """The calibration of the run on the page, once it has all samples and was frozen."""
+    until(server, has(duration))
+    page.locator("#freeze").click()
+    page.locator("#live-result").wait_for()
+    (file,) = server.folder.glob("results/*/online-calibration.yaml")
+    return file
+
+
+@pytest.mark.skipif(not Path("/proc/tty/drivers").exists(), reason="ports that are not listed are told by Linux")
+def test_a_serial_port_that_is_named_by_hand(
+    live_page: tuple[Any, Served], lines: list[dict[str, Any]], expected: mg.Calibration
+) -> None:
+    """A pseudo terminal, which no list of ports has: at the end what Python gives on the same samples."""
+    pytest.importorskip("serial")
+    page, server = live_page
+    ours, theirs = pty.openpty()
+    try:
+        page.locator("[data-kind=serial]").click()
+        page.locator("#serial-port").fill(os.ttyname(theirs))
+        page.locator("#baud").select_option("921600")
+        page.locator("#begin").click()
+        page.locator("#live-verdict h1", has_text="Waiting for samples").wait_for()
+        limit = time.monotonic() + PATIENCE
+        while termios.tcgetattr(ours)[3] & termios.ECHO and time.monotonic() < limit:
+            time.sleep(0.02)  # not opened yet
+        time.sleep(0.1)
+        for line in lines:
+            os.write(ours, json.dumps(line).encode() + b"\r\n")
+        page.locator("#live-verdict.good").wait_for()
+        same(frozen_result(page, server, lines[-1]["time"] - lines[0]["time"]), expected)
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_an_autopilot_over_mavlink(live_page: tuple[Any, Served], lines: list[dict[str, Any]]) -> None:
+    """HIGHRES_IMU over loopback, to the last digit what Python gives on the values of the messages."""
+    mavutil = pytest.importorskip("pymavlink.mavutil")
+    page, server = live_page
+    port = free_port()
+    page.locator("[data-kind=mavlink]").click()
+    page.locator("#mavlink-address").fill(f"udpin:127.0.0.1:{port}")
+    page.locator("#begin").click()
+    listened_to(port)
+    vehicle = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=7, dialect="ardupilotmega")
+    time_us, field, rate = [], [], []
+    for number, line in enumerate(lines):
+        time_us.append(5_000_000 + round((line["time"] - lines[0]["time"]) * 1e6))
+        field.append(np.float32(np.array(line["magnetic_field"]) * 1e4))
+        rate.append(np.float32(line["angular_rate"]))
+        m, w = field[-1].tolist(), rate[-1].tolist()
+        vehicle.mav.highres_imu_send(time_us[-1], 0, 0, 9.8, *w, *m, 1013, 0, 0, 20, 0x1FF)
+        if number % 20 == 0:
+            taken_in(port)
+    page.locator("#live-verdict.good").wait_for()
+    file = frozen_result(page, server, (time_us[-1] - time_us[0]) / 1e6)
+    vehicle.close()
+    online = mg.OnlineCalibrator()
+    stamps = np.array(time_us) * 1_000 / 1e9
+    online.update(stamps, np.float64(field) * 1e-4, np.float64(rate))
+    assert online.calibration is not None
+    same(file, online.calibration)
+
+
+@pytest.mark.skipif(not Path("/proc/tty/drivers").exists(), reason="ports that are not listed are told by Linux")
+def test_devices_that_are_no_serial_lines_are_refused(idle: Served) -> None:
+    """Nor is somebody's terminal, whose keys would be read."""
+    pytest.importorskip("serial")
+    child, ours = pty.fork()
+    if child == 0:
+        time.sleep(PATIENCE)
+        os._exit(0)
+    try:
+        terminal = os.readlink(f"/proc/{child}/fd/0")
+        names = ["/dev/tty", "/dev/zero", "/dev/../etc/passwd", "/dev/pts/../zero", "/dev/ptmx", terminal]
+        for name in names:
+            for kind in ("serial", "mavlink"):
+                source = {"kind": kind, "port": name, "baud": 9600}
+                status, answer, _ = idle.ask("POST", "/api/live", {"do": "start", "source": source})
+                assert (status, "no such serial port" in answer["problem"]) == (400, True), name
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        os.close(ours)

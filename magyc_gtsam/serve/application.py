@@ -24,9 +24,10 @@ from magyc_gtsam.serve.limits import Limits
 from magyc_gtsam.serve.live import STATE, Live
 from magyc_gtsam.serve.orders import order, reading
 from magyc_gtsam.serve.page import page
+from magyc_gtsam.serve.ports import serial_ports
 from magyc_gtsam.serve.results import details
 from magyc_gtsam.serve.safety import Guard
-from magyc_gtsam.serve.sources import serial_ports, source_of
+from magyc_gtsam.serve.sources import source_of
 from magyc_gtsam.serve.store import Full, Store
 
 # A report's own script may run, and reach nothing: not this server, not the network, not the page beside it.

@@ -5,7 +5,7 @@ const live = { kind: "udp", drawn: null, trusted: false, sound: null, spec: null
 const WORDS = {
   udp: 'Lines of JSON in datagrams: {"time": s, "magnetic_field": [x, y, z], "angular_rate": [x, y, z]}.',
   mavlink: "HIGHRES_IMU, RAW_IMU or SCALED_IMU: udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT.",
-  serial: "Lines of JSON, or what MotionCal reads (Raw:).",
+  serial: "Lines of JSON, what MotionCal reads (Raw:), or an autopilot's MAVLink.",
   file: "An MCAP file of the folder that a recorder still writes.",
   ros2: "MagneticField and Imu topics, where the server was started with ROS 2 set up.",
 };
@@ -18,8 +18,9 @@ async function chooseSource(kind) {
   if (kind === "file") $("#growing").replaceChildren(...known.logs.filter((each) => /\.mcap$/i.test(each.name)).map((each) => element("option", { value: each.key, textContent: each.name })));
   if (kind === "serial") {
     const { ports } = await ask("/api/ports");
-    $("#serial-port").replaceChildren(...ports.map((name) => element("option", { textContent: name })));
-    if (!ports.length) $("#source-words").textContent = "No serial port found: plug the device in (this needs pip install 'magyc-gtsam[serial]') and tap Serial again.";
+    $("#ports").replaceChildren(...ports.map((name) => element("option", { value: name })));
+    if (!$("#serial-port").value) $("#serial-port").value = ports[0] || "";
+    if (!ports.length) $("#source-words").textContent = "No serial port is listed: plug the device in and tap Serial again, or write its name, such as /dev/ttyUSB0.";
   }
 }
 
@@ -28,7 +29,7 @@ function sourceAsked() {
   return {
     udp: { kind: "udp", port: Number($("#udp-port").value), everywhere: $("#everywhere").checked },
     mavlink: { kind: "mavlink", address: $("#mavlink-address").value.trim() },
-    serial: { kind: "serial", port: $("#serial-port").value, baud },
+    serial: { kind: $("#serial-speaks").value, port: $("#serial-port").value.trim(), baud },
     file: { kind: "file", log: $("#growing").value },
     ros2: { kind: "ros2" },
   }[live.kind];
@@ -36,8 +37,12 @@ function sourceAsked() {
 
 async function order(what, more = {}) {
   complain("");
-  live.sound = live.sound || new AudioContext(); // after a tap it may sound
-  await live.sound.resume();
+  try { // after a tap it may sound; a device without sound, or whose sound another program holds, calibrates all the same
+    live.sound = live.sound || new AudioContext();
+    live.sound.resume().catch(() => {});
+  } catch {
+    live.sound = null;
+  }
   return ask("/api/live", { body: { do: what, ...more } });
 }
 
@@ -146,7 +151,8 @@ function drawBand(residual) {
 for (const button of document.querySelectorAll("[data-kind]")) button.addEventListener("click", () => chooseSource(button.dataset.kind));
 $("#begin").addEventListener("click", async () => {
   const reading = { magnetic_unit: $("#live-magnetic").value, angular_unit: $("#live-angular").value };
-  await order("start", { source: sourceAsked(), reading: live.kind === "mavlink" ? {} : reading });
+  const source = sourceAsked();
+  await order("start", { source, reading: source.kind === "mavlink" ? {} : reading });
   live.another = false;
   $("#result").hidden = true;
 });

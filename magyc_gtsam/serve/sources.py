@@ -9,20 +9,12 @@ from typing import Any
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.live.mavlink import ADDRESS
 from magyc_gtsam.live.udp import LOOPBACK
+from magyc_gtsam.serve.ports import checked_port
 from magyc_gtsam.serve.store import StoredLog
 
 KINDS = ("udp", "mavlink", "serial", "file", "ros2")
 _BAUDS = (9600, 19200, 38400, 57600, 115200, 230400, 460800, 921600)
 _NETWORK = re.compile(r"(?:udpin|udpout|tcp):[A-Za-z0-9.-]{1,100}:\d{1,5}")
-
-
-def serial_ports() -> list[str]:
-    """The serial ports of this machine; none without pyserial."""
-    try:
-        from serial.tools.list_ports import comports
-    except ImportError:
-        return []
-    return sorted(port.device for port in comports())
 
 
 def source_of(asked: Any, logs: Mapping[str, StoredLog]) -> str:
@@ -48,11 +40,10 @@ def source_of(asked: Any, logs: Mapping[str, StoredLog]) -> str:
             raise MagycError("address: udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT is expected")
         return f"mavlink://{address}"
     if kind in ("serial", "mavlink"):
-        if asked.get("port") not in serial_ports():
-            raise MagycError("port: no such serial port here; plug it in, and choose it anew")
+        port = checked_port(asked.get("port"))
         if asked.get("baud") not in _BAUDS:
             raise MagycError(f"baud: one of {', '.join(map(str, _BAUDS))} is expected")
-        return f"{kind}://{asked['port']}?baud={asked['baud']}"
+        return f"{kind}://{port}?baud={asked['baud']}"
     if kind == "file":
         log = logs.get(str(asked.get("log")))
         if log is None or log.path.suffix.lower() != ".mcap":

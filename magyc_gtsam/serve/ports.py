@@ -1,0 +1,82 @@
+"""Serial ports that a page may name: those that the system lists, and others that are nothing but a serial line."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from pathlib import Path
+
+from magyc_gtsam.factors.errors import MagycError
+
+_NAME = re.compile(r"/dev/[\w./-]{1,200}")
+_DRIVERS, _PROCESSES = Path("/proc/tty/drivers"), Path("/proc")
+_LINES = (
+    "serial",
+    "pty:slave",
+)  # kinds of drivers; opening other devices can do anything, such as start a watchdog
+_KIND_FIELD, _MAJOR_FIELD, _MINOR_FIELD = 4, 2, 3  # of a driver's line
+_TERMINAL_FIELD = 4  # of /proc/N/stat, behind the name in brackets: the device that controls the process
+
+
+def serial_ports() -> list[str]:
+    """The serial ports of this machine; none without pyserial."""
+    try:
+        from serial.tools.list_ports import comports
+    except ImportError:
+        return []
+    return sorted(port.device for port in comports())
+
+
+def checked_port(asked: object) -> str:
+    """The device behind a port that a page has named.
+
+    One that is not listed, as a pseudo terminal or a link in /dev, must be a serial line by its driver, and nobody's
+    terminal: its keys are not for this server to read.
+
+    Raises:
+        MagycError: neither listed nor such a device.
+    """
+    if isinstance(asked, str) and asked in serial_ports():
+        return asked
+    if isinstance(asked, str) and _NAME.fullmatch(asked):
+        device = os.path.realpath(asked)
+        if _NAME.fullmatch(device) and _is_serial_line(device):
+            return device
+    raise MagycError(
+        "port: no such serial port here; plug it in and choose it anew, or name a serial device under /dev"
+    )
+
+
+def _is_serial_line(device: str) -> bool:
+    try:
+        found = os.stat(device)
+        drivers = _DRIVERS.read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return False
+    if not stat.S_ISCHR(found.st_mode):
+        return False
+    major, minor = os.major(found.st_rdev), os.minor(found.st_rdev)
+    rows = (line.split() for line in drivers)
+    lines = [row for row in rows if len(row) > _KIND_FIELD and row[_KIND_FIELD] in _LINES]
+    known = any(int(row[_MAJOR_FIELD]) == major and _within(minor, row[_MINOR_FIELD]) for row in lines)
+    return known and not _controls_a_process(found.st_rdev)
+
+
+def _within(minor: int, span: str) -> bool:
+    """Whether "0-255" or "64" holds a number."""
+    first, _, last = span.partition("-")
+    return int(first) <= minor <= int(last or first)
+
+
+def _controls_a_process(device: int) -> bool:
+    for path in _PROCESSES.glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+        except OSError:  # it has ended
+            continue
+        # The kernel packs major and minor as in `new_encode_dev`: minor's low byte, major, minor's rest.
+        packed = os.minor(device) & 0xFF | os.major(device) << 8 | (os.minor(device) & ~0xFF) << 12
+        if int(fields[_TERMINAL_FIELD]) == packed:
+            return True
+    return False
