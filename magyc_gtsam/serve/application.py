@@ -233,6 +233,7 @@ class Server:
 
         @asynccontextmanager
         async def lifespan(_: Starlette) -> AsyncIterator[None]:
+            self.jobs.prepare()
             yield
             await self.live.freeze()
             await self.jobs.close()

@@ -8,7 +8,6 @@ import json
 import os
 import secrets
 import signal
-import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -18,27 +17,13 @@ from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.limits import Limits
+from magyc_gtsam.serve.workers import Workers, end
 
 _PATIENCE = 10.0  # s between asking a job to end, and ending it
 _LINES = 20  # of what a job said, kept
+_REST = 1.0  # s after the last job, in which its page is drawn, until the next processes start
+_WAITING = 2  # processes that wait for a job: a dropped log is looked at and calibrated
 ACTIVE = ("waiting", "running")
-
-
-async def started(arguments: Sequence[str], place: Path, line: int = 1 << 16) -> asyncio.subprocess.Process:
-    """The ordinary command line in a process of its own, its progress in lines of at most `line` bytes."""
-    return await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        "magyc_gtsam.cli",
-        *arguments,
-        cwd=place,
-        env=os.environ | {"MAGYC_GTSAM_PROGRESS": "lines", "PYTHONIOENCODING": "utf-8"},
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-        start_new_session=True,
-        limit=line,
-    )
 
 
 @dataclass
@@ -129,8 +114,10 @@ class Jobs:
         at_once: int | None = None,
     ) -> None:
         self.all: dict[str, Job] = {}
-        self._place, self._limits, self._changed, self._done = place, limits, changed, done
-        self._free = asyncio.Semaphore(at_once or os.cpu_count() or 1)
+        self._limits, self._changed, self._done = limits, changed, done
+        count = at_once or os.cpu_count() or 1
+        self._free = asyncio.Semaphore(count)
+        self._workers = Workers(place, min(count, _WAITING))
         self._tasks: set[asyncio.Task[None]] = set()
 
     def start(self, kind: str, title: str, arguments: Sequence[str], folder: Path | None, **extra: Any) -> Job:
@@ -151,6 +138,13 @@ class Jobs:
         self._changed()
         return job
 
+    def prepare(self) -> None:
+        """Let processes do their imports for the next jobs, while nothing else is to be done."""
+        if not any(job.state in ACTIVE for job in self.all.values()):
+            task = asyncio.create_task(self._workers.prepare())
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
     def listed(self) -> list[dict[str, Any]]:
         """All jobs, the latest first, with the number of those that wait before them."""
         waiting = [key for key, job in self.all.items() if job.state == "waiting"]
@@ -164,11 +158,12 @@ class Jobs:
         again, job.cancelled = job.cancelled, True
         if job.process is not None and job.process.returncode is None:
             job.process.send_signal(signal.SIGTERM if again else signal.SIGINT)
-            asyncio.get_running_loop().call_later(_PATIENCE, _end, job.process)
+            asyncio.get_running_loop().call_later(_PATIENCE, end, job.process)
         self._changed()
 
     async def close(self) -> None:
         """End all jobs."""
+        self._workers.close()
         for job in list(self.all.values()):
             self.cancel(job)
         if self._tasks:
@@ -187,7 +182,7 @@ class Jobs:
                     job.said.append(str(error))
                 finally:
                     if job.process is not None:
-                        _end(job.process)
+                        end(job.process)
         job.ended = time.time()
         if job.cancelled:
             job.state = "cancelled"
@@ -195,11 +190,13 @@ class Jobs:
             job.state = "done" if job.code in (0, 1) else "failed"
         self._done(job)
         self._changed()
+        if not any(each.state in ACTIVE for each in self.all.values()):
+            asyncio.get_running_loop().call_later(_REST, self.prepare)
 
     async def _process(self, job: Job) -> None:
-        job.process = await started(job.arguments, self._place)
+        job.process = await self._workers.run(job.arguments)
         if job.cancelled:  # while it was being started
-            _end(job.process)
+            end(job.process)
         assert job.process.stdout is not None
         assert job.process.stderr is not None
         output, _ = await asyncio.gather(
@@ -237,10 +234,3 @@ async def _read(stream: asyncio.StreamReader, most: int) -> bytes:
         if size <= most:
             parts.append(part)
     return b"".join(parts) if size <= most else b""
-
-
-def _end(process: asyncio.subprocess.Process) -> None:
-    """End a process and those it started, if they are still there."""
-    if process.returncode is None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.serve.jobs import started
+from magyc_gtsam.serve.workers import started
 from magyc_gtsam.storage.whole_file import write_text
 
 CALIBRATION, STATE, RUN = "online-calibration.yaml", "online.state", "live.json"
@@ -126,7 +126,7 @@ class Live:
             *self._arguments,
         ]
         try:
-            self._process = await started(arguments, self._place, line=_LINE)
+            self._process = await started("magyc_gtsam.cli", arguments, self._place, line=_LINE)
             assert self._process.stdout is not None
             assert self._process.stderr is not None
             await asyncio.gather(self._show(self._process.stdout), self._listen(self._process.stderr))
