@@ -208,6 +208,30 @@ def test_a_gyroscope_with_a_wrong_scale_is_covered_or_not_trusted(motion: str) -
     assert np.median(alone) > 16
 
 
+@pytest.mark.parametrize("kind", ["halves", "directions", "speeds"])
+def test_parts_of_a_recording_that_disagree_are_named_and_covered(kind: str) -> None:
+    """Hard irons that are 1 µT apart in two parts of the recording, on a motion that hardly tilts."""
+    for seed in range(4):
+        simulation = simulate("moderate", seed=800 + seed)
+        recording, truth = simulation.recording, simulation.truth
+        rate = np.stack([np.convolve(axis, np.ones(11) / 11, "same") for axis in recording.angular_rate.T], axis=1)
+        speed = np.linalg.norm(rate, axis=1)
+        side = {
+            "halves": np.where(recording.time < recording.time.mean(), -1.0, 1.0),
+            "directions": np.sign(rate[:, 2]),
+            "speeds": np.sign(speed - np.median(speed)),
+        }[kind]
+        way = np.random.default_rng(seed).normal(size=3)
+        shift = 0.5e-6 * way / np.linalg.norm(way)
+        if kind == "halves":  # a calibration is used after the recording
+            truth = replace(truth, hard_iron=truth.hard_iron + shift)
+        field = recording.magnetic_field + side[:, None] * shift
+        calibration = calibrate(replace(recording, magnetic_field=field), misalignment=0)
+        components = calibration.diagnostics["model_error"]["components"]
+        assert kind in [component["name"] for component in components]
+        assert not calibration.trusted or within(calibration, truth) < 16
+
+
 def test_a_filtered_magnetometer_is_covered_or_not_trusted() -> None:
     """First order with 0.5 s on wide: off by 1.5 µT at a noise of 0.06."""
     for seed in range(4):

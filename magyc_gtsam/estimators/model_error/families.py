@@ -135,6 +135,13 @@ def _attitude(motion: WindowMotion) -> Products:
     return motion.in_world(motion.rotation.swapaxes(0, 1).reshape(9, -1) * np.sqrt(3.0))
 
 
+def _speed(motion: WindowMotion) -> Products:
+    """How fast it turns, about its mean: what disagrees between slow turns and fast ones shows in this first."""
+    size = np.linalg.norm(motion.rate, axis=0)
+    size -= size.mean()
+    return motion.in_sensor(size[None] / max(float(size.std()), ALIKE))
+
+
 def _rate_times_field(motion: WindowMotion) -> Products:
     products = np.einsum("in,jn->ijn", motion.relative, motion.unit).reshape(9, -1)
     return motion.in_sensor(products * np.sqrt(3.0))
@@ -257,7 +264,8 @@ FAMILIES = (
     ColumnFamily("skew", "the chips' axes are askew by {} of the field", _skew, 0.035, 2, first=True),
     ColumnFamily("second", _TILTS, lambda m: m.in_sensor(_second(m.unit)), 0.006, 5, first=True),
     ColumnFamily("third", "the reading bends by {}", lambda m: m.in_sensor(_third(m.unit)), 0.004, 7, first=True),
-    ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3),
+    ColumnFamily("rate", _TURNS, lambda m: m.in_sensor(m.relative), 0.02, 3, first=True),
+    ColumnFamily("speed", _TURNS, _speed, 0.02, first=True),
     ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
     ColumnFamily(

@@ -102,6 +102,11 @@ class WindowMotion:
         """(3, n) the rate of turn over `spread`."""
         return self.rate / self.spread
 
+    @cached_property
+    def reading_curvature(self) -> Array:
+        """(3, n) T/s², of `reading_change`."""
+        return self.derivative(self.reading_change)
+
     def in_sensor(self, profiles: Array) -> Products:
         """Profiles (k, n) along each of the sensor's axes, in units of the field strength."""
         return Products(profiles, self._sensor_axes)

@@ -58,13 +58,13 @@ def _play(motion: WindowMotion) -> UnmodelledColumns:
 
 def _late_axis(motion: WindowMotion) -> UnmodelledColumns:
     """Per s: each axis later than the others, to the second order for a lag of some size."""
-    first, second = motion.reading_change, motion.derivative(motion.reading_change)
+    first, second = motion.reading_change, motion.reading_curvature
     return UnmodelledColumns(np.concatenate([_each_axis(first), 0.5 * _LATE * _each_axis(second)]), None)
 
 
 def _filter(motion: WindowMotion) -> UnmodelledColumns:
     """Per s²: the second order of a filter, whose first is a delay."""
-    return UnmodelledColumns(_one(motion.derivative(motion.reading_change)), None)
+    return UnmodelledColumns(_one(motion.reading_curvature), None)
 
 
 def _gain_drift(motion: WindowMotion) -> UnmodelledColumns:
