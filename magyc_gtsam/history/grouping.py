@@ -22,6 +22,9 @@ from magyc_gtsam.recording import Array
 _SWEEPS = 10
 _KEPT = np.r_[0:SHAPE, GYRO_BIAS]  # what stays
 _WORTH_SPLITTING = 3  # logs
+_CLEAR = (
+    7.0  # nats, odds of a thousand, of a log that clearly belongs; simulated dives of one instrument: 17 and more
+)
 _STAYED = 0.8  # share of logs of an instrument whose hard iron is that of another of its logs
 
 
@@ -62,7 +65,11 @@ class Grouping:
             self._split(found)
 
     def add(self, factors: Sequence[LogFactor]) -> None:
-        """Take more logs. Those of the largest group stay there; all others are assigned again."""
+        """Take more logs, and assign again what they may have moved.
+
+        That is all logs but those of the largest group; of these, too, those that another group suits better, where
+        one of the new logs does not clearly belong to the group: one that does says nothing against the others.
+        """
         more = [self._seen + k for k, factor in enumerate(factors) if factor.mean is not None]
         self._seen += len(factors)
         if not more:
@@ -71,8 +78,19 @@ class Grouping:
         self._logs = self._logs.with_more(_Logs.of([f for f in factors if f.mean is not None], self._model))
         for i in more:
             self._assign(i)
-        largest = set(self.groups[0])
-        self._settle([i for i in self._row if i not in largest or i in more])
+        largest = self._group_of[self.groups[0][0]]
+        staying = {i for i in largest.logs if i not in more}
+        if all(self._group_of[i] is largest and self._fit([i], largest)[0] > _CLEAR for i in more):
+            self._settle([i for i in self._row if i not in staying])
+            return
+        logs = sorted(staying)
+        here = self._fit(logs, largest)
+        elsewhere = [self._fit(logs, group, inside=False) for group in self._groups if group is not largest]
+        doubtful = here < np.max([np.zeros(len(logs)), *elsewhere], axis=0)
+        staying -= {i for i, doubt in zip(logs, doubtful, strict=True) if doubt}
+        self._settle([i for i in self._row if i not in staying])
+        for found in tuple(self._groups):
+            self._split(found)
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
@@ -97,15 +115,16 @@ class Grouping:
         if len(group.logs) < _WORTH_SPLITTING:
             return
         before, evidence = [(list(g.logs), g.information, g.weighted) for g in self._groups], self._evidence()
-        fits = {i: self._fit(i, group) for i in group.logs}
-        weakest = min(fits, key=lambda i: fits[i])
+        fits = self._fit(group.logs, group)
+        least = int(np.argmin(fits))
+        weakest, worst = group.logs[least], float(fits[least])
         others = [i for i in group.logs if i != weakest]
         self._take_out(weakest)
         begun = _Group(SHAPE + 6)
         self._groups.append(begun)
         self._put(weakest, begun)
-        would_follow = sum(max(0.0, self._fit(i, begun, inside=False) - self._fit(i, group)) for i in others)
-        if would_follow > self._model.same + fits[weakest]:
+        follow = self._fit(others, begun, inside=False) - self._fit(others, group)
+        if float(np.maximum(follow, 0.0).sum()) > self._model.same + worst:
             self._settle([*others, weakest])
         if len(begun.logs) < 2 or self._evidence() <= evidence:
             self._groups = [_Group(SHAPE + 6, *each) for each in before]
@@ -117,18 +136,20 @@ class Grouping:
             self._together(g.information, g.weighted) + self._model.same * (len(g.logs) - 1) for g in self._groups
         ]
         empty = _Group(SHAPE + 6)
-        return sum(each) - len(each) * self._together(empty.information, empty.weighted)
+        return float(sum(each) - len(each) * self._together(empty.information, empty.weighted))
 
-    def _fit(self, i: int, group: _Group, *, inside: bool = True) -> float:
-        """By how much a log's soft iron and bias are likelier with a group, in which it is or not, than alone."""
-        row = self._row[i]
+    def _fit(self, logs: Sequence[int], group: _Group, *, inside: bool = True) -> Array:
+        """(n,) by how much logs' soft iron and bias are likelier with a group, in which they are or not, than alone."""
+        rows = [self._row[i] for i in logs]
+        information, weighted = self._logs.information[rows], self._logs.weighted[rows]
+        others, of_others = group.information, group.weighted
         if inside:
-            group = _Group(
-                SHAPE + 6,
-                information=group.information - self._logs.information[row],
-                weighted=group.weighted - self._logs.weighted[row],
-            )
-        return self._kept_given(row, group) - self._kept_given(row, _Group(SHAPE + 6))
+            others, of_others = others - information, of_others - weighted
+        together = self._together(others + information, of_others + weighted) - self._together(others, of_others)
+        nothing = _Group(SHAPE + 6)
+        alone = self._together(information, weighted) - self._together(nothing.information, nothing.weighted)
+        fit: Array = together - alone
+        return fit
 
     def _take_out(self, i: int) -> None:
         own = self._group_of.pop(i)
@@ -165,16 +186,21 @@ class Grouping:
         """Log density of a log's soft iron and bias given its instrument's others, but for a constant of the log."""
         information, weighted = self._logs.information[row], self._logs.weighted[row]
         with_it = self._together(group.information + information, group.weighted + weighted)
-        return with_it - self._together(group.information, group.weighted)
+        return float(with_it - self._together(group.information, group.weighted))
 
-    def _together(self, information: Array, weighted: Array) -> float:
-        """Log density of soft irons and biases of one instrument, whose own are integrated out over both priors."""
+    def _together(self, information: Array, weighted: Array) -> Array:
+        """Log density of soft irons and biases of one instrument, whose own are integrated out over both priors.
+
+        Of (…, k, k) information and (…, k) information times mean: (…).
+        """
         values = []
         for prior in self._priors:
             both = information + np.diag(prior)
-            gain = weighted @ np.linalg.solve(both, weighted) - np.linalg.slogdet(both)[1] + np.log(prior).sum()
+            mean = np.linalg.solve(both, weighted[..., None])[..., 0]
+            gain = (weighted * mean).sum(axis=-1) - np.linalg.slogdet(both)[1] + np.log(prior).sum()
             values.append(0.5 * gain)
-        return float(np.logaddexp(*values))
+        density: Array = np.logaddexp(*values)
+        return density
 
     def _iron_gain(self, row: int, group: _Group) -> float:
         """By how much a log's hard iron is likelier with others of its instrument than anywhere."""

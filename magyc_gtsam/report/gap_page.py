@@ -7,9 +7,9 @@ import json
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import gap_charts, gap_words, words
-from magyc_gtsam.report.gap_verdict import Validation, judged_gap, said
+from magyc_gtsam.report.gap_verdict import Validation, judged_gap
 from magyc_gtsam.report.html import rendered
-from magyc_gtsam.report.verdict import Verdict
+from magyc_gtsam.report.verdict import Verdict, said
 from magyc_gtsam.storage.json_types import json_types
 
 

@@ -11,7 +11,7 @@ from magyc_gtsam.foreign_text import MOST_WORDS, clauses
 from magyc_gtsam.gap.doubt import Doubt, with_doubt
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.result import Effect, Gap, Metrics, Moved
-from magyc_gtsam.report.verdict import Verdict
+from magyc_gtsam.report.verdict import Verdict, said
 
 _WORSE = 0.005  # nats per window, by which what was found may make another recording worse
 _BETTER = 0.98  # prediction with the correction over that without, below which the correction helps there
@@ -180,8 +180,3 @@ def as_judged(gap: Gap, verdict: Verdict) -> Gap:
 def title(gap: Gap) -> str:
     """The verdict as a heading."""
     return _TITLES[gap.verdict]
-
-
-def said(sentence: str) -> str:
-    """With a capital and a full stop."""
-    return sentence[:1].upper() + sentence[1:].removesuffix(".") + "."

@@ -12,9 +12,8 @@ from magyc_gtsam.history import History
 from magyc_gtsam.history.log_factor import HARD_IRON
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart
-from magyc_gtsam.report.gap_verdict import said
 from magyc_gtsam.report.html import rendered
-from magyc_gtsam.report.verdict import Verdict
+from magyc_gtsam.report.verdict import Verdict, said
 
 _AXES = ("x", "y", "z")
 _BAND = 1.96  # sigmas

@@ -194,3 +194,8 @@ def _details(calibration: Calibration) -> tuple[str, ...]:
         weak = [weakness.sentence for weakness in observability.weak]
         sentences += [sentence for sentence in weak if sentence not in calibration.message]
     return tuple(dict.fromkeys(sentences))
+
+
+def said(sentence: str) -> str:
+    """With a capital and a full stop."""
+    return sentence[:1].upper() + sentence[1:].removesuffix(".") + "."
