@@ -117,6 +117,17 @@ def test_it_runs_in_processes_and_goes_on_where_it_was(tmp_path: Path) -> None:
     assert parquet.read_table(tmp_path / "faults.parquet").to_pylist() == rows
 
 
+def test_coverage_is_that_of_faults_that_no_data_show() -> None:
+    def row(shows: bool, *sigmas: float | None) -> dict[str, object]:
+        return {"shows": shows, "hard_iron_sigmas": sigmas[0], "heading_sigmas": sigmas[1]}
+
+    rows = [row(False, 0.5, 2.0), row(False, 0.9, 0.1), row(False, 3.0, 4.0), row(False, None, None)]
+    assert running.covered([*rows, row(True, 9.0, 9.0)]) == running.Coverage(
+        3, pytest.approx(2 / 3), pytest.approx(1 / 3)
+    )
+    assert running.covered([row(True, 0.1, 0.1)]) is None
+
+
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(mg.MagycError, match="fault: 'nothing' is none of clean, one-sided-spikes, "):
         running.cases(["nothing"], ["wide"], range(1))

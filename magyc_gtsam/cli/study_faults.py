@@ -71,7 +71,7 @@ def faults(
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.simulation.motion import AMPLITUDES
     from magyc_gtsam.study.faults.catalogue import FAULTS
-    from magyc_gtsam.study.faults.running import cases, cells, run
+    from magyc_gtsam.study.faults.running import cases, cells, covered, run
     from magyc_gtsam.study.faults.scoring import OUTCOMES
 
     unknown = sorted(set(methods) - set(METHODS))
@@ -100,6 +100,12 @@ def faults(
     )
     total = {outcome: sum(cell.counts[outcome] for cell in table) for outcome in OUTCOMES}
     show("", f"{len(rows)} results: " + ", ".join(f"{count} {outcome}" for outcome, count in total.items()))
+    hidden = covered(rows)
+    if hidden is not None:
+        show(
+            f"{hidden.count} calibrations under faults that no data show, trusted or not: hard iron within one stated "
+            f"sigma on its worst axis in {hidden.hard_iron:.0%}, heading at its worst in {hidden.heading:.0%}"
+        )
     show(f"{folder / 'faults.parquet'}")
     bad = [c for c in table if FAULTS[c.fault].shows and 30 * c.counts[OUTCOMES[0]] > sum(c.counts.values())]
     return int(bool(bad) or total["crashed"] > 0)

@@ -50,6 +50,15 @@ class OutcomeCounts:
     heading: float
 
 
+@dataclass(frozen=True)
+class Coverage:
+    """How many calibrations, and shares in which the largest error is within one stated sigma."""
+
+    count: int
+    hard_iron: float
+    heading: float
+
+
 def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) -> list[Case]:
     """Every fault at both strengths; "clean" once.
 
@@ -148,3 +157,12 @@ def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
         ]
         result.append(OutcomeCounts(fault, strength, motion, method, counts, *errors))
     return sorted(result, key=lambda cell: -cell.counts[OUTCOMES[0]] / sum(cell.counts.values()))
+
+
+def covered(rows: Iterable[Mapping[str, Any]]) -> Coverage | None:
+    """Of faults that no data show, where there are any; trusted or not, since the sigma is what must hold there."""
+    names = ("hard_iron_sigmas", "heading_sigmas")
+    hidden = [row for row in rows if not row["shows"] and all(row[name] is not None for name in names)]
+    if not hidden:
+        return None
+    return Coverage(len(hidden), *(float(np.mean([row[name] <= 1.0 for row in hidden])) for name in names))
