@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -27,22 +28,66 @@ def run(
             "--per-motor", help="The current channels are the outputs, 0 to 1, of motors 1 to 4 (ArduPilot)."
         ),
     ] = False,
+    write: Annotated[
+        str | None,
+        typer.Option(
+            metavar="mavlink://ADDRESS",
+            help="Write the parameters to the vehicle there (ArduPilot, PX4): they are listed beside the present ones, "
+            "written after you confirm, and read back.",
+        ),
+    ] = None,
     force: given.Force = False,
 ) -> int:
-    """Write a calibration as parameters to paste.
+    """Write a calibration as parameters to paste, or to a vehicle.
 
-    An untrusted calibration is refused with exit code 1 and the reason.
+    An untrusted calibration is refused with exit code 1 and the reason, and is never written to a vehicle.
     """
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.report.verdict import judged
 
     calibration = Calibration.load(calibration_file)
-    if not calibration.trusted and not force:
+    if not calibration.trusted and (write is not None or not force):
         return refused(calibration)
     text = calibration.export(target, force=force, per_motor=per_motor)
+    if write is not None:
+        return _write(text, target, write)
     if output is None:
         typer.echo(text, nl=False)
     else:
         with replacing(output) as part:
             part.write_text(text, encoding="utf-8")
     return concluded(judged(calibration))
+
+
+def _write(text: str, target: str, address: str) -> int:
+    """List what would be written, ask, write, and compare what is read back; the exit code."""
+    from magyc_gtsam.cli.terminal import show, show_table
+    from magyc_gtsam.live.mavlink_parameters import VehicleParameters, is_that, settings_of
+
+    vehicle = VehicleParameters(address, target)
+    try:
+        settings = settings_of(text, target)
+        before = [vehicle.read(setting.name) for setting in settings]
+        values = [("not there yet" if old is None else f"{old:.8g}") for old in before]
+        rows = [[s.name, old, f"{s.value:.8g}"] for s, old in zip(settings, values, strict=True)]
+        show(*(line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")), "")
+        show_table(("parameter", "on the vehicle", "to be written"), rows)
+        try:
+            agreed = typer.confirm(f"Write these {len(settings)} parameters to the vehicle?")
+        except typer.Abort:
+            agreed = False
+        if not agreed:
+            show("nothing was written")
+            return 1
+        wrong = [s.name for s in settings if not is_that(vehicle.write(s), s.value)]
+    finally:
+        vehicle.close()
+    if wrong:
+        print(
+            f"magyc-gtsam: {len(wrong)} of {len(settings)} parameters were not taken ({', '.join(wrong)}); "
+            "restart the vehicle, which shows parameters that were switched on, and write them again",
+            file=sys.stderr,
+        )
+        return 1
+    show(f"{len(settings)} parameters written, and read back as written; restart the vehicle")
+    return 0

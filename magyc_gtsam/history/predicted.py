@@ -50,7 +50,7 @@ def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model
     strength = next(
         (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
     )
-    message = f"predicted by {_said(factors, instrument)} logs; unless the hard iron jumps"
+    message = f"predicted by {_said(factors, instrument)} logs; it holds unless the hard iron jumps"
     return _calibration(factors, instrument, mean, covariance, message, strength)
 
 

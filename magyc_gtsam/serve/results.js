@@ -34,13 +34,16 @@ function exported(key, { name, file, text }) {
     element("details", {}, element("summary", { textContent: file || "Text" }), element("pre", { textContent: text })));
 }
 
+/** What a sentence for a terminal asks for, as it is done here. */
+const asDoneHere = (text) => text.replace("run `magyc-gtsam gap`", "press Gap").replace(" (--start, --end)", " (drag over the charts)");
+
 /** With a capital and a full stop. */
 const asSentence = (text) => (text ? `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.` : "");
 
 async function openResult(key, scroll = true) {
   const found = await ask(`/api/results/${key}`);
   go({ result: key });
-  const [title, ...rest] = (found.sentence || "Done").replace(/^[✔✘] /, "").split(": ");
+  const [title, ...rest] = asDoneHere(found.sentence || "Done").replace(/^[✔✘] /, "").split(": ");
   const interval = found.interval ? `, ${found.interval[0] ?? "start"} to ${found.interval[1] ?? "end"} s` : "";
   const head = element("header", { className: found.trusted ? "good" : found.trusted === false ? "bad" : "" }, element("h1", { textContent: title }), element("p", { textContent: asSentence(rest.join(": ")) }),
     element("p", { className: "soft origin", textContent: `${found.logs || key}${interval} · ${KINDS[found.kind]} · ${new Date(found.time * 1000).toLocaleString()}` }));
