@@ -122,7 +122,7 @@ def test_coverage_is_that_of_faults_that_no_data_show() -> None:
         return {"shows": shows, "hard_iron_sigmas": sigmas[0], "heading_sigmas": sigmas[1]}
 
     rows = [row(False, 0.5, 2.0), row(False, 0.9, 0.1), row(False, 3.0, 4.0), row(False, None, None)]
-    assert running.covered([*rows, row(True, 9.0, 9.0)]) == running.Coverage(
+    assert running.covered([*rows, row(True, 9.0, 9.0)]) == running.SigmaCoverage(
         3, pytest.approx(2 / 3), pytest.approx(1 / 3)
     )
     assert running.covered([row(True, 0.1, 0.1)]) is None

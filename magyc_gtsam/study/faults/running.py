@@ -51,7 +51,7 @@ class OutcomeCounts:
 
 
 @dataclass(frozen=True)
-class Coverage:
+class SigmaCoverage:
     """How many calibrations, and shares in which the largest error is within one stated sigma."""
 
     count: int
@@ -159,10 +159,10 @@ def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
     return sorted(result, key=lambda cell: -cell.counts[OUTCOMES[0]] / sum(cell.counts.values()))
 
 
-def covered(rows: Iterable[Mapping[str, Any]]) -> Coverage | None:
+def covered(rows: Iterable[Mapping[str, Any]]) -> SigmaCoverage | None:
     """Of faults that no data show, where there are any; trusted or not, since the sigma is what must hold there."""
     names = ("hard_iron_sigmas", "heading_sigmas")
     hidden = [row for row in rows if not row["shows"] and all(row[name] is not None for name in names)]
     if not hidden:
         return None
-    return Coverage(len(hidden), *(float(np.mean([row[name] <= 1.0 for row in hidden])) for name in names))
+    return SigmaCoverage(len(hidden), *(float(np.mean([row[name] <= 1.0 for row in hidden])) for name in names))
