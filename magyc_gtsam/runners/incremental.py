@@ -8,6 +8,7 @@ the result says why. Factors keep the handle under which they were added, whatev
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -179,41 +180,41 @@ class Incremental:
         if steps < 1:
             raise MagycError(f"steps: must be at least 1, got {steps}")
         added = _as_graph(factors)
+        members = [added.at(i) for i in range(added.size())]
         removed = list(dict.fromkeys(remove))
         unknown = [handle for handle in removed if handle not in self._factors]
         if unknown:
             raise MagycError(f"no factor {unknown[0]} in the graph; handles are what `update` returned")
         new = self._new_variables(added, initial)
-        whole, moved = False, 0.0
-        touched = gtsam.Values()
+        fresh, lost = new.keys(), bool(removed)
+        whole, moved, before = False, 0.0, list[gtsam.Values]()
         try:
-            self._warm_up(added, new)
+            self._warm_up(members, new)
             slots = [self._slots[handle] for handle in removed]
             result = self._isam.update(added, new, slots)
             found = result.getNewFactorsIndices()
-            touched.insert(new)
-            fresh, lost = set(new.keys()), bool(removed)
-            moved = self._step(result, touched, fresh, lost)
+            before.append(new)
+            self._values.insert(new)
+            moved = self._step(result, before, fresh, lost)
             for _ in range(steps - 1):
                 if not moved > self._tolerance:  # nor goes on from NaN
                     break
-                moved = self._step(self._isam.update(), touched, set(), lost)
-            whole = bool(np.isfinite(moved))
+                moved = self._step(self._isam.update(), before, [], lost)
+            whole = math.isfinite(moved)
         except (KeyboardInterrupt, NonFiniteError, RuntimeError) as problem:
             return self._not_updated(problem)
         finally:
             if not whole:
-                self._rebuild()
+                self._restore(before)
         if not whole:
             return IncrementalResult(Status.FAILED, f"the step became {moved}; nothing was updated")
 
         for handle in removed:
             del self._factors[handle], self._slots[handle]
-        handles = tuple(range(self._next_handle, self._next_handle + added.size()))
-        self._next_handle += len(handles)
-        self._factors.update({handle: added.at(i) for i, handle in enumerate(handles)})
+        first, self._next_handle = self._next_handle, self._next_handle + len(members)
+        handles = tuple(range(first, self._next_handle))
+        self._factors.update(zip(handles, members, strict=True))
         self._slots.update(zip(handles, found, strict=True))
-        self._values.insert_or_assign(touched)
         self._current = False
         self._since += 1
         if removed:
@@ -224,10 +225,9 @@ class Incremental:
             self._read_all()
         return self._verdict(handles, moved, steps)
 
-    def _warm_up(self, added: gtsam.NonlinearFactorGraph, new: gtsam.Values) -> None:
+    def _warm_up(self, added: list[Any], new: gtsam.Values) -> None:
         """Set the widths of the kernels in blocks by how the last ones fitted."""
-        for i in range(added.size()):
-            factor = added.at(i)
+        for factor in added:
             details = factor_details(factor)
             if getattr(details, "robust", None) is None:
                 continue
@@ -243,43 +243,32 @@ class Incremental:
                 details.width = width
 
     def _new_variables(self, factors: gtsam.NonlinearFactorGraph, initial: gtsam.Values | None) -> gtsam.Values:
-        new = gtsam.Values()
         keys = [key for key in factors.keyVector() if not self._values.exists(key)]
         missing = [key for key in keys if initial is None or not initial.exists(key)]
         if missing:
             raise MagycError(f"no initial value for {', '.join(called(key, self._names) for key in missing)}")
-        if initial is not None:
-            new.insert(initial)
-            for key in set(initial.keys()).difference(keys):
-                new.erase(key)
-        return new
+        return gtsam.Values() if initial is None else initial.extract(keys)
 
-    def _step(self, result: gtsam.ISAM2Result, touched: gtsam.Values, new: set[int], lost: bool) -> float:
-        """Read what a step touched into `touched`; by how much it moved a variable that existed before at most.
+    def _step(self, result: gtsam.ISAM2Result, before: list[gtsam.Values], new: list[int], lost: bool) -> float:
+        """Read what a step touched; by how much it moved a variable that existed before at most.
 
         Args:
             result: of the step.
-            touched: the values that this update has read, and those of the new variables.
-            new: the new variables.
+            before: of this update, what each of its steps replaced; one more afterwards.
+            new: the new variables, which `values` holds already.
             lost: whether factors were removed, so that variables may have gone.
         """
         keys = list(result.getMarkedKeys())
         if lost:
             keys = [key for key in keys if self._isam.valueExists(key)]
-        after = self._isam.calculateEstimate(keys)
-        old = [key for key in keys if key not in new]
-        compared = old or keys
-        if old and touched.size() == len(new):  # nothing has been read yet
-            before = self._values.extract(old)
-        else:
-            known = {key for key in compared if touched.exists(key)}
-            before = self._values.extract([key for key in compared if key not in known])
-            before.insert(touched.extract([key for key in compared if key in known]))
-        moved = after if len(compared) == len(keys) else after.extract(compared)
-        change = before.localCoordinates(moved).vector()
-        touched.insert_or_assign(after)
-        self._steps.append(float(np.abs(change).max(initial=0.0)))
-        return self._steps[-1]
+        after, replaced = self._isam.calculateEstimate(keys), self._values.extract(keys)
+        before.append(replaced)
+        self._values.update(after)
+        if new and len(keys) > len(new):
+            replaced.update(after.extract(new))
+        step = float(abs(replaced.localCoordinates(after).vector()).max()) if keys else 0.0
+        self._steps.append(step)
+        return step
 
     def _read_all(self) -> None:
         """Bring the whole estimate up to date."""
@@ -287,11 +276,11 @@ class Incremental:
             self._values, self._current, self._since = self._isam.calculateEstimate(), True, 0
 
     def _verdict(self, handles: tuple[int, ...], step: float, steps: int) -> IncrementalResult:
-        rising = len(self._steps) > _GROWING and all(a < b for a, b in itertools.pairwise(self._steps))
-        if rising and step > max(10 * self._steps[0], self._limit):
-            message = f"steps grow, from {self._steps[0]:.1g} to {step:.1g}; start nearer, or use 'dogleg'"
-            return IncrementalResult(Status.DIVERGED, message, handles, step)
         if step > self._limit:
+            rising = len(self._steps) > _GROWING and all(a < b for a, b in itertools.pairwise(self._steps))
+            if rising and step > 10 * self._steps[0]:
+                message = f"steps grow, from {self._steps[0]:.1g} to {step:.1g}; start nearer, or use 'dogleg'"
+                return IncrementalResult(Status.DIVERGED, message, handles, step)
             return IncrementalResult(Status.MAX_ITERATIONS, f"still moving, by {step:.1g}", handles, step)
         if self._trusts and (self._current or steps > 1):
             # A minimum, or a trust region that shrank to nothing?
@@ -318,8 +307,17 @@ class Incremental:
     def _graph(self) -> gtsam.NonlinearFactorGraph:
         return _as_graph(self._factors.values())
 
-    def _rebuild(self) -> None:
-        """A new iSAM2 of the factors held, at the last estimate: one that threw cannot be used."""
+    def _restore(self, before: list[gtsam.Values]) -> None:
+        """The state before an update that did not take place: one that threw leaves iSAM2 unusable.
+
+        Args:
+            before: its new variables, and what each of its steps replaced.
+        """
+        for replaced in reversed(before[1:]):
+            self._values.update(replaced)
+        for key in before[0].keys() if before else ():
+            if self._values.exists(key):
+                self._values.erase(key)
         self._isam = gtsam.ISAM2(self._parameters)
         if self._factors:
             slots = self._isam.update(self._graph(), self._values).getNewFactorsIndices()
