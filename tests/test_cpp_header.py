@@ -1,7 +1,13 @@
-"""The C++ header gives the residuals and Jacobians of the Python factors, over generated cases."""
+"""The C++ headers give the residuals and Jacobians of the Python factors, over generated cases.
 
+The one with GTSAM factors is compiled where GTSAM's headers and library are: under `GTSAM_PREFIX`, the Python
+environment's prefix, /usr/local or /usr; `LDFLAGS` goes to the linker.
+"""
+
+import os
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import gtsam
@@ -17,16 +23,35 @@ CASES = 12
 SIGMA = 1e-6
 
 
-@pytest.fixture(scope="module")
-def program(tmp_path_factory):
+def compiled(folder, source, prefix=None):
+    """The binary of tests/`source`, on Eigen's headers and the GTSAM under `prefix`."""
     compiler = shutil.which("g++") or shutil.which("clang++")
     include = next((path for path in EIGEN if (path / "Eigen" / "Core").exists()), None)
     if compiler is None or include is None:
         pytest.skip("needs a C++ compiler and Eigen's headers (Debian: g++ libeigen3-dev)")
-    binary = tmp_path_factory.mktemp("cpp") / "cases"
-    flags = ["-std=c++17", "-O1", "-Wall", "-Werror", f"-isystem{include}", f"-I{ROOT / 'factors' / 'cpp'}"]
-    subprocess.run([compiler, *flags, str(ROOT / "tests" / "cpp_header.cpp"), "-o", str(binary)], check=True)
-    return binary
+    flags = ["-std=c++17", f"-I{ROOT / 'factors' / 'cpp'}", str(ROOT / "tests" / source), f"-isystem{include}"]
+    if prefix is None:
+        flags += ["-O1", "-Wall", "-Werror"]
+    else:
+        library = prefix / "lib"
+        flags += ["-O0", f"-isystem{prefix / 'include'}", f"-L{library}", f"-Wl,-rpath,{library}", "-lgtsam"]
+        flags += os.environ.get("LDFLAGS", "").split()
+    subprocess.run([compiler, *flags, "-o", str(folder / "cases")], check=True)
+    return folder / "cases"
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    return compiled(tmp_path_factory.mktemp("cpp"), "cpp_header.cpp")
+
+
+@pytest.fixture(scope="module")
+def gtsam_program(tmp_path_factory):
+    prefixes = [Path(os.environ.get("GTSAM_PREFIX", sys.prefix)), Path("/usr/local"), Path("/usr")]
+    found = [each for each in prefixes if (each / "include/gtsam/nonlinear/NonlinearFactor.h").exists()]
+    if not found:
+        pytest.skip("needs GTSAM's headers and library, which its Python wheel does not have (GTSAM_PREFIX)")
+    return compiled(tmp_path_factory.mktemp("gtsam"), "cpp_gtsam.cpp", found[0])
 
 
 def case(seed):
@@ -87,4 +112,35 @@ def test_a_block(program, seed):
     rest += [rows.bias, rows.body_R_sensor, [SIGMA * 1e6]]
     found = told(program, "block", values, rest)
     wanted = expected(factor, values)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())
+
+
+def on_pose(values):
+    """The same values with a pose in place of the rotation."""
+    posed = gtsam.Values(values)
+    posed.erase(X(0))
+    posed.insert(X(0), gtsam.Pose3(values.atRot3(X(0)), np.array([1.0, 2.0, 3.0])))
+    return posed
+
+
+@pytest.mark.parametrize("seed", range(CASES))
+def test_the_gtsam_factor_of_a_sample(gtsam_program, seed):
+    values, _, measured = case(seed)
+    factor = magnetometer_factor(
+        X(0), A(0), H(0), measured, gtsam.noiseModel.Unit.Create(3), field=1e-6 * values.atPoint3(F(0)),
+        body_R_sensor=values.atRot3(M(0)),
+    )  # fmt: skip
+    found = told(gtsam_program, "sample", values, [measured * 1e6])
+    np.testing.assert_allclose(found, expected(factor, on_pose(values)), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(CASES))
+def test_the_gtsam_factor_of_a_block(gtsam_program, seed):
+    values, block, _ = case(seed)
+    factor = keyframe_field_factor(X(0), A(0), H(0), block, SIGMA, field=1e-6 * values.atPoint3(F(0)))
+    rows = block.compressed()
+    rest = [block.bias, [len(rows.share)], rows.design, rows.share, rows.field * 1e6]
+    rest += [rows.bias, rows.body_R_sensor, [SIGMA * 1e6]]
+    found = told(gtsam_program, "block", values, rest)
+    wanted = expected(factor, on_pose(values))
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9 * np.abs(wanted).max())

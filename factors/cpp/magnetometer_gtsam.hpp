@@ -1,10 +1,11 @@
-// GTSAM factors of the residuals in magnetometer.hpp: a thin wrapper, written against GTSAM 4.3's NoiseModelFactorN.
+// GTSAM factors of the residuals in magnetometer.hpp, for GTSAM 4.1 to 4.3.
 //
-// It has NOT been compiled by this project, whose machines have GTSAM's Python wheel but not its headers; the residuals
-// and Jacobians it calls are compiled and compared with the Python factors (tests/test_cpp_header.py).
+// Where this was compiled, and against which versions, is said in docs/slam.md; tests/test_cpp_header.py compiles it where
+// GTSAM's headers are and compares both factors with the Python ones.
 // Soft iron keys hold a gtsam::Vector of 6, as graphs made in Python do; hard iron keys a Point3.
 #pragma once
 
+#include <gtsam/config.h>
 #include <gtsam/geometry/Pose3.h>
 #include <gtsam/nonlinear/NonlinearFactor.h>
 
@@ -12,28 +13,36 @@
 
 namespace magyc {
 
+// GTSAM 4.3 passes Jacobians by pointer, earlier versions by boost::optional; both are read in the same way.
+#if GTSAM_VERSION_NUMERIC >= 40300
+using OptionalMatrix = gtsam::OptionalMatrixType;
+using CalibrationFactor = gtsam::NoiseModelFactorN<gtsam::Pose3, gtsam::Vector, gtsam::Point3>;
+#else
+using OptionalMatrix = boost::optional<gtsam::Matrix&>;
+using CalibrationFactor = gtsam::NoiseModelFactor3<gtsam::Pose3, gtsam::Vector, gtsam::Point3>;
+#endif
+
 /// One sample on (Pose3, soft iron, hard iron) in a known field.
-class MagnetometerFactor : public gtsam::NoiseModelFactorN<gtsam::Pose3, gtsam::Vector, gtsam::Point3> {
-  using Base = gtsam::NoiseModelFactorN<gtsam::Pose3, gtsam::Vector, gtsam::Point3>;
+class MagnetometerFactor : public CalibrationFactor {
   Vector3 measured_, field_;
   Matrix3 mounting_;
 
  public:
-  using Base::evaluateError;
+  using CalibrationFactor::evaluateError;
 
   MagnetometerFactor(gtsam::Key attitude, gtsam::Key soft_iron, gtsam::Key hard_iron, const Vector3& measured,
                      const Vector3& field, const gtsam::SharedNoiseModel& noise,
                      const gtsam::Rot3& body_R_sensor = gtsam::Rot3())
-      : Base(noise, attitude, soft_iron, hard_iron), measured_(measured), field_(field),
+      : CalibrationFactor(noise, attitude, soft_iron, hard_iron), measured_(measured), field_(field),
         mounting_(body_R_sensor.matrix()) {}
 
   gtsam::NonlinearFactor::shared_ptr clone() const override {
-    return std::make_shared<MagnetometerFactor>(*this);
+    return gtsam::NonlinearFactor::shared_ptr(new MagnetometerFactor(*this));
   }
 
   gtsam::Vector evaluateError(const gtsam::Pose3& pose, const gtsam::Vector& soft_iron, const gtsam::Point3& hard_iron,
-                              gtsam::OptionalMatrixType on_pose, gtsam::OptionalMatrixType on_soft_iron,
-                              gtsam::OptionalMatrixType on_hard_iron) const override {
+                              OptionalMatrix on_pose, OptionalMatrix on_soft_iron,
+                              OptionalMatrix on_hard_iron) const override {
     SampleJacobians jacobians;
     const Vector3 residual = sample_error(pose.rotation().matrix(), Vector6(soft_iron), hard_iron, field_, mounting_,
                                           measured_, &jacobians);
@@ -48,26 +57,25 @@ class MagnetometerFactor : public gtsam::NoiseModelFactorN<gtsam::Pose3, gtsam::
 };
 
 /// A block of samples on (Pose3, soft iron, hard iron) in a known field, the gyroscope's bias held at the block's own.
-class KeyframeFieldFactor : public gtsam::NoiseModelFactorN<gtsam::Pose3, gtsam::Vector, gtsam::Point3> {
-  using Base = gtsam::NoiseModelFactorN<gtsam::Pose3, gtsam::Vector, gtsam::Point3>;
+class KeyframeFieldFactor : public CalibrationFactor {
   Block block_;
   Vector3 field_;
 
  public:
-  using Base::evaluateError;
+  using CalibrationFactor::evaluateError;
 
   KeyframeFieldFactor(gtsam::Key attitude, gtsam::Key soft_iron, gtsam::Key hard_iron, const Block& block,
                       const Vector3& field)
-      : Base(gtsam::noiseModel::Unit::Create(3 * block.share.size()), attitude, soft_iron, hard_iron), block_(block),
+      : CalibrationFactor(gtsam::noiseModel::Unit::Create(3 * block.share.size()), attitude, soft_iron, hard_iron), block_(block),
         field_(field) {}
 
   gtsam::NonlinearFactor::shared_ptr clone() const override {
-    return std::make_shared<KeyframeFieldFactor>(*this);
+    return gtsam::NonlinearFactor::shared_ptr(new KeyframeFieldFactor(*this));
   }
 
   gtsam::Vector evaluateError(const gtsam::Pose3& pose, const gtsam::Vector& soft_iron, const gtsam::Point3& hard_iron,
-                              gtsam::OptionalMatrixType on_pose, gtsam::OptionalMatrixType on_soft_iron,
-                              gtsam::OptionalMatrixType on_hard_iron) const override {
+                              OptionalMatrix on_pose, OptionalMatrix on_soft_iron,
+                              OptionalMatrix on_hard_iron) const override {
     BlockJacobians jacobians;
     const gtsam::Vector residual = block_error(block_, pose.rotation().matrix(), Vector6(soft_iron), hard_iron,
                                                block_.bias, field_, block_.mounting, &jacobians);
