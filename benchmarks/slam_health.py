@@ -115,13 +115,13 @@ class Drive:
         return self.error @ np.linalg.solve(covariance, self.error)
 
 
-def starts(seeds: int, step: int) -> None:
+def starts(seeds: range, step: int) -> None:
     """Print heading errors and NEES by how far the heading is off at the start."""
-    print(f"{seeds} seeds each, 60 s; root mean square heading error over the second half, worst; NEES (9)")
-    band = 1.96 * np.sqrt(2 * 9 / seeds)
+    print(f"{len(seeds)} seeds each, 60 s; root mean square heading error over the second half, worst; NEES (9)")
+    band = 1.96 * np.sqrt(2 * 9 / len(seeds))
     for heading in range(0, 181, step):
         runs = {
-            name: [Drive(seed, heading, magnetometer=name != "without").run(**options) for seed in range(seeds)]
+            name: [Drive(seed, heading, magnetometer=name != "without").run(**options) for seed in seeds]
             for name, options in (("without", {}), ("native", {}), ("python", {"quadratic": False}))
         }
         parts = [f"{heading:4d}°"]
@@ -139,12 +139,12 @@ def starts(seeds: int, step: int) -> None:
     print(f"band of the NEES {9 - band:.2f} to {9 + band:.2f}")
 
 
-def words(seeds: int, minutes: float) -> None:
+def words(seeds: range, minutes: float) -> None:
     """Print what is named and when, and false alarms of clean drives."""
     begin = 75.0
     for kind in ("disturbance of 15 s", "step of 5 µT", "mounting of 3°, held", "mounting of 3°, a variable"):
         first, last = [], Counter()
-        for seed in range(seeds):
+        for seed in seeds:
             drive = Drive(seed, duration=200.05, mounting=np.radians(0.5) if "variable" in kind else None)
             random, time = np.random.default_rng(1000 + seed), drive.vehicle.recording.time
             axis = random.normal(size=3)
@@ -168,17 +168,18 @@ def words(seeds: int, minutes: float) -> None:
             last[drive.words[-1].by.split(" of ")[0] or str(drive.words[-1].word)] += 1
         suspect, named = np.array(first).T
         print(
-            f"{kind}: suspected in {np.isfinite(suspect).sum()} of {seeds} (median {np.nanmedian(suspect):.0f} s, "
+            f"{kind}: suspected in {np.isfinite(suspect).sum()} of {len(seeds)} (median {np.nanmedian(suspect):.0f} s, "
             f"latest {np.nanmax(suspect):.0f} s), inconsistent in {np.isfinite(named).sum()} (median "
-            f"{np.nanmedian(named) if np.isfinite(named).any() else np.nan:.0f} s); last words {dict(last)}",
+            f"{np.nanmedian(named) if np.isfinite(named).any() else np.nan:.0f} s, latest "
+            f"{np.nanmax(named) if np.isfinite(named).any() else np.nan:.0f} s); last words {dict(last)}",
             flush=True,
         )
     alarms, total = 0, 0.0
-    for seed in range(seeds):
-        drive = Drive(100 + seed, duration=60 * minutes + 0.05).run()
+    for seed in seeds:
+        drive = Drive(300 + seed, duration=60 * minutes + 0.05).run()
         alarms += any(health.word in ("suspect", "inconsistent") for health in drive.words)
         total += minutes / 60
-    print(f"clean: {alarms} of {seeds} drives with an alarm, {total:.1f} h in all", flush=True)
+    print(f"clean: {alarms} of {len(seeds)} drives with an alarm, {total:.1f} h in all", flush=True)
 
 
 def main() -> None:
@@ -191,11 +192,14 @@ def main() -> None:
     option = commands.add_parser("words")
     option.add_argument("--seeds", type=int, default=20)
     option.add_argument("--minutes", type=float, default=30.0, help="of each clean drive")
+    for option in commands.choices.values():
+        option.add_argument("--first", type=int, default=0, help="first seed")
     arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.seeds)
     if arguments.command == "starts":
-        starts(arguments.seeds, arguments.step)
+        starts(seeds, arguments.step)
     else:
-        words(arguments.seeds, arguments.minutes)
+        words(seeds, arguments.minutes)
 
 
 if __name__ == "__main__":

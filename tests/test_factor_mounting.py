@@ -87,7 +87,7 @@ def test_the_gradient_of_a_chain_with_an_effect(askew, side):
     factor = effect_chain_factor(
         SOFT, HARD, BIAS, VALUE, samples, columns, NOISE, side=side, mounting_key=MOUNTED, delay_key=LATE
     )
-    assert list(factor.keys()) == [SOFT, HARD, BIAS, MOUNTED, LATE, VALUE]
+    assert list(factor.keys()) == [SOFT, HARD, BIAS, VALUE, MOUNTED, LATE]
     values = values_at(simulation, gtsam.Rot3.Expmap(-angle + [2e-3, -3e-3, 2e-3]))
     values.insert(VALUE, np.array([0.5]))
     check_gradient(factor, values)

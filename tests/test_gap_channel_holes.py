@@ -81,7 +81,7 @@ def _information(recording: mg.Recording, calibration: mg.Calibration, term: Ter
         strict=True,
     ):
         values.insert(key, value)
-    linear = term_factor(recording, calibration, term, keys).linearize(values)
+    linear = term_factor(*keys, recording, calibration, term).linearize(values)
     result: Array = linear.information()[-3:, -3:]
     return result
 

@@ -255,14 +255,14 @@ def test_the_gradient_of_several_effects_and_a_delay_on_every_key(part: tuple[in
         delay_key=V(0),
         part=part,
     )
-    assert list(factor.keys()) == [S(0), H(0), B(0), V(0), X(0), X(1), X(2)]
+    assert list(factor.keys()) == [S(0), H(0), B(0), X(0), X(1), X(2), V(0)]
     base = chained(simulation)
     base.insert(V(0), np.array([0.02]))
     base.insert(X(0), np.array([0.5, -1.0, 1.0]))
     base.insert(X(1), np.linspace(-0.02, 0.02, 6))
     base.insert(X(2), np.array([1.0, 0.3, -0.5]))
     jacobian, right = factor.linearize(base).jacobian()
-    sizes = [6, 3, 3, 1, 3, 6, 3]
+    sizes = [6, 3, 3, 3, 6, 3, 1]
     assert 0.5 * right @ right == pytest.approx(factor.error(base), rel=1e-9)
     gradient = dict(zip(factor.keys(), np.split(-jacobian.T @ right, np.cumsum(sizes)[:-1]), strict=True))
     for key, size in zip(factor.keys(), sizes, strict=True):

@@ -34,13 +34,13 @@ def test_what_gap_named_is_a_factor(name: str) -> None:
     for first in (0, 100):
         stretch = simulation.recording.between(first, first + 100)
         graph = gtsam.NonlinearFactorGraph()
-        graph.push_back(term_factor(stretch, found, term, (S(0), H(0), B(0), X(0))))
+        graph.push_back(term_factor(S(0), H(0), B(0), X(0), stretch, found, term))
         result = runner.update(graph, initial if first == 0 else gtsam.Values())
         assert result.updated, result.message
     value = runner.values.atVector(X(0))
     assert np.all(np.abs(value - term.value) < 1.5 * term.sigma)
     with pytest.raises(mg.MagycError, match="field_chain_factor"):
-        term_factor(simulation.recording, found, Term("timing", [0.01], [[1e-6]]), (S(0), H(0), B(0), X(0)))
+        term_factor(S(0), H(0), B(0), X(0), simulation.recording, found, Term("timing", [0.01], [[1e-6]]))
 
 
 def deviations(
@@ -51,7 +51,7 @@ def deviations(
     keys = [S(0), H(0), B(0), *(X(i) for i in range(len(terms)))]
     graph, initial = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for start in np.arange(0, recording.duration, length):
-        graph.push_back(term_factor(recording, found, terms, keys, between=(start, start + length)))
+        graph.push_back(term_factor(*keys[:3], keys[3:], recording, found, terms, between=(start, start + length)))
     assert found.field_strength is not None
     assert found.gyro_bias is not None
     initial.insert(S(0), vech(found.soft_iron) * found.field_strength * 1e6)
@@ -108,17 +108,17 @@ def test_what_is_no_variable_of_a_factor_is_refused() -> None:
     keys = (S(0), H(0), B(0), X(0))
     tone = Term("tone", np.ones(6) * 1e-7, np.eye(6), {"frequency": 1.5})
     with pytest.raises(mg.MagycError, match=r"silenced\(recording"):
-        term_factor(recording, cal, tone, keys)
+        term_factor(*keys, recording, cal, tone)
     step = Term("hard-iron-step", np.zeros(3), np.eye(3), {"time": 20.0})
-    with pytest.raises(mg.MagycError, match="4 keys for 2 terms, expected 5"):
-        term_factor(recording, cal, [step, step], keys)
+    with pytest.raises(mg.MagycError, match="1 value keys for 2 terms"):
+        term_factor(*keys, recording, cal, [step, step])
     with pytest.raises(mg.MagycError, match="lacks field strength or noise"):
-        term_factor(recording, cal, step, keys)
+        term_factor(*keys, recording, cal, step)
     with pytest.raises(mg.MagycError, match="at least 3"):
         term_factor(
+            *keys,
             recording,
             replace(cal, noise={"magnetic_field": 1e-6, "angular_rate": 5e-3}),
             step,
-            keys,
             between=(58, 59),
         )

@@ -80,7 +80,7 @@ def effect_chain_factor(
         side: the sensor that the effect adds to; of all, or one per effect.
         mounting_key: as in `field_chain_factor`.
         delay_key: 1-vector, s; None fixes the delay at `delay`. The factor's keys are soft iron, hard iron, gyroscope
-            bias, mounting if any, delay if any, values.
+            bias, values, mounting if any, delay if any.
         delay: s, fixed.
         part: (first, last) windows that the factor is of, the last excluded; None is all. `columns` are still of all
             samples, so that an effect that remembers is the same in every stretch.
@@ -112,9 +112,9 @@ def effect_chain_factor(
     size = PARAMETERS if mounting_key is None else WITH_SKEW
     unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(size - 9 + sum(counts))])
     optional, rows = optional_keys(mounting_key, delay_key)
-    rows = np.r_[rows, size : len(unit)]
-    keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *(key for key, _ in optional), *value_keys]
-    sizes = [6, 3, 3] + [3] * (mounting_key is not None) + [1] * (delay_key is not None) + counts
+    rows = np.r_[rows[:DELAY], size : len(unit), rows[DELAY:]]  # the values before what is optional
+    keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *value_keys, *(key for key, _ in optional)]
+    sizes = [6, 3, 3, *counts] + [3] * (mounting_key is not None) + [1] * (delay_key is not None)
 
     def error(*arguments: Array | bool) -> tuple[Array, Sequence[Array]]:
         full = np.full(len(unit), delay)
@@ -142,7 +142,7 @@ def effect_chain_factor(
         jacobian = np.vstack([root, np.zeros((1, len(root)))])
         return np.append(pull, rest), np.split(jacobian, np.cumsum(sizes)[:-1], axis=1)
 
-    variables = [vector(6), vector(3), gyro_bias, *(variable for _, variable in optional), *map(vector, counts)]
+    variables = [vector(6), vector(3), gyro_bias, *map(vector, counts), *(variable for _, variable in optional)]
     return custom_factor("effect chain", 1.0, keys, variables, sum(sizes) + 1, error)
 
 

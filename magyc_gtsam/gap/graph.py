@@ -21,10 +21,13 @@ from magyc_gtsam.recording import Recording
 
 
 def term_factor(
+    soft_iron_key: int,
+    hard_iron_key: int,
+    gyro_bias_key: int,
+    value_key: int | Sequence[int],
     recording: Recording,
     calibration: Calibration,
     term: Term | Sequence[Term],
-    keys: Sequence[int],
     *,
     between: tuple[float, float] | None = None,
     window: float = 1.0,
@@ -37,12 +40,13 @@ def term_factor(
     temperature acts with a lag, an anomaly's axes are those of the first row. So cut by `between`, not the recording.
 
     Args:
+        soft_iron_key, hard_iron_key, gyro_bias_key: as in `effect_chain_factor`.
+        value_key: of the term's value; or a sequence of keys, one per term.
         recording: the data, whole.
         calibration: what `find_gap` returned, or any with noise and field strength; its other terms are not in the
             factor.
         term: of the catalogue, one or several; effects of the same data belong into one factor. Their values' unit is
             SI. Beside others a timing is the chain's delay; without one the calibration's delay is held.
-        keys: of soft iron, hard iron, gyroscope bias and a value per term, as in `effect_chain_factor`.
         between: s since the first row, of the stretch; windows that begin at its end belong to the next.
         window: s.
         soft_iron_unit, field_unit: T per unit of the keys.
@@ -53,7 +57,8 @@ def term_factor(
     """
     terms = [term] if isinstance(term, Term) else list(term)
     own = [each for each in terms if each.name != "timing"]
-    _check(calibration, terms, own, keys)
+    value_keys = [value_key] if isinstance(value_key, int) else list(value_key)
+    _check(calibration, terms, own, value_keys)
     start = recording.time[0]
     recording, _ = without_channel_holes(recording)
     problem = Problem.of(recording, preintegrate(recording, window))
@@ -65,12 +70,12 @@ def term_factor(
         first, last = np.searchsorted(begin, between)
         part = int(first), int(last)
     at = {"magnetometer": twin.windows, "gyroscope": twin.gyroscope}
-    key_of = list(zip(terms, keys[3:], strict=True))
+    key_of = list(zip(terms, value_keys, strict=True))
     late = [key for each, key in key_of if each.name == "timing"]
     return effect_chain_factor(
-        keys[0],
-        keys[1],
-        keys[2],
+        soft_iron_key,
+        hard_iron_key,
+        gyro_bias_key,
         [key for each, key in key_of if each.name != "timing"],
         problem.samples,
         [FORMS[t.name].columns(at[FORMS[t.name].side], t.setting) for t in own],
@@ -97,11 +102,8 @@ def _check(calibration: Calibration, terms: Sequence[Term], own: Sequence[Term],
         raise MagycError("a timing without another term: a delay is a variable of field_chain_factor")
     if len(terms) > len(own) + 1:
         raise MagycError(f"{len(terms) - len(own)} timings: a factor has one delay")
-    if len(keys) != 3 + len(terms):
-        raise MagycError(
-            f"{len(keys)} keys for {len(terms)} terms, expected {3 + len(terms)}: soft iron, hard iron, gyroscope "
-            "bias, and a value per term"
-        )
+    if len(keys) != len(terms):
+        raise MagycError(f"{len(keys)} value keys for {len(terms)} terms; each term has a key of its own")
     if calibration.field_strength is None or not {"magnetic_field", "angular_rate"} <= calibration.noise.keys():
         raise MagycError(
             f"the calibration of method {calibration.method!r} lacks field strength or noise; calibrate with smoother"
