@@ -180,8 +180,10 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
         across, along = x * x + y * y, z * z + w * w
         # The world's z axis in sensor axes: the last row of the rotation matrix.
         up = (np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), along - across]) / (across + along)).T
-        if acceleration is not None and np.nanmedian((up * acceleration).sum(axis=1)) < 0:
-            up = -up
+        if acceleration is not None:
+            upright = (up * acceleration).sum(axis=1)
+            if np.count_nonzero(upright < 0) > np.count_nonzero(upright > 0):
+                up = -up
         return up
     if acceleration is not None and np.isfinite(acceleration).any():
         norm = np.linalg.norm(acceleration, axis=1, keepdims=True)

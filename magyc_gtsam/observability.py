@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.level_turn import Askew, level_turn
+from magyc_gtsam.level_turn import Askew, LevelTurn, level_turn
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
@@ -70,6 +71,54 @@ class Observability:
         return cls(**{**data, "weak": tuple(Weakness(**w) for w in data["weak"])})
 
 
+@dataclass(frozen=True, eq=False)
+class Assessor:
+    """Judges covariances of one calibration by the motion of one recording; see `assess` for the arguments."""
+
+    soft_iron: Array
+    field_strength: float
+    recording: Recording
+    hard_iron: Array | None = None
+    askew: Askew | None = None
+
+    def of(self, covariance: Array) -> Observability:
+        """What a covariance says, as `assess`."""
+        shown, unit_shown = self.recording.field_shown
+        in_tesla = self.recording.magnetic_field_unit == "T"
+        limit = (
+            float(min(max(self.field_strength, EARTH_FIELD[0]), EARTH_FIELD[1]))
+            if in_tesla
+            else self.field_strength
+        )
+        groups = (
+            ("hard iron along", covariance[6:9, 6:9], shown, HARD_IRON_LIMIT * limit * shown, unit_shown),
+            ("soft iron along", covariance[:6, :6], 1e2, SOFT_IRON_LIMIT * 1e2, "%"),
+            ("gyroscope bias about", covariance[9:, 9:], 1e3, GYRO_BIAS_LIMIT * 1e3, "mrad/s"),
+        )
+        weak = []
+        for what, block, scale, most, unit in groups:
+            if float(block.trace()) * scale**2 <= (0.5 * most) ** 2:
+                continue  # no direction has more than the trace
+            variance, vectors = np.linalg.eigh(block)
+            for sigma, vector in zip(np.sqrt(np.maximum(variance, 0.0)) * scale, vectors.T, strict=True):
+                if sigma > 0.5 * most:
+                    axis = _stretched(vector) if len(vector) == 6 else vector
+                    remedy = _rest_or_move(sigma) if unit == "mrad/s" else _remedy(axis, _vertical(self.recording))
+                    weak.append(Weakness(f"{what} {_axis_name(axis)}", float(sigma), most, unit, remedy))
+        weak.sort(key=lambda w: -w.sigma / w.limit)
+        return Observability(
+            observable=all(w.sigma <= w.limit for w in weak),
+            weak=tuple(weak),
+            heading_sigma=float(self._turn.systematic(covariance, self.soft_iron, self.askew).max()),
+        )
+
+    @cached_property
+    def _turn(self) -> LevelTurn:
+        """The level turn whose heading is judged."""
+        centre = np.zeros(3) if self.hard_iron is None else self.hard_iron
+        return level_turn(self.recording, self.soft_iron, centre, self.field_strength)
+
+
 def assess(
     covariance: Array,
     soft_iron: Array,
@@ -92,29 +141,7 @@ def assess(
         All directions whose standard deviation passes half its limit, worst first; not observable where
         one passes the limit.
     """
-    up = _vertical(recording)
-    shown, unit_shown = recording.field_shown
-    in_tesla = recording.magnetic_field_unit == "T"
-    limit = float(np.clip(field_strength, *EARTH_FIELD)) if in_tesla else field_strength
-    groups = (
-        ("hard iron along", covariance[6:9, 6:9], shown, HARD_IRON_LIMIT * limit * shown, unit_shown),
-        ("soft iron along", covariance[:6, :6], 1e2, SOFT_IRON_LIMIT * 1e2, "%"),
-        ("gyroscope bias about", covariance[9:, 9:], 1e3, GYRO_BIAS_LIMIT * 1e3, "mrad/s"),
-    )
-    weak = []
-    for what, block, scale, most, unit in groups:
-        variance, vectors = np.linalg.eigh(block)
-        for sigma, vector in zip(np.sqrt(np.maximum(variance, 0.0)) * scale, vectors.T, strict=True):
-            if sigma > 0.5 * most:
-                axis = _stretched(vector) if len(vector) == 6 else vector
-                remedy = _rest_or_move(sigma) if unit == "mrad/s" else _remedy(axis, up)
-                weak.append(Weakness(f"{what} {_axis_name(axis)}", float(sigma), most, unit, remedy))
-    weak.sort(key=lambda w: -w.sigma / w.limit)
-    return Observability(
-        observable=all(w.sigma <= w.limit for w in weak),
-        weak=tuple(weak),
-        heading_sigma=_heading_sigma(covariance, soft_iron, field_strength, recording, hard_iron, askew),
-    )
+    return Assessor(soft_iron, field_strength, recording, hard_iron, askew).of(covariance)
 
 
 def _stretched(vech: Array) -> Array:
@@ -162,17 +189,3 @@ def _remedy(axis: Array, up: Array | None) -> str:
     if along < 0.4:
         return "turn through all headings"
     return "turn through all headings, and pitch or roll by 20° or more"
-
-
-def _heading_sigma(
-    covariance: Array,
-    soft_iron: Array,
-    field_strength: float,
-    recording: Recording,
-    hard_iron: Array | None,
-    askew: Askew | None,
-) -> float:
-    """Largest standard deviation, in degrees, of the heading over a level turn, due to the calibration."""
-    centre = np.zeros(3) if hard_iron is None else hard_iron
-    turn = level_turn(recording, soft_iron, centre, field_strength)
-    return float(turn.systematic(covariance, soft_iron, askew).max())

@@ -137,7 +137,8 @@ class FieldChain:
         w = self.windows
         object.__setattr__(self, "window_scale", np.sqrt(w.count) / self.noise.magnetometer)
         # A floor of a thousandth of the magnetometer's own angle keeps a perfect gyroscope solvable.
-        spread = float(np.linalg.norm(w.field - w.field.mean(axis=1)[:, None], axis=0).mean()) + 1e-9
+        away = w.field - w.field.mean(axis=1)[:, None]
+        spread = float(np.sqrt(np.einsum("in,in->n", away, away)).mean()) + 1e-9
         floor = (0.001 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
         variance = self.noise.gyroscope**2 * w.link_time + floor
         object.__setattr__(self, "link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
@@ -279,6 +280,11 @@ class FieldChain:
 
     def settle(self, state: ChainState, weights: Weights) -> tuple[ChainState, Reduced]:
         """The directions at their best for the state's θ, and the linearisation there."""
+        state = self.settled(state, weights)
+        return state, self.eliminate(state, weights)
+
+    def settled(self, state: ChainState, weights: Weights) -> ChainState:
+        """The directions at their best for the state's θ, which stays as it is."""
         sight = self._sight(state, weights, self.rotation(state.parameters))
         for _ in range(_SETTLING):
             linear = sight.at(state.direction)
@@ -292,7 +298,7 @@ class FieldChain:
             state = ChainState(state.parameters, ahead)
             if moved < _SETTLED:
                 break
-        return state, self.eliminate(state, weights)
+        return state
 
     def absorbed(self, reduced: Reduced, covariance: Array) -> float:
         """How much of the windows' squared residuals the fit absorbs, in expectation.

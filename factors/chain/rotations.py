@@ -153,10 +153,8 @@ def cross(first: Array, second: Array) -> Array:
 
 
 def along(vector: Array, columns: Array) -> Array:
-    """(p, n) products of vectors (3, n) with columns (p, 3, n); faster than einsum."""
-    result: Array = vector[0] * columns[:, 0]
-    result += vector[1] * columns[:, 1]
-    result += vector[2] * columns[:, 2]
+    """(p, n) products of vectors (3, n) with columns (p, 3, n)."""
+    result: Array = np.einsum("in,pin->pn", vector, columns)
     return result
 
 

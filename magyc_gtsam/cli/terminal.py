@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,21 +77,57 @@ def _stage_in_lines(name: str) -> Progress:
 
 def show(*sentences: str) -> None:
     """Sentences on standard output: wrapped at words on a terminal, one to a line in a pipe."""
+    if not _on_a_terminal():
+        _write([printable(sentence) for sentence in sentences])
+        return
     output = console()
     for sentence in sentences:
-        output.print(printable(sentence), markup=False, highlight=False, soft_wrap=not output.is_terminal)
+        output.print(printable(sentence), markup=False, highlight=False)
 
 
 def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = ()) -> None:
     """A table; the first column and those of `words` to the left, the others to the right, with minus signs."""
+    cells = [[printable(text) for text in (row[0], *map(with_minus, row[1:]))] for row in rows]
+    left = {0, *words}
+    if not _on_a_terminal():
+        _write(_aligned([list(header), *cells], left))
+        return
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="bold")
     for index, name in enumerate(header):
-        table.add_column(name, justify="left" if index == 0 or index in words else "right", overflow="fold")
-    for row in rows:
-        table.add_row(*map(printable, (row[0], *map(with_minus, row[1:]))))
+        table.add_column(name, justify="left" if index in left else "right", overflow="fold")
+    for row in cells:
+        table.add_row(*row)
     console().print(table, markup=False, highlight=False)
+
+
+def _aligned(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
+    """The rows of a table as lines."""
+    widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
+    lines = []
+    for row in rows:
+        cells = (
+            text.ljust(width) if index in left else text.rjust(width)
+            for index, (text, width) in enumerate(zip(row, widths, strict=False))
+        )
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
+def _on_a_terminal() -> bool:
+    """Whether somebody looks at standard output, so that rich, which takes a tenth of the start, wraps and colours."""
+    return sys.stdout is not None and (sys.stdout.isatty() or bool(os.environ.get("FORCE_COLOR")))
+
+
+def _write(lines: Sequence[str]) -> None:
+    """On standard output; a reader that had enough, as `head`, is met with silence: the exit code is still to come."""
+    if sys.stdout is None:  # closed by the shell
+        return
+    try:
+        print(*lines, sep="\n", flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def concluded(verdict: Verdict, shown: bool = False) -> int:

@@ -16,9 +16,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, TypeAlias
 
-import lz4.frame
 import numpy as np
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
@@ -175,7 +173,7 @@ def decompressed(data: bytes, compression: str, size: int, checksum: int) -> byt
             raise Damage(f"it asks for {size} bytes, {_LARGEST_CHUNK} are granted")
         try:
             data = _zstd(data, size) if compression == "zstd" else _lz4(data, size)
-        except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError) as error:  # lz4 raises RuntimeError
+        except (RuntimeError, ValueError, MemoryError) as error:  # lz4 raises RuntimeError
             raise Damage(str(error) or type(error).__name__) from None
     if checksum and (calculated := zlib.crc32(data)) != checksum:
         raise Damage(f"crc validation failed in Chunk, expected: {checksum}, calculated: {calculated}")
@@ -183,15 +181,21 @@ def decompressed(data: bytes, compression: str, size: int, checksum: int) -> byt
 
 
 def _zstd(data: bytes, size: int) -> bytes:
-    named = zstandard.frame_content_size(data)
-    if named > size:
-        raise ValueError(f"it unpacks to {named} bytes, not to {size}")
-    return zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK).decompress(
-        data, max_output_size=max(size, 1)
-    )
+    import zstandard  # which a file with chunks of its kind needs
+
+    try:
+        named = zstandard.frame_content_size(data)
+        if named > size:
+            raise ValueError(f"it unpacks to {named} bytes, not to {size}")
+        decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK)
+        return decompressor.decompress(data, max_output_size=max(size, 1))
+    except zstandard.ZstdError as error:
+        raise ValueError(str(error) or type(error).__name__) from None
 
 
 def _lz4(data: bytes, size: int) -> bytes:
+    import lz4.frame  # likewise
+
     decompressor = lz4.frame.LZ4FrameDecompressor()
     # An input that is not bounded would be unpacked in full before its length is known.
     result = bytes(decompressor.decompress(data, max_length=size + 1))

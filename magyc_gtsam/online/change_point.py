@@ -187,7 +187,7 @@ def find_earlier_change(chain: ContinuedChain, parameters: Array) -> EarlierChan
     window[:n] = _UNKNOWN
     state = ChainState(parameters, fit.state.direction.copy())
     state.direction[:, :n] = state.direction[:, n : n + 1]
-    state, _ = chain.settle(state, Weights(window, link))
+    state = chain.settled(state, Weights(window, link))
     # Not all before the split need be of one hard iron, with a hand at work: the middle of its samples.
     residual = chain.residuals(state).window[:, :n]
     before = residual.T.repeat(chain.windows.count[:n].astype(int), axis=0)

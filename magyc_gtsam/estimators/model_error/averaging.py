@@ -8,10 +8,12 @@ No threshold: what the data exclude is small, what they show counts in full, and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.estimators.model_error.principal import Principal, principal, stacked
 from magyc_gtsam.factors.chain.rotations import Array
 
 
@@ -25,20 +27,33 @@ class Averaged(NamedTuple):
 
 def averaged(normal: Array, score: Array, square: float, freedom: float, most: float, octaves: int) -> Averaged:
     """Of one group with G (k, k) and s (k,) over `octaves` of amplitude from `most` down, in its columns' unit."""
-    value, vector = np.linalg.eigh(normal)
-    value, pull = np.maximum(value, 0.0), vector.T @ score
-    variance = most**2 * freedom / square * 0.25 ** np.arange(octaves)[:, None]
-    spread = 1 + variance * value
-    left = np.maximum(square - variance[:, 0] * ((1 / spread) @ pull**2), 1e-9 * square)
-    gain = -0.5 * (np.log(spread).sum(axis=1) + freedom * np.log(left / square))
-    top = float(gain.max())
-    share = np.exp(gain - top)
-    evidence = top + float(np.log(share.mean()))
-    share /= share.sum()
-    known = variance / spread
-    mean = known * pull
+    return averaged_of_each([principal(normal, score)], square, freedom, [most], [octaves])[0]
+
+
+def averaged_of_each(
+    groups: Sequence[Principal], square: float, freedom: float, most: Sequence[float], octaves: Sequence[int]
+) -> list[Averaged]:
+    """Of groups each by itself, over the octaves of each from the `most` of each down; `square` is yᵀy."""
+    value, pull = stacked(groups)
+    halvings = np.arange(max(octaves, default=0))
+    variance = np.square(most)[:, None] * (freedom / square) * 0.25**halvings
+    spread = 1 + variance[:, :, None] * value[:, None]
+    left = np.maximum(square - variance * ((1 / spread) @ np.square(pull)[:, :, None])[..., 0], 1e-9 * square)
+    gain = -0.5 * (np.log(spread).sum(axis=2) + freedom * np.log(left / square))
+    gain[halvings >= np.array(octaves)[:, None]] = -np.inf
+    top = gain.max(axis=1)
+    share = np.exp(gain - top[:, None])
+    total = share.sum(axis=1)
+    evidence = top + np.log(total / octaves)
+    share /= total[:, None]
+    known = variance[:, :, None] / spread
     level = left / freedom
-    second = (vector * (share @ (level[:, None] * known))) @ vector.T
-    means = mean @ vector.T
-    second += (means.T * share) @ means
-    return Averaged(evidence, second, float(np.sqrt(share @ (variance[:, 0] * level))))
+    amplitude = np.sqrt((share * variance * level).sum(axis=1))
+    scatter, mean = ((share * level)[:, None] @ known)[:, 0], known * pull[:, None]
+    result = []
+    for i, group in enumerate(groups):
+        vector, size = group.vector, len(group.value)
+        means = mean[i, :, :size] @ vector.T
+        second = (vector * scatter[i, :size]) @ vector.T + (means.T * share[i]) @ means
+        result.append(Averaged(float(evidence[i]), second, float(amplitude[i])))
+    return result

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from magyc_gtsam.estimators.model_error.components import likeliest_of_each
 from magyc_gtsam.estimators.model_error.families import ColumnFamily
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
+from magyc_gtsam.estimators.model_error.principal import Principal, principal
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, New
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -43,32 +44,36 @@ class Component:
 
 
 class Tested(NamedTuple):
-    """A family beside a fit: its columns' products, and its gain in log-likelihood by itself."""
+    """A family beside a fit: its columns' products, their principal axes, and its gain in log-likelihood by itself."""
 
     family: ColumnFamily
     new: New
+    principal: Principal
     gain: float
 
-    def moves(self, beside: ColumnProducts, motion: WindowMotion) -> Array:
-        """(P, k) by how much a unit of each column puts the parameters off those that hold at the end."""
-        move = beside.move(self.new)
-        if self.family.at_end is not None:
-            there = self.family.at_end(motion)
+
+def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Tested]) -> list[Array]:
+    """(P, k) of each by how much a unit of each column puts the parameters off those that hold at the end."""
+    result = beside.moves([each.new for each in families])
+    for each, move in zip(families, result, strict=True):
+        if each.family.at_end is not None:
+            there = each.family.at_end(motion)
             move[: len(there)] -= there
-        return move
+    return result
 
 
 def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[Tested]:
     """Each family by itself."""
     new = beside.of_each(family.columns(motion) for family in families)
-    every = [Tested(*each) for each in zip(families, new, _gains(beside, families, new), strict=True)]
-    return [_of_the_motion(beside, motion, each) for each in every]
+    return [_of_the_motion(beside, motion, each) for each in _tested(beside, families, new)]
 
 
-def _gains(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Sequence[New]) -> list[float]:
+def _tested(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Sequence[New]) -> list[Tested]:
     most = [family.most**2 * beside.freedom / beside.square for family in families]
-    products = [(each.normal, each.score) for each in new]
-    return [each.gain for each in likeliest_of_each(products, beside.square, beside.freedom, most)]
+    groups = [principal(each.normal, each.score) for each in new]
+    found = likeliest_of_each(groups, beside.square, beside.freedom, most)
+    each = zip(families, new, groups, found, strict=True)
+    return [Tested(family, own, group, best.gain) for family, own, group, best in each]
 
 
 def _of_the_motion(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
@@ -84,5 +89,4 @@ def _of_the_motion(beside: ColumnProducts, motion: WindowMotion, tested: Tested)
     kept = noise < _NOISE_SHARE * tested.new.normal.diagonal()
     if kept.all():
         return tested
-    new = beside.of(columns.only(kept))
-    return Tested(family, new, *_gains(beside, [family], [new]))
+    return _tested(beside, [family], [beside.of(columns.only(kept))])[0]

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from magyc_gtsam.estimators.model_error.principal import Principal, principal, stacked
 from magyc_gtsam.factors.chain.rotations import Array
 
 _TRIED = np.geomspace(1e-8, 1, 48)  # variances, of the largest
@@ -35,18 +36,14 @@ class Likeliest(NamedTuple):
 
 def likeliest(normal: Array, score: Array, square: float, freedom: float, most: float) -> Likeliest:
     """Of one group with G (k, k) and s (k,), the likeliest variance up to `most`; `square` is yᵀy."""
-    return likeliest_of_each([(normal, score)], square, freedom, [most])[0]
+    return likeliest_of_each([principal(normal, score)], square, freedom, [most])[0]
 
 
 def likeliest_of_each(
-    products: Sequence[tuple[Array, Array]], square: float, freedom: float, most: Sequence[float]
+    groups: Sequence[Principal], square: float, freedom: float, most: Sequence[float]
 ) -> list[Likeliest]:
-    """Of groups with G and s, each by itself, the likeliest variances up to the `most` of each."""
-    longest = max((len(score) for _, score in products), default=0)
-    value, pull = np.zeros((len(products), longest)), np.zeros((len(products), longest))
-    for i, (normal, score) in enumerate(products):
-        known, vector = np.linalg.eigh(normal) if len(score) > 1 else (normal[0], np.eye(1))
-        value[i, : len(score)], pull[i, : len(score)] = np.maximum(known, 0.0), vector.T @ score
+    """Of groups each by itself, the likeliest variances up to the `most` of each."""
+    value, pull = stacked(groups)
     variance = np.array(most)[:, None] * _TRIED
     spread = 1 + variance[:, :, None] * value[:, None]
     left = np.maximum(square - variance * ((1 / spread) @ pull[:, :, None] ** 2)[..., 0], 1e-9 * square)

@@ -201,11 +201,11 @@ def _bent_rate(motion: WindowMotion) -> UnmodelledColumns:
     """Squares and products of the rate, and each rate times its size."""
     w = motion.relative
     products = np.array([w[i] * w[j] for i in range(3) for j in range(i, 3)] + [row * abs(row) for row in w])
-    return motion.on_gyroscope(_each(motion.spread * products))
+    return motion.about_each_axis(motion.spread * products)
 
 
 def _bias(motion: WindowMotion, profiles: Array) -> UnmodelledColumns:
-    return motion.on_gyroscope(_each(profiles))
+    return motion.about_each_axis(profiles)
 
 
 def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
@@ -268,13 +268,11 @@ FAMILIES = (
     ColumnFamily("speed", _TURNS, _speed, 0.02, first=True),
     ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
-    ColumnFamily(
-        "gyroscope:linear", _SCALED, lambda m: m.on_gyroscope(_each(m.rate)), 0.03, first=True, unit="share"
-    ),
+    ColumnFamily("gyroscope:linear", _SCALED, lambda m: m.about_each_axis(m.rate), 0.03, first=True, unit="share"),
     _in_time("gyroscope:drift", _BIASED, _bias, 0.015, _SLOWEST, unit="rate", first=True),
     _in_time("gyroscope:wander", _BIASED, _bias, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"),
     ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),
-    ColumnFamily("gyroscope:field", _TILTED, lambda m: m.on_gyroscope(_each(m.unit)), 0.0075, 3, unit="rate"),
+    ColumnFamily("gyroscope:field", _TILTED, lambda m: m.about_each_axis(m.unit), 0.0075, 3, unit="rate"),
     ColumnFamily("halves", "the first half and the second disagree by {}", _halves, 0.01, 4, at_end=_second_half),
     ColumnFamily("directions", "turns one way and the other disagree by {}", _directions, 0.01, 4),
     ColumnFamily("speeds", "slow turns and fast ones disagree by {}", _speeds, 0.01, 4),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dgttrf, dgttrs
+from scipy.linalg.lapack import dpttrf, dpttrs
 
 from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
@@ -125,10 +125,22 @@ class WindowMotion:
 
     def on_gyroscope(self, profiles: Array) -> UnmodelledColumns:
         """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""
-        turned = np.einsum("jin,kjn->kin", self.rotation, profiles)
-        angle = -self.integral(turned)
-        link = -cross(self.direction[:, None, :-1], angle.swapaxes(0, 1))
-        return UnmodelledColumns(None, np.ascontiguousarray(link.swapaxes(0, 1)))
+        return self._of_links(np.einsum("jin,kjn->kin", self.rotation, profiles))
+
+    def about_each_axis(self, profiles: Array) -> UnmodelledColumns:
+        """Errors of the rate, profiles (k, n) rad/s about each of the sensor's axes: 3k columns."""
+        turned = profiles[:, None, None] * self.rotation
+        return self._of_links(turned.reshape(-1, *turned.shape[2:]))
+
+    def _of_links(self, turned: Array) -> UnmodelledColumns:
+        """Of errors of the rate in the integrated world (k, 3, n) rad/s."""
+        x, y, z = self.integral(turned).swapaxes(0, 1)
+        a, b, c = self.direction[:, :-1]
+        link = np.empty((len(turned), 3, len(a)))
+        np.subtract(b * z, c * y, out=link[:, 0])
+        np.subtract(c * x, a * z, out=link[:, 1])
+        np.subtract(a * y, b * x, out=link[:, 2])
+        return UnmodelledColumns(None, link)
 
     def derivative(self, values: Array) -> Array:
         """(…, n) 1/s, slopes in time of a cubic spline through values (…, n).
@@ -136,23 +148,27 @@ class WindowMotion:
         The windows are long against the fastest motion (a swell turns by some 2 rad from one to the next), where
         central differences keep 0.4 of a derivative and a spline 0.85.
         """
-        step = self._step
+        inverse = 1 / self._step
         rows = values.reshape(-1, len(self.time))
-        slope = np.diff(rows, axis=1) / step
-        right = np.empty(rows.shape)
-        right[:, 0], right[:, -1] = slope[:, 0], slope[:, -1]
-        slope *= 3 / step
-        np.add(slope[:, :-1], slope[:, 1:], out=right[:, 1:-1])
-        right[:, 1:-1] *= step[:-1] * step[1:]
-        result: Array = dgttrs(*self._spline, right.T, overwrite_b=1)[0].T
-        return result.reshape(values.shape)
+        rise = rows[:, 1:] - rows[:, :-1]
+        rise *= inverse
+        slope = np.empty(rows.shape)
+        slope[:, 0], slope[:, -1] = rise[:, 0], rise[:, -1]
+        rise *= 3 * inverse
+        right = rise[:, 1:] + rise[:, :-1]
+        right[:, 0] -= inverse[0] * slope[:, 0]
+        right[:, -1] -= inverse[-1] * slope[:, -1]
+        slope[:, 1:-1] = dpttrs(*self._spline, right.T, overwrite_b=1)[0].T
+        return slope.reshape(values.shape)
 
     def integral(self, values: Array) -> Array:
         """(…, n − 1) of values (…, n) from each window to the next, along the same spline."""
         slope = self.derivative(values)
         result: Array = values[..., 1:] + values[..., :-1]
         result *= 0.5 * self._step
-        result -= np.diff(slope, axis=-1) * (self._step**2 / 12)
+        bent = slope[..., 1:] - slope[..., :-1]
+        bent *= self._step**2 / 12
+        result -= bent
         return result
 
     @cached_property
@@ -160,13 +176,10 @@ class WindowMotion:
         return np.maximum(np.diff(self.time), ALIKE)
 
     @cached_property
-    def _spline(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Factors of the tridiagonal matrix of the spline's slopes."""
-        step = self._step
-        diagonal = np.concatenate([[1.0], 2 * (step[1:] + step[:-1]), [1.0]])
-        factors: tuple[Array, Array, Array, Array, Array] = dgttrf(
-            np.append(step[1:], 0.0), diagonal, np.append(0.0, step[:-1])
-        )[:5]
+    def _spline(self) -> tuple[Array, Array]:
+        """Factors of the symmetric tridiagonal matrix of the spline's slopes, whose first and last are known."""
+        inverse = 1 / self._step
+        factors: tuple[Array, Array] = dpttrf(2 * (inverse[1:] + inverse[:-1]), inverse[1:-1])[:2]
         return factors
 
     def waves(self, first: int, stop: int) -> Array:

@@ -7,11 +7,12 @@ times the move that these make. A filter's size the delay says: one that delays 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import exp
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged
-from magyc_gtsam.estimators.model_error.component import Component, Tested
+from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged, averaged_of_each
+from magyc_gtsam.estimators.model_error.component import Component, Tested, moves
 from magyc_gtsam.estimators.model_error.components import by_others, likeliest
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.shown import Shown
@@ -26,31 +27,48 @@ def not_excluded(
     beside: ColumnProducts, motion: WindowMotion, every: Sequence[Tested], shown: Shown
 ) -> list[Component]:
     """Each family with odds beforehand: beside what is shown, or in the place of one of it, whichever is likelier."""
-    components = []
     there = [each.family for each, _ in shown.active]
+    open_ones = []
     for each in every:
-        family = each.family
         # Beside others its gain may be another one; by itself no mean over amplitudes is above the likeliest.
-        unlikely = family.prior * _likelihood(each.gain) < _LITTLE
-        if unlikely or family in there or family.likely(motion) <= 0:
-            continue
-        odds, known = max(_ways(beside, each, shown, family.likely(motion)), key=lambda way: way[0])
+        unlikely = each.family.prior * _likelihood(each.gain) < _LITTLE
+        if not unlikely and each.family not in there and each.family.likely(motion) > 0:
+            open_ones.append(each)
+    largest = [each.family.likely(motion) for each in open_ones]
+    if shown.variance.any():
+        likeliest_ways = [
+            max(_ways(beside, each, shown, most), key=lambda way: way[0])
+            for each, most in zip(open_ones, largest, strict=True)
+        ]
+    else:
+        likeliest_ways = _alone(beside, open_ones, largest)
+    components = []
+    for each, move, (odds, known) in zip(open_ones, moves(beside, motion, open_ones), likeliest_ways, strict=True):
         share = odds / (1 + odds)
-        move = each.moves(beside, motion)
         covariance = share * (move @ known.second @ move.T)
-        size = family.size(known.amplitude, motion)
-        words = family.sentence(size, None)
-        components.append(Component(family.name, words, size, known.evidence, covariance, share=share))
+        size = each.family.size(known.amplitude, motion)
+        words = each.family.sentence(size, None)
+        components.append(Component(each.family.name, words, size, known.evidence, covariance, share=share))
     return components
 
 
+def _alone(
+    beside: ColumnProducts, families: Sequence[Tested], largest: Sequence[float]
+) -> list[tuple[float, Averaged]]:
+    """As `_ways`, where nothing else is there."""
+    octaves = [each.family.octaves for each in families]
+    every = averaged_of_each(
+        [each.principal for each in families], beside.square, beside.freedom, largest, octaves
+    )
+    return [
+        (each.family.prior * _likelihood(known.evidence), known)
+        for each, known in zip(families, every, strict=True)
+    ]
+
+
 def _ways(beside: ColumnProducts, each: Tested, shown: Shown, largest: float) -> Iterator[tuple[float, Averaged]]:
-    """The odds of a family in each way that it may be there, and what is then known of it."""
+    """The odds of a family in each way that it may be there beside what is shown, and what is then known of it."""
     freedom, octaves = beside.freedom, each.family.octaves
-    if not shown.variance.any():
-        known = averaged(each.new.normal, each.new.score, beside.square, freedom, largest, octaves)
-        yield each.family.prior * _likelihood(known.evidence), known
-        return
     across = np.concatenate([other.new.across(each.new) for other, _ in shown.found])
     normal = np.block([[shown.normal, across], [across.T, each.new.normal]])
     score = np.concatenate([shown.score, each.new.score])
@@ -73,4 +91,4 @@ def _ways(beside: ColumnProducts, each: Tested, shown: Shown, largest: float) ->
 
 
 def _likelihood(nats: float) -> float:
-    return float(np.exp(np.clip(nats, -_FARTHEST, _FARTHEST)))
+    return exp(min(max(nats, -_FARTHEST), _FARTHEST))

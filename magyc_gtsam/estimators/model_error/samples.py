@@ -59,23 +59,32 @@ def one_sided(recording: Streams) -> Outliers | None:
 def flickers(recording: Streams) -> str:
     """Which sensor's axis has but two values for long while it shows noise elsewhere; "" where none does."""
     for name, samples in (("magnetometer", recording.magnetometer), ("gyroscope", recording.gyroscope)):
-        axes = np.ascontiguousarray(samples.value.T)
-        blocks = axes[:, : axes.shape[1] // _BLOCK * _BLOCK].reshape(3, -1, _BLOCK)
-        low, high = blocks.min(axis=2, keepdims=True), blocks.max(axis=2, keepdims=True)
-        step = (high - low)[..., 0]
-        suspect = (step > 0) & (step < _NARROW * np.median(step, axis=1, keepdims=True))
-        for axis in np.flatnonzero(suspect.any(axis=1)):
-            two = ((blocks[axis] == low[axis]) | (blocks[axis] == high[axis])).all(axis=1) & suspect[axis]
-            share = float(two.mean())
-            if share < _LOST or white_noise(blocks[axis][~two].reshape(-1, 1)) < _NOISY * float(
-                np.median(step[axis][two])
-            ):
-                continue
-            return (
-                f"axis {'xyz'[axis]} of the {name} has but two values for {share:.0%} of the recording, and noise "
-                "elsewhere: it is stuck"
-            )
+        for letter, axis in zip("xyz", samples.value.T, strict=True):
+            share = _share_of_two_values(axis)
+            if share:
+                return (
+                    f"axis {letter} of the {name} has but two values for {share:.0%} of the recording, and noise "
+                    "elsewhere: it is stuck"
+                )
     return ""
+
+
+def _share_of_two_values(axis: Array) -> float:
+    """The share of an axis (n,) in which it has but two values while it shows noise elsewhere; 0 where little of it."""
+    blocks = np.ascontiguousarray(axis)[: len(axis) // _BLOCK * _BLOCK].reshape(-1, _BLOCK)
+    if not len(blocks):
+        return 0.0
+    low, high = blocks.min(axis=1), blocks.max(axis=1)
+    step = high - low
+    middle = len(step) // 2
+    suspect = np.flatnonzero((step > 0) & (step < _NARROW * np.partition(step, middle)[middle]))
+    values = blocks[suspect]
+    two = suspect[((values == low[suspect, None]) | (values == high[suspect, None])).all(axis=1)]
+    share = len(two) / len(step)
+    if share < _LOST:
+        return 0.0
+    noise = white_noise(np.delete(blocks, two, axis=0).reshape(-1, 1))
+    return 0.0 if noise < _NOISY * float(np.median(step[two])) else share
 
 
 def too_slow(recording: Streams) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.component import Component, Tested
+from magyc_gtsam.estimators.model_error.component import Component, Tested, moves
 from magyc_gtsam.estimators.model_error.components import fit_components
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
@@ -43,7 +43,7 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
     if not found:
         return Shown(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), ())
     normal = np.block([[one.new.across(other.new) for other in found] for one in found])
-    moves = [each.moves(beside, motion) for each in found]
+    each_move = moves(beside, motion, found)
     edges = np.cumsum([0, *(len(each.new.score) for each in found)]).tolist()
     groups = [slice(*pair) for pair in pairwise(edges)]
     for each, own in zip(found, groups, strict=True):
@@ -52,7 +52,7 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
     most = [each.family.most for each in found]
     fitted = fit_components(normal, score, beside.square, groups, most, beside.freedom)
     components = []
-    for each, own, move, amplitude in zip(found, groups, moves, fitted.amplitude, strict=True):
+    for each, own, move, amplitude in zip(found, groups, each_move, fitted.amplitude, strict=True):
         if amplitude > 0:
             covariance = move @ fitted.second[own, own] @ move.T
             size, period = each.family.size(float(amplitude), motion), each.family.period(motion)
@@ -62,7 +62,7 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
                 covariance[_HARD_IRON, _HARD_IRON] += size**2 * np.eye(3)
             words = family.sentence(size, period)
             components.append(Component(family.name, words, size, each.gain, covariance, period, family.of_place))
-    every = np.concatenate(moves, axis=1)
+    every = np.concatenate(each_move, axis=1)
     covariance = _to_second_order(every @ fitted.second @ every.T + varying)
     pairs = tuple(zip(found, groups, strict=True))
     return Shown(covariance, tuple(components), normal, score, fitted.variance, pairs)

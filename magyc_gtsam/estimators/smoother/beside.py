@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg.lapack import dtrtri
 
 from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
@@ -30,36 +30,38 @@ from magyc_gtsam.factors.chain.rotations import Array, along
 _ROUNDING = (
     1e-12  # of a column's square before anything explains it, the information it is given; rounding is 1e-15
 )
-_TOGETHER = (
-    32  # columns that go through the elimination at a time: few calls, and all that is at hand in the cache
-)
+# Columns times windows that go through the elimination at a time: few calls, and all that is at hand in the cache.
+_TOGETHER = 1 << 15
 
 
 @dataclass(frozen=True, eq=False)
 class New:
     """Columns beside the model.
 
-    normal (k, k) G; score (k,) s; absorbed (k, 2n) Zᵀ; explained (free, k): the same of the parameters; columns as
-    given, and window_scale (n,) or (3, n) and link_scale (n − 1,) that whiten them.
+    normal (k, k) G; score (k,) s; explained (free, k): what the parameters explain; columns as given, and what they
+    are beside. What is as long as the recording is computed where it is asked for, which few groups are.
     """
 
     normal: Array
     score: Array
-    absorbed: Array
     explained: Array
     columns: UnmodelledColumns | Products
-    window_scale: Array
-    link_scale: Array
+    beside: ColumnProducts
+
+    @cached_property
+    def absorbed(self) -> Array:
+        """(k, 2n) Zᵀ."""
+        return self.beside.absorbed(self.columns)
 
     @cached_property
     def window(self) -> Array | None:
         """(k, 3n) whitened."""
-        return _flat(self.columns.window, self.window_scale)
+        return _flat(self.columns.window, self.beside.window_scale)
 
     @cached_property
     def link(self) -> Array | None:
         """(k, 3n − 3) whitened."""
-        return _flat(self.columns.link, self.link_scale)
+        return _flat(self.columns.link, self.beside.link_scale)
 
     def across(self, other: New) -> Array:
         """(k, l) the block of G between these columns and others."""
@@ -100,11 +102,12 @@ class ColumnProducts:
         """What is new in each of some groups; those alike are taken through the elimination together."""
         result: dict[int, New] = {}
         waiting: dict[object, dict[int, UnmodelledColumns | Products]] = {}
+        windows = len(self.fit.chain.windows)
         for i, group in enumerate(groups):
             kind = id(group.axes) if isinstance(group, Products) else (group.window is None, group.link is None)
             alike = waiting.setdefault(kind, {})
             alike[i] = group
-            if sum(each.size for each in alike.values()) >= _TOGETHER:
+            if sum(each.size for each in alike.values()) * windows >= _TOGETHER:
                 result |= self._of_alike(alike)
                 alike.clear()
         for alike in waiting.values():
@@ -129,16 +132,19 @@ class ColumnProducts:
             normal = part.square(own) - square
             normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + square.diagonal())
             normal -= explained_of_own.T @ explained_of_own
-            result[i] = New(
-                normal, score[own], of_own, explained_of_own, group, self._window_scale, self._link_scale
-            )
+            result[i] = New(normal, score[own], explained_of_own, group, self)
         return result
+
+    def absorbed(self, columns: UnmodelledColumns | Products) -> Array:
+        """(k, 2n) Zᵀ of columns."""
+        part = self._products([columns]) if isinstance(columns, Products) else self._dense([columns])
+        return solved(self._factor, part.border)
 
     def _dense(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
         """The products of any columns."""
         reduced, left, size = self.fit.reduced, self._left, len(self.fit.free)
-        window = _whitened([group.window for group in groups], self._window_scale)
-        link = _whitened([group.link for group in groups], self._link_scale)
+        window = _whitened([group.window for group in groups], self.window_scale)
+        link = _whitened([group.link for group in groups], self.link_scale)
         count = sum(group.size for group in groups)
         border = self._border(count, window, link)
         pull, score = np.zeros((size, count)), np.zeros(count)
@@ -165,7 +171,7 @@ class ColumnProducts:
         reduced, size = self.fit.reduced, len(self.fit.free)
         products = [group for group in groups if isinstance(group, Products)]
         axes, profiles = (
-            products[0].axes * self._window_scale,
+            products[0].axes * self.window_scale,
             np.concatenate([each.profiles for each in products]),
         )
         (count, _, n), transposed = axes.shape, profiles.T
@@ -186,9 +192,16 @@ class ColumnProducts:
 
     def move(self, new: New) -> Array:
         """(P, k) S of columns."""
-        result = np.zeros((len(self.fit.free), len(new.score)))
-        result[self.fit.free] = self._scale[:, None] * dtrtrs(self._root, new.explained, lower=1, trans=1)[0]
-        return result
+        return self.moves([new])[0]
+
+    def moves(self, groups: Sequence[New]) -> list[Array]:
+        """(P, k) S of the columns of each group."""
+        if not groups:
+            return []
+        explained = np.concatenate([new.explained for new in groups], axis=1)
+        result = np.zeros((len(self.fit.free), explained.shape[1]))
+        result[self.fit.free] = self._scale[:, None] * (self._inverse_root.T @ explained)
+        return np.split(result, np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
 
     def _border(self, count: int, window: Array | None, link: Array | None) -> Array:
         """(k, 2n) products of the directions' Jacobian with whitened columns."""
@@ -209,7 +222,7 @@ class ColumnProducts:
 
     def _explained(self, pull: Array) -> Array:
         """The root of what the free parameters explain, of products (P, k) with all."""
-        result: Array = dtrtrs(self._root, self._scale[:, None] * pull[self.fit.free], lower=1)[0]
+        result: Array = self._inverse_root @ (self._scale[:, None] * pull[self.fit.free])
         return result
 
     @cached_property
@@ -217,7 +230,7 @@ class ColumnProducts:
         fit, reduced = self.fit, self.fit.reduced
         residuals = fit.residuals
         window = residuals.window * (np.sqrt(fit.weights.window) * fit.chain.window_scale)
-        link = residuals.link * self._link_scale
+        link = residuals.link * self.link_scale
         absorbed = solved(self._factor, self._border(1, window[None], link[None]))[0]
         pull = reduced.on_parameters.reshape(len(fit.free), -1) @ window.ravel()
         pull[9:12] += self._on_bias @ link.ravel()
@@ -225,13 +238,15 @@ class ColumnProducts:
         return _Left(window.ravel(), link.ravel(), absorbed, self._explained(pull[:, None])[:, 0])
 
     @cached_property
-    def _window_scale(self) -> Array:
+    def window_scale(self) -> Array:
+        """(n,) or (3, n) 1/T, what whitens columns of the windows."""
         chain = self.fit.chain
         scale = np.sqrt(self.fit.weights.window) * chain.window_scale
         return scale if chain.answer is None else chain.answer * scale
 
     @cached_property
-    def _link_scale(self) -> Array:
+    def link_scale(self) -> Array:
+        """(n − 1,) 1/rad, what whitens those of the links."""
         return np.sqrt(self.fit.weights.link) * self.fit.chain.link_scale
 
     @cached_property
@@ -250,11 +265,12 @@ class ColumnProducts:
         return result
 
     @cached_property
-    def _root(self) -> Array:
-        """(free, free) Cholesky factor of the information times `_scale` on both sides."""
+    def _inverse_root(self) -> Array:
+        """(free, free) inverse of the Cholesky factor of the information times `_scale` on both sides."""
         free, scale = self.fit.free, self._scale
         information = self.fit.reduced.information[np.ix_(free, free)] * scale * scale[:, None]
-        result: Array = np.linalg.cholesky(information + _ROUNDING * np.eye(len(scale)))
+        root = np.linalg.cholesky(information + _ROUNDING * np.eye(len(scale)))
+        result: Array = dtrtri(root, lower=1)[0]
         return result
 
 

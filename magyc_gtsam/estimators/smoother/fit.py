@@ -184,16 +184,16 @@ def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Arr
 
 def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
     """Directions and robust weights at given θ and noise."""
-    fit = begin(chain, parameters, np.zeros(len(parameters), dtype=bool))
+    state, weights = chain.start(parameters), chain.unweighted()
+    before = weights
     for _ in range(rounds):
-        state, reduced = chain.settle(fit.state, fit.weights)
-        fit = replace(fit, state=state, reduced=reduced)
-        weights = _reweigh(fit)
-        moved = np.abs(weights.window - fit.weights.window).mean() + np.abs(weights.link - fit.weights.link).mean()
-        fit = replace(fit, weights=weights)
+        state, before = chain.settled(state, weights), weights
+        weights = _reweigh(chain, chain.residuals(state))
+        moved = np.abs(weights.window - before.window).mean() + np.abs(weights.link - before.link).mean()
         if moved < _WEIGHTS_STABLE:
             break
-    return fit
+    held = np.zeros(len(parameters), dtype=bool)
+    return Fit(chain, state, weights, chain.eliminate(state, before), held)
 
 
 def misfit(fit: Fit, noise: SensorNoise) -> float:
@@ -213,7 +213,7 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
             `improved_noise`); None keeps the noise as it is.
     """
     for _ in range(rounds):
-        weights = _reweigh(fit) if reject else fit.weights
+        weights = _reweigh(fit.chain, fit.residuals) if reject else fit.weights
         moved = float(
             np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
         )
@@ -232,9 +232,9 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
     return replace(fit, converged=False)
 
 
-def _reweigh(fit: Fit) -> Weights:
+def _reweigh(chain: FieldChain, residuals: Residuals) -> Weights:
     """Weights min(1, (c²/χ²)²): one for all that the noise explains, then redescending."""
-    window, link = fit.chain.squares(fit.residuals)
+    window, link = chain.squares(residuals)
     return Weights(
         np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-100)) ** 2),
         np.minimum(1.0, (_LINK_OUTLIER / np.maximum(link, 1e-100)) ** 2),

@@ -256,7 +256,9 @@ def suitable_turn(field: Array) -> float:
     Rotation inside a window costs information where it is not small against the field's spread over the whole log;
     at these values some 2 % of the weakest parameter's sigma.
     """
-    spread = np.linalg.eigvalsh(np.cov(field[:: max(len(field) // 500, 1)].T))
+    some = np.ascontiguousarray(field[:: max(len(field) // 500, 1)].T)
+    some -= some.mean(axis=1)[:, None]
+    spread = np.linalg.eigvalsh(some @ some.T) / (some.shape[1] - 1)
     turn = 1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30))
     # In steps: two ways of cutting a log differ by up to a third of a sigma, which a few samples more must not cause.
     steps = np.round(np.log(max(turn, 0.1) / 0.15) / np.log(1.2))

@@ -32,7 +32,7 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.level_turn import Askew
-from magyc_gtsam.observability import Observability, assess
+from magyc_gtsam.observability import Assessor, Observability, assess
 from magyc_gtsam.recording import Array, Recording
 
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
@@ -136,15 +136,16 @@ def calibration_of(
     soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12], *scale)
     of_sensors = fix_scale(soft, sensors[:12, :12], *scale)[2]
     askew = _askew(skew, unit, unexplained.covariance)
-    observability = assess(of_sensors, soft_iron, unit, recording, parameters[6:9], askew)
+    assessor = Assessor(soft_iron, unit, recording, parameters[6:9], askew)
+    observability = assessor.of(of_sensors)
     whole = observability
     if unexplained.covariance.any():
-        whole = assess(reported, soft_iron, unit, recording, parameters[6:9], askew)
+        whole = assessor.of(reported)
     probable = whole
     if whole.weak and unexplained.possible:  # what is merely possible widens the sigmas and leaves the verdict
         of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
         of_probable = fix_scale(soft, of_probable[:12, :12], *scale)[2]
-        probable = assess(of_probable, soft_iron, unit, recording, parameters[6:9], askew)
+        probable = assessor.of(of_probable)
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
     reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
     if not observability.observable:

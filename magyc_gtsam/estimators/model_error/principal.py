@@ -1,0 +1,34 @@
+"""The principal axes of a group of columns, along which its likelihood is a product."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+
+
+class Principal(NamedTuple):
+    """Of G (k, k) and s (k,): eigenvalues (k,), no less than 0, eigenvectors (k, k), and s along them (k,)."""
+
+    value: Array
+    vector: Array
+    pull: Array
+
+
+def principal(normal: Array, score: Array) -> Principal:
+    """Of one group."""
+    value, vector = np.linalg.eigh(normal) if len(score) > 1 else (normal[0], np.ones((1, 1)))
+    return Principal(np.maximum(value, 0.0), vector, score @ vector)
+
+
+def stacked(groups: Sequence[Principal]) -> tuple[Array, Array]:
+    """The values and pulls of all, (f, k) each, zeros behind those of the shorter ones."""
+    longest = max((len(group.value) for group in groups), default=0)
+    value, pull = np.zeros((len(groups), longest)), np.zeros((len(groups), longest))
+    for i, group in enumerate(groups):
+        size = len(group.value)
+        value[i, :size], pull[i, :size] = group.value, group.pull
+    return value, pull
