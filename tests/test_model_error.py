@@ -75,7 +75,7 @@ def test_products_of_profiles_and_axes_are_as_any_columns(fit) -> None:
     motion, beside = WindowMotion.of(fit), ColumnProducts(fit)
     groups = [g for g in (family.columns(motion) for family in FAMILIES) if isinstance(g, Products)]
     assert len(groups) > 6
-    for together, group in zip(beside.of_each(groups), groups, strict=True):
+    for together, group in zip(beside.of_each([lambda group=g: group for g in groups]), groups, strict=True):
         alone = beside.of(group.dense)
         size = np.sqrt(np.square(alone.window).sum(axis=1))
         np.testing.assert_allclose(

@@ -27,7 +27,7 @@ from magyc_gtsam.factors.chain.rotations import Array, matrices
 from magyc_gtsam.factors.errors import MagycError
 
 _ROWS = 54  # per sample: R 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
-_CHUNK = 32768  # samples whose matrices are held at a time
+_CHUNK = 16384  # samples whose matrices are held at a time
 _MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the samples next to its own
 
 
@@ -168,9 +168,9 @@ class Preintegration:
         for first in range(0, len(time) - 1, _CHUNK):
             rows = slice(first, first + _CHUNK + 1)
             passed = windows_passed(np.diff(time[rows]), self.angular_rate[rows], self.turn, self.length)
-            ended[first + 1 : first + _CHUNK + 1] = passed
-        ended[holes + 1] = 1.0
-        np.cumsum(ended, out=ended)
+            passed[holes[(holes >= first) & (holes < first + len(passed))] - first] = 1.0
+            passed[0] += ended[first]
+            np.cumsum(passed, out=ended[first + 1 : first + _CHUNK + 1])
         starts, last = [], -1
         for first in range(0, len(self.magnetometer_time), _CHUNK):
             when = self.magnetometer_time[first : first + _CHUNK]
@@ -208,7 +208,7 @@ class Preintegration:
             field=np.ascontiguousarray(np.add.reduceat(self.magnetic_field, starts, axis=0).T / count),
             rotation=transposed,
             rotation_bias=means[swung].reshape(3, 3, 3, -1) - turned_lever(means[turned], means[lever]),
-            rotation_rate=means[rate].reshape(3, 3, -1),
+            rotation_rate=means[rate].reshape(3, 3, -1).copy(),  # a view would keep all means
             lever=np.diff(means[lever]).reshape(3, 3, -1),
             link_time=np.diff(squared_time),
             linked=self.linked,

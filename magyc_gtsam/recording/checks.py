@@ -91,7 +91,8 @@ def check_ascending(time: Array) -> None:
 
 
 def check_field_unit(magnetic_field: Array) -> None:
-    norm = float(np.median(np.sqrt(np.einsum("ni,ni->n", magnetic_field, magnetic_field)), overwrite_input=True))
+    square = np.einsum("ni,ni->n", magnetic_field, magnetic_field)
+    norm = float(np.median(np.sqrt(square, out=square), overwrite_input=True))
     low, high = _FIELD_LIMITS
     if low <= norm <= high:
         if max(magnetic_field.max(), -magnetic_field.min()) > FIELD_RANGE:

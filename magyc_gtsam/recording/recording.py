@@ -197,7 +197,8 @@ class Recording:
         """Holes of the gyroscope's (else the magnetometer's) stamps: over 10 median steps and 0.5 s."""
         time = self.magnetometer.time if self.angular_rate is None else self.gyroscope.time
         step = np.diff(time)
-        holes = np.flatnonzero(step > max(10 * float(np.median(step)), 0.5))
+        long = np.flatnonzero(step > 0.5)
+        holes = long[step[long] > 10 * float(np.median(step))] if len(long) else long
         return tuple(Hole(float(time[i]), float(step[i])) for i in holes)
 
     def between(self, start: float | None = None, end: float | None = None) -> Recording:

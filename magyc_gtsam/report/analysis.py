@@ -70,8 +70,11 @@ class Coverage:
 
 def field_history(recording: Recording, calibration: Calibration) -> FieldHistory:
     """The field before and after, with the references the recording has for it; every k-th sample of long logs."""
-    fresh = np.flatnonzero(recording.magnetic_field_fresh)
-    fresh = fresh[:: -(-len(fresh) // _MOST_ROWS)]
+    every = -(-int(recording.magnetic_field_fresh.sum()) // _MOST_ROWS)
+    if recording.magnetic_field_fresh.all():  # whose row numbers are as long as a column
+        fresh = np.arange(0, len(recording.time), every)
+    else:
+        fresh = np.flatnonzero(recording.magnetic_field_fresh)[::every]
     time, raw = recording.time[fresh], recording.magnetic_field[fresh]
     calibrated = calibration.corrected(raw)
     strength = calibration.field_strength

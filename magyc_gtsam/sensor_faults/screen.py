@@ -24,8 +24,11 @@ def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
 
 
 def _axes(values: Array) -> Iterator[Array]:
-    """The columns of (n, 3) one after the other, each contiguous."""
-    return (np.ascontiguousarray(axis) for axis in values.T)
+    """The columns of (n, 3) one after the other, each contiguous, in the place of the one before."""
+    axis = np.empty(len(values))
+    for column in values.T:
+        axis[:] = column
+        yield axis
 
 
 def _has_zeros(field: Array) -> bool:

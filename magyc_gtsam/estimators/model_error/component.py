@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 from magyc_gtsam.estimators.model_error.components import likeliest_of_each
@@ -64,7 +65,7 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Teste
 
 def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[Tested]:
     """Each family by itself."""
-    new = beside.of_each(family.columns(motion) for family in families)
+    new = beside.of_each([partial(family.columns, motion) for family in families])
     return [_of_the_motion(beside, motion, each) for each in _tested(beside, families, new)]
 
 

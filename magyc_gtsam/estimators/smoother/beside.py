@@ -14,7 +14,7 @@ trace of information of their own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -33,35 +33,37 @@ _ROUNDING = (
 # Columns times windows that go through the elimination at a time: few calls, and all that is at hand in the cache.
 _TOGETHER = 1 << 15
 
+Make = Callable[[], "UnmodelledColumns | Products"]
+
 
 @dataclass(frozen=True, eq=False)
 class New:
     """Columns beside the model.
 
-    normal (k, k) G; score (k,) s; explained (free, k): what the parameters explain; columns as given, and what they
-    are beside. What is as long as the recording is computed where it is asked for, which few groups are.
+    normal (k, k) G; score (k,) s; explained (free, k): what the parameters explain; make: the columns as given, and
+    what they are beside. What is as long as the recording is computed where it is asked for, which few groups are.
     """
 
     normal: Array
     score: Array
     explained: Array
-    columns: UnmodelledColumns | Products
+    make: Make
     beside: ColumnProducts
 
     @cached_property
     def absorbed(self) -> Array:
         """(k, 2n) Zᵀ."""
-        return self.beside.absorbed(self.columns)
+        return self.beside.absorbed(self.make())
 
     @cached_property
     def window(self) -> Array | None:
         """(k, 3n) whitened."""
-        return _flat(self.columns.window, self.beside.window_scale)
+        return _flat(self.make().window, self.beside.window_scale)
 
     @cached_property
     def link(self) -> Array | None:
         """(k, 3n − 3) whitened."""
-        return _flat(self.columns.link, self.beside.link_scale)
+        return _flat(self.make().link, self.beside.link_scale)
 
     def across(self, other: New) -> Array:
         """(k, l) the block of G between these columns and others."""
@@ -96,14 +98,15 @@ class ColumnProducts:
 
     def of(self, columns: UnmodelledColumns | Products) -> New:
         """What is new in columns."""
-        return self.of_each([columns])[0]
+        return self.of_each([lambda: columns])[0]
 
-    def of_each(self, groups: Iterable[UnmodelledColumns | Products]) -> list[New]:
+    def of_each(self, groups: Sequence[Make]) -> list[New]:
         """What is new in each of some groups; those alike are taken through the elimination together."""
-        result: dict[int, New] = {}
+        result: dict[int, tuple[Array, Array, Array]] = {}
         waiting: dict[object, dict[int, UnmodelledColumns | Products]] = {}
         windows = len(self.fit.chain.windows)
-        for i, group in enumerate(groups):
+        for i, make in enumerate(groups):
+            group = make()
             kind = id(group.axes) if isinstance(group, Products) else (group.window is None, group.link is None)
             alike = waiting.setdefault(kind, {})
             alike[i] = group
@@ -112,10 +115,10 @@ class ColumnProducts:
                 alike.clear()
         for alike in waiting.values():
             result |= self._of_alike(alike)
-        return [result[i] for i in range(len(result))]
+        return [New(*result[i], make, self) for i, make in enumerate(groups)]
 
-    def _of_alike(self, groups: dict[int, UnmodelledColumns | Products]) -> dict[int, New]:
-        """Of groups that are all on the same sensors, or all products with the same axes."""
+    def _of_alike(self, groups: dict[int, UnmodelledColumns | Products]) -> dict[int, tuple[Array, Array, Array]]:
+        """G, s and what the parameters explain, of groups all on the same sensors, or products with the same axes."""
         if not groups:
             return {}
         left, each = self._left, list(groups.values())
@@ -132,7 +135,7 @@ class ColumnProducts:
             normal = part.square(own) - square
             normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + square.diagonal())
             normal -= explained_of_own.T @ explained_of_own
-            result[i] = New(normal, score[own], explained_of_own, group, self)
+            result[i] = normal, score[own], explained_of_own
         return result
 
     def absorbed(self, columns: UnmodelledColumns | Products) -> Array:
@@ -177,10 +180,10 @@ class ColumnProducts:
         (count, _, n), transposed = axes.shape, profiles.T
         of_axes = self._border(count, axes, None)
         border = (np.repeat(profiles, 2, axis=1)[:, None] * of_axes).reshape(-1, 2 * n)
-        on_parameters = (reduced.on_parameters[:, None] * axes).sum(axis=2)
+        on_parameters = np.einsum("pin,bin->pbn", reduced.on_parameters, axes)
         pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
         score = along(self._left.window.reshape(3, n), axes) @ transposed
-        between = (axes[:, None] * axes).sum(axis=2)
+        between = np.einsum("ain,bin->abn", axes, axes)
 
         def square(own: slice) -> Array:
             some = profiles[own.start // count : own.stop // count]

@@ -68,7 +68,7 @@ class Fit:
         """The products of columns with this fit, at its minimum."""
         from magyc_gtsam.estimators.smoother.beside import ColumnProducts  # which is of fits
 
-        return ColumnProducts(self)
+        return ColumnProducts(copy.copy(self))  # a circle would keep both until Python looks for circles
 
     @cached_property
     def covariance(self) -> Array:
