@@ -196,13 +196,6 @@ def test_on_the_command_line(tmp_path: Path, capsys: Any) -> None:
 
 
 @pytest.mark.real
-def test_real_logs_have_none(shared_data: Path) -> None:
-    for log in sorted(shared_data.glob("*.*")):
-        if log.suffix in (".mcap", ".ulg", ".BIN", ".csv"):
-            assert find_clipped_field(mg.read(log)) is None, log.name
-
-
-@pytest.mark.real
 def test_a_real_log_that_is_cut_off(shared_data: Path) -> None:
     recording = mg.read(shared_data / "broad_01_slow_rotation.mcap")
     level = np.quantile(np.abs(recording.magnetometer.value).max(axis=1), 0.9)

@@ -23,6 +23,14 @@ def test_readme_is_short() -> None:
         assert (ROOT / target).exists(), target
 
 
+def test_every_benchmark_is_named_in_a_document() -> None:
+    documents = [ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    words = "\n".join(file.read_text(encoding="utf-8") for file in documents)
+    files = [file.name for file in (ROOT / "benchmarks").glob("*.py")]
+    assert len(files) > 20
+    assert [name for name in files if f"benchmarks/{name}" not in words] == []
+
+
 def test_the_site_builds_and_no_link_is_broken(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="pip install '.[docs]'")
     pytest.importorskip("mkdocstrings_handlers.python", reason="pip install '.[docs]'")

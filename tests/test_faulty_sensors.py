@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sensor_fault_findings import find_clipped, find_stuck
+from sensor_fault_findings import find_clipped, find_clipped_field, find_stuck
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
@@ -211,7 +211,9 @@ def test_a_clipped_real_log(shared_data: Path) -> None:
 def test_real_logs_have_none(shared_data: Path) -> None:
     for log in sorted(shared_data.glob("*.*")):
         if log.suffix in (".mcap", ".ulg", ".BIN", ".csv"):
-            assert find_stuck(mg.read(log)) == [], log.name
+            recording = mg.read(log)
+            assert find_stuck(recording) == [], log.name
+            assert find_clipped_field(recording) is None, log.name
 
 
 def test_a_unit_taken_for_another(wide: Simulation) -> None:

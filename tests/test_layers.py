@@ -66,6 +66,40 @@ def _imported(body: list[ast.stmt]) -> Iterator[str]:
 OWN = [file for file in (ROOT / "magyc_gtsam").rglob("*.py") if file.relative_to(ROOT).parts[1] != "factors"]
 
 
+def test_a_fault_of_a_sensor_has_one_detector() -> None:
+    """`SensorFaults` makes each. Online asks it itself, the batch and the gap through `without_faults`."""
+    detectors = {
+        "StuckAxes": "an axis that stands still",
+        "Repeats": "a magnetometer that repeats its samples",
+        "Zeros": "zeros in place of a field",
+        "CutOff": "turns beyond the gyroscope's full scale",
+        "FullScale": "a field beyond the magnetometer's full scale",
+    }
+    parts = {"LargestValue"}  # of `CutOff`, one for each side of each axis
+    called: dict[str, set[str]] = {}
+    observing = set()
+    for file in OWN:
+        tree, place = (
+            ast.parse(file.read_text(encoding="utf-8")),
+            file.relative_to(ROOT / "magyc_gtsam").as_posix(),
+        )
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                called.setdefault(node.func.id, set()).add(place)
+        if place.startswith("sensor_faults/"):
+            observing |= {
+                node.name
+                for node in tree.body
+                if isinstance(node, ast.ClassDef)
+                and not any("Protocol" in ast.unparse(base) for base in node.bases)
+                and "observe" in {part.name for part in node.body if isinstance(part, ast.FunctionDef)}
+            }
+    assert observing == detectors.keys() | parts
+    assert all(called[name] == {"sensor_faults/faults.py"} for name in detectors)
+    assert called["SensorFaults"] == {"online/calibrator.py"}
+    assert called["without_faults"] == {"estimators/__init__.py", "gap/find.py", "gap/many/one_log.py"}
+
+
 def test_a_type_has_its_name_for_itself() -> None:
     where: dict[str, list[str]] = {}
     for file in [*OWN, *FILES]:

@@ -49,7 +49,7 @@ def test_compressed_gives_every_estimate_of_the_published_graph(wide, optimizer,
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
 def test_at_its_end_it_is_the_batch(motion):
     """One step per window ends a step short of the minimum: within a fiftieth of a batch's own error."""
-    simulation = simulate(motion, duration=600, rate=10, seed=1)
+    simulation = simulate(motion, duration=400, rate=10, seed=1)
     batch = mg.calibrate(simulation.recording, "magyc-bfg", tolerance=1e-12)
     current = mg.calibrate(simulation.recording, "magyc-ifg", estimate="current")
     for name in ("soft_iron", "hard_iron", "gyro_bias"):
@@ -94,7 +94,7 @@ def test_saved_at_any_window_it_goes_on_bit_for_bit(wide, compressed):
     whole = MagycGraph(compressed=compressed)
     for window in windows:
         whole.add(*window)
-    for cut in (0, 2, 5, 63, 64, 65, 79) if compressed else (3, 64):
+    for cut in (0, 2, 5, 63, 64, 65, 79) if compressed else (64,):
         first, second = (MagycGraph(compressed=compressed) for _ in range(2))
         for window in windows[:cut]:
             first.add(*window)
@@ -238,7 +238,7 @@ def test_online_blocks_kills_and_late_sensors_change_nothing(wide, tmp_path):
             rows = (samples.time >= start) & (samples.time < start + 50)
             whole.update(samples.time[rows], **{name: samples.value[rows]})
     parts = mg.OnlineCalibrator("magyc-ifg")
-    for start, stop in pairwise(np.arange(0, 104, 3.3)):
+    for start, stop in pairwise(np.arange(0, 107, 6.7)):
         for samples, name in ((mag, "magnetic_field"), (gyro, "angular_rate")):
             rows = (samples.time >= start) & (samples.time < stop)
             cut = random.integers(0, rows.sum() + 1)
@@ -291,11 +291,11 @@ def test_online_a_pause_of_hours_and_a_clock_that_jumps_cost_nothing(wide):
 
 def test_table_one_of_the_paper():
     """Each printed figure lies in the range of a few random draws, or at its edge."""
-    rows = {row.motion: row for row in table_one(4, methods=("magyc-ifg",)) if row.method == "magyc-ifg"}
+    rows = {row.motion: row for row in table_one(3, methods=("magyc-ifg",)) if row.method == "magyc-ifg"}
     for motion, (heading, _) in PUBLISHED["magyc-ifg"].items():
         assert rows[motion].heading[1] - 0.2 < heading < rows[motion].heading[2] + 0.4
 
 
 def test_it_settles_within_the_recording():
-    for row in settlings(settling_rows(3, samples=5000)):
+    for row in settlings(settling_rows(2, samples=5000)):
         assert 0.05 < row.share[0] < 0.95

@@ -74,12 +74,12 @@ def test_how_the_samples_are_cut_does_not_matter():
 
 @pytest.mark.parametrize("options", [{}, {"horizon": 120.0, "hard_iron_walk": 1e-7}])
 def test_a_resumed_run_continues_bit_for_bit(tmp_path, options):
-    recording = simulate("wide", duration=300, seed=2).recording
-    stepped = np.where(recording.time[:, None] > 170, [3e-6, 0, 1e-6], 0.0)
+    recording = simulate("wide", duration=240, seed=2).recording
+    stepped = np.where(recording.time[:, None] > 150, [3e-6, 0, 1e-6], 0.0)
     recording = replace(recording, magnetic_field=recording.magnetic_field + stepped)
     expected = feed(OnlineCalibrator(**options), recording)
     path = tmp_path / "online.npz"
-    kills = iter(np.linspace(1, 299, 25))
+    kills = iter(np.linspace(1, 239, 20))
     online, kill = OnlineCalibrator(**options), next(kills)
     for i in range(len(recording.time)):
         online.update(recording.time[i], recording.magnetic_field[i], recording.angular_rate[i])
@@ -226,19 +226,6 @@ def test_walking_parameters_lose_information_as_they_should():
         )
     forgotten = summary.forget(HARD_IRON).information
     assert np.abs(forgotten[HARD_IRON]).max() < 1e-6 * np.abs(summary.information[HARD_IRON]).max()
-
-
-def test_a_hard_iron_that_walks_is_followed():
-    recording = simulate("wide", duration=700, seed=6).recording
-    random = np.random.default_rng(6)
-    walk = np.cumsum(random.standard_normal((len(recording.time), 3)), axis=0) * 4e-6 * np.sqrt(0.1 / 3600)
-    walking = replace(recording, magnetic_field=recording.magnetic_field + walk)
-    online = feed(OnlineCalibrator(hard_iron_walk=4e-6, detect_changes=False), walking)
-    truth = simulate("wide", duration=10, seed=6).truth.hard_iron + walk[-1]
-    error = np.abs(online.calibration.hard_iron - truth)
-    assert (error < 4 * online.calibration.sigma["hard_iron"]).all()
-    fixed = feed(OnlineCalibrator(detect_changes=False), walking)
-    assert np.linalg.norm(error) < 0.5 * np.linalg.norm(fixed.calibration.hard_iron - truth)
 
 
 def test_samples_that_cannot_be_used_are_left_out_and_counted():

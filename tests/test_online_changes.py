@@ -38,7 +38,7 @@ def test_a_step_is_found_timed_and_estimated(motion, at, step):
     recording = with_step(simulation, at, step)
     when = []
     online = OnlineCalibrator()
-    feed(online, recording, step=1.0, after=lambda t: when.append(t) if online.changes else None)
+    feed(online, recording, step=2.0, after=lambda t: when.append(t) if online.changes else None)
     assert len(online.changes) == 1
     change = online.changes[0]
     assert when[0] < at + 30
@@ -71,18 +71,18 @@ def test_a_step_that_is_recognised_late_is_timed_all_the_same():
 
 def test_a_place_with_another_field_is_no_step():
     """The field changes for good, but stands still in the world."""
-    simulation = simulate("wide", duration=300, seed=2)
+    simulation = simulate("wide", duration=220, seed=2)
     recording, truth = simulation.recording, simulation.truth
     offset = Rotation.from_quat(recording.attitude).inv().apply([2e-6, -1e-6, 2e-6])
-    placed = np.where(recording.time[:, None] > 150, offset @ truth.soft_iron.T, 0.0)
+    placed = np.where(recording.time[:, None] > 130, offset @ truth.soft_iron.T, 0.0)
     online = feed(OnlineCalibrator(), replace(recording, magnetic_field=recording.magnetic_field + placed))
     assert online.changes == ()
 
 
 def test_a_disturbance_that_passes_is_no_step():
-    simulation = simulate("wide", duration=300, seed=3)
+    simulation = simulate("wide", duration=220, seed=3)
     recording = simulation.recording
-    passing = ((recording.time > 150) & (recording.time < 153))[:, None] * np.array([20e-6, -10e-6, 5e-6])
+    passing = ((recording.time > 130) & (recording.time < 133))[:, None] * np.array([20e-6, -10e-6, 5e-6])
     online = feed(OnlineCalibrator(), replace(recording, magnetic_field=recording.magnetic_field + passing))
     assert online.changes == ()
     error = np.abs(online.calibration.hard_iron - simulation.truth.hard_iron)

@@ -18,19 +18,18 @@ from magyc_gtsam.simulation import AMPLITUDES
 
 @pytest.mark.parametrize(("motion", "share"), [("wide", 0.1), ("moderate", 0.6), ("low", 0.1), ("tiny", 0.6)])
 def test_it_does_not_converge(motion: str, share: float) -> None:
-    for seed in range(1, 2):
-        recording = cut(mg.simulate(motion, seed=seed).recording, share)
-        online, found = fed(recording), find_clipped_field(recording)
-        assert not online.converged
-        assert not online.progress.converged
-        said = online.progress.clipped_field
-        assert (said.axes, said.shown) == (found.axes, found.shown)
-        assert said.share == pytest.approx(found.share, abs=0.01)
-        assert online.progress.sentence.startswith(said.sentence)
-        assert [stuck for stuck in online.progress.stuck if stuck.axes == said.axes] == []
-        if online.calibration is not None:
-            assert not online.calibration.trusted
-            assert online.calibration.message == online.progress.sentence
+    recording = cut(mg.simulate(motion, 300, seed=1).recording, share)
+    online, found = fed(recording), find_clipped_field(recording)
+    assert not online.converged
+    assert not online.progress.converged
+    said = online.progress.clipped_field
+    assert (said.axes, said.shown) == (found.axes, found.shown)
+    assert said.share == pytest.approx(found.share, abs=0.01)
+    assert online.progress.sentence.startswith(said.sentence)
+    assert [stuck for stuck in online.progress.stuck if stuck.axes == said.axes] == []
+    if online.calibration is not None:
+        assert not online.calibration.trusted
+        assert online.calibration.message == online.progress.sentence
 
 
 def test_from_the_middle_on() -> None:
@@ -53,7 +52,7 @@ def test_from_the_middle_on() -> None:
 
 
 def test_how_the_samples_are_cut_does_not_matter() -> None:
-    log = cut(mg.simulate("low", 200, seed=2).recording, 0.2)
+    log = cut(mg.simulate("low", 100, seed=2).recording, 0.2)
     results = []
     for way in ways(log):
         online = mg.OnlineCalibrator()
@@ -79,19 +78,10 @@ def test_a_run_resumed_anywhere(tmp_path: Path) -> None:
 @pytest.mark.parametrize("motion", [*AMPLITUDES, "multi", "dive", "survey"])
 def test_clean_and_coarse_sensors_are_not_cut_off(motion: str) -> None:
     """At no time on the way."""
-    for seed in range(6):
+    for seed in range(4):
         field = mg.simulate(motion, seed=seed).recording.magnetic_field
         for step in STEPS:
             watch, value = FullScale(), coarse(field, step)
             for block in np.split(value, 20):
                 watch.observe(block)
                 assert watch.finding() is None, (seed, step)
-
-
-@pytest.mark.real
-def test_real_logs_have_none(shared_data: Path) -> None:
-    for log in sorted(shared_data.glob("*.mcap")):
-        watch, value = FullScale(), mg.read(log).magnetometer.value
-        for block in np.array_split(value, max(len(value) // 300, 1)):
-            watch.observe(block)
-            assert watch.finding() is None, log.name

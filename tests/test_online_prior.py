@@ -27,7 +27,7 @@ def earlier() -> mg.Calibration:
 
 @pytest.mark.parametrize("options", [{}, {"prior_walk": 0.3e-6}, {"horizon": 200.0}, {"hard_iron_walk": 0.1e-6}])
 def test_it_ends_as_in_the_batch(earlier: mg.Calibration, options: dict[str, float]) -> None:
-    simulation = mg.simulate("tiny", 300, seed=12)
+    simulation = mg.simulate("tiny", 240, seed=12)
     online = fed(simulation.recording, prior=earlier, **options).calibration
     walk = options.get("prior_walk", 0.0)
     batch = mg.calibrate(simulation.recording, prior=earlier, hard_iron_walk=walk)
@@ -52,9 +52,9 @@ def test_it_is_kept_with_the_state(earlier: mg.Calibration, tmp_path: Path) -> N
 
 
 def test_after_a_step_it_holds_no_more(earlier: mg.Calibration) -> None:
-    simulation = mg.simulate("wide", 500, seed=4)
+    simulation = mg.simulate("wide", 320, seed=4)
     recording, step = simulation.recording, np.array([8e-6, -6e-6, 5e-6])
-    field = recording.magnetic_field + np.outer(recording.time > 250, step)
+    field = recording.magnetic_field + np.outer(recording.time > 180, step)
     online = fed(Recording(recording.time, field, recording.angular_rate), prior=earlier)
     (change,) = online.changes
     np.testing.assert_allclose(change.step, step, atol=1e-6)

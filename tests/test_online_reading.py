@@ -55,7 +55,7 @@ def _distance(samples: Preintegration):
 
 
 def test_when_it_is_read_does_not_matter():
-    recording = simulate("wide", duration=260, seed=8).recording
+    recording = simulate("wide", duration=180, seed=8).recording
     often, once = OnlineCalibrator(), OnlineCalibrator()
     feed(often, recording, after=lambda _: often.progress)
     feed(once, recording)
@@ -66,7 +66,7 @@ def test_when_it_is_read_does_not_matter():
 @pytest.mark.parametrize("motion", ["wide", "moderate"])
 def test_a_long_log_is_read_from_its_end(motion, monkeypatch):
     """Beyond some number of windows the tail is fitted, given all before it, with the last refit's noise levels."""
-    recording = simulate(motion, duration=500, seed=9).recording
+    recording = simulate(motion, duration=350, seed=9).recording
     online = feed(OnlineCalibrator(), recording)
     whole = online.calibration
     monkeypatch.setattr(report, "_MOST_REFITTED", 10)

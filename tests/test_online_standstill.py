@@ -65,8 +65,8 @@ def watched(
 def test_a_stretch_is_not_learnt_from(motion: str, sensor: str, axis: Any, axes: str) -> None:
     """Unnoticed, x of the magnetometer for three minutes put the hard iron of `moderate` 10 µT off, of `tiny` 6 µT, and
     was called a step in hard iron."""
-    simulation = mg.simulate(motion, seed=1)
-    recording = frozen(simulation.recording, sensor, axis, 120.0, 300.0)
+    simulation = mg.simulate(motion, 400, seed=1)
+    recording = frozen(simulation.recording, sensor, axis, 120.0, 240.0)
     online = feed(mg.OnlineCalibrator(), recording, end=200.0)
     during = online.progress.sentence
     assert during.startswith(f"{sensor}: ax")
@@ -78,7 +78,7 @@ def test_a_stretch_is_not_learnt_from(motion: str, sensor: str, axis: Any, axes:
     assert online.changes == ()
     (stuck,) = online.progress.stuck
     assert (stuck.sensor, stuck.axes) == (sensor, axes)
-    assert stuck.stretches[0] == pytest.approx((120, 300), abs=0.2)
+    assert stuck.stretches[0] == pytest.approx((120, 240), abs=0.2)
     assert stuck.share == pytest.approx(0.3, abs=0.01)
     calibration = online.calibration
     assert calibration.trusted
@@ -88,8 +88,8 @@ def test_a_stretch_is_not_learnt_from(motion: str, sensor: str, axis: Any, axes:
 
 
 def test_until_the_end() -> None:
-    simulation = mg.simulate("tiny", seed=1)
-    online = feed(mg.OnlineCalibrator(), frozen(simulation.recording, "magnetic_field", 1, 500.0))
+    simulation = mg.simulate("tiny", 400, seed=1)
+    online = feed(mg.OnlineCalibrator(), frozen(simulation.recording, "magnetic_field", 1, 300.0))
     assert online.progress.sentence.startswith("magnetic_field: axis y of the magnetometer is stuck at ")
     assert online.progress.left_out > 990
     assert nees(error(online.calibration, simulation.truth), online.calibration.covariance) < CHI2_11
@@ -107,11 +107,10 @@ def test_a_dead_gyroscope() -> None:
 
 
 def test_magyc_ifg_is_watched_too() -> None:
-    simulation = mg.simulate("wide", seed=1)
-    recording = simulation.recording
+    recording = mg.simulate("wide", 300, seed=1).recording
     part, whole = (
         feed(mg.OnlineCalibrator(method="magyc-ifg"), log).calibration
-        for log in (frozen(recording, "magnetic_field", 0, 120.0, 300.0), recording)
+        for log in (frozen(recording, "magnetic_field", 0, 120.0, 220.0), recording)
     )
     assert "axis x of the magnetometer is stuck" in part.message
     np.testing.assert_allclose(part.hard_iron, whole.hard_iron, atol=3e-6)
@@ -132,8 +131,8 @@ def ways(log: mg.Recording) -> list[Callable[[mg.OnlineCalibrator], Any]]:
 
 
 def test_how_the_samples_are_cut_does_not_matter() -> None:
-    recording = mg.simulate("moderate", duration=240, seed=2).recording
-    log = frozen(frozen(recording, "angular_rate", ALL, 60.0, 80.0), "magnetic_field", 1, 150.0, 190.0)
+    recording = mg.simulate("moderate", duration=180, seed=2).recording
+    log = frozen(frozen(recording, "angular_rate", ALL, 60.0, 80.0), "magnetic_field", 1, 110.0, 150.0)
     results = []
     for way in ways(log):
         online = mg.OnlineCalibrator()
@@ -194,7 +193,9 @@ def test_a_vehicle_at_rest_with_coarse_sensors() -> None:
 
 
 @pytest.mark.real
-def test_real_logs_have_none(shared_data: Path) -> None:
+def test_real_logs(shared_data: Path) -> None:
+    """Nothing stands still or is cut off, but in one that was turned faster than ±250 °/s twice; the batch finds the
+    same 22 samples."""
     for log in sorted(shared_data.glob("*.mcap")):
         recording = mg.read(log)
         watch, intake = SensorFaults(), Intake()
@@ -204,6 +205,11 @@ def test_real_logs_have_none(shared_data: Path) -> None:
             watch.take(*intake.take(time[rows], field[rows], None), intake.repeated)
             rows = slice(*np.searchsorted(when, [edge, edge + 5]))
             watch.take(*intake.take(when[rows], None, rate[rows]), intake.repeated)
+            assert watch.clipped_field is None, log.name
         assert watch.stuck(recording.duration) == (), log.name
-        if log.stem != "breakout_boards_hand_rotation":  # turned faster than its gyroscope's full scale
+        if log.stem == "breakout_boards_hand_rotation":
+            assert watch.clipped.axes == "x"
+            assert watch.clipped.count == pytest.approx(22, abs=5)  # the first ones, before it could be known
+        else:
+            assert watch.clipped is None, log.name
             assert watch.dropped == 0, log.name

@@ -18,7 +18,7 @@ from magyc_gtsam.factors.errors import MagycError
 def saved(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
     if request.param == "magyc-ifg":
         pytest.importorskip("gtsam")
-    recording = mg.simulate("wide", duration=40, rate=10, seed=3).recording
+    recording = mg.simulate("wide", duration=30, rate=10, seed=3).recording
     online = mg.OnlineCalibrator(request.param)
     online.update(recording.time, recording.magnetic_field, recording.angular_rate)
     path = tmp_path_factory.mktemp("state") / "online.npz"
@@ -39,18 +39,18 @@ CHANGES: dict[str, Any] = {
 def test_arrays_of_other_shapes(saved: dict[str, np.ndarray], tmp_path: Path, change: str) -> None:
     more = mg.simulate("wide", duration=3, rate=10, seed=4).recording
     refused = 0
-    names = np.random.default_rng(len(change)).choice(sorted(saved), 8, replace=False).tolist()
+    names = np.random.default_rng(len(change)).choice(sorted(saved), 6, replace=False).tolist()
     for name in names:
         array = saved[name]
         path = tmp_path / "changed.npz"
         np.savez(path, **(saved | {name: CHANGES[change](array)}))
         try:
             online = mg.OnlineCalibrator.load(path)
-            online.update(more.time + 40, more.magnetic_field, more.angular_rate)
+            online.update(more.time + 30, more.magnetic_field, more.angular_rate)
             online.progress  # noqa: B018
         except MagycError:
             refused += 1
-    assert refused >= 4
+    assert refused >= 3
 
 
 def test_arrays_that_are_missing(saved: dict[str, np.ndarray], tmp_path: Path) -> None:

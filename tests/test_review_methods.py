@@ -361,7 +361,7 @@ def test_a_field_that_changed_is_found_out():
 
 
 def test_a_narrow_band_is_not_trusted():
-    simulation = mg.simulate("tiny", duration=300, seed=1)
+    simulation = mg.simulate("tiny", duration=150, seed=1)
     for name in ("wu-shi", "magical"):
         try:
             calibration = mg.calibrate(simulation.recording, name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import shutil
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import COMMAND
+from commands import run
 from served import DIVE, PATIENCE, Served
 
 import magyc_gtsam as mg
@@ -107,9 +106,8 @@ def test_drop_a_log_drag_an_interval_and_calibrate(
     assert abs(float(end) - 480) < 5
     page.locator("[data-run=calibrate]").click()
     part = result(page, served, f"{start.removesuffix('.0')} to {end.removesuffix('.0')} s")
-    own = [COMMAND, "calibrate", str(file), "-q", "-o", "own"]
     for folder, interval in ((whole, []), (part, ["--start", start, "--end", end])):
-        subprocess.run([*own, *interval], check=True, cwd=tmp_path)
+        assert run("calibrate", file, "-q", "-o", "own", *interval, cwd=tmp_path).returncode == 0
         for name in ("calibration.yaml", "px4.params"):
             assert (folder / name).read_bytes() == (tmp_path / "own" / name).read_bytes()
 

@@ -117,7 +117,7 @@ def test_the_covariance_of_short_data_is_honest_too():
     """What noise leaves open: without what it is widened by, for levels estimated from little, mean NEES is 12.5."""
     scores, widening = [], []
     for motion in AMPLITUDES:
-        for seed in range(7000, 7024):
+        for seed in range(7000, 7016):
             simulation = simulate(motion, duration=90, seed=seed)
             calibration = calibrate(simulation.recording, misalignment=0)
             scores.append(squared(error(calibration, simulation.truth), calibration.noise_covariance))
@@ -133,7 +133,7 @@ def test_the_covariance_of_short_data_is_honest_too():
 def test_the_covariance_is_honest_where_samples_are_lost(motion, share):
     """Each sensor loses its own; with plain trapezoids over the holes the mean NEES of half lost is 40."""
     scores = []
-    for seed in range(8):
+    for seed in range(5):
         simulation = simulate(motion, seed=seed)
         recording, random = simulation.recording, np.random.default_rng(seed)
         m, g = (random.random(len(recording.time)) >= share for _ in range(2))
@@ -288,9 +288,9 @@ def test_a_hard_iron_ten_times_the_field_and_a_large_bias(motion, seed):
 
 
 def test_disturbed_windows_are_weighed_down(runs):
-    """20 % of all seconds disturbed by up to 50 µT, three runs of each motion: nearly as good as without."""
+    """20 % of all seconds disturbed by up to 50 µT, two runs of each motion: nearly as good as without."""
     ratios = []
-    for seed in range(3):
+    for seed in range(2):
         for motion in AMPLITUDES:
             simulation, undisturbed = runs[motion][seed]
             # The chips are known to be aligned in both, for a skew that is asked for costs information of its own.
@@ -300,7 +300,7 @@ def test_disturbed_windows_are_weighed_down(runs):
             e = error(calibration, simulation.truth)[6:9]
             ratios.append(e @ np.linalg.solve(undisturbed.covariance[6:9, 6:9], e) / 3)
     # 1.3 in the root mean square, and two standard deviations of so few runs.
-    assert np.sqrt(np.mean(ratios)) < 1.3 + 2 * np.sqrt(2 / 36)
+    assert np.sqrt(np.mean(ratios)) < 1.3 + 2 * np.sqrt(2 / 24)
 
 
 def test_disturbed_stretches_are_reported(wide):
@@ -393,7 +393,7 @@ def test_a_noisy_magnetometer_hides_no_exchanged_axes() -> None:
 
 def test_degrees_for_radians_are_named(wide):
     """At low rates deg/s pass the constructor's limit."""
-    recording = wide.recording
+    recording = wide.recording.between(0, 60)
     with pytest.raises(MagycError, match="deg/s"):
         calibrate(replace(recording, angular_rate=np.rad2deg(recording.angular_rate)))
 

@@ -12,7 +12,7 @@ from magyc_gtsam.study.efficiency import BLOCKS, efficiency
 from magyc_gtsam.study.table_one import PUBLISHED, table_one
 
 
-@pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
+@pytest.mark.parametrize("motion", ["moderate", "low"])
 def test_the_smoother_is_at_the_bound_and_honest(motion):
     result = efficiency(motion, 16, method=partial(calibrate, misalignment=0))
     for block in BLOCKS:  # 1.10, and two standard deviations of 16 runs of a block of three or more
@@ -23,9 +23,9 @@ def test_the_smoother_is_at_the_bound_and_honest(motion):
 
 
 def test_a_fifth_of_the_data_disturbed():
-    result = efficiency("low", 6, disturbed=0.2)
+    result = efficiency("low", 4, disturbed=0.2)
     for block in BLOCKS:
-        assert result.ratio[block] < 1.3 + 2 / np.sqrt(2 * 6 * 3)
+        assert result.ratio[block] < 1.3 + 2 / np.sqrt(2 * 4 * 3)
 
 
 def test_the_bound_shrinks_with_the_noise():
@@ -58,8 +58,8 @@ def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not(tmp_pat
     from magyc_gtsam.study.known import KnownCase, fact_cells, known_rows, matrix_cell, skew_cells
 
     pytest.importorskip("pyarrow")
-    units = [KnownCase("skew", "wide", 0.7, seed) for seed in range(3)]
-    units += [KnownCase("fact", "level", 300.0, seed) for seed in range(2)]
+    units = [KnownCase("skew", "wide", 0.7, seed) for seed in range(2)]
+    units += [KnownCase("fact", "level", 300.0, seed) for seed in range(1)]
     units += [KnownCase("matrix", "wide", 1.0, 0)]
     rows = known_rows(units, tmp_path)
     assert known_rows(units, tmp_path) == rows  # taken from the parts
