@@ -16,8 +16,9 @@ from mcap.writer import Writer
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.mcap_records import Damage, decompressed
-from magyc_gtsam.io.ros_fields import NANOSECONDS, Array, short_type
+from magyc_gtsam.io.ros_fields import NANOSECONDS, Array
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
+from magyc_gtsam.io.ros_types import short_type
 from magyc_gtsam.recording import Recording
 
 # Bytes from the first number of a message to the vector of each sensor; the numbers are float64.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from magyc_gtsam.foreign_text import listed
 from magyc_gtsam.io.mcap_records import Block
 from magyc_gtsam.io.request import Request
-from magyc_gtsam.io.ros_fields import short_type
 from magyc_gtsam.io.ros_topic import Topic
+from magyc_gtsam.io.ros_types import short_type
 
 _HEAD = 34  # bytes beside each message that is kept
 NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from magyc_gtsam.io.ros_fields import NANOSECONDS, Array, Stamps, Types, parse_types
+from magyc_gtsam.io.ros_fields import NANOSECONDS, Array, Stamps
+from magyc_gtsam.io.ros_types import Types, parse_types
 
 _FRAME = b"imu\0"
 

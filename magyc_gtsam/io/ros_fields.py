@@ -6,9 +6,8 @@ of one length and the same inner lengths, as a rule all of a topic, are therefor
 
 from __future__ import annotations
 
-import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,85 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io.ros_types import PRIMITIVES, Types
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 NANOSECONDS = 1_000_000_000
-_PRIMITIVES = {
-    **{"bool": "u1", "byte": "u1", "char": "i1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2"},
-    **{"int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8"},
-}
-_TIME = ((("sec", "int32"), ("nanosec", "uint32")), ("builtin_interfaces/Time", "builtin_interfaces/Duration"))
-_LINE = re.compile(r"^([\w/]+)(?:<=\d+)?(\[(?:<=)?(\d*)\])?\s+(\w+)\s*(=?)")
 _LONGEST_ARRAY = 16  # numbers; longer ones are images, scans and buffers
 _DEEPEST = 16  # types within types
 _MOST_LAYOUTS = 1000  # of one topic's messages; each is tried on all of them
 _MOST_STEPS = 100_000  # fields of one message, those within others counted
-_LONGEST_DEFINITION = 1 << 20  # characters
-
-
-@dataclass(frozen=True)
-class Field:
-    """A field of a type: its name, its base type, and for arrays their fixed length or None."""
-
-    name: str
-    type: str
-    array: bool = False
-    size: int | None = None
-
-
-Types = Mapping[str, Sequence[Field]]
-
-
-def short_type(schema_name: str) -> str:
-    """'sensor_msgs/Imu' for both 'sensor_msgs/msg/Imu' (ROS 2) and 'sensor_msgs/Imu' (ROS 1)."""
-    return schema_name.replace("/msg/", "/")
-
-
-def parse_types(name: str, text: str) -> Types:
-    """The fields of a message type and of those it is made of, from a definition as MCAP's ros1msg or ros2msg.
-
-    Raises:
-        MagycError: a line that is no field, or a type without a definition.
-    """
-    if len(text) > _LONGEST_DEFINITION:
-        raise MagycError(f"its definition is of {len(text)} characters, at most {_LONGEST_DEFINITION} are read")
-    types: dict[str, list[Field]] = {}
-    for full in _TIME[1]:
-        types[full] = [Field(n, t) for n, t in _TIME[0]]
-    current = short_type(name)
-    types[current] = []
-    for line in text.splitlines():
-        line = line.split("#")[0].strip()
-        if line.startswith("MSG:"):
-            current = short_type(line[4:].strip())
-            types[current] = []
-        elif line and not line.startswith("==="):
-            match = _LINE.match(line)
-            if match is None:
-                raise MagycError(f"its definition has the line {line[:80]!r}, which is no field")
-            kind, array, size, own, constant = match.groups()
-            if not constant:
-                package = current.split("/")[0]
-                types[current].append(
-                    Field(own, _full(kind, package), bool(array), int(size) if size and "<" not in array else None)
-                )
-    for fields in list(types.values()):
-        for one in fields:
-            if one.type not in _PRIMITIVES and one.type != "string" and one.type not in types:
-                raise MagycError(f"its field {one.name!r} is of type {one.type}, which is not defined")
-    return types
-
-
-def _full(kind: str, package: str) -> str:
-    if kind in _PRIMITIVES or kind in ("string", "wstring"):
-        return kind
-    if kind in ("time", "duration"):
-        return _TIME[1][0]
-    kind = short_type(kind)
-    return "std_msgs/Header" if kind == "Header" else kind if "/" in kind else f"{package}/{kind}"
 
 
 @dataclass
@@ -147,8 +78,8 @@ class _Walk:
                 count = one.size if one.size is not None else self._length()
                 if count > len(self.data) - self.at:
                     raise IndexError
-            if one.type in _PRIMITIVES:
-                code = _PRIMITIVES[one.type]
+            if one.type in PRIMITIVES:
+                code = PRIMITIVES[one.type]
                 if count:
                     self._align(int(code[1]))
                 if kept:
@@ -156,7 +87,7 @@ class _Walk:
                         "?" if one.type == "bool" else "V" if one.array and one.type in ("uint8", "byte") else code
                     )
                     self.table.places[path] = (self.at, code, count if one.array else None)
-                self._take(count * int(_PRIMITIVES[one.type][1]))
+                self._take(count * int(PRIMITIVES[one.type][1]))
             elif one.type == "string":
                 for _ in range(count):
                     self._step()

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.growing import GrowingColumns
 from magyc_gtsam.io.ros2 import SENSOR_FIELDS, UNKNOWN, fields_of, known_types
-from magyc_gtsam.io.ros_fields import Array, FieldReader, Stamps, parse_types, short_type
+from magyc_gtsam.io.ros_fields import Array, FieldReader, Stamps
+from magyc_gtsam.io.ros_types import parse_types, short_type
 from magyc_gtsam.io.streams import Stream
 
 LARGEST = 2048  # bytes of a message; images, clouds and scans are no channels

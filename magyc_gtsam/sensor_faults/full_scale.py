@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.sensor_faults.stuck import resolution
+from magyc_gtsam.sensor_faults.noise import resolution
 
 MOST = 0.005  # share of the samples; so few moved the hard iron by up to half a sigma in an hour
 LEAST = 20  # samples at the extreme; a handful comes together by chance

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.sensor_faults.noise import white_noise
 
 MOST = 0.5  # share of the recording from which no calibration is tried
 SMALL = 0.005  # share up to which it harms no method
@@ -24,7 +25,6 @@ LEAST_DURATION = 2.0  # s
 _SUSPECT = 6  # equal values in a row from which samples are held back
 _LONGEST = 30.0  # s, for which a gyroscope that stands still on all axes is held back until the field has turned
 _NOISY = 1.5  # steps of the sensor from which noise on one axis must show on another
-_ALTERNATES = 0.55  # share of sign changes of second differences; 0.73 for white noise, near 0 for motion
 _TURNED = 0.2  # sweep of the field over its median strength that no gyroscope at rest goes with
 _REMEMBERED = 50  # stretches, the latest
 _NAMES = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}
@@ -273,27 +273,6 @@ def named(
         names = "".join(axis for axis, flag in zip("xyz", axes, strict=True) if flag)
         result.append(Stuck(sensor, names, f"{at} {unit}", tuple((s.start, s.end) for s in group), share))
     return tuple(result)
-
-
-def resolution(value: Array) -> float:
-    """The smallest change of any axis between neighbours: the sensor's resolution, or less."""
-    change = np.abs(np.diff(value, axis=0))
-    return float(change[change > 0].min(initial=np.inf))
-
-
-def white_noise(value: Array) -> float:
-    """Largest deviation of white noise per sample on any of the axes; 0 where what changes is smooth."""
-    levels = []
-    for column in value.T:
-        second = np.diff(column, 2)
-        moved = np.sign(second[second != 0])
-        alternates = float((moved[1:] != moved[:-1]).mean()) if len(moved) > LEAST_SAMPLES // 2 else 0.0
-        if alternates < _ALTERNATES:
-            levels.append(0.0)
-            continue
-        # The median passes over spikes and motion; 2.45 is the gain of second differences.
-        levels.append(float(np.median(np.abs(second))) / (0.6745 * np.sqrt(6)))
-    return max(levels)
 
 
 def field_turned(field: Array, rate: Array) -> bool:

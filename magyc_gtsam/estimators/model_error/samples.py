@@ -11,7 +11,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.search import Streams
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.sensor_faults.stuck import white_noise
+from magyc_gtsam.sensor_faults.noise import white_noise
 
 _MOST = 20000  # samples looked at: a stretch of them in the middle of longer logs
 _LEAST = 200
