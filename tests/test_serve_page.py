@@ -16,6 +16,7 @@ from commands import run
 from served import DIVE, PATIENCE, Served
 
 import magyc_gtsam as mg
+from magyc_gtsam.io import write_mcap
 
 pytest.importorskip("starlette", reason="pip install 'magyc-gtsam[serve]'")
 pytest.importorskip("uvicorn", reason="pip install 'magyc-gtsam[serve]'")
@@ -165,5 +166,27 @@ def test_reload_and_a_killed_server_in_the_middle(tmp_path: Path, visit: Callabl
         page.reload()
         page.locator("#results button").first.click()
         page.locator("#result header.good").wait_for()
+    finally:
+        server.stop()
+
+
+def test_a_history_of_ticked_logs(tmp_path: Path, visit: Callable[..., Any]) -> None:
+    """The same log of an instrument in two parts; the calibration for the next one is what the command line gives."""
+    recording = mg.read(DIVE)
+    for name, start, end in (("first.mcap", 0.0, 300.0), ("second.mcap", 300.0, 600.0)):
+        write_mcap(tmp_path / name, recording.between(start, end), epoch=10**18)
+    server = Served(tmp_path)
+    try:
+        page = visit(server, 1400)
+        for number in range(2):
+            page.locator("#logs input").nth(number).check()
+        page.locator("#several button", has_text="History of these 2 logs").click()
+        folder = result(page, server, "2 logs · history")
+        page.locator("#result header.good").wait_for()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 1400
+        own = [COMMAND, "history", "first.mcap", "second.mcap", "-q", "-o", "own"]
+        subprocess.run(own, check=True, cwd=tmp_path)
+        for name in ("next.yaml", "px4.params"):
+            assert (folder / name).read_bytes() == (tmp_path / "own" / name).read_bytes()
     finally:
         server.stop()
