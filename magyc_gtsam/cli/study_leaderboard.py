@@ -16,12 +16,17 @@ if TYPE_CHECKING:
 HEADER = (
     "method", "trusted", "heading °", "direction °", "worst °", "best", "better", "worse", "in 1.96 σ", "NEES", "s"
 )  # fmt: skip
-_LEGEND = (
-    "Each method calibrates one recording and is judged on the unit's others. Heading and direction: medians over "
-    "these pairs of what a user gets, the calibrated reading where the method trusts it, else the reading as "
-    "delivered. Worst: heading among the trusted. Best: pairs in which no other is better by 2 %. Better, worse: "
-    "trusted pairs against the reading as delivered. In 1.96 σ: share of the stated hard iron's axes that hold the "
-    "optics'; NEES: median per freedom. Own optics: each judged by its own optical fit, the floor."
+_JUDGED = (
+    "Each method calibrates one recording and is judged on the others of its unit, by their optical attitude."
+)
+_COLUMNS = (
+    "heading, direction: medians over these pairs of what a user gets: the calibrated reading where the method trusts "
+    "it, else the reading as delivered",
+    "worst: the largest heading error among the trusted pairs",
+    "best: pairs in which no other method is better by 2 %",
+    "better, worse: trusted pairs against the reading as delivered",
+    "in 1.96 σ: share of the axes whose stated interval of 95 % holds the optical hard iron; NEES: median per freedom",
+    "own optics: each recording's own optical fit, which nothing can beat by much",
 )
 _SHOWN = 12  # losses of the default method
 
@@ -62,7 +67,7 @@ def leaderboard(
     for name, table in tables.items():
         show("", name, "")
         show_table(HEADER, [cells(each) for each in table])
-    show("", _LEGEND, *notes)
+    show("", _JUDGED, *_COLUMNS, "", *notes)
     sentences = lost(rows, chosen)
     show("", *sentences[:_SHOWN])
     page = output / "index.html"
@@ -79,7 +84,7 @@ def _tables(rows: Sequence[Row]) -> dict[str, list[Standing]]:
     for name in sorted({row["collection"] for row in rows}):
         own = [row for row in rows if row["collection"] == name]
         units = len({row["unit"] for row in own})
-        title = f"{name}: {len({row['recording'] for row in own})} recordings of {units} units"
+        title = f"{name}: {len({row['recording'] for row in own})} recordings of {units} unit{'s' if units > 1 else ''}"
         tables[title] = standings(own)
     return tables
 
@@ -130,6 +135,7 @@ def _page(
     from magyc_gtsam.report.summary_page import Section, summary_page
 
     sections = [Section(name, HEADER, [cells(each) for each in table]) for name, table in tables.items()]
+    sections.append(Section("Columns", sentences=_COLUMNS))
     sections.append(Section("Losses", sentences=[each.strip() for each in sentences] or ["None."]))
     sections.append(Section("Recordings", sentences=notes))
-    return summary_page("Leaderboard", f"{calibrations} calibrations judged by optics", True, [_LEGEND], sections)
+    return summary_page("Leaderboard", f"{calibrations} calibrations judged by optics", True, [_JUDGED], sections)
