@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -195,3 +196,25 @@ def test_the_conda_recipe_asks_for_what_the_project_does() -> None:
     left_out = {"gtsam", *absent[1].split()}
     needed = {each for each in project["dependencies"] if re.split(r"[><=;]", each)[0] not in left_out}
     assert asked == {*needed, f"python{project['requires-python']}"}
+
+
+def test_the_container_is_made_of_what_there_is() -> None:
+    """Its extras and command are the project's, its list of versions is in the image and names what the extras need."""
+    tomllib = pytest.importorskip("tomllib", reason="Python 3.11")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines()
+    made = dict(line.split(" ", 1) for line in lines if line and not line.startswith("#"))
+    assert list(made) == ["FROM", "COPY", "RUN", "WORKDIR", "ENTRYPOINT", "CMD"]
+    base = re.fullmatch(r"python:3\.(\d+)-slim", made["FROM"])
+    assert base is not None
+    assert int(base[1]) >= int(project["requires-python"].removeprefix(">=3."))
+    assert made["COPY"] == ". /src"
+    installed = re.search(r"pip install --no-cache-dir -c /src/(\S+) '/src\[([\w,]+)\]'", made["RUN"])
+    assert installed is not None
+    ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").splitlines()
+    assert not any(installed[1].startswith(pattern.rstrip("/")) for pattern in ignored if pattern)
+    pinned = set(re.findall(r"^([\w.-]+)==", (ROOT / installed[1]).read_text(encoding="utf-8"), re.MULTILINE))
+    for extra in installed[2].split(","):
+        needed = {re.split(r"[\[><=;!]", each)[0] for each in project["optional-dependencies"][extra]}
+        assert needed <= pinned, extra
+    assert list(json.loads(made["ENTRYPOINT"])) == list(project["scripts"])
