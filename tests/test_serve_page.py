@@ -184,8 +184,7 @@ def test_a_history_of_ticked_logs(tmp_path: Path, visit: Callable[..., Any]) -> 
         folder = result(page, server, "2 logs · history")
         page.locator("#result header.good").wait_for()
         assert page.evaluate("document.documentElement.scrollWidth") <= 1400
-        own = [COMMAND, "history", "first.mcap", "second.mcap", "-q", "-o", "own"]
-        subprocess.run(own, check=True, cwd=tmp_path)
+        assert run("history", "first.mcap", "second.mcap", "-q", "-o", "own", cwd=tmp_path).returncode == 0
         for name in ("next.yaml", "px4.params"):
             assert (folder / name).read_bytes() == (tmp_path / "own" / name).read_bytes()
     finally:
