@@ -126,7 +126,7 @@ def main() -> int:
     options = parser.parse_args()
     unknown = sorted(set(options.bars) - set(BARS))
     if unknown:
-        parser.error(f"{unknown[0]!r} is none of {', '.join(BARS)}")
+        parser.error(f"{unknown[0]!r} is not one of {', '.join(BARS)}")
     missed = 0
     print("| bar | measured | asked | |\n|---|---|---|---|")
     for name in options.bars or BARS:

@@ -42,7 +42,7 @@ def run_many(
 
     Args:
         work: a function of a module; a unit in, a row of numbers, texts and lists out. It may raise nothing: what is
-            wrong with a unit belongs into its row.
+            wrong with a unit belongs in its row.
         units: {name: unit}; units are pickled. A name is that of a file where `parts` is given.
         engine: "local", or the address of a Dask scheduler ("tcp://…"; needs the extra `distributed`).
         workers: processes of "local"; None for one a core. 1 works in this process.
@@ -78,7 +78,7 @@ def run_many(
 
 
 def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterator[tuple[str, Row]]:
-    """As they are done. At most one unit a process is under way, so that a death leaves few to be tried again alone."""
+    """Yield rows as they are done. At most one unit a process is under way: a death leaves few to be repeated."""
     waiting = list(units)
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # the processes are the threads, and sums keep their order
@@ -117,7 +117,7 @@ def _alone(work: Work, unit: Any) -> Row:
 
 
 def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Iterator[tuple[str, Row]]:
-    """As they are done. The scheduler gives a dead worker's units to the others."""
+    """Yield rows as they are done. The scheduler gives a dead worker's units to the others."""
     try:
         from distributed import Client, KilledWorker, as_completed
     except ModuleNotFoundError:

@@ -1,4 +1,4 @@
-"""What the motion determined, in the user's words."""
+"""What the motion determined, named for the user."""
 
 from __future__ import annotations
 

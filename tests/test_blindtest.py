@@ -383,7 +383,7 @@ def test_the_command_refuses_what_it_does_not_know(capsys: pytest.CaptureFixture
         assert cli.main(["study", "gap", "--set", "gremlins"]) == 2
     finally:
         logging.disable(logging.NOTSET)
-    assert "--set: 'gremlins' is none of none, single, pair, withheld, foreign" in capsys.readouterr().err
+    assert "--set: 'gremlins' is not one of none, single, pair, withheld, foreign" in capsys.readouterr().err
 
 
 def test_a_part_of_a_log_is_taken(tmp_path: Path) -> None:

@@ -286,7 +286,7 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("calibrate {logs}/field.mcap", "no angular rate"),
         ("calibrate {logs}/dive.mcap --magnetic-unit furlong", "'furlong' is not known; known are T, mT, uT"),
         ("calibrate {logs}/dive.mcap --magnetic-unit gauss", "is not a field in tesla"),
-        ("calibrate {logs}/dive.mcap --method fluke", "'fluke' is none of smoother"),
+        ("calibrate {logs}/dive.mcap --method fluke", "'fluke' is not one of smoother"),
         ("calibrate {logs}/dive.mcap --magnetic-field /compass", "no topic '/compass'; the file has /imu/mag"),
         ("calibrate {logs}/dive.mcap --start 900", "holds 0 rows of a recording of 239.9 s"),
         ("calibrate {logs}/dive.mcap --start 9 --end 5", "--start 9 s is not before --end 5 s"),
@@ -310,7 +310,7 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("apply none.yaml {logs}/dive.mcap -o {logs}/dive.mcap", "is the log itself"),
         ("export none.yaml px4", "none.yaml: no such file"),
         ("info {logs}/none.mcap", "none.mcap: cannot be read"),
-        ("simulate waltz -o out.mcap", "'waltz' is none of wide"),
+        ("simulate waltz -o out.mcap", "'waltz' is not one of wide"),
         ("simulate dive -o out.mcap --rate 0", "--rate: 0"),
     ],
 )

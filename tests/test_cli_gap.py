@@ -150,7 +150,7 @@ def test_a_gap_left_open_is_exit_code_one(
         ("gap {logs}/plain.mcap --simulated {logs}/none.mcap", "none.mcap: cannot be read"),
         ("gap {logs}/plain.mcap --validate {logs}/none.mcap", "none.mcap: cannot be read"),
         ("gap {logs}/plain.mcap --calibration {logs}/none.yaml", "none.yaml: no such file"),
-        ("gap --plan waltz", "'waltz' is none of wide"),
+        ("gap --plan waltz", "'waltz' is not one of wide"),
         ("gap --plan wide --validate {logs}/none.mcap", "it is of a motion, and of no file"),
         ("gap {logs}/brief.mcap --candidates timing", "2 windows of 1.5 s, at least 8 are needed"),
     ],

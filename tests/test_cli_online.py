@@ -326,7 +326,7 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
     [
         (("absent.mcap",), "absent.mcap: cannot be read"),
         (("{log}", "--output", "a.txt"), "neither .yaml nor .json"),
-        (("{log}", "--method", "ellipsoid"), "'ellipsoid' is none of smoother, magyc-ifg"),
+        (("{log}", "--method", "ellipsoid"), "'ellipsoid' is not one of smoother, magyc-ifg"),
         (("{log}", "--option", "turbo=1"), "has no option 'turbo'"),
         (("{log}", "--magnetic-field", "/compass", "--idle", "0"), "no topic of magnetic_field (/compass) yet"),
         (("{log}", "--gyroscope-axes", "x,x,z"), "does not name x, y and z once each"),
@@ -335,7 +335,7 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
         (("{log}", "--field-strength", "0"), "field_strength: 0 T is no field of the Earth"),
         (("{log}", "--option", "field_strength=strong"), "field_strength: 'strong' is no number"),
         (("{log}", "--option", "horizon=long"), "horizon: must be a finite number of at least 120, got 'long'"),
-        (("{log}", "--method", ""), "'' is none of smoother, magyc-ifg"),
+        (("{log}", "--method", ""), "'' is not one of smoother, magyc-ifg"),
         (("{log}", "--output", "{log}/there.yaml"), "is a file, a folder is expected"),
         (("{log}", "--state", "{log}/there.state"), "is a file, a folder is expected"),
         ((".",), "is a directory"),

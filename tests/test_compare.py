@@ -244,7 +244,7 @@ def test_an_interrupt_while_the_methods_are_judged_is_held(
 
 def test_names_are_checked() -> None:
     recording = mg.simulate("wide", 30).recording
-    with pytest.raises(mg.MagycError, match="'magic' is none of smoother"):
+    with pytest.raises(mg.MagycError, match="'magic' is not one of smoother"):
         compare(recording, ("magic",))
     with pytest.raises(mg.MagycError, match="'sar-ls' is given twice"):
         compare(recording, ("sar-ls", "sar-ls"))
@@ -461,7 +461,7 @@ def test_exit_codes(here: Callable[..., tuple[int, str, str]]) -> None:
     assert code == 1
     assert "no method gave a result that can be trusted" in error
     for arguments, text in (
-        (("--methods", "magic"), "'magic' is none of"),
+        (("--methods", "magic"), "'magic' is not one of"),
         (("--start", "20", "--end", "10"), "is not before"),
         (("--date", "2024-01-01"), "says nothing without a place"),
     ):

@@ -273,7 +273,7 @@ def test_refused_units(arguments, words):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"method": "smother"}, "'smother' is none of smoother, magyc-ifg"),
+        ({"method": "smother"}, "'smother' is not one of smoother, magyc-ifg"),
         ({"windows": 2}, "no option 'windows'; it has"),
         ({"hard_iron_walk": -1.0}, "hard_iron_walk"),
         ({"horizon": 1.0}, "horizon"),

@@ -412,7 +412,7 @@ def test_a_magnetometer_alone_is_not_enough():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"method": "magic"}, "'magic' is none of smoother"),
+        ({"method": "magic"}, "'magic' is not one of smoother"),
         ({"colour": "red"}, "'smoother' has no option 'colour'; it has .*delay"),
         ({"field_strength": 0.5}, "field_strength: 0.5 T is no field"),
     ],

@@ -129,7 +129,7 @@ def test_coverage_is_that_of_faults_that_no_data_show() -> None:
 
 
 def test_unknown_names_are_refused() -> None:
-    with pytest.raises(mg.MagycError, match="fault: 'nothing' is none of clean, one-sided-spikes, "):
+    with pytest.raises(mg.MagycError, match="fault: 'nothing' is not one of clean, one-sided-spikes, "):
         running.cases(["nothing"], ["wide"], range(1))
 
 
@@ -151,4 +151,4 @@ def test_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert main([*run, "--fault", "clean"]) == 0
     assert "1 results: 0 wrong and trusted, 1 right and trusted, 0 refused, 0 crashed" in capsys.readouterr().out
     assert main([*run, "--fault", "none"]) == 2
-    assert "fault: 'none' is none of" in capsys.readouterr().err
+    assert "fault: 'none' is not one of" in capsys.readouterr().err

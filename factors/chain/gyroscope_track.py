@@ -77,7 +77,7 @@ class GyroscopeTrack:
         Args:
             time: (G,) s, ascending.
             angular_rate: (G, 3) rad/s.
-            bias: (3,) rad/s; None is none.
+            bias: (3,) rad/s; None for no bias.
             interval_mean: the rates are means since the previous stamp.
             stamps: (n,) s inside `time`, where to integrate instead of at `time`; rates AT their stamps are
                 interpolated linearly.

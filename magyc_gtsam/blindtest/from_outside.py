@@ -109,7 +109,7 @@ def changed(recording: Recording, name: str, function: Function, factor: float, 
     for key, value in result.items():
         array = np.asarray(value, dtype=float)
         if key not in shapes:
-            raise MagycError(f"{name}: gives back {key!r}, which is none of {', '.join(shapes)}")
+            raise MagycError(f"{name}: gives back {key!r}, which is not one of {', '.join(shapes)}")
         if array.shape != shapes[key] or not np.isfinite(array).all():
             raise MagycError(f"{name}: {key!r} must be finite and of shape {shapes[key]}, got shape {array.shape}")
         new[key] = array

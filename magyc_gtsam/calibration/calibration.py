@@ -134,7 +134,7 @@ class Calibration:
         return field.T.reshape(m.shape)
 
     def _plausible(self, field: Array) -> Array:
-        """The field, with a warning where it is none of the Earth's."""
+        """The field, with a warning where its strength cannot be the Earth's."""
         strength = np.linalg.norm(np.atleast_2d(field), axis=1)
         median = float(np.median(strength)) if len(strength) else np.nan
         in_tesla = self.configuration.get("magnetic_field_unit") != "counts"

@@ -76,7 +76,7 @@ def faults(
 
     unknown = sorted(set(methods) - set(METHODS))
     if unknown:
-        raise MagycError(f"--by: {unknown[0]!r} is none of {', '.join(METHODS)}")
+        raise MagycError(f"--by: {unknown[0]!r} is not one of {', '.join(METHODS)}")
     every = cases(names or list(FAULTS), motions or list(AMPLITUDES), seeds)
     with stages() as stage:
         chosen = {name: METHODS[name] for name in methods or METHODS}

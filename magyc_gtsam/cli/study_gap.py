@@ -44,7 +44,7 @@ def blind_test(
     tests: dict[str, tuple[list, dict[str, Recording]]] = {}
     unknown = sorted(set(sets or ()) - set(SETS[:-1]))
     if unknown:
-        raise MagycError(f"--set: {unknown[0]!r} is none of {', '.join(SETS[:-1])}")
+        raise MagycError(f"--set: {unknown[0]!r} is not one of {', '.join(SETS[:-1])}")
     outside = None if foreign is None else Outside.read(foreign)
     if outside is not None:
         for motion in motions or MOTIONS:

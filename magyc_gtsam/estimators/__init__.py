@@ -154,7 +154,7 @@ def calibrate(
     """
     entry = _METHODS.get(method) or methods().get(method)
     if entry is None:
-        raise MagycError(f"method: {method!r} is none of {', '.join(methods())}")
+        raise MagycError(f"method: {method!r} is not one of {', '.join(methods())}")
     if entry.problem:
         raise MagycError(f"method {method!r}: {entry.problem}")
     check_field_strength(field_strength)

@@ -1,4 +1,4 @@
-"""Calibrations in the words of PX4, ArduPilot, VectorNav and ROS, ready to paste; a target is a file.
+"""Calibrations as parameters of PX4, ArduPilot, VectorNav and ROS, ready to paste; a target is a file.
 
 All four correct with a matrix and an offset, as we do (`soft_iron⁻¹ (m − hard_iron)`), but differ in
 units, in the sign of the offset and in the matrices they can hold. Nothing is rescaled: the field

@@ -53,7 +53,7 @@ class StampColumn:
         return stamp
 
     def _other(self, cell: str, number: int) -> int:
-        """A calendar date, or the reason why it is none."""
+        """A calendar date, or the reason why the text is not one."""
         try:
             value = Decimal(cell)
         except InvalidOperation:

@@ -273,7 +273,7 @@ def parsed(opcode: int, content: bytes) -> Schema | Channel | Metadata:
     """A schema, channel or metadata record.
 
     Raises:
-        Damage: it is cut off, or its text is none.
+        Damage: it is cut off, or its text cannot be decoded.
     """
     try:
         record: Schema | Channel | Metadata = _PARSED[Opcode(opcode)].read(ReadDataStream(BytesIO(content)))

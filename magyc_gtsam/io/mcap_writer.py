@@ -37,7 +37,7 @@ def write_mcap(
     epoch: int = 0,
     compression: Literal["zstd", "lz4"] | None = "zstd",
 ) -> None:
-    """Write `recording` so that `read` gives back its samples bit by bit and its stamps to the nanosecond.
+    """Write `recording` so that `read` gives back its samples exactly and its stamps to the nanosecond.
 
     `/imu/mag` (sensor_msgs/msg/MagneticField), `/imu/data_raw` (sensor_msgs/msg/Imu), `/reference/attitude`
     (geometry_msgs/msg/QuaternionStamped), and each channel as `/<name>` (std_msgs/msg/Float64 or

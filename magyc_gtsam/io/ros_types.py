@@ -39,7 +39,7 @@ def parse_types(name: str, text: str) -> Types:
     """The fields of a message type and of those it is made of, from a definition as MCAP's ros1msg or ros2msg.
 
     Raises:
-        MagycError: a line that is no field, or a type without a definition.
+        MagycError: a line that is not a field, or a type without a definition.
     """
     if len(text) > _LONGEST_DEFINITION:
         raise MagycError(f"its definition is of {len(text)} characters, at most {_LONGEST_DEFINITION} are read")

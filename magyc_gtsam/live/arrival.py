@@ -1,4 +1,4 @@
-"""Stamps for samples that bring none: when they came, smoothed as samples of a constant rate come."""
+"""Stamps for samples without any: the times of arrival, smoothed on the assumption of a constant rate."""
 
 from __future__ import annotations
 

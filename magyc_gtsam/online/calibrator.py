@@ -48,7 +48,7 @@ class OnlineCalibrator:
 
     def __init__(self, method: str = "smoother", **options: Any) -> None:
         if method not in _ENGINES:
-            raise MagycError(f"method: {method!r} is none of {', '.join(_ENGINES)}")
+            raise MagycError(f"method: {method!r} is not one of {', '.join(_ENGINES)}")
         module, name = _ENGINES[method].split(":")
         with requires_gtsam(f"method {method!r}"):
             engine = getattr(importlib.import_module(module), name)

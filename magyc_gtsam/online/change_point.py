@@ -78,7 +78,7 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Chan
     Args:
         fit: the chain at its minimum without a step.
         colour: by how much neighbouring windows repeat each other's misfit; λ counts for so much less.
-        smallest: T, smaller steps are none.
+        smallest: T; smaller steps do not count.
     """
     chain, state = fit.chain, fit.state
     assert isinstance(chain, ContinuedChain)

@@ -18,8 +18,10 @@ FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
 _STAND_INS = (999, 9999, 99999, 999999, 2**15 - 1, 2**15, 2**16 - 1)  # what is written for "no value"
 _LARGEST = 1e12  # of any channel: 100 A are 1e11 nA
-_BEYOND = 10  # times the largest distance of the others from their median, from which such a number is none
-_ABSURD = 1e4  # times, from which any number is none: more than a converter of 14 bits resolves
+_BEYOND = (
+    10  # times the largest distance of the others from their median, from which such a number is a placeholder
+)
+_ABSURD = 1e4  # times, from which any number is a placeholder: more than a converter of 14 bits resolves
 _FEW = 0.05  # share of the samples that may be absurd; more is a channel of two levels
 _LEVELS = 3  # distinct distances of the others at least: what is else constant may be switched on once
 _FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT": 1e-3}
@@ -140,7 +142,7 @@ def unit_quaternions(attitude: Array) -> Array:
 
 
 def no_values(column: Array) -> Mask:
-    """(n,) samples of a channel that stand for no value: −99999 among temperatures, 1e30, infinity.
+    """(n,) samples of a channel that are placeholders: −99999 among temperatures, 1e30, infinity.
 
     A current that is off for most of the time, or surges as it is switched on, has values only.
     """
@@ -166,7 +168,7 @@ def no_values(column: Array) -> Mask:
 
 
 def without_no_values(name: str, value: Array) -> tuple[Array, str | None]:
-    """A channel (n,) or (n, k) with NaN for what stands for no value, and the note that says so, if there was any."""
+    """A channel (n,) or (n, k) with NaN for placeholders, and a note if there were any."""
     columns = value.reshape(len(value), -1)
     wrong = np.column_stack([no_values(column) for column in columns.T]) if columns.size else columns > 0
     if not wrong.any():

@@ -60,7 +60,7 @@ class Recording:
         attitude: (N, 4) unit quaternion x, y, z, w, sensor→world (scipy's order); rows of NaN where
             there is no reference.
         channels: {name: (N,) or (N, k)}, e.g. current, temperature, depth; NaN where absent. Of those that count as
-            one of a kind (`factors.signals.CHANNELS`), what stands for no value, as −99999, becomes NaN with a note.
+            one of a kind (`factors.signals.CHANNELS`), placeholders such as −99999 become NaN with a note.
         name: what to call it in reports.
         angular_rate_is: "instant" (values AT `time`; see `factors.rotations.increments`) or
             "interval-mean" (mean rate since the previous row, as delta angles are).

@@ -34,7 +34,7 @@ def unite(
     """The arguments of a `Recording`, `notes` among them; see `Recording.from_streams` for the rules.
 
     Raises:
-        MagycError: a stream that is no stream, or clocks that do not overlap.
+        MagycError: a stream of the wrong form, or clocks that do not overlap.
     """
     streams = {"magnetic_field": magnetic_field, "angular_rate": angular_rate}
     origin = origin_of(magnetic_field[0])

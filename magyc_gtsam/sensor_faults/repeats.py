@@ -1,4 +1,4 @@
-"""A magnetometer that stands still on all axes: its rows repeat, so that it brings no samples, while all turns."""
+"""A magnetometer that stands still on all axes while the vehicle turns: its rows repeat, so that none is a sample."""
 
 from __future__ import annotations
 

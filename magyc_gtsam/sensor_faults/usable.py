@@ -24,7 +24,7 @@ class Usable:
     Attributes:
         recording: the rows in which nothing was wrong that could be left out.
         stuck: axes that stood still for more than an instant; the largest share first.
-        zeros: samples of the magnetometer that stand for no value; None where there are none.
+        zeros: samples of the magnetometer that are placeholders (zero on all axes); None where there are none.
         cut_off: what the gyroscope's full scale cut off; None where nothing was.
         clipped: what the magnetometer's full scale cut off, which is still in the rows; None where nothing was.
     """
@@ -69,7 +69,7 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
 
 
 def _without_zeros(recording: Recording) -> Recording:
-    """Zeros of the magnetometer hold the sample before (the first ones the one after), and are no samples."""
+    """Replace zeros of the magnetometer by the sample before (the first by the one after), marked as not measured."""
     zero = np.asarray(~recording.magnetic_field.any(axis=1))
     place = np.maximum.accumulate(np.where(zero, -1, np.arange(len(zero))))
     place = np.where(place < 0, np.argmin(zero), place)

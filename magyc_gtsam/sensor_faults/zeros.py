@@ -1,4 +1,4 @@
-"""A magnetometer's rows of zeros on all axes: they stand for no value, as no field with noise is ever zero thrice."""
+"""Zeros on all axes of a magnetometer: placeholders, since no measured field is exactly zero on three axes."""
 
 from __future__ import annotations
 

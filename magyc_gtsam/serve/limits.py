@@ -24,7 +24,7 @@ class Limits:
         connections: at a time, of which one page takes two.
         sockets: web sockets at a time.
         message: bytes of a message on a web socket; the page sends none.
-        body: bytes of a request that is no upload.
+        body: bytes of a request that is not an upload.
         history: logs of one history.
     """
 

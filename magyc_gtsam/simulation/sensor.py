@@ -149,7 +149,7 @@ def _path(motion: str | tuple[float, float, float]) -> tuple[Motion, str]:
     """The motion, and what it is called."""
     if isinstance(motion, str):
         if motion not in MOTIONS:
-            raise MagycError(f"motion: {motion!r} is none of {', '.join(MOTIONS)}")
+            raise MagycError(f"motion: {motion!r} is not one of {', '.join(MOTIONS)}")
         return MOTIONS[motion], motion
     amplitude = np.asarray(motion, dtype=float)
     if amplitude.shape != (3,) or not ((amplitude > 0) & (amplitude <= 360)).all():
@@ -161,7 +161,7 @@ def _channels(asked: Sequence[str] | None, needed: Sequence[str]) -> tuple[str, 
     names = needed if asked is None else asked
     unknown = sorted(set(names) - {*CHANNELS, "acceleration"})
     if unknown:
-        raise MagycError(f"channels: {unknown[0]!r} is none of {', '.join(CHANNELS)}")
+        raise MagycError(f"channels: {unknown[0]!r} is not one of {', '.join(CHANNELS)}")
     return tuple(name for name in CHANNELS if name in names)
 
 

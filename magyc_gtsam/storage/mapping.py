@@ -59,7 +59,7 @@ def parse_json(text: str) -> Any:
     """JSON with each key once.
 
     Raises:
-        MagycError: it is none.
+        MagycError: the text is not JSON, or has a key twice.
     """
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -118,7 +118,7 @@ def parse_yaml(text: str, resolvers: Mapping[str, tuple[Any, list[str]]] | None 
         resolvers: further implicit types: {tag: (pattern, first characters)}.
 
     Raises:
-        MagycError: it is none.
+        MagycError: the text is not YAML, has an alias, or has a key twice.
     """
     loader: type[_Loader] = type("_Own", (_Loader,), {}) if resolvers else _Loader
     for tag, (pattern, first) in (resolvers or {}).items():

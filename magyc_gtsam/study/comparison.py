@@ -41,7 +41,7 @@ def compare(
         progress: called with the method's name and the share that it has done.
 
     Raises:
-        MagycError: a name that is no method, or is given twice.
+        MagycError: an unknown method, or one that is given twice.
         KeyboardInterrupt: interrupted before the first method was done.
     """
     expect_recording("mg.compare", recording)
@@ -80,14 +80,14 @@ def checked_methods(names: Sequence[str] | None) -> tuple[str, ...]:
     """The names, each of one of `methods()` and given once; None gives them all.
 
     Raises:
-        MagycError: a name that is no method, or is given twice.
+        MagycError: an unknown method, or one that is given twice.
     """
     known = methods()
     if names is None:
         return tuple(known)
     for place, name in enumerate(names):
         if name not in known:
-            raise MagycError(f"methods: {name!r} is none of {', '.join(known)}")
+            raise MagycError(f"methods: {name!r} is not one of {', '.join(known)}")
         if name in names[:place]:
             raise MagycError(f"methods: {name!r} is given twice")
     return tuple(names)

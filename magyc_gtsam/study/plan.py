@@ -78,12 +78,12 @@ def plan(
         motions, durations: which; s.
 
     Raises:
-        MagycError: a motion or a noise that is none.
+        MagycError: an unknown motion, or a noise that is not positive.
     """
     unknown = sorted(set(motions) - MOTIONS.keys())
     if unknown or not min(noise) > 0:
         raise MagycError(
-            f"plan: motion {unknown[0]!r} is none of {', '.join(MOTIONS)}"
+            f"plan: motion {unknown[0]!r} is not one of {', '.join(MOTIONS)}"
             if unknown
             else f"plan: noise {noise[0]:g} T and {noise[1]:g} rad/s, both must be more than 0"
         )

@@ -12,7 +12,7 @@ still, this is what was measured over the same 250 runs:
   data, and (10a) then divides rounding errors by rounding errors. One iteration from there gives 1/ρ = 43, three
   give 2.5e5. (14b) is the bias of another model than (2), which leaves 2.2e4; taking (13) for a singular value
   decomposition, which drops the signs of S, leaves 1.4e3 to 1.6e3, in 40 % of the runs where U stands for V. The
-  printed pair of figures is none of these.
+  printed pair of figures is not among these.
 - crassidis, 3.31e3: a matter of the filter's start and noise, which are not printed. With σ = 0.005 as simulated
   1/ρ is 6.9e4 in 77 % of the runs, and (22) for h, as (14b), gives 2.0e4.
 - wu-shi, 87.2 %: starting at T = chol(A), as (57) prints it, instead of chol(A)⁻¹ succeeds in 85.2 %.

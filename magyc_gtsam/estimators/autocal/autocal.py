@@ -147,7 +147,7 @@ def calibrate_autocal(
 def _check_options(noise: Any, kernel_name: Any, width: Any, solver: Any) -> None:
     kernel_of(kernel_name)
     if solver not in get_args(Solver):
-        raise MagycError(f"solver: {solver!r} is none of {', '.join(get_args(Solver))}")
+        raise MagycError(f"solver: {solver!r} is not one of {', '.join(get_args(Solver))}")
     if noise is not None and (not isinstance(noise, (tuple, list)) or len(noise) != 2 or not 0 < noise[0] < 1e-3):
         raise MagycError(f"noise: must be a pair (magnetometer T, gyroscope rad/s), got {noise!r}")
     if width is not None and (

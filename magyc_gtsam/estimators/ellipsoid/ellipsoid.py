@@ -133,7 +133,7 @@ def algebraic(
             progress: called with the share done, 0 to 1.
 
         Raises:
-            MagycError: too few samples, no spread in one of the axes, or a fit that is no ellipsoid.
+            MagycError: too few samples, no spread in one of the axes, or a fit that is not an ellipsoid.
         """
         samples = normalised_field(recording)
         found = fit(samples.value)

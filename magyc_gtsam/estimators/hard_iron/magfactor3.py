@@ -45,11 +45,11 @@ def calibrate_magfactor3(
         delay: s by which the magnetometer lags the attitude.
 
     Raises:
-        MagycError: no attitude, a field that is none, or a sensor that did not turn.
+        MagycError: no attitude, a `field` that is not 1e-6 to 1e-3 T, or a sensor that did not turn.
     """
     known = None if field is None else np.asarray(field, dtype=np.float64)
     if known is not None and (known.shape != (3,) or not 1e-6 < np.linalg.norm(known) < 1e-3):
-        raise MagycError(f"field: {field!r} is no (3,) field in tesla, of 1e-6 to 1e-3 T")
+        raise MagycError(f"field: {field!r} must be (3,) T with a length between 1e-6 and 1e-3 T")
     measured, attitude = _with_attitude(recording, delay)
     mean = measured.mean(axis=0)
     if known is None:

@@ -37,7 +37,7 @@ def calibrate_sar_ls(
         window: s, over which the field's change is compared with the rotation.
 
     Raises:
-        MagycError: no gyroscope, a window that is no positive number, or too short a recording.
+        MagycError: no gyroscope, a window that is not positive, or too short a recording.
     """
     turning = turning_field(recording)
     system = windows(turning, window)

@@ -74,7 +74,7 @@ def windows(turning: TurningField, length: float = 1.0) -> Windows:
     """Windows of `length` seconds, one from every sample on; ΔR turns the axes at their end to those at their start.
 
     Raises:
-        MagycError: a length that is no positive number, too few windows, or a sensor that hardly turned.
+        MagycError: a length that is not positive, too few windows, or a sensor that hardly turned.
     """
     if not (np.isfinite(length) and length > 0):
         raise MagycError(f"window: must be finite and above 0 s, got {length}")

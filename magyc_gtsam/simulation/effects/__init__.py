@@ -33,7 +33,7 @@ def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen
     for item in effects:
         name, factor = (item, 1.0) if isinstance(item, str) else (item[0], float(item[1]))
         if name not in EFFECTS:
-            raise MagycError(f"effects: {name!r} is none of {', '.join(EFFECTS)}")
+            raise MagycError(f"effects: {name!r} is not one of {', '.join(EFFECTS)}")
         if name in (c.name for c in result):
             raise MagycError(f"effects: {name!r} is asked for twice; give it once with its factor")
         if not 0 < factor < float("inf"):

@@ -67,7 +67,7 @@ def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) ->
     """
     unknown = [name for name in names if name not in FAULTS]
     if unknown:
-        raise MagycError(f"fault: {unknown[0]!r} is none of {', '.join(FAULTS)}")
+        raise MagycError(f"fault: {unknown[0]!r} is not one of {', '.join(FAULTS)}")
     return [
         Case(name, strength, motion, seed)
         for name in names or FAULTS

@@ -1,4 +1,4 @@
-"""Recordings of the public collections, from the forms in which they are to be had."""
+"""Recordings of the public collections, in the forms in which they are published."""
 
 from __future__ import annotations
 

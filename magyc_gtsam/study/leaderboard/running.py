@@ -57,7 +57,7 @@ class HeadingScore(NamedTuple):
 
 
 def logs_of(files: Sequence[Path]) -> tuple[list[LeaderboardLog], list[Path]]:
-    """The recordings whose unit is known, and the files that are none."""
+    """The recordings whose unit is known, and the files that are not recordings."""
     logs, unknown = [], []
     for file in files:
         kind = kind_of(file.stem)
@@ -221,10 +221,10 @@ def checked_names(names: Sequence[str] | None) -> tuple[str, ...]:
     """Of methods; None gives all that do not need the attitude that judges.
 
     Raises:
-        MagycError: a name that is no method.
+        MagycError: an unknown method.
     """
     known = methods()
     for name in names or ():
         if name not in known:
-            raise MagycError(f"methods: {name!r} is none of {', '.join(known)}")
+            raise MagycError(f"methods: {name!r} is not one of {', '.join(known)}")
     return tuple(names or (name for name, method in known.items() if "attitude" not in method.needs))
