@@ -99,3 +99,19 @@ def test_a_tree_follows_what_is_likely() -> None:
     assert len(tree.nodes) <= PRIOR.nodes
     value, _ = tree.best.fit.value_of(0)
     assert value[0] == pytest.approx(0.08, abs=0.01)
+
+
+def test_what_is_weak_may_be_a_part_of_something_unknown() -> None:
+    """A lag of fast turns alone is no delay of all turns; a strong delay, beside which nothing is left, is one."""
+    recording = mg.simulate("multi", 200, seed=3).recording
+    field, turn = recording.magnetic_field, recording.angular_rate
+    assert turn is not None
+    speed = np.linalg.norm(turn, axis=1, keepdims=True)
+    slope = np.cross(field - field.mean(axis=0), turn)
+    fast = 0.09 * slope * (speed / np.sqrt((speed**2).mean())) ** 2
+    late = mg.find_gap(mg.simulate("multi", 200, seed=3, effects=[("timing", 3.0)]).recording).probabilities
+    odd = mg.find_gap(mg.Recording(recording.time, field - fast, turn)).probabilities
+    assert late["timing"] > 0.97
+    assert late[UNKNOWN] < 0.03
+    assert odd[UNKNOWN] > 0.9
+    assert odd.get("timing", 0.0) < 0.5

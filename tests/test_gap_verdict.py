@@ -27,7 +27,7 @@ def metrics(held_out: float, rms: float, level: float = 1.0) -> Metrics:
 
 def closed() -> Gap:
     before, after = metrics(10.0, 2e-6), metrics(12.0, 5e-7)
-    return Gap("closed", "the magnetometer is late", (), (), (), (), before, after, (), CALIBRATION, CALIBRATION)
+    return Gap("closed", "the magnetometer is late", (), (), (), before, after, (), CALIBRATION, CALIBRATION)
 
 
 def test_a_correction_that_helps_on_a_noisier_log_holds() -> None:

@@ -241,7 +241,7 @@ def _show(gap: Gap, validation: Validation | None, every: bool) -> None:
 
     if gap.verdict == "not enough information":
         return
-    show("")
+    show("", words.probability_sentence(gap), "")
     if every:
         show("Evidence of each hypothesis, added alone to the twelve-parameter model:")
         show_table(words.HYPOTHESES, words.hypothesis_rows(gap.hypotheses), words=(1,))

@@ -48,7 +48,6 @@ def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibrat
         effects=(),
         untested=(),
         hypotheses=(),
-        remaining=(),
         before=metrics,
         after=metrics,
         moved=(),
@@ -124,7 +123,6 @@ def gap_of(
         effects=effects,
         untested=untested,
         hypotheses=tested,
-        remaining=hypotheses(last, names, (), word, (), result.leftover, result.slight) if result.found else (),
         before=before,
         after=after,
         moved=contradicted

@@ -256,7 +256,6 @@ class Gap:
         untested: candidates whose channel is missing.
         hypotheses: every candidate and generic family with its evidence against the base model, strongest
             first.
-        remaining: the same against the final model.
         before, after: metrics of the base model and of the final one (the same object where nothing was added).
         moved: parameters of the base model that the effects moved, most first; of a calibration that was given,
             those which the data contradict.
@@ -277,7 +276,6 @@ class Gap:
     effects: tuple[Effect, ...]
     untested: tuple[Untested, ...]
     hypotheses: tuple[Hypothesis, ...]
-    remaining: tuple[Hypothesis, ...]
     before: Metrics
     after: Metrics
     moved: tuple[Moved, ...]

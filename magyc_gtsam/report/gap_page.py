@@ -42,6 +42,8 @@ def render_gap(
         maps=gap_charts.maps(recording, gap.before, gap.after),
         lines=gap_words.line_sentences(gap.before),
         effects=[(effect, gap_words.effect_value(effect)) for effect in gap.effects],
+        per_cent=gap_words.per_cent,
+        probabilities=gap_words.probability_sentence(gap),
         evidence=gap_words.evidence_rows(gap.hypotheses),
         hypothesis_header=(*gap_words.HYPOTHESES, "in words"),
         significant_rows=gap_words.hypothesis_rows([h for h in gap.hypotheses if h.significant], explained=True),

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolability, Metrics, Moved
 from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
 HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
+_WORTH_SAYING, _SAID = 0.01, 6  # probability, and how many
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "change (σ)")
 DIFFERS = ("parameter that differs", "this log", "other log", "difference (σ)")
@@ -57,6 +58,23 @@ def effect_value(effect: Effect) -> str:
         if f"{key}_sigma" in effect.setting
     ]
     return f"{', '.join(values)} {effect.unit}{''.join(times)}" if effect.unit else ""
+
+
+def probability_sentence(gap: Gap) -> str:
+    """How probable what may be there is, the likeliest first; "" where nothing was tested."""
+    words = {
+        "unknown": "something in no catalogue",
+        "nothing": "nothing",
+        "field-variation": "a field that varies",
+    }
+    likely = [(name, p) for name, p in gap.probabilities.items() if p >= _WORTH_SAYING][:_SAID]
+    told = [f"{words.get(name) or LABELS[name]} {per_cent(p)}" for name, p in likely]
+    return f"Probabilities: {', '.join(told)}" if told else ""
+
+
+def per_cent(probability: float) -> str:
+    """A probability; none is said to be certain."""
+    return "> 99.9 %" if probability > 0.999 else f"{100 * probability:.3g} %"
 
 
 def hypothesis_label(hypothesis: Hypothesis) -> str:

@@ -40,7 +40,6 @@ class EffectTerm:
         least: norm of the values, likewise, below which a weak effect is given no name: of what a motion shows far
             below what matters, every other weak effect casts a shadow.
         prior: standard deviation of the value before anything was measured, likewise.
-        equivalents: other names for the same signature to first order.
         rivals: names it is known to be confused with.
         parameters: what each value is; repeated over what it stands for.
         say: sentence for a navigator from value, sigma (shown units) and setting.
@@ -65,7 +64,6 @@ class EffectTerm:
     scale: float
     matters: float
     prior: float
-    equivalents: tuple[str, ...]
     rivals: tuple[str, ...]
     parameters: tuple[str, ...]
     say: Say

@@ -11,7 +11,7 @@ from magyc_gtsam.factors.chain.field_chain import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
 from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, noise_of, without
-from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, of_field, weights
+from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.noise_effects import NoiseScore
@@ -62,7 +62,7 @@ def answer(
         for name in SINGLE:
             score, known = found[name], said.get(name, -np.inf)
             odds = log_odds(score)
-            form = score.statistic < PRIOR.form * of_field(tree.best) and name != "quantisation"
+            form = score.statistic < PRIOR.form * tree.best.of_field and name != "quantisation"
             if name not in names or (known > 0 and name != "tone") or odds < _HARDLY or form:
                 continue
             said[name] = max(odds, known)
@@ -109,5 +109,11 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
                     models.get((key, False), -np.inf), log + colour.alike + (len(names) + 1) * PRIOR.named
                 )
     for name, odds in said.items():  # whatever else there is
-        models |= {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
+        there = {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
+        if name in ("spikes", "tone") and odds > 0:  # or a part of what is unknown beside
+            for (key, unknown), log in models.items():
+                if unknown:
+                    models[key, unknown] = float(np.logaddexp(log, log + odds + PRIOR.imitated - PRIOR.unknown))
+        models |= there
+    models[(), False] += PRIOR.nothing
     return normalised(models)

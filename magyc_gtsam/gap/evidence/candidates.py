@@ -119,9 +119,12 @@ def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
 
 
 def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
-    """The grid that a name is averaged over; a drift is a straight line or a random walk."""
+    """The grid that a name is averaged over.
+
+    A drift is a straight line or a random walk. What plates of any matrix have alike in all directions is a delay.
+    """
     if name != "hard-iron-drift":
-        return TERMS[name].settings(twin)
+        return [{"uneven": 1.0} if setting.get("full") else setting for setting in TERMS[name].settings(twin)]
     ends = {"start": float(twin.time[0]), "end": float(twin.time[-1])}
     return [{"order": 0.0} | ends, {"order": float(PRIOR.modes)} | ends]
 

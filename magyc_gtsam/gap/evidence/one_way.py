@@ -20,16 +20,16 @@ ONE_WAY = "time:one-way"
 _LEAST_POWER = 4.0
 
 
-def one_way(candidates: Candidates, beside: Beside) -> dict[str, Weighed]:
+def one_way(candidates: Candidates, beside: Beside, power: float) -> dict[str, Weighed]:
     """{`ONE_WAY`: its evidence}; empty where there is no course among the candidates."""
     for batch in candidates.batches:
         for i, name in enumerate(batch.names):
             if name == COURSE and not batch.settings[i]["first"]:
-                return {ONE_WAY: _weighed(candidates, batch.rows[i], batch.gram[i], beside)}
+                return {ONE_WAY: _weighed(candidates, batch.rows[i], batch.gram[i], beside, power)}
     return {}
 
 
-def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Beside) -> Weighed:
+def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Beside, explained: float) -> Weighed:
     columns, pull = candidates.columns[rows], candidates.pull[rows]
     seen = beside.see(columns, pull)
     information = gram / beside.noise**2 - seen.reach @ seen.reach.T
@@ -46,7 +46,7 @@ def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Besi
     places = np.arange(len(stacked)).reshape(2, -1)
     own_rows = stacked[places]
     batch = Batch(places, own_rows @ own_rows.swapaxes(1, 2), (ONE_WAY,) * 2, ({}, {}), np.full(2, -np.log(2.0)))
-    found = weigh(Candidates(stacked, np.zeros(len(stacked)), (batch,)), beside)[ONE_WAY]
+    found = weigh(Candidates(stacked, np.zeros(len(stacked)), (batch,)), beside, explained)[ONE_WAY]
     power = max(float(found.power[int(np.argmax(found.by_scale))]), _LEAST_POWER)
     cost = float(np.log(power / 2.0))  # of a half sphere 2π, the solid angle 4π / power
-    return replace(found, log=found.log - cost, by_scale=found.by_scale - cost)
+    return replace(found, log=found.log - cost, by_scale=found.by_scale - cost, tied=found.tied - cost)

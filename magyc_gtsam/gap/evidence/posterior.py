@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.special import logsumexp
@@ -10,6 +10,8 @@ from scipy.special import logsumexp
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
+from magyc_gtsam.gap.evidence.weighing import Weighed
+from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.rules import RULES
 
@@ -33,12 +35,16 @@ def weights(tree: Tree) -> dict[Set, float]:
         add(key, False, np.logaddexp(node.log, node.log + _FORM + form) if np.isfinite(form) else node.log)
         if np.isfinite(foreign):
             add(key, True, node.log + PRIOR.unknown + foreign)
+        for log in _products(node):
+            add(key, True, node.log + log)
+        for less, log in _imitated(node, key):
+            add(less, True, node.log + log)
         for log in node.moving:
             add(key, True, node.log + PRIOR.unknown - np.log(max(len(node.found), 1)) + log)
         for each in node.found.values():  # what was not worth a fit still has its share, as linearised
             more = tuple(sorted((*node.names, each.name)))
             if each.name in TERMS and each.name not in node.names and more not in tried:
-                seen = each.power > PRIOR.form * of_field(node)
+                seen = each.power > PRIOR.form * node.of_field
                 if seen.any():
                     log = node.log + PRIOR.named + logsumexp(each.by_scale[seen])
                     add(tuple(sorted({*key, each.name})), False, log)
@@ -47,7 +53,7 @@ def weights(tree: Tree) -> dict[Set, float]:
 
 def _families(tree: Tree, node: Node) -> tuple[float, float]:
     """Nats of families without a name that are no more than the form of the set, and of those that are more."""
-    families = [each for each in node.found.values() if each.name not in TERMS]
+    families = _nameless(node)
     form, foreign = [], []
     for each in families:
         small = each.power < PRIOR.form * node.explained
@@ -62,6 +68,44 @@ def _families(tree: Tree, node: Node) -> tuple[float, float]:
     )
 
 
+def _products(node: Node) -> Iterator[float]:
+    """Nats of what looks like a name being a product of it with another signal alone, each as likely as the other."""
+    for name in {product_of(each) for each in node.found} - {None, *node.names}:
+        logs = [each.log for each in node.found.values() if product_of(each.name) == name]
+        yield PRIOR.named + PRIOR.imitated + float(logsumexp(logs)) - float(np.log(len(logs)))
+
+
+def _nameless(node: Node) -> list[Weighed]:
+    """Families, and products of the names of a set."""
+    return [e for e in node.found.values() if e.name not in TERMS and product_of(e.name) in (None, *node.names)]
+
+
+def _imitated(node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
+    """(what else there is, nats) of each name, and of all, being a part of something that is in no catalogue.
+
+    The rest of it is a family: as large as is seen, where that is more than the form of the name and of the field; or,
+    of one name, of a power tied to that of what is named, and too small to be seen beside it.
+    """
+    families = _nameless(node)
+    if not families or not key:
+        return
+    share = float(np.log(len(families)))
+    hidden = float(logsumexp([min(each.tied, 0.0) for each in families])) - share
+    powers = dict.fromkeys(key, 0.0)
+    for index in kept(node):
+        powers[node.fit.model.terms[index].name] += node.powers[index]
+    if node.variation is not None:
+        powers[FIELD_VARIATION] = node.of_field
+    parts = [(set(key) - {name}, power, name != FIELD_VARIATION) for name, power in powers.items()]
+    if len(key) > 1:
+        parts.append((set(), sum(powers.values()), False))
+    for less, power, small in parts:
+        least = PRIOR.form * max(power, node.of_field)
+        large = np.concatenate([*(each.by_scale[each.power > least] for each in families), [-np.inf]])
+        log = np.logaddexp(float(logsumexp(large)) - share, hidden if small else -np.inf)
+        yield tuple(sorted(less)), PRIOR.imitated - float(np.log(len(parts))) + float(log)
+
+
 def _beyond(tree: Tree, node: Node, family: str) -> float:
     """Log probability that what a family says is more than the form of one more name."""
     result = 1.0
@@ -74,20 +118,12 @@ def _beyond(tree: Tree, node: Node, family: str) -> float:
     return float(np.log(max(result, 1e-12)))
 
 
-def of_field(node: Node) -> float:
-    """Power of what a field that varies explains beside the names of a set."""
-    if node.variation is None:
-        return 0.0
-    without, rows = float(node.left @ node.left) / node.variation.noise**2, len(node.left)
-    return max(without - node.misfit * rows, 0.0)
-
-
 def kept(node: Node) -> list[int]:
     """Its terms, without those that are no more than the form of a related one, or of a field that varies."""
     result: list[int] = []
     terms = node.fit.model.terms
     names = [term.name for term in terms]
-    least = PRIOR.form * of_field(node)
+    least = PRIOR.form * node.of_field
     for index in sorted(range(len(names)), key=lambda i: -node.powers[i]):
         strong = [node.powers[i] for i in result if related(names[index], names[i])]
         passed = any(_one_passing(terms[index], terms[i]) for i in result)

@@ -76,6 +76,19 @@ class Node:
         result: Array = Projector(twin.base_columns, twin.base_pull)(twin.residual().reshape(1, -1))[0]
         return result
 
+    @property
+    def named(self) -> float:
+        """Power of what its names explain."""
+        return self.explained - self.of_field if self.names else 0.0
+
+    @cached_property
+    def of_field(self) -> float:
+        """Power of what a field that varies explains beside the names of a set."""
+        if self.variation is None:
+            return 0.0
+        without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)
+        return max(without - self.misfit * rows, 0.0)
+
 
 class Tree:
     """The sets of names of one recording that were fitted."""
@@ -226,19 +239,18 @@ class Tree:
         return node
 
     def _found(self, node: Node) -> dict[str, Weighed]:
-        found = weigh(self.candidates, node.beside)
-        twin, terms = node.fit.twin, node.fit.model.terms
-        products = {f.name: f for term in terms for f in neighbours(twin, term.name, term.setting)}
+        twin = node.fit.twin
+        found = weigh(self.candidates, node.beside, node.named)
+        # A product with another signal may be there beside its name, and in place of one that is likely.
+        likely = [each for each in best_of(found, PRIOR.beam) if each.log > 0]
+        settings = [(each.name, each.setting) for each in likely]
+        settings += [(term.name, term.setting) for term in node.fit.model.terms]
+        products = {f.name: f for name, setting in settings for f in neighbours(twin, name, setting)}
         if products:
-            found |= weigh(Candidates.of(twin, (), products.values()), node.beside)
+            found |= weigh(Candidates.of(twin, (), products.values()), node.beside, node.named)
         if "hard-iron-drift" not in node.names:
-            found |= one_way(self.candidates, node.beside)
+            found |= one_way(self.candidates, node.beside, node.named)
         return found
-
-
-def _rivals(node: Node, name: str) -> list[Weighed]:
-    """What is confused with a name, of what explains something beside a set, the likeliest first."""
-    return [each for each in best_of(node.found, len(TERMS)) if related(each.name, name)]
 
 
 def related(one: str, other: str) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -34,6 +35,8 @@ class Weighed:
         power: (S,) squared length of what it would explain, at each scale.
         setting: the likeliest.
         search: nats, that the average over settings costs against the likeliest.
+        tied: nats of a power that is expected to be a share of what is named, shares averaged: of a family that has
+            what is named as a part.
     """
 
     name: str
@@ -42,28 +45,41 @@ class Weighed:
     power: Array
     setting: Setting
     search: float
+    tied: float
 
 
-def weigh(candidates: Candidates, beside: Beside) -> dict[str, Weighed]:
-    """Every candidate by its name."""
+class _Part(NamedTuple):
+    """A candidate at one setting: (S,) nats and powers, nats of shares, its setting and that one's log prior."""
+
+    log: Array
+    power: Array
+    tied: float
+    setting: Setting
+    prior: float
+
+
+def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[str, Weighed]:
+    """Every candidate by its name, beside a model whose names explain a power."""
     if not candidates.batches:
         return {}
     seen = beside.see(candidates.columns, candidates.pull)
-    parts: dict[str, list[tuple[Array, Array, Setting, float]]] = {}
+    parts: dict[str, list[_Part]] = {}
     for batch in candidates.batches:
-        log, power = _by_scale(batch, beside.noise, seen.reach, seen.score)
+        log, powers, tied = _by_scale(batch, beside.noise, seen.reach, seen.score, power)
         for i, name in enumerate(batch.names):
+            prior = float(batch.prior[i])
             parts.setdefault(name, []).append(
-                (log[i] + batch.prior[i], power[i], batch.settings[i], float(batch.prior[i]))
+                _Part(log[i] + prior, powers[i], tied[i] + prior, batch.settings[i], prior)
             )
     return {name: _averaged(name, many) for name, many in parts.items()}
 
 
-def _by_scale(batch: Batch, noise: float, reach: Array, score: Array) -> tuple[Array, Array]:
-    """(B, S) nats and powers."""
+def _by_scale(
+    batch: Batch, noise: float, reach: Array, score: Array, explained: float
+) -> tuple[Array, Array, Array]:
+    """(B, S) nats and powers, and (B,) nats of shares of what is explained."""
     own = reach[batch.rows]
-    gram = batch.gram / noise**2 - own @ own.swapaxes(1, 2)
-    value, vector = np.linalg.eigh(gram)
+    value, vector = np.linalg.eigh(batch.gram / noise**2 - own @ own.swapaxes(1, 2))
     value = np.maximum(value, 0.0)[:, None]
     pull = np.einsum("bki,bk->bi", vector, score[batch.rows])[:, None]
     variance = PRIOR.scales[:, None] ** 2
@@ -75,7 +91,11 @@ def _by_scale(batch: Batch, noise: float, reach: Array, score: Array) -> tuple[A
         likely = scales_of(name)
         log[i, ~likely] = -np.inf
         log[i] += np.log(len(likely) / likely.sum())
-    return log, power
+    whole = np.trace(batch.gram, axis1=1, axis2=2)[:, None, None] / noise**2
+    variance = PRIOR.shares[:, None] * explained / np.maximum(whole, 1e-12)
+    spread = 1 + variance * value
+    tied = 0.5 * (pull**2 * variance / spread - np.log(spread)).sum(axis=2)
+    return log, power, logsumexp(tied, axis=1) - np.log(len(PRIOR.shares))
 
 
 def scales_of(name: str) -> np.ndarray:
@@ -85,18 +105,19 @@ def scales_of(name: str) -> np.ndarray:
     return PRIOR.scales <= max(_BEYOND * TERMS[name].prior / TERMS[name].matters, PRIOR.scales[0])
 
 
-def _averaged(name: str, many: list[tuple[Array, Array, Setting, float]]) -> Weighed:
-    log = np.array([each[0] for each in many])
+def _averaged(name: str, many: list[_Part]) -> Weighed:
+    log = np.array([each.log for each in many])
     by_scale = logsumexp(log, axis=0)
     weight = np.exp(log - np.where(np.isfinite(by_scale), by_scale, 0.0))
-    power = (weight * np.array([each[1] for each in many])).sum(axis=0)
+    power = (weight * np.array([each.power for each in many])).sum(axis=0)
     of_setting = logsumexp(log, axis=1)
     # Of a name each setting is as likely as the other, and the likeliest is fitted.
     best = int(np.argmax(of_setting))
     scales = float(np.log(len(PRIOR.scales)))
     total = float(logsumexp(by_scale)) - scales
-    search = float(of_setting[best]) - many[best][3] - scales - total
-    return Weighed(name, total, by_scale - scales, power, many[best][2], search)
+    search = float(of_setting[best]) - many[best].prior - scales - total
+    tied = float(logsumexp([each.tied for each in many]))
+    return Weighed(name, total, by_scale - scales, power, many[best].setting, search, tied)
 
 
 def best_of(weighed: Mapping[str, Weighed], count: int) -> list[Weighed]:
