@@ -53,6 +53,9 @@ def px4(
         raw = raw + current[:, None] * 0.001 * np.array([rows[f"CAL_MAG0_{axis}COMP"] for axis in "XYZ"])
     rotation = turned(rows, "CAL_MAG0_") if rows.get("CAL_MAG0_ROT") == 100 else np.eye(3)
     bias = np.array([rows.get(f"CAL_GYRO0_{axis}OFF", np.nan) for axis in "XYZ"])
+    if warm is not None and rows.get("TC_G_ENABLE"):
+        beyond = warm - rows["TC_G0_TREF"]
+        w = w - sum(np.array([rows[f"TC_G0_X{n}_{k}"] for k in range(3)]) * beyond[:, None] ** n for n in range(4))
     return (raw - offset) @ scale.T @ rotation.T * 1e-4, w - bias
 
 
@@ -248,6 +251,21 @@ def test_terms_are_exported_where_the_target_has_them(terms: tuple[Term, ...]) -
         expected = calibration.apply(FIELD, time=np.arange(40.0), channels=CHANNELS)
     by_ardupilot, _ = ardupilot(text, FIELD, RATE, CURRENT)
     np.testing.assert_allclose(by_ardupilot, expected, atol=2e-11)
+
+
+def test_a_gyroscope_that_warms_up_is_exported_where_the_target_has_it() -> None:
+    """What is pasted corrects as `apply` does; ArduPilot's table is relative to its own calibration's temperature."""
+    warming = Term("temperature-gyro", [2e-5, -4e-5, 3e-5], np.eye(3) * 1e-14, {"reference_0": 24.0})
+    calibration = Calibration(SOFT_IRON, HARD_IRON, GYRO_BIAS, terms=(warming,))
+    expected = calibration.apply_gyroscope(RATE, time=np.arange(40.0), channels=CHANNELS)
+    _, by_px4 = px4(calibration.export("px4"), FIELD, RATE, None, TEMPERATURE)
+    np.testing.assert_allclose(by_px4, expected, atol=1e-6)
+    for target in ("ardupilot", "vectornav", "ros"):
+        assert "LIMIT: not in here: temperature-gyro" in calibration.export(target)
+    lagging = Term("temperature-gyro", warming.value, warming.covariance, {"reference_0": 24.0, "lag": 60.0})
+    assert "LIMIT: not in here: temperature-gyro" in Calibration(
+        SOFT_IRON, HARD_IRON, GYRO_BIAS, terms=(lagging,)
+    ).export("px4")
 
 
 @pytest.mark.parametrize("moving", [(0, 1, 2, 3), (1, 3)])

@@ -47,6 +47,8 @@ def export(
     motors: ArrayLike | None = None,
     thermal: ArrayLike | None = None,
     reference: float = 0.0,
+    warming_gyro: ArrayLike | None = None,
+    gyro_reference: float = 0.0,
     compass: int = 1,
 ) -> str:
     """Text to paste into `target`.
@@ -61,6 +63,7 @@ def export(
         motor: (3,) T/A that the motors' current adds to the reading.
         motors: (4, 3) T that motors 1 to 4 add at full output, each by itself; ArduPilot's only.
         thermal: (3,) T/°C that warming above `reference` (°C) adds to it.
+        warming_gyro: (3,) rad/s/°C that warming above `gyro_reference` (°C) adds to the angular rate.
         compass: which of the vehicle's, from 1; the targets that have several number their parameters by it.
 
     Raises:
@@ -79,11 +82,14 @@ def export(
         None if thermal is None else np.asarray(thermal, dtype=np.float64),
         reference,
         None if motors is None else np.asarray(motors, dtype=np.float64),
+        None if warming_gyro is None else np.asarray(warming_gyro, dtype=np.float64),
+        gyro_reference,
     )
     lines = numbered(TARGETS[target](correction), target, compass)
     missing = [*terms]
     missing += ["motor-current"] if motor is not None and target not in _WITH_MOTOR else []
     missing += ["temperature-hard-iron"] if thermal is not None and target not in _WITH_TEMPERATURE else []
+    missing += ["temperature-gyro"] if warming_gyro is not None and target not in _WITH_TEMPERATURE else []
     limit = (
         [f"# LIMIT: not in here: {', '.join(missing)}. Only `magyc-gtsam apply` takes it out."] if missing else []
     )

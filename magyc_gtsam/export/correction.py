@@ -29,6 +29,7 @@ class Correction:
         motor, thermal: (3,) T/A, (3,) T/°C, or None.
         reference: °C.
         motors: (4, 3) T, subtracted in proportion to each motor's output; or None.
+        warming_gyro: (3,) rad/s/°C that warming above `gyro_reference` (°C) adds to the angular rate; or None.
     """
 
     matrix: Array
@@ -39,6 +40,8 @@ class Correction:
     thermal: Array | None = None
     reference: float = 0.0
     motors: Array | None = None
+    warming_gyro: Array | None = None
+    gyro_reference: float = 0.0
 
 
 def symmetric(matrix: Array, target: str) -> tuple[Array, list[str]]:

@@ -27,6 +27,8 @@ class Parts(NamedTuple):
     motors: Array | None
     thermal: Array | None
     reference: float
+    warming_gyro: Array | None
+    gyro_reference: float
 
 
 def parts_of(
@@ -41,6 +43,8 @@ def parts_of(
     """
     missing: list[str] = []
     motor, motors, thermal, reference = None, None, None, 0.0
+    warming_gyro, gyro_reference = None, 0.0
+    in_its_axes = all(term.name != "axis-order" for term in terms)
     for term in terms:
         exchanged = term.name == "axis-order"
         if exchanged and gyro_bias is not None:
@@ -55,6 +59,13 @@ def parts_of(
             )  # the one circuit's reference, if it has one
         elif term.name == "temperature-hard-iron" and len(term.value) == 3 and not term.setting.get("lag"):
             thermal, reference = term.value, term.setting.get("reference_0", 0.0)
+        elif (
+            term.name == "temperature-gyro"
+            and len(term.value) == 3
+            and not term.setting.get("lag")
+            and in_its_axes
+        ):
+            warming_gyro, gyro_reference = term.value, term.setting.get("reference_0", 0.0)
         elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
             term.side is not None and term.name != "misalignment"
         ):  # what is neither of a side nor an exchange concerns the noise
@@ -63,4 +74,15 @@ def parts_of(
     rotation = (
         corrected_field(np.eye(3), np.eye(3), np.zeros(3), turning, Signals(np.zeros(3))) if turning else None
     )
-    return Parts(hard_iron, gyro_bias, missing, rotation, motor, motors, thermal, reference)
+    return Parts(
+        hard_iron,
+        gyro_bias,
+        missing,
+        rotation,
+        motor,
+        motors,
+        thermal,
+        reference,
+        warming_gyro,
+        gyro_reference,
+    )

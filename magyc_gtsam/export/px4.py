@@ -48,6 +48,12 @@ def px4(c: Correction) -> list[str]:
         notes.append("to CAL_MAG0_ID, and TC_M0_TMIN, TC_M0_TMAX to the range that the log covers.")
     if c.gyro_bias is not None:
         values |= axes("CAL_GYRO0_{}OFF", c.gyro_bias)
+    if c.warming_gyro is not None:
+        whole["TC_G_ENABLE"] = 1
+        values |= {f"TC_G0_X1_{k}": float(value) for k, value in enumerate(c.warming_gyro)}
+        values |= {"TC_G0_TREF": c.gyro_reference} | {f"TC_G0_X{n}_{k}": 0.0 for n in (0, 2, 3) for k in range(3)}
+        notes.append("TC_G0_*: rad/s per degree of the gyroscope's own thermometer, subtracted; set TC_G0_ID to")
+        notes.append("CAL_GYRO0_ID, and TC_G0_TMIN, TC_G0_TMAX to the range that the log covers.")
     return [
         "# PX4 parameters (QGroundControl: Vehicle Setup > Parameters > Tools > Load from file).",
         "# Offsets in gauss, SUBTRACTED: field = scale * (raw - offset), in the sensor's own axes, before",
