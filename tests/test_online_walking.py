@@ -32,13 +32,13 @@ def walking(motion, seed, *, hard_iron=0.0, bias=0.0, duration=700.0):
 def test_a_walking_hard_iron_is_known_as_well_as_is_said():
     scores = []
     for seed in range(3):
-        recording, hard_iron, _ = walking("wide", seed, hard_iron=4e-6, duration=350.0)
+        recording, hard_iron, _ = walking("wide", seed, hard_iron=4e-6, duration=280.0)
         online = feed(OnlineCalibrator(hard_iron_walk=4e-6), recording, step=50.0)
         assert online.converged
         assert online.changes == ()
         error = online.calibration.hard_iron - hard_iron
         covariance = online.calibration.covariance[6:9, 6:9]
-        assert np.sqrt(np.trace(covariance) / 3) < 0.35e-6  # 1.2 µT were walked meanwhile
+        assert np.sqrt(np.trace(covariance) / 3) < 0.35e-6  # 1.1 µT were walked meanwhile
         scores.append(error @ np.linalg.solve(covariance, error))
     assert 0.38 < np.mean(scores) < 9.3  # χ² of 9 degrees of freedom over 3, at 99.8 %
 
@@ -53,7 +53,7 @@ def test_a_walking_bias_is_followed():
 
 
 def test_a_strong_walk_does_not_keep_it_from_converging():
-    recording, hard_iron, _ = walking("moderate", 4, hard_iron=5e-6, duration=400.0)
+    recording, hard_iron, _ = walking("moderate", 4, hard_iron=5e-6, duration=320.0)
     online = feed(OnlineCalibrator(hard_iron_walk=5e-6), recording, step=50.0)
     assert online.calibration.converged
     assert (np.abs(online.calibration.hard_iron - hard_iron) < 4 * online.calibration.sigma["hard_iron"]).all()
