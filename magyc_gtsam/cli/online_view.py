@@ -6,31 +6,28 @@ import json
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from magyc_gtsam.cli.online_session import End, Session, judged_online
+from magyc_gtsam.cli.online_text import change_sentence, counted_from, first_stamp, line, panel
 from magyc_gtsam.cli.terminal import concluded, console, show, show_calibration
 from magyc_gtsam.foreign_text import printable
-from magyc_gtsam.live.health import StreamHealth, StreamMonitor
+from magyc_gtsam.live.health import StreamMonitor
 from magyc_gtsam.live.picture import Picture
-from magyc_gtsam.report.words import parameter_rows, uncertain
+from magyc_gtsam.report.words import parameter_rows
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
-
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.live.source import LiveSource, NewSamples
-    from magyc_gtsam.online import Change, OnlineCalibrator
+    from magyc_gtsam.online import OnlineCalibrator
     from magyc_gtsam.report.verdict import Verdict
 
 _REFRESH = 0.5  # s between two looks at the estimate, and no more than a tenth of the time for them
 _SHARE = 10.0
 _NOTES = 10  # shown; of more, their number
 _INTERRUPTED = 130
-_BAR = 24  # characters
 
 
 class QuietView:
@@ -110,7 +107,7 @@ class Plain(QuietView):
             "",
         )
         if verdict.trusted:
-            show_calibration(_since(calibration, first_stamp(self.online)))
+            show_calibration(counted_from(calibration, first_stamp(self.online)))
         show(*(change_sentence(change, self.online) for change in self.online.changes))
         show("", f"calibration: {session.output}")
         if session.state is not None:
@@ -241,70 +238,3 @@ def view(
             yield live
         finally:
             live.stop()
-
-
-def line(online: OnlineCalibrator, source: LiveSource, health: StreamHealth) -> str:
-    """How it is, in one line."""
-    progress, calibration = online.progress, online.calibration
-    parts = [f"{progress.duration:8.1f} s"]
-    if calibration is not None:
-        parts += [f"hard iron {hard_iron_text(calibration)} µT", f"coverage {progress.coverage:.0%}"]
-    if online.changes:
-        parts.append(f"{len(online.changes)} change{'s' if len(online.changes) > 1 else ''}")
-    parts.append(source.waiting_for if progress.time is None and source.waiting_for else progress.sentence)
-    parts.append(health.sentence)
-    return " | ".join(parts)
-
-
-def hard_iron_text(calibration: Calibration) -> str:
-    """Three components in µT with their deviations, where there are any."""
-    sigma = calibration.sigma.get("hard_iron", [0.0] * 3)
-    return ", ".join(uncertain(h * 1e6, s * 1e6) for h, s in zip(calibration.hard_iron, sigma, strict=True))
-
-
-def change_sentence(change: Change, online: OnlineCalibrator) -> str:
-    """When the hard iron changed, counted from the first sample, and by how much."""
-    step = ", ".join(uncertain(v * 1e6, s * 1e6) for v, s in zip(change.step, change.step_sigma, strict=True))
-    return f"hard iron changed at {uncertain(change.time - first_stamp(online), change.time_sigma)} s by {step} µT"
-
-
-def first_stamp(online: OnlineCalibrator) -> float:
-    """s on the log's clock, from which what is shown counts."""
-    progress = online.progress
-    return 0.0 if progress.time is None else progress.time - progress.duration
-
-
-def _since(calibration: Calibration, first: float) -> Calibration:
-    """With the disturbed stretches counted from `first`."""
-    disturbed = [[start - first, end - first] for start, end in calibration.diagnostics.get("disturbed") or []]
-    return replace(calibration, diagnostics={**calibration.diagnostics, "disturbed": disturbed})
-
-
-def panel(online: OnlineCalibrator, source: LiveSource, health: StreamHealth, written: str) -> RenderableType:
-    """The live view: head, parameters, coverage, verdict, what is weak, and changes."""
-    from rich.console import Group
-    from rich.table import Table
-    from rich.text import Text
-
-    progress, calibration = online.progress, online.calibration
-    head = [source.name, online.method, f"{progress.duration:.1f} s", f"{progress.windows} windows"]
-    if progress.left_out:
-        head.append(f"{progress.left_out} left out")
-    parts: list[RenderableType] = [Text(" · ".join(part for part in (*head, written) if part), style="bold")]
-    parts.append(Text(f"source: {health.sentence}", style="dim"))
-    if calibration is not None:
-        table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-        for name in ("", "x", "y", "z"):
-            table.add_column(name, justify="left" if not name else "right", no_wrap=True)
-        for name, values in parameter_rows(calibration):
-            table.add_row(name, *values)
-        parts.append(table)
-    full = round(_BAR * progress.coverage)
-    parts.append(Text(f"directions seen  {'█' * full}{'░' * (_BAR - full)} {progress.coverage:.0%}"))
-    sentence = source.waiting_for if progress.time is None and source.waiting_for else progress.sentence
-    style = "green" if progress.converged else "yellow"
-    parts.append(Text(sentence if progress.converged else f"not yet: {sentence}", style=style))
-    parts += [Text(f"  weak: {weakness.sentence}") for weakness in progress.weak[:3]]
-    parts += [Text(change_sentence(change, online), style="magenta") for change in online.changes[-3:]]
-    parts.append(Text("Ctrl-C ends; nothing is lost", style="dim"))
-    return Group(*parts)
