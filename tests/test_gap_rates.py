@@ -89,7 +89,8 @@ def diagnosed(scenario: Scenario) -> Case:
 
 
 @pytest.mark.parametrize(
-    ("motion", "part"), [("wide", slice(0, None, 2)), ("moderate", slice(1, None, 2)), ("multi", slice(1, None, 2))]
+    ("motion", "part"),
+    [("wide", slice(0, None, 2)), ("moderate", slice(1, None, 2)), ("multi", slice(1, None, 2))],
 )
 def test_a_catalogue_on_a_motion(motion: str, part: slice) -> None:
     """Named, silent and unknown as it should be; what is corrected is better, what is not stays as it was."""
