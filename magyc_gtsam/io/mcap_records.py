@@ -31,12 +31,12 @@ METADATA = "magyc-gtsam"  # holds what ROS messages have no field for
 HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size, checksum, length of the compression's name
 _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])
-_LARGEST_CHUNK = 1 << 28  # bytes, unpacked; recorders write chunks of 1 to 16 MB
+LARGEST_CHUNK = 1 << 28  # bytes, unpacked; recorders write chunks of 1 to 16 MB
 _LARGEST_RECORD = 1 << 24  # bytes of a schema, a channel or metadata, and of a message outside of chunks
 _BEYOND_ANY = 1 << 32  # bytes; a record that announces more was not written so
 _MOST_OTHERS = 100_000  # schemas, channels and records of other kinds in a chunk
 _AT_ONCE = 1 << 22  # bytes of messages outside of chunks
-_UNPACKED = (100, 1 << 26)  # times the file, and bytes: measurements pack to a fifth, their headers to a tenth
+UNPACKED = (100, 1 << 26)  # times the file, and bytes: measurements pack to a fifth, their headers to a tenth
 
 
 class Damage(MagycError):
@@ -64,7 +64,7 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
         MagycError: not an MCAP file, or one that unpacks to far more than measurements do.
     """
     size = os.path.getsize(path)
-    budget = _UNPACKED[0] * size + _UNPACKED[1]
+    budget = UNPACKED[0] * size + UNPACKED[1]
     whole = damaged = False
     losses: dict[str, list[str]] = {"chunk": [], "record": [], "message": []}
     with open(path, "rb") as file:
@@ -82,8 +82,8 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
                 yield from loose.taken()
             if opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD.itemsize:
                 losses["message"].append("it is cut off")
-            elif opcode == Opcode.CHUNK and length > _LARGEST_CHUNK:
-                losses["chunk"].append(f"it is of {length} bytes, {_LARGEST_CHUNK} are granted")
+            elif opcode == Opcode.CHUNK and length > LARGEST_CHUNK:
+                losses["chunk"].append(f"it is of {length} bytes, {LARGEST_CHUNK} are granted")
             elif opcode == Opcode.CHUNK or (opcode in _PARSED and length <= _LARGEST_RECORD):
                 content = file.read(length)
                 try:
@@ -93,7 +93,7 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
                         budget -= len(data)
                         if budget < 0:
                             raise MagycError(
-                                f"{path}: unpacks to more than {_UNPACKED[0]} times its {size} bytes, which no log of "
+                                f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, which no log of "
                                 "measurements does; refused before it fills the memory"
                             )
                         yield from broken_up(data)
@@ -169,8 +169,8 @@ def decompressed(data: bytes, compression: str, size: int, checksum: int) -> byt
         Damage: as `unpacked`.
     """
     if compression in ("zstd", "lz4"):
-        if size > _LARGEST_CHUNK:
-            raise Damage(f"it asks for {size} bytes, {_LARGEST_CHUNK} are granted")
+        if size > LARGEST_CHUNK:
+            raise Damage(f"it asks for {size} bytes, {LARGEST_CHUNK} are granted")
         try:
             data = _zstd(data, size) if compression == "zstd" else _lz4(data, size)
         except (RuntimeError, ValueError, MemoryError) as error:  # lz4 raises RuntimeError
@@ -187,7 +187,7 @@ def _zstd(data: bytes, size: int) -> bytes:
         named = zstandard.frame_content_size(data)
         if named > size:
             raise ValueError(f"it unpacks to {named} bytes, not to {size}")
-        decompressor = zstandard.ZstdDecompressor(max_window_size=_LARGEST_CHUNK)
+        decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
         return decompressor.decompress(data, max_output_size=max(size, 1))
     except zstandard.ZstdError as error:
         raise ValueError(str(error) or type(error).__name__) from None

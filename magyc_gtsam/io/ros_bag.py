@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import bz2
 import contextlib
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -13,7 +15,7 @@ from mcap.records import Channel, Schema
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo
-from magyc_gtsam.io.mcap_records import Block
+from magyc_gtsam.io.mcap_records import LARGEST_CHUNK, UNPACKED, Block, Damage, decompressed
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_log import RosLog, collected, info_of, recording_of
 from magyc_gtsam.recording import Recording
@@ -85,6 +87,7 @@ def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iter
         ) from None
     try:
         with Reader(path) as bag:
+            _bound(bag, path)
             for connection in bag.connections:
                 number = connection.id + 1
                 yield Schema(number, connection.msgdef.data.encode(), "ros1msg", connection.msgtype)
@@ -98,11 +101,62 @@ def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iter
                     rows = []
                     report(done / max(bag.message_count, 1))
             yield from _blocks(rows)
-    except (MagycError, MemoryError, GeneratorExit):
+    except (MemoryError, GeneratorExit):
         raise
-    except Exception as error:  # noqa: BLE001  # what the library raises at damaged bytes depends on the bytes
+    except Exception as error:  # what the library raises at damaged bytes depends on the bytes
+        if isinstance(error, MagycError) and not isinstance(error, Damage):
+            raise
         notes.append(f"the bag is damaged ({shortened(error) or type(error).__name__})")
     report(1.0)
+
+
+def _bound(bag: Any, path: Path) -> None:
+    """Let no chunk of a bag that is open unpack to more than it announces, nor all to far more than the file.
+
+    The library unpacks in full whatever a chunk holds, and once more each time that messages of two take turns.
+    """
+    from rosbags.rosbag1.reader import Header, RecordType
+
+    size = path.stat().st_size
+    left = UNPACKED[0] * size + UNPACKED[1]
+
+    def bounded(compression: str, announced: int) -> Callable[[bytes], bytes]:
+        def unpack(data: bytes) -> bytes:
+            nonlocal left
+            result = (
+                _unbzipped(data, announced)
+                if compression == "bz2"
+                else decompressed(data, compression, announced, 0)
+            )
+            left -= len(result)
+            if left < 0:
+                raise MagycError(
+                    f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, which no log of measurements "
+                    "does; refused before it fills the memory"
+                )
+            return result
+
+        return unpack
+
+    for place, chunk in bag.chunks.items():
+        bag.bio.seek(place)
+        head = Header.read(bag.bio, RecordType.CHUNK)
+        unpack = bounded(head.get_string("compression"), head.get_uint32("size"))
+        bag.chunks[place] = chunk._replace(decompressor=unpack)
+
+
+def _unbzipped(data: bytes, announced: int) -> bytes:
+    """What a chunk holds.
+
+    Raises:
+        Damage: more than it announces, or than is granted.
+    """
+    if announced > LARGEST_CHUNK:
+        raise Damage(f"a chunk asks for {announced} bytes, {LARGEST_CHUNK} are granted")
+    result = bz2.BZ2Decompressor().decompress(data, max_length=announced + 1)
+    if len(result) > announced:
+        raise Damage(f"a chunk unpacks to more than the {announced} bytes that it announces")
+    return result
 
 
 def _blocks(rows: Sequence[tuple[int, int, bytes]]) -> Iterator[Block]:
