@@ -12,7 +12,7 @@ from magyc_gtsam.factors.alignment import rotation_of
 from magyc_gtsam.factors.guard import factor_details
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
-from magyc_gtsam.factors.variables import Array
+from magyc_gtsam.factors.variables import Array, choose, gyro_bias
 
 _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
 
@@ -22,13 +22,14 @@ class _Place:
     """Where a quadratic was made, or was found fresh.
 
     Attributes:
-        rotation, soft_iron: (3, 3), (6,), attitude and soft iron there.
+        rotation, soft_iron, bias: (3, 3), (6,), (3,) rad/s, attitude, soft iron and held bias there.
         shift: by how many standard deviations it was stale there.
         angle, iron: rad and 1, at least as far as this is from where the quadratic was made.
     """
 
     rotation: Array
     soft_iron: Array
+    bias: Array
     shift: float = 0.0
     angle: float = 0.0
     iron: float = 0.0
@@ -88,8 +89,16 @@ class Delivered:
     def make(self, view: View) -> None:
         """The quadratic at the present estimate."""
         point = view.values(self.factor.keys())
+        self.hold(view)
         self._make(self.factor.linearize(point), point)
         self.place = _place_of(self.details, point)
+
+    def hold(self, view: View) -> None:
+        """Hold the block at the present estimate of its bias, where it follows one."""
+        details = self.details
+        if details is not None and details.held_bias_key is not None and view.exists(details.held_bias_key):
+            key = details.held_bias_key
+            details.held_bias = choose("held bias", gyro_bias, values := view.values([key]), key)(values, key)[0]
 
     def _make(self, linear: gtsam.GaussianFactor, point: gtsam.Values) -> None:
         self.native = gtsam.LinearContainerFactor(_square_root(linear), point)
@@ -108,12 +117,14 @@ class Delivered:
         """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was."""
         point = view.values(self.factor.keys())
         place, details = self.place, self.details
+        self.hold(view)
         angle = iron = 0.0
         if place is not None and details is not None and details.width == 1.0:
             # The residual is bilinear in attitude and calibration: what a quadratic lacks is at most of second order in
             # how far these are from where it was made, and so is what it lacks more than where it was looked at last.
             angle, iron = place.moved(point, details)
             lost = angle * (place.angle + 0.5 * angle + place.iron + iron) + iron * place.angle  # of the field
+            lost += details.lever * math.dist(details.held_bias, place.bias)
             shift = place.shift + lost * details.field_over_noise
             if shift < tolerance:
                 return shift
@@ -178,7 +189,8 @@ def _place_of(details: BlockDetails | None, point: gtsam.Values) -> _Place | Non
     """Attitude and soft iron of a block whose residual these and the hard iron decide alone."""
     if details is None or details.field is None or details.on_direction or details.more_keys:
         return None
-    return _Place(rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key))
+    attitude, soft_iron = rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key)
+    return _Place(attitude, soft_iron, details.held_bias)
 
 
 def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:

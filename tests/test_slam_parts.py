@@ -130,6 +130,35 @@ def test_evidence_above_its_bound_is_as_rare_as_the_bound_says():
     assert above <= 20  # 10 of 100, 99.9 % of a binomial
 
 
+def test_a_held_bias_is_the_shared_one_at_its_value():
+    random, time = np.random.default_rng(8), np.arange(0, 1, 0.01)
+    block = KeyframeField.from_samples(
+        (time, 3e-5 * random.normal(size=(100, 3))), (time, 0.3 * random.normal(size=(100, 3))), 0.5
+    )
+    made = [
+        keyframe_field_factor(1, 2, 3, block, 1e-6, field=FIELD * 1e-6, **{name: 4})
+        for name in ("held_bias_key", "gyro_bias_key")
+    ]
+    point = gtsam.Values()
+    point.insert(1, gtsam.Rot3.Expmap(random.normal(size=3)))
+    point.insert(2, np.r_[1.1, 0.02, -0.03, 0.9, 0.01, 1.05])
+    point.insert(3, gtsam.Point3(5, -3, 2))
+    point.insert(4, gtsam.imuBias.ConstantBias(np.zeros(3), np.array([0.02, -0.01, 0.03])))
+    assert list(made[0].keys()) == [1, 2, 3]
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(made[0])
+    (delivered,) = sorted_factors(graph).fresh
+    before = made[0].error(point)
+    delivered.make(View(point))
+    assert made[0].error(point) == pytest.approx(made[1].error(point), rel=1e-12)
+    assert abs(made[0].error(point) - before) > 1.0
+    assert delivered.renew(View(point), 0.05) < 0.05
+    point.update(4, gtsam.imuBias.ConstantBias(np.zeros(3), np.array([0.021, -0.01, 0.03])))
+    assert delivered.renew(View(point), 0.05) > 0.05  # a milliradian per second
+    with pytest.raises(MagycError, match="either shared"):
+        keyframe_field_factor(1, 2, 3, block, 1e-6, field=FIELD * 1e-6, gyro_bias_key=4, held_bias_key=4)
+
+
 @pytest.mark.parametrize("options", [{}, {"delay_key": 5}, {"gyro_bias_key": 4}, {"robust": "cauchy"}])
 def test_a_block_tells_what_its_held_mounting_would_do(options):
     """The columns that it keeps beside its own are those of the factor with the mounting as a variable."""
