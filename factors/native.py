@@ -266,8 +266,6 @@ class NativeFactors:
         """The quadratic at the present estimate."""
         if self.quadratic:
             delivered.make(view)
-        else:
-            delivered.hold(view)
 
     def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
         """Those of the quadratics that were stale; they are new ones now."""
