@@ -164,7 +164,8 @@ def test_any_message_as_the_library_decodes_it(tmp_path_factory: pytest.TempPath
         decoded = [m for *_, m in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()]
     expected = {f"x.{n}" for n, t, a in fields if t != "string" and not (a and t in ("byte", "uint8"))}
     expected |= {f"x.inner.{n}" for n, t in inner if t != "string"} | {"x.last"}
-    assert set(found) | {"x.last"} == ({"x.last"} if set(found) == {"x"} else expected)
+    # A topic with one number is a channel by its own name.
+    assert {"x.last"} | (set(found) - {"x"} if expected == {"x.last"} else set(found)) == expected
     for name, stream in found.items():
         values = []
         for message in decoded:
