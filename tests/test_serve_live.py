@@ -200,6 +200,24 @@ def test_in_a_browser_with_a_reload_in_the_middle(
     assert wrong == []
 
 
+def test_a_tap_before_the_first_state_has_arrived(idle: Served, browser: Any) -> None:
+    """The panel that was tapped stays."""
+    context = browser.new_context()
+    context.set_default_timeout(1e3 * PATIENCE)
+    try:
+        page = context.new_page()
+        held: list[Any] = []
+        page.route("**/api/state", lambda route: held.append(route))
+        with page.expect_request("**/api/state"):
+            page.goto(idle.address)
+        page.locator("[data-tab=live]").click()
+        with page.expect_websocket():  # the last thing that the page does to begin
+            held.pop().continue_()
+        assert page.locator("#begin").is_visible()
+    finally:
+        context.close()
+
+
 @pytest.fixture
 def live_page(tmp_path: Path, browser: Any) -> Iterator[tuple[Any, Served]]:
     """The live panel of a server's page; fails on errors of the page."""

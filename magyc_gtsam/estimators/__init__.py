@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.method import Method
 from magyc_gtsam.estimators.outside import methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
+from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.sensor_faults.usable import without_faults
@@ -129,6 +130,7 @@ def methods() -> Mapping[str, Method]:
     return _METHODS | methods_from_outside(_METHODS)
 
 
+@one_thread
 def calibrate(
     recording: Recording,
     method: str = "smoother",

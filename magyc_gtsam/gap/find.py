@@ -31,6 +31,7 @@ from magyc_gtsam.gap.search import Search, search
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
 from magyc_gtsam.observability import Observability, assess
+from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.sensor_faults.usable import without_faults
@@ -60,6 +61,7 @@ def find_gap(
 ) -> GapOfMany: ...
 
 
+@one_thread
 def find_gap(
     recording: Recording | Sequence[Recording],
     calibration: Calibration | None = None,

@@ -22,6 +22,7 @@ from magyc_gtsam.history.instrument import Instrument, solve_instrument
 from magyc_gtsam.history.log_factor import MICROTESLA, LogFactor, compress, date_of
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
+from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.storage.mapping import parse_json, parse_yaml
 from magyc_gtsam.storage.whole_file import write_text
@@ -239,6 +240,7 @@ def _parsed(text: str) -> Any:
     return parse_json(text) if text.startswith("{") else parse_yaml(text)
 
 
+@one_thread
 def calibrate_many(
     recordings: Iterable[Recording],
     *,

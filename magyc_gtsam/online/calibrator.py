@@ -15,6 +15,7 @@ from magyc_gtsam.estimators.gauge import check_field_strength
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.foreign_text import shortened
+from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.online import state_file
 from magyc_gtsam.online.engine import Change, Engine, Progress
 from magyc_gtsam.online.faults import refusal, with_faults, with_left_out
@@ -104,23 +105,27 @@ class OnlineCalibrator:
             rows, self._waiting = self._waiting, []
             self._take(*(np.array(column) for column in zip(*rows, strict=True)))
 
+    @one_thread
     def _take(self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None) -> None:
         magnetometer, gyroscope = self._intake.take(time, magnetic_field, angular_rate)
         self._engine.update(*self._faults.take(magnetometer, gyroscope, self._intake.repeated))
 
     @property
+    @one_thread
     def calibration(self) -> Calibration | None:
         """The current estimate with its covariance, `converged` and `message`; None before there is one."""
         self._catch_up()
         return with_left_out(self._engine.calibration(), self._faults, self._intake.duration)
 
     @property
+    @one_thread
     def converged(self) -> bool:
         """Whether the estimate may be used: its covariance is within limits and it has stood still."""
         self._catch_up()
         return self._engine.converged() and not refusal(self._faults)
 
     @property
+    @one_thread
     def progress(self) -> Progress:
         """How far it is, what is weak, and the motion that helps."""
         self._catch_up()

@@ -166,7 +166,7 @@ class Server:
         elif what == "freeze":
             await self.live.freeze()
         elif what == "go on":
-            self.live.go_on()
+            await self.live.go_on()
         else:
             raise MagycError('do: one of "start", "freeze", "go on" is expected')
         return JSONResponse(self.live.snapshot())

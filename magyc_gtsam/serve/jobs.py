@@ -17,7 +17,7 @@ from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.limits import Limits
-from magyc_gtsam.serve.workers import Workers, end
+from magyc_gtsam.serve.workers import Workers, end, ended
 
 _PATIENCE = 10.0  # s between asking a job to end, and ending it
 _LINES = 20  # of what a job said, kept
@@ -163,7 +163,7 @@ class Jobs:
 
     async def close(self) -> None:
         """End all jobs."""
-        self._workers.close()
+        await self._workers.close()
         for job in list(self.all.values()):
             self.cancel(job)
         if self._tasks:
@@ -182,7 +182,7 @@ class Jobs:
                     job.said.append(str(error))
                 finally:
                     if job.process is not None:
-                        end(job.process)
+                        await ended(job.process)
         job.ended = time.time()
         if job.cancelled:
             job.state = "cancelled"

@@ -18,6 +18,7 @@ async function chooseSource(kind) {
   if (kind === "file") $("#growing").replaceChildren(...known.logs.filter((each) => /\.mcap$/i.test(each.name)).map((each) => element("option", { value: each.key, textContent: each.name })));
   if (kind === "serial") {
     const { ports } = await ask("/api/ports");
+    if (live.kind !== kind) return; // another was chosen in the meantime
     $("#ports").replaceChildren(...ports.map((name) => element("option", { value: name })));
     if (!$("#serial-port").value) $("#serial-port").value = ports[0] || "";
     if (!ports.length) $("#source-words").textContent = "No serial port is listed: plug the device in and tap Serial again, or write its name, such as /dev/ttyUSB0.";

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.serve.workers import started
+from magyc_gtsam.serve.workers import end, started
 from magyc_gtsam.storage.whole_file import write_text
 
 CALIBRATION, STATE, RUN = "online-calibration.yaml", "online.state", "live.json"
@@ -79,9 +79,9 @@ class Live:
         self.latest = None
         run = {"source": source, "arguments": list(arguments), "begun": time.time()}
         write_text(folder / RUN, json.dumps(run))
-        self._begin()
+        await self._begin()
 
-    def go_on(self) -> None:
+    async def go_on(self) -> None:
         """Go on with the run that was frozen, from its state, bit for bit.
 
         Raises:
@@ -90,31 +90,27 @@ class Live:
         self._refuse_two()
         if self.folder is None or not self.folder.is_dir():
             raise MagycError("there is no run to go on with; start a new one")
-        self._begin()
+        await self._begin()
 
     async def freeze(self) -> None:
         """End the run; calibration and state are written."""
-        if self._process is None or self._process.returncode is not None:
+        if self._process is None or self._task is None or self._task.done():
             return
         with contextlib.suppress(ProcessLookupError):
             self._process.send_signal(signal.SIGINT)
-        if self._task is not None:
-            await asyncio.wait([self._task], timeout=_PATIENCE)
-        if self._process.returncode is None:
-            self._process.kill()
+        await asyncio.wait([self._task], timeout=_PATIENCE)
+        if not self._task.done():
+            end(self._process)
+            await self._task
 
     def _refuse_two(self) -> None:
         if self.state == "running":
             raise MagycError("a live run is going on; freeze it first")
 
-    def _begin(self) -> None:
+    async def _begin(self) -> None:
+        assert self.folder is not None
         self.state = "running"
         self._said.clear()
-        self._task = asyncio.create_task(self._run())
-        self._changed()
-
-    async def _run(self) -> None:
-        assert self.folder is not None
         arguments = [
             "online",
             self.source,
@@ -127,15 +123,20 @@ class Live:
         ]
         try:
             self._process = await started("magyc_gtsam.cli", arguments, self._place, line=_LINE)
-            assert self._process.stdout is not None
-            assert self._process.stderr is not None
-            await asyncio.gather(self._show(self._process.stdout), self._listen(self._process.stderr))
-            code = await self._process.wait()
         except OSError as error:
             self._said.append(str(error))
-            code = 2
+            self.state = "failed"
+        else:
+            self._task = asyncio.create_task(self._follow(self._process, self.folder))
+        self._changed()
+
+    async def _follow(self, process: asyncio.subprocess.Process, folder: Path) -> None:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        await asyncio.gather(self._show(process.stdout), self._listen(process.stderr))
+        code = await process.wait()
         self.state = "frozen" if code in (0, 1, 130) else "failed"
-        self._ended(self.folder, self.latest)
+        self._ended(folder, self.latest)
         self._changed()
 
     async def _show(self, stream: asyncio.StreamReader) -> None:

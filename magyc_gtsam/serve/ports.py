@@ -70,11 +70,12 @@ def _within(minor: int, span: str) -> bool:
 
 
 def _controls_a_process(device: int) -> bool:
-    for path in _PROCESSES.glob("[0-9]*/stat"):
+    for name in filter(str.isdecimal, os.listdir(_PROCESSES)):
         try:
-            fields = path.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+            text = (_PROCESSES / name / "stat").read_text(encoding="ascii", errors="replace")
         except OSError:  # it has ended
             continue
+        fields = text.rpartition(")")[2].split()
         # The kernel packs major and minor as in `new_encode_dev`: minor's low byte, major, minor's rest.
         packed = os.minor(device) & 0xFF | os.major(device) << 8 | (os.minor(device) & ~0xFF) << 12
         if int(fields[_TERMINAL_FIELD]) == packed:

@@ -10,10 +10,10 @@ listen(drawLive);
 
 (async () => {
   const { tab, log: key, result } = place();
+  show(["live", "results"].includes(tab) ? tab : "logs"); // before anything is awaited: a tap in the meantime counts
   const state = await refresh();
   for (const job of state.jobs) if (!["waiting", "running"].includes(job.state)) drawn_jobs.set(job.key, job.state);
   for (const job of state.jobs) if (["waiting", "running"].includes(job.state)) mine.add(job.key);
-  show(["live", "results"].includes(tab) ? tab : "logs");
   const before = known.logs.find((each) => each.key === key);
   if (before) open(before, true);
   if (known.results.some((each) => each.key === result)) await openResult(result, false);

@@ -56,7 +56,7 @@ class Workers:
             while not self._closed and len(self._waiting) < self._count:
                 self._waiting.append(await self._started())
         if self._closed:
-            self.close()
+            await self.close()
 
     async def run(self, arguments: Sequence[str]) -> Process:
         """A process that runs the command line with these arguments; its output is piped.
@@ -72,12 +72,11 @@ class Workers:
         process.stdin.close()
         return process
 
-    def close(self) -> None:
-        """End those that wait."""
+    async def close(self) -> None:
+        """End those that wait, and see that they are gone."""
         self._closed = True
-        for process in self._waiting:
-            end(process)
-        self._waiting = []
+        waiting, self._waiting = self._waiting, []
+        await asyncio.gather(*map(ended, waiting))
 
     async def _started(self) -> Process:
         return await started("magyc_gtsam.cli.worker", (), self._place, stdin=asyncio.subprocess.PIPE)
@@ -88,3 +87,9 @@ def end(process: Process) -> None:
     if process.returncode is None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
+
+
+async def ended(process: Process) -> None:
+    """End a process, if it is still there, and wait until it is gone and its pipes are closed."""
+    end(process)
+    await process.communicate()
