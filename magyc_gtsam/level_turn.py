@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.field_chain import UPPER
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.recording import Array, Recording
 
@@ -68,13 +70,12 @@ class LevelTurn:
         A calibration error (dA, dh) leaves −A⁻¹ (dA u + dh) in the field u, one of the skew u × dε; its part across
         the horizontal field turns the heading.
         """
-        gain = self._gain(soft_iron)
-        rows, columns = np.triu_indices(3)
-        mirrored = np.where(rows == columns, 0.0, gain[:, columns] * self.field[:, rows])
+        gain, (rows, columns) = self._gain(soft_iron), UPPER
+        mirrored = (rows != columns) * (gain[:, columns] * self.field[:, rows])
         jacobian = np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
         variance = np.einsum("na,na->n", jacobian @ covariance[:9, :9], jacobian)
         if askew is not None:
-            turned = cross(self._gain(np.eye(3)).T, self.field.T).T
+            turned = cross(self._across.T, self.field.T).T
             variance += np.einsum("na,na->n", turned @ askew.covariance - 2 * jacobian @ askew.cross, turned)
         return cast(Array, np.degrees(np.sqrt(np.clip(variance, 0.0, None))))
 
@@ -84,10 +85,15 @@ class LevelTurn:
 
     def _gain(self, soft_iron: Array) -> Array:
         """(n, 3) rad/T: heading error by an error of the measured field."""
+        return cast(Array, self._across @ np.linalg.inv(soft_iron))
+
+    @cached_property
+    def _across(self) -> Array:
+        """(n, 3) rad/T: heading error by an error of the calibrated field."""
         angle = np.radians(self.heading)[:, None]
         sideways = np.cos(angle) * self.left - np.sin(angle) * self.ahead
         horizontal = np.linalg.norm(self.field[0]) * np.cos(np.radians(self.dip))
-        return cast(Array, sideways @ np.linalg.inv(soft_iron) / horizontal)
+        return cast(Array, sideways / horizontal)
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,9 @@ class GyroscopeTrack:
             stop = min(first + _CHUNK, n - 1)
             whole = stop - first == n - 1
             r = self.matrices if whole else matrices((p[first : stop + 1], q[first : stop + 1]))
-            lever[:, first + 1 : stop + 1] = (r[:, 1:] + r[:, :-1]) * (-0.5 * step[first:stop])
+            added = lever[:, first + 1 : stop + 1]
+            np.add(r[:, 1:], r[:, :-1], out=added)
+            added *= -0.5 * step[first:stop]
         np.cumsum(lever, axis=1, out=lever)
         return lever
 

@@ -268,7 +268,7 @@ FAMILIES = (
     ColumnFamily("speed", _TURNS, _speed, 0.02, first=True),
     ColumnFamily("rate × field", _TURNS, _rate_times_field, 0.02, 9),
     ColumnFamily("delay", _DELAYED, _delays, 0.03, 7, first=True, from_rate=True),
-    ColumnFamily("gyroscope:linear", _SCALED, lambda m: m.about_each_axis(m.rate), 0.03, first=True, unit="share"),
+    ColumnFamily("gyroscope:linear", _SCALED, WindowMotion.gyroscope_matrix, 0.03, first=True, unit="share"),
     _in_time("gyroscope:drift", _BIASED, _bias, 0.015, _SLOWEST, unit="rate", first=True),
     _in_time("gyroscope:wander", _BIASED, _bias, 0.015, (_SLOWEST[1], SLOW[1]), unit="rate"),
     ColumnFamily("gyroscope:bent", _BENT, _bent_rate, 0.02, 9, unit="share"),

@@ -125,22 +125,39 @@ class WindowMotion:
 
     def on_gyroscope(self, profiles: Array) -> UnmodelledColumns:
         """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""
-        return self._of_links(np.einsum("jin,kjn->kin", self.rotation, profiles))
+        return UnmodelledColumns(None, self._links(np.einsum("jin,kjn->kin", self.rotation, profiles)))
 
     def about_each_axis(self, profiles: Array) -> UnmodelledColumns:
         """Errors of the rate, profiles (k, n) rad/s about each of the sensor's axes: 3k columns."""
         turned = profiles[:, None, None] * self.rotation
-        return self._of_links(turned.reshape(-1, *turned.shape[2:]))
+        return UnmodelledColumns(None, self._links(turned.reshape(-1, *turned.shape[2:])))
 
-    def _of_links(self, turned: Array) -> UnmodelledColumns:
-        """Of errors of the rate in the integrated world (k, 3, n) rad/s."""
+    def gyroscope_matrix(self) -> UnmodelledColumns:
+        """Shares of the rate about each axis as errors about each: 9 columns, row by row of a matrix on the rate."""
+        return UnmodelledColumns(None, self._gyroscope_matrix)
+
+    def gyroscope_scales(self) -> UnmodelledColumns:
+        """Of these the three that are the gyroscope's scales."""
+        return UnmodelledColumns(None, self._gyroscope_matrix[::4])
+
+    def gyroscope_scale(self) -> UnmodelledColumns:
+        """One scale of all axes."""
+        return UnmodelledColumns(None, self._gyroscope_matrix[::4].sum(axis=0, keepdims=True))
+
+    @cached_property
+    def _gyroscope_matrix(self) -> Array:
+        turned = self.rate[:, None, None] * self.rotation
+        return self._links(turned.reshape(9, 3, -1))
+
+    def _links(self, turned: Array) -> Array:
+        """(k, 3, n − 1) of the links, by errors of the rate in the integrated world (k, 3, n) rad/s."""
         x, y, z = self.integral(turned).swapaxes(0, 1)
         a, b, c = self.direction[:, :-1]
         link = np.empty((len(turned), 3, len(a)))
         np.subtract(b * z, c * y, out=link[:, 0])
         np.subtract(c * x, a * z, out=link[:, 1])
         np.subtract(a * y, b * x, out=link[:, 2])
-        return UnmodelledColumns(None, link)
+        return link
 
     def derivative(self, values: Array) -> Array:
         """(…, n) 1/s, slopes in time of a cubic spline through values (…, n).

@@ -84,14 +84,6 @@ def _gain_at_end(motion: WindowMotion) -> Array:
     return result
 
 
-def _gyroscope_scale(motion: WindowMotion) -> UnmodelledColumns:
-    return motion.on_gyroscope(_one(motion.rate))
-
-
-def _gyroscope_scales(motion: WindowMotion) -> UnmodelledColumns:
-    return motion.on_gyroscope(_each_axis(motion.rate))
-
-
 def _gyroscope_bend(motion: WindowMotion) -> UnmodelledColumns:
     share = motion.rate / max(float(np.abs(motion.rate).max()), ALIKE)
     return motion.on_gyroscope(_one(motion.rate * share * share))
@@ -162,7 +154,7 @@ PHYSICAL = (
     ColumnFamily(
         "gyroscope:scale",
         "the gyroscope's scale is off by {}",
-        _gyroscope_scale,
+        WindowMotion.gyroscope_scale,
         0.03,
         prior=COMMON,
         unit="share",
@@ -170,7 +162,7 @@ PHYSICAL = (
     ColumnFamily(
         "gyroscope:scales",
         "the scales of the gyroscope's axes are off by {}",
-        _gyroscope_scales,
+        WindowMotion.gyroscope_scales,
         0.03,
         prior=GENERAL,
         unit="share",

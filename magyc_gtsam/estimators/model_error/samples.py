@@ -84,6 +84,8 @@ def _share_of_two_values(axis: Array) -> float:
     step = high - low
     middle = count // 2
     suspect = np.flatnonzero((step > 0) & (step < _NARROW * np.partition(step, middle)[middle]))
+    if not len(suspect):
+        return 0.0
     values = axis[suspect[:, None] * _BLOCK + np.arange(_BLOCK)]
     two = suspect[((values == low[suspect, None]) | (values == high[suspect, None])).all(axis=1)]
     share = len(two) / count

@@ -146,12 +146,12 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
         if skew.probability <= prior.tested:
             return fit.saying(skew)
     wide = widened(fit, prior, known)
-    skew = skew_of(wide, prior, 1.0)
+    skew = skew_of(wide, prior, 1.0, decide=False)
     if skew.probability > prior.tested:
         try:
             wide = adapted(descend(wide))
         except MagycError:  # it ran away, as where the field jumps
-            return fit.saying(skew.undecided())
+            return fit.saying(skew_of(widened(fit, prior, known), prior, 1.0).undecided())
         skew = skew_of(wide, prior, wide.colour * wide.widening)
         if skew.decided and wide.converged and positive(wide):
             return wide.saying(skew)

@@ -165,7 +165,7 @@ def on_skew(fact: Fact) -> bool:
     return isinstance(fact, LinearFact) and int(fact.rows[0]) == SKEW.start
 
 
-def skew_of(fit: Fit, prior: SkewPrior, factor: float) -> Skew:
+def skew_of(fit: Fit, prior: SkewPrior, factor: float, *, decide: bool = True) -> Skew:
     """What a fit of sixteen parameters, at its minimum or near it, says of a skew.
 
     Args:
@@ -173,10 +173,11 @@ def skew_of(fit: Fit, prior: SkewPrior, factor: float) -> Skew:
         prior: what is believed of it.
         factor: by which the data's information is divided: the residual's colour, which a skew that is not fitted
             raises, and its widening.
+        decide: whether it may be taken out; else it is left open, however probable.
     """
     profile = _profile(fit, factor)
     believed = _Believed.of(profile, prior)
-    if believed.probability <= prior.probable:
+    if not decide or believed.probability <= prior.probable:
         return believed.around(np.zeros(3), profile)
     doubt = _doubt(fit, believed.mean, prior, factor)
     return believed.around(np.zeros(3) if doubt else believed.resolved, profile, doubt)
