@@ -107,6 +107,7 @@ def test_rov(shared_data: Path) -> None:
     assert back.duration == pytest.approx(23.6, abs=0.1)
     attitude = messages["ATT"][50]
     row = int(np.argmin(np.abs(back.time - (attitude.TimeUS - first) / 1e6)))
+    assert back.attitude_is == "estimate"
     angles = Rotation.from_quat(back.attitude[row]).as_euler("ZYX", degrees=True)  # type: ignore[index]
     np.testing.assert_allclose(
         angles % 360,

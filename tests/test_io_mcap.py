@@ -136,9 +136,9 @@ def test_epoch_is_noted_to_the_nanosecond(log: Path) -> None:
 
 
 def test_interval_mean_is_restored(tmp_path: Path) -> None:
-    write_mcap(tmp_path / "a.mcap", small(angular_rate_is="interval-mean"))
+    write_mcap(tmp_path / "a.mcap", small(angular_rate_is="interval-mean", attitude_is="estimate"))
     back = read(tmp_path / "a.mcap")
-    assert back.angular_rate_is == "interval-mean"
+    assert (back.angular_rate_is, back.attitude_is) == ("interval-mean", "estimate")
     between = np.flatnonzero(~back.angular_rate_fresh[:-1])
     following = [np.flatnonzero(back.angular_rate_fresh[k:])[0] + k for k in between]
     np.testing.assert_array_equal(back.angular_rate[between], back.angular_rate[following])  # type: ignore[index]

@@ -147,6 +147,7 @@ def test_flight(shared_data: Path) -> None:
 
     # The attitude is sensor→world with z down: gravity is up, against z.
     assert back.attitude is not None
+    assert back.attitude_is == "estimate"
     assert back.acceleration is not None
     known = np.isfinite(back.attitude).all(axis=1)
     up = Rotation.from_quat(back.attitude[known]).apply(back.acceleration[known]).mean(axis=0)

@@ -50,6 +50,15 @@ def test_closed_form_is_the_minimum_of_the_graph(dive):
     np.testing.assert_allclose(calibration.hard_iron, hard_iron, atol=1e-13)
 
 
+def test_an_attitude_that_the_magnetometer_took_part_in_is_not_believed(dive):
+    told = replace(dive.recording, attitude_is="estimate")
+    calibration = mg.calibrate(told, "magfactor3")
+    np.testing.assert_array_equal(calibration.hard_iron, mg.calibrate(dive.recording, "magfactor3").hard_iron)
+    assert not calibration.trusted
+    assert "took part in" in calibration.message
+    assert mg.calibrate(dive.recording, "magfactor3").trusted
+
+
 def test_known_field(dive):
     calibration = mg.calibrate(dive.recording, "magfactor3", field=dive.field.tolist())
     assert calibration.converged, calibration.message

@@ -298,6 +298,7 @@ REFUSED = {
     "quaternion of norm 2": ({"attitude": put(Q, 4, [0, 0, 0, 2])}, ["norm 2 at row 4", "x, y, z, w", "NaN"]),
     "quaternion of zeros": ({"attitude": put(Q, 4, 0)}, ["norm 0 at row 4"]),
     "channel": ({"channels": {"rpm": np.ones(19)}}, ["channel 'rpm': shape (19,)", "expected (20, k)"]),
+    "attitude kind": ({"attitude_is": "EKF"}, ["attitude_is", "'EKF'", "estimate"]),
     "rate kind": ({"angular_rate_is": "mean"}, ["angular_rate_is", "'mean'", "interval-mean"]),
     "mask": ({"magnetic_field_fresh": [True] * 19}, ["magnetic_field_fresh: shape (19,)", "(20,)"]),
     "no entry": ({"magnetic_field_stamped": np.arange(20) != 7}, ["magnetic_field_stamped: row 7 is fresh"]),
@@ -354,11 +355,13 @@ def test_the_gyroscope_of_a_magnetometer_only_recording():
 
 
 def test_pickles():
-    one = Recording(T, M, W, channels={"rpm": np.arange(len(T))}, name="dive", angular_rate_is="interval-mean")
+    told = {"angular_rate_is": "interval-mean", "attitude_is": "estimate"}
+    one = Recording(T, M, W, channels={"rpm": np.arange(len(T))}, name="dive", **told)
     two = pickle.loads(pickle.dumps(one))
     for name in ("time", "magnetic_field", "angular_rate", "magnetic_field_fresh"):
         np.testing.assert_array_equal(getattr(two, name), getattr(one, name))
-    assert (two.name, two.angular_rate_is, list(two.channels)) == ("dive", "interval-mean", ["rpm"])
+    assert (two.name, list(two.channels)) == ("dive", ["rpm"])
+    assert {name: getattr(two, name) for name in told} == told
 
 
 @pytest.mark.parametrize("same", [True, False])

@@ -112,7 +112,14 @@ def read(path: Path, request: Request) -> Recording:
     attitude = _attitude(log, request, notes)
     if attitude is not None:
         sensors["attitude"] = attitude
-    return assemble(sensors, _channels(log, asked, request), request, name=path.stem, notes=tuple(notes))
+    return assemble(
+        sensors,
+        _channels(log, asked, request),
+        request,
+        name=path.stem,
+        notes=tuple(notes),
+        attitude_is="estimate",
+    )
 
 
 def info(path: Path) -> LogInfo:

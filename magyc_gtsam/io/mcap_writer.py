@@ -79,7 +79,8 @@ def write_mcap(
         for i, k in zip(which[order].tolist(), row[order].tolist(), strict=True):
             at = int(topics[i].stamp[k])
             writer.add_message(channels[i], at, topics[i].messages[k], at, k)
-        writer.add_metadata(METADATA, {"name": recording.name, "angular_rate_is": recording.angular_rate_is})
+        kinds = {"angular_rate_is": recording.angular_rate_is, "attitude_is": recording.attitude_is}
+        writer.add_metadata(METADATA, {"name": recording.name} | kinds)
         writer.finish()
 
 

@@ -54,6 +54,7 @@ def recording_of(load: Load, path: Path, request: Request) -> Recording:
         name=log.metadata.get("name") or path.stem,
         notes=tuple(notes),
         angular_rate_is=is_mean,
+        attitude_is="estimate" if log.metadata.get("attitude_is") == "estimate" else "independent",
     )
 
 

@@ -53,6 +53,7 @@ def assemble(
     name: str,
     notes: tuple[str, ...] = (),
     angular_rate_is: Literal["instant", "interval-mean"] = "instant",
+    attitude_is: Literal["independent", "estimate"] = "independent",
 ) -> Recording:
     """One `Recording` of all streams; time 0 is the first row of the log.
 
@@ -118,6 +119,7 @@ def assemble(
         name=name,
         notes=(*first_of(said, "notes"), _epoch_note(zero)),
         angular_rate_is=angular_rate_is,
+        attitude_is=attitude_is,
         magnetic_field_unit="counts" if counts else "T",
     )
     return recording if start is None and end is None else recording.between(start, end)

@@ -69,7 +69,15 @@ def read(path: Path, request: Request) -> Recording:
     if attitude is not None:
         sensors["attitude"] = attitude
     channels = _channels(messages, request)
-    recording = assemble(sensors, channels, request, name=path.stem, notes=tuple(notes), angular_rate_is=mean)
+    recording = assemble(
+        sensors,
+        channels,
+        request,
+        name=path.stem,
+        notes=tuple(notes),
+        angular_rate_is=mean,
+        attitude_is="estimate",
+    )
     request.report(1.0)
     return recording
 

@@ -64,6 +64,8 @@ class Recording:
         name: what to call it in reports.
         angular_rate_is: "instant" (values AT `time`; see `factors.rotations.increments`) or
             "interval-mean" (mean rate since the previous row, as delta angles are).
+        attitude_is: "independent" of the magnetometer, or an "estimate" that it took part in, as an autopilot's own
+            is. No calibration that rests on the latter is trusted.
         magnetic_field_unit: "T", or "counts" where nobody knows what one is; then the field is what the log
             holds, and all that follows from it is in counts too.
         magnetic_field_fresh: (N,) bool, rows that hold a sample of the magnetometer's own. Default:
@@ -87,6 +89,7 @@ class Recording:
     channels: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     name: str = field(default="", kw_only=True)
     angular_rate_is: Literal["instant", "interval-mean"] = field(default="instant", kw_only=True)
+    attitude_is: Literal["independent", "estimate"] = field(default="independent", kw_only=True)
     magnetic_field_unit: Literal["T", "counts"] = field(default="T", kw_only=True)
     magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
@@ -117,6 +120,8 @@ class Recording:
             put(self, "attitude", unit_quaternions(frozen("attitude", self.attitude, (n, 4), nan=True)))
         if self.angular_rate_is not in ("instant", "interval-mean"):
             raise MagycError(f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'")
+        if self.attitude_is not in ("independent", "estimate"):
+            raise MagycError(f"attitude_is: must be 'independent' or 'estimate', got {self.attitude_is!r}")
         channels = {k: frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
         for name in filter(kinds, channels):
             channels[name], note = without_no_values(name, channels[name])
@@ -245,6 +250,7 @@ class Recording:
         name: str = "",
         notes: tuple[str, ...] = (),
         angular_rate_is: Literal["instant", "interval-mean"] = "instant",
+        attitude_is: Literal["independent", "estimate"] = "independent",
         magnetic_field_unit: Literal["T", "counts"] = "T",
     ) -> Recording:
         """Bring sensors with clocks or rates of their own, each (time, values), to one table.
@@ -264,6 +270,7 @@ class Recording:
             name=name,
             notes=notes,
             angular_rate_is=angular_rate_is,
+            attitude_is=attitude_is,
             magnetic_field_unit=magnetic_field_unit,
         )
 
@@ -285,6 +292,7 @@ class Recording:
             name=self.name,
             notes=self.notes,
             angular_rate_is=self.angular_rate_is,
+            attitude_is=self.attitude_is,
             magnetic_field_unit=self.magnetic_field_unit,
         )
 

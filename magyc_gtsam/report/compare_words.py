@@ -238,8 +238,14 @@ def footnotes(comparison: Comparison) -> list[str]:
     if comparison.raw.heading is not None:
         way = "later" if comparison.delay > 0 else "earlier"
         late = f", the field taken {abs(comparison.delay) * 1e3:.1f} ms {way}, as {comparison.delay_from} found it"
+        estimate = comparison.recording.attitude_is == "estimate"
+        which = (
+            "attitude of the log, an estimate that the magnetometer took part in"
+            if estimate
+            else "reference attitude"
+        )
         sentences.append(
-            "Heading spread: standard deviation of the magnetic heading against the reference attitude"
+            f"Heading spread: standard deviation of the magnetic heading against the {which}"
             f"{late if comparison.delay_from else ''}."
         )
     if comparison.recording.magnetic_field_unit == "counts":

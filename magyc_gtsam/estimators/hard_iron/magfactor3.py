@@ -24,6 +24,10 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
 _LEAST = 6  # samples with an attitude
+_CIRCULAR = (
+    "the log's attitude is an estimate that this magnetometer took part in, so that its hard iron is in both and does "
+    "not show: use smoother, or an attitude from elsewhere"
+)
 _STILL = 1e-9  # share of the full spread of directions below which nothing turned
 
 
@@ -96,6 +100,7 @@ def calibrate_magfactor3(
         field_strength=field_strength,
         diagnostics={"samples": len(measured), "residual": float(np.sqrt(np.mean(left**2)))},
         configuration={"field": None if known is None else known.tolist(), "delay": delay},
+        problems=(_CIRCULAR,) if recording.attitude_is == "estimate" else (),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -125,6 +125,7 @@ def to_calibration(
     field_strength: float | None,
     diagnostics: Mapping[str, Any],
     configuration: Mapping[str, Any],
+    problems: Sequence[str] = (),
 ) -> Calibration:
     """The calibration m = s u + h, its scale fixed and its fit judged.
 
@@ -140,12 +141,13 @@ def to_calibration(
         method: its name in `methods()`.
         field_strength: T, scales the soft iron; None: det 1.
         diagnostics, configuration: the method's own.
+        problems: for which the result must not be trusted, whatever its fit.
     """
     shown, unit = recording.field_shown
     whole = np.zeros((9, 9))
     whole[6:, 6:] = covariance
     observability = assess(whole, np.eye(3), strength, recording, hard_iron)
-    reasons = []
+    reasons = list(problems)
     if not observability.observable:
         reasons.append(f"not observable: {observability.weak[0].sentence}")
     left = float(np.linalg.norm(recording.magnetometer.value - hard_iron, axis=1).std())
