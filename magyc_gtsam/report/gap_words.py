@@ -73,8 +73,10 @@ def probability_sentence(gap: Gap) -> str:
 
 
 def per_cent(probability: float) -> str:
-    """A probability; none is said to be certain."""
-    return "> 99.9 %" if probability > 0.999 else f"{100 * probability:.3g} %"
+    """A probability; none is said to be certain, or impossible."""
+    if not 0.001 <= probability <= 0.999:
+        return "> 99.9 %" if probability > 0.5 else "< 0.1 %"
+    return f"{100 * probability:.{0 if 0.1 <= probability <= 0.9 else 1}f} %"
 
 
 def hypothesis_label(hypothesis: Hypothesis) -> str:

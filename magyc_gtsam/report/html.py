@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from importlib import resources
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from magyc_gtsam.foreign_text import with_minus
 from magyc_gtsam.recording import Recording
@@ -31,9 +32,14 @@ def rendered(template: str, recording: Recording | None = None, **values: Any) -
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    environment.filters["minus"] = with_minus
+    environment.filters |= {"minus": with_minus, "sentence": _sentence}
     style, script = (Markup("\n".join(map(_text, names))) for names in (_STYLES, _SCRIPTS))
     return environment.get_template(template).render(recording=recording, style=style, script=script, **values)
+
+
+def _sentence(text: str) -> Markup:
+    """Words as HTML: real minus signs, and what stands between backticks as code."""
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", escape(with_minus(text))))
 
 
 def _text(name: str) -> str:

@@ -94,11 +94,6 @@ class ColumnFamily:
         return self.place.format(shown)
 
 
-def _each(profiles: Array) -> Array:
-    """(3k, 3, n) of profiles (k, n): each on each axis."""
-    return (profiles[:, None, None, :] * np.eye(3)[:, :, None]).reshape(3 * len(profiles), 3, -1)
-
-
 def _second(vector: Array) -> Array:
     """(5, n) harmonics of degree 2, of unit mean square over the sphere."""
     x, y, z = vector

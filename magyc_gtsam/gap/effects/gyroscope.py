@@ -49,7 +49,7 @@ def _say_g(value: Array, sigma: Array, setting: Setting) -> str:
 SCALE = EffectTerm(
     name="gyro-scale",
     label="gyroscope scale and non-orthogonality",
-    unit="10⁻³",
+    unit="‰",
     scale=1e3,
     matters=4e-3,
     prior=0.02,
@@ -63,7 +63,7 @@ SCALE = EffectTerm(
 QUADRATIC = EffectTerm(
     name="gyro-quadratic",
     label="gyroscope scale that depends on the rate",
-    unit="10⁻³ s/rad",
+    unit="ms/rad",
     scale=1e3,
     matters=0.02,
     prior=0.3,
