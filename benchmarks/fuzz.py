@@ -1,6 +1,6 @@
 """Feed a reader files that were damaged at random, and count what is neither read nor refused with a reason.
 
-    python benchmarks/fuzz.py mcap 200000 [SEED]     # mcap, mcap-plain, bin, ulog, csv, calibration, state
+    python benchmarks/fuzz.py mcap 200000 [SEED]     # or another name of READERS
 
 Prints the number of inputs, how many were read and refused, internal errors (with the first of each kind), the
 slowest input in s and the largest memory in MB. Exit code 1 where there was an internal error, an input took longer
@@ -13,7 +13,6 @@ import collections
 import random
 import resource
 import signal
-import struct
 import sys
 import tempfile
 import time
@@ -21,10 +20,11 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import fuzz_files as files
 import numpy as np
 
 import magyc_gtsam as mg
-from magyc_gtsam.io import info, read, write_mcap
+from magyc_gtsam.io import info, read
 
 LONGEST, LARGEST = 30.0, 1000.0  # s, MB
 INTERESTING = [
@@ -41,88 +41,6 @@ INTERESTING = [
 ]
 
 
-def recording(n: int = 40) -> mg.Recording:
-    source = np.random.default_rng(0)
-    field, rate = source.normal(0, 3e-5, (n, 3)), source.normal(0, 1, (n, 3))
-    return mg.Recording(np.arange(n) / 20, field, rate, acceleration=rate, channels={"current": rate[:, 0]})
-
-
-def mcap(folder: Path) -> tuple[bytes, str]:
-    write_mcap(folder / "a.mcap", recording(), epoch=10**18)
-    return (folder / "a.mcap").read_bytes(), ".mcap"
-
-
-def mcap_plain(folder: Path) -> tuple[bytes, str]:
-    write_mcap(folder / "a.mcap", recording(), epoch=10**18, compression=None)
-    return (folder / "a.mcap").read_bytes(), ".mcap"
-
-
-def dataflash(folder: Path) -> tuple[bytes, str]:
-    formats = {
-        "FMT": (128, "BBnNZ", "<BB4s16s64s", "Type,Length,Name,Format,Columns"),
-        "PARM": (64, "QNf", "<Q16sf", "TimeUS,Name,Value"),
-        "MAG": (65, "QBhhhhhhhhhB", "<QBhhhhhhhhhB", "TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOX,MOY,MOZ,Health"),
-        "IMU": (66, "QBffffff", "<QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
-    }
-
-    def add(name: str, *values: object) -> bytes:
-        number, _, layout, _ = formats[name]
-        given = (v.encode() if isinstance(v, str) else v for v in values)
-        return bytes([0xA3, 0x95, number]) + struct.pack(layout, *given)
-
-    data = b"".join(add("FMT", n, 3 + struct.calcsize(s), k, c, names) for k, (n, c, s, names) in formats.items())
-    data += add("PARM", 0, "COMPASS_OFS_X", 10.0)
-    made = recording()
-    for k, m in enumerate((made.magnetic_field * 1e7).round().astype(int).tolist()):
-        data += add("MAG", 50_000 * k, 0, *m, 10, 0, 0, 0, 0, 0, 1)
-        data += add("IMU", 50_000 * k, 0, *made.angular_rate[k], 0.0, 0.0, -9.8)
-    return data, ".bin"
-
-
-def ulog(folder: Path) -> tuple[bytes, str]:
-    """Only what PX4's own format needs: definitions, one subscription a message, data."""
-
-    def message(kind: str, content: bytes) -> bytes:
-        return struct.pack("<HB", len(content), ord(kind)) + content
-
-    data = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0) + message("B", bytes(40))
-    combined = b"sensor_combined:uint64_t timestamp;float[3] gyro_rad;float[3] magnetometer_ga;"
-    data += message("F", combined)
-    for name, value in (("CAL_MAG0_ID", 5), ("CAL_MAG0_XOFF", 1)):
-        key = f"int32_t {name}".encode()
-        data += message("P", bytes([len(key)]) + key + struct.pack("<i", value))
-    data += message("A", struct.pack("<BH", 0, 3) + b"sensor_combined")
-    made = recording()
-    for k in range(len(made.time)):
-        row = struct.pack("<Q6f", 50_000 * (k + 1), *made.angular_rate[k], *made.magnetic_field[k] * 1e4)
-        data += message("D", struct.pack("<H", 3) + row)
-    return data, ".ulg"
-
-
-def csv(folder: Path) -> tuple[bytes, str]:
-    made = recording()
-    rows = [
-        ",".join(f"{x:.9g}" for x in (t, *m, *w))
-        for t, m, w in zip(made.time, made.magnetic_field, made.angular_rate, strict=True)
-    ]
-    return ("t,mx,my,mz,gx,gy,gz\n" + "\n".join(rows) + "\n").encode(), ".csv"
-
-
-def calibration(folder: Path) -> tuple[bytes, str]:
-    deviations = np.diag(np.arange(1.0, 13.0) * 1e-14)
-    cal = mg.Calibration(np.eye(3) + 0.01, [1e-5, 2e-5, 3e-5], [1e-3, 0, 0], deviations, method="smoother")
-    cal.save(folder / "a.yaml")
-    return (folder / "a.yaml").read_bytes(), ".yaml"
-
-
-def state(folder: Path) -> tuple[bytes, str]:
-    online = mg.OnlineCalibrator()
-    made = recording()
-    online.update(made.time, made.magnetic_field, made.angular_rate)
-    online.save(folder / "a.npz")
-    return (folder / "a.npz").read_bytes(), ".npz"
-
-
 def log(path: Path) -> None:
     read(path)
 
@@ -135,14 +53,19 @@ def exported(path: Path) -> None:
 
 Reader = tuple[Callable[[Path], tuple[bytes, str]], Callable[[Path], object]]
 READERS: dict[str, Reader] = {
-    "mcap": (mcap, log),
-    "mcap-plain": (mcap_plain, log),
-    "bin": (dataflash, log),
-    "ulog": (ulog, log),
-    "csv": (csv, log),
-    "calibration": (calibration, exported),
-    "state": (state, mg.OnlineCalibrator.load),
-    "info": (mcap_plain, info),
+    "mcap": (files.mcap, log),
+    "mcap-plain": (files.mcap_plain, log),
+    "bin": (files.dataflash, log),
+    "ulog": (files.ulog, log),
+    "csv": (files.csv, log),
+    "bag": (files.ros_bag, log),
+    "db3": (files.ros_database, log),
+    "tlog": (files.telemetry, log),
+    "phone": (files.phone, log),
+    "blackbox": (files.blackbox, lambda path: read(path, magnetic_unit=4e-8)),
+    "calibration": (files.calibration, exported),
+    "state": (files.state, mg.OnlineCalibrator.load),
+    "info": (files.mcap_plain, info),
 }
 
 

@@ -116,6 +116,10 @@ def test_what_is_wrong_with_a_log_is_said(simulated: mg.Simulation, tmp_path: Pa
     cut = read(path, magnetic_unit=COUNT)
     assert any("is cut off" in note for note in cut.notes)
     assert len(cut.time) >= 398
+    for scale in ("px3d800000", "0x7fffffffff", "0"):
+        path.write_bytes(written(NAMES, rows).replace(b"gyro_scale:0x3d800000", b"gyro_scale:" + scale.encode()))
+        with pytest.raises(MagycError, match="gyro_scale in the header must be between"):
+            read(path, magnetic_unit=COUNT)
     path.write_bytes(b"H Product:Blackbox" + bytes(range(256)))
     with pytest.raises(MagycError, match=r"log\.bbl: "):
         read(path, magnetic_unit=COUNT)

@@ -166,6 +166,21 @@ def test_phone_archives(tmp_path: Path) -> None:
     assert info(tmp_path / "phyphox.zip").duration == pytest.approx(1.18)
 
 
+def test_damaged_archives(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("Magnetometer.csv", table("time,z,y,x", [STAMPS, *(FIELD * 1e6).T]))
+    whole, source, refused = (tmp_path / "a.zip").read_bytes(), np.random.default_rng(1), 0
+    for _ in range(60):
+        data = bytearray(whole)
+        del data[(place := source.integers(len(data))) : place + source.integers(1, 60)]
+        (tmp_path / "bad.zip").write_bytes(data)
+        try:
+            read(tmp_path / "bad.zip")
+        except MagycError:
+            refused += 1
+    assert refused > 40
+
+
 def test_archives_within_limits(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("Magnetometer.csv", "t,x,y,z\n" + "0" * (300 << 20))

@@ -89,10 +89,15 @@ def _scale(sensor: str, headers: Mapping[str, Any], path: Path) -> float:
     fine = _HIGH_RESOLUTION if headers.get("blackbox_high_resolution") == 1 else 1.0
     if sensor == "angular_rate":
         logged = headers.get("gyro_scale", "0x3f800000")
-        bits = int(logged, 16) if isinstance(logged, str) else int(logged)
-        scale = float(np.array(bits, dtype=np.uint32).view(np.float32))
-        if not 0 < scale < 100 or not math.isfinite(scale):
-            raise MagycError(f"{path}: gyro_scale {logged} in the header is no number of deg/s per count")
+        try:
+            bits = int(logged, 16) if isinstance(logged, str) else int(logged)
+            scale = float(np.array(bits, dtype=np.uint32).view(np.float32))
+        except (OverflowError, TypeError, ValueError):
+            scale = math.nan
+        if not 0 < scale < 100:
+            raise MagycError(
+                f"{path}: gyro_scale in the header must be between 0 and 100 deg/s per count, got {shortened(logged)}"
+            )
         return math.radians(scale) / fine
     if sensor == "acceleration":
         one = headers.get("acc_1G", 0)

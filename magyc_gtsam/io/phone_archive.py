@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import re
 import tempfile
 import zipfile
@@ -34,6 +35,17 @@ _TABLES = {
     "acceleration": (r"total ?acceleration", r"accelerometer ?uncalibrated", r"accelerometer|acceleration with g"),
 }
 _UNIT = {"magnetic_field": "uT", "angular_rate": "rad/s", "acceleration": "m/s^2"}  # both apps', where unnamed
+# What zipfile and its decompressors raise on damaged archives; RuntimeError is that of an encrypted member.
+_UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    ValueError,
+)
 _AXIS = re.compile(r"(?:^|[ _.])([xyz])$")
 
 
@@ -80,7 +92,7 @@ def info(path: Path) -> LogInfo:
 def _opened(path: Path) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+    except _UNREADABLE as error:
         raise MagycError(f"{path}: not an archive that can be read ({shortened(error)})") from None
 
 
@@ -147,5 +159,5 @@ def _extracted(archive: zipfile.ZipFile, path: Path, name: str, folder: Path) ->
         raise
     except KeyError:
         raise MagycError(f"{path}: no table {name!r}; it has {listed(archive.namelist())}") from None
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+    except _UNREADABLE as error:
         raise MagycError(f"{path}: {name} cannot be unpacked ({shortened(error)})") from None
