@@ -6,7 +6,7 @@ from typing import Any
 
 from magyc_gtsam.factors.lazy import attribute
 
-# Name → module. Imported at first use, so that `magyc-gtsam --help` does not wait for gtsam.
+# Name → module, imported at first use, so that `import magyc_gtsam` and `magyc-gtsam --help` start without gtsam.
 _PUBLIC = {
     "AccelerometerCalibration": "estimators.autocal.accelerometer",
     "Calibration": "calibration",

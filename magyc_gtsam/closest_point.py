@@ -1,4 +1,4 @@
-"""The point of an ellipsoid closest to each sample: the best direction x̂ of (7), found exactly."""
+"""The point of an ellipsoid closest to each sample: the exact minimiser x̂ of (7) of the Autocal paper."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ import numpy as np
 
 from magyc_gtsam.recording import Array
 
-_STEPS = 50
-_SETTLED = 1e-6  # of N; the step that follows squares it
+_LARGEST_STEPS = 50
+_CONVERGED = 1e-6  # |N − 1| at which the search stops: the step that follows squares it
 
 
 class ClosestPoints(NamedTuple):
-    """What `closest_points` finds for n samples.
+    """The closest points of an ellipsoid to n samples.
 
-    distance (n,): of the sample from the ellipsoid, positive outside; normal (3, n): unit, outward, at the
-    closest point K x̂ + h; direction (3, n): x̂, unit; multiplier (n,): t of the search, a start for the next.
+    Attributes:
+        distance: (n,) of the sample from the ellipsoid, positive outside.
+        normal: (3, n) outward unit normal at the closest point K x̂ + h.
+        direction: (3, n) unit vector x̂.
+        multiplier: (n,) root t of the search, a start for the next call.
     """
 
     distance: Array
@@ -26,29 +29,29 @@ class ClosestPoints(NamedTuple):
 
 
 def closest_points(matrix: Array, offset: Array, samples: Array, start: Array | None = None) -> ClosestPoints:
-    """min ‖K x̂ + h − m‖ over ‖x̂‖ = 1, for every sample.
+    """Minimise ‖K x̂ + h − m‖ over ‖x̂‖ = 1 for every sample m.
 
-    In the ellipsoid's own axes (K = U diag(a) Vᵀ, z = Uᵀ(m − h)) the closest point is a² z/(a² + t), where t solves
-    N(t) = ‖a z/(a² + t)‖ = 1. 1/N is concave and nearly linear in t: Newton's steps on it converge from any
-    start, two or three from a good one (Moré and Sorensen 1983).
+    In the principal axes of the ellipsoid (K = U diag(a) Vᵀ, z = Uᵀ(m − h)) the closest point is a² z/(a² + t), where
+    t solves N(t) = ‖a z/(a² + t)‖ = 1. As 1/N is concave and nearly linear in t, Newton steps on it converge from any
+    start, in two or three steps from a good one (Moré and Sorensen 1983).
 
     Args:
-        matrix: (3, 3) K, any rotation of x̂ included.
+        matrix: (3, 3) K, including any rotation of x̂.
         offset: (3,) h.
-        samples: (3, n), in the unit of K and h.
-        start: (n,) `multiplier` of an earlier call with nearly the same ellipsoid.
+        samples: (3, n) m, in the unit of K and h.
+        start: (n,) `multiplier` of an earlier call with nearly the same ellipsoid; None for 0.
     """
     u, a, v = np.linalg.svd(matrix)
     z = u.T @ (samples - offset[:, None])
-    floor = 1e-8 * a[:, None]  # from the middle, any side is as near as the other
+    floor = 1e-8 * a[:, None]  # at the centre both sides are equally near; this picks one
     if (np.abs(z) < floor).any():
         z = np.where(np.abs(z) < floor, floor, z)
     axes = (a * a)[:, None]
     reach = a[:, None] * np.abs(z)
     square = reach * reach
-    lowest = (reach - axes).max(axis=0)  # N ≥ 1 there, and the root lies beyond
+    lowest = (reach - axes).max(axis=0)  # N ≥ 1 here: a lower bound of the root
     t = np.zeros(samples.shape[1]) if start is None else start
-    for _ in range(_STEPS):
+    for _ in range(_LARGEST_STEPS):
         t = np.maximum(t, lowest)
         inverse = 1 / (axes + t)
         part = square * inverse * inverse
@@ -56,7 +59,7 @@ def closest_points(matrix: Array, offset: Array, samples: Array, start: Array | 
         norm = np.sqrt(norm2)
         part *= inverse
         t = t + (norm - 1) * norm2 / (part[0] + part[1] + part[2])
-        if np.abs(norm - 1).max() < _SETTLED:
+        if np.abs(norm - 1).max() < _CONVERGED:
             break
     inverse = 1 / (axes + np.maximum(t, lowest))
     normal = z * inverse

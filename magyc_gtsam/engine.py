@@ -1,8 +1,8 @@
-"""One engine for everything that is many: units of work in, one row each out, on this machine or on a cluster.
+"""Run independent units of work in parallel, on this machine or on a cluster; each unit gives one row of a table.
 
-A unit is independent of the others, so that the rows are the same to the last bit wherever they are made. Locally the
-units run in processes (`concurrent.futures`), with an address on a cluster (`dask.distributed`). With a folder for
-parts, each row is a Parquet file, written once and in one step; a run that was stopped goes on where it was.
+The rows do not depend on where a unit runs, to the last bit. Units run in local processes (`concurrent.futures`) or on
+a cluster (`dask.distributed`). With a folder for parts each row is written atomically to a Parquet file, and a run that
+was interrupted resumes from these files.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Row: TypeAlias = dict[str, Any]
 Work: TypeAlias = Callable[[Any], Row]
 Progress: TypeAlias = Callable[[float], None]
 
-DIED = "the process that worked on it died, and died again"
+DIED = "the worker process died twice"
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -38,36 +38,37 @@ def run_many(
     parts: Path | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Row]:
-    """Work on all units.
+    """Apply `work` to every unit.
 
     Args:
-        work: a function of a module; a unit in, a row of numbers, texts and lists out. It may raise nothing: what is
-            wrong with a unit belongs in its row.
-        units: {name: unit}; units are pickled. A name is that of a file where `parts` is given.
+        work: function at the top level of a module that takes a unit and returns a row of numbers, texts and lists.
+            It must not raise; a failure belongs in the row.
+        units: {name: unit}. Units are pickled; with `parts` the names are file names.
         engine: "local", or the address of a Dask scheduler ("tcp://…"; needs the extra `distributed`).
-        workers: processes of "local"; None for one a core. 1 works in this process.
-        parts: folder of one Parquet file for each row (needs the extra `parquet`); rows that are there are taken.
-        progress: called with the share done.
+        workers: number of local processes; None for one per core, 1 to work in this process.
+        parts: folder with one Parquet file per row (needs the extra `parquet`); rows that exist there are not
+            computed again.
+        progress: called with the share of finished units, 0 to 1.
 
     Returns:
-        {name: row} in the order of `units`. A unit on which a process died twice has the row {"error": DIED}.
+        {name: row} in the order of `units`. A unit whose process died twice has the row {"error": DIED}.
 
     Raises:
-        MagycError: an engine that is not known or not reachable, or an extra that is missing.
+        MagycError: the engine is unknown or does not answer, or an extra is missing.
     """
     if engine != "local" and "://" not in engine:
         raise MagycError(
             f"engine {engine!r}: must be 'local' or the address of a scheduler, such as tcp://host:8786"
         )
     rows = {} if parts is None else _parts_in(parts, units)
-    left = {name: unit for name, unit in units.items() if name not in rows}
+    remaining = {name: unit for name, unit in units.items() if name not in rows}
     count = workers or os.cpu_count() or 1
     if engine != "local":
-        finished = _on_cluster(work, left, engine)
-    elif count == 1 or len(left) < 2:
-        finished = ((name, work(unit)) for name, unit in left.items())
+        finished = _on_cluster(work, remaining, engine)
+    elif count == 1 or len(remaining) < 2:
+        finished = ((name, work(unit)) for name, unit in remaining.items())
     else:
-        finished = _in_processes(work, left, min(count, len(left)))
+        finished = _in_processes(work, remaining, min(count, len(remaining)))
     for name, row in finished:
         rows[name] = row
         if parts is not None:
@@ -78,10 +79,11 @@ def run_many(
 
 
 def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterator[tuple[str, Row]]:
-    """Yield rows as they are done. At most one unit a process is under way: a death leaves few to be repeated."""
+    """Yield rows as units finish. Each process holds one unit at a time, so few are repeated when one dies."""
     waiting = list(units)
     before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))  # the processes are the threads, and sums keep their order
+    # The cores are busy with processes already, and sums keep their order on one thread.
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         while waiting:
             running: dict[Future[Row], str] = {}
@@ -96,7 +98,7 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterato
                             row = future.result()
                             yield running.pop(future), row
                 except BrokenProcessPool:
-                    pass
+                    pass  # the units in `running` are repeated below, the waiting ones in a new pool
             for name in running.values():
                 yield name, _alone(work, units[name])
     finally:
@@ -108,7 +110,7 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterato
 
 
 def _alone(work: Work, unit: Any) -> Row:
-    """In a process of its own."""
+    """Work on one unit in a separate process."""
     with ProcessPoolExecutor(1, get_context("spawn"), as_worker) as pool:
         try:
             return pool.submit(work, unit).result()
@@ -117,7 +119,7 @@ def _alone(work: Work, unit: Any) -> Row:
 
 
 def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Iterator[tuple[str, Row]]:
-    """Yield rows as they are done. The scheduler gives a dead worker's units to the others."""
+    """Yield rows as units finish. The scheduler moves the units of a dead worker to the others."""
     try:
         from distributed import Client, KilledWorker, as_completed
     except ModuleNotFoundError:
@@ -127,7 +129,9 @@ def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Iterator[
     try:
         client = Client(address, timeout="10s")
     except (OSError, TimeoutError, ValueError) as error:
-        raise MagycError(f"engine {address!r}: no scheduler answers there ({error})") from None
+        raise MagycError(
+            f"engine {address!r}: no scheduler answers ({error}); start one or correct the address"
+        ) from None
     with client:
         futures = {client.submit(work, unit, pure=False): name for name, unit in units.items()}
         for future in as_completed(list(futures)):
@@ -139,6 +143,7 @@ def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Iterator[
 
 
 def _parquet() -> Any:
+    """Import pyarrow with its Parquet module."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -148,7 +153,7 @@ def _parquet() -> Any:
 
 
 def _parts_in(folder: Path, units: Mapping[str, Any]) -> dict[str, Row]:
-    """The rows that an earlier run left."""
+    """Return the rows that an earlier run wrote."""
     arrow = _parquet()
     folder.mkdir(parents=True, exist_ok=True)
     rows: dict[str, Row] = {}
@@ -164,7 +169,7 @@ def _write_part(folder: Path, name: str, row: Row) -> None:
 
 
 def write_rows(file: Path, rows: Sequence[Row]) -> None:
-    """Rows as one Parquet file, in one step.
+    """Write rows to one Parquet file, in one step.
 
     Raises:
         MagycError: the extra `parquet` is not installed.
@@ -175,7 +180,7 @@ def write_rows(file: Path, rows: Sequence[Row]) -> None:
 
 
 def as_worker() -> None:
-    """Of a process that works for another: it ends when that is gone, and leaves requests to end to it."""
+    """Make this process end with its parent, and leave interrupts (SIGINT) to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     parent = multiprocessing.parent_process()

@@ -1,4 +1,4 @@
-"""What a message may hold: text that comes out of files, made fit to be shown, and how long a verdict may be."""
+"""Text from files and messages, made safe and short enough to show."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import re
 from collections.abc import Collection
 from itertools import islice
 
-LONGEST = 200  # characters of a foreign text in a message
+LONGEST = 200  # characters of a text from a file in a message
 _MOST_LISTED = 20  # names that a message lists
 _LONGEST_LISTED = 60  # characters of each
 _MOST_SENTENCES = 40  # of a report
 _LONGEST_SENTENCE = 500  # characters of each
 MOST_WORDS = 30  # of the cause and the action that a verdict gives
-# What a terminal would obey rather than show, and what turns the direction of a text or has no width.
-_OBEYED = re.compile(
+# Control characters, characters that reverse the direction of text, and characters without width.
+_CONTROL = re.compile(
     "[\x00-\x09\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]"
 )
 
@@ -21,37 +21,42 @@ _HYPHEN = re.compile(r"(?<![\w.)\]-])-(?=\.?\d)")
 
 
 def shortened(text: object, longest: int = LONGEST) -> str:
-    """A foreign text on one line, without control characters, cut at so many characters."""
+    """Return a text from a file on one line, with control characters escaped, cut at `longest` characters."""
     line = printable(" ".join(str(text)[: 10 * longest].split()))
     return line if len(line) <= longest else f"{line[:longest]}…"
 
 
 def listed(names: Collection[object], separator: str = ", ") -> str:
-    """Names out of a file for a message: the first twenty, each cut at 60 characters, and how many more there are."""
+    """Return names from a file for a message: the first 20, each cut at 60 characters, and the number of others."""
     shown = [shortened(name, _LONGEST_LISTED) for name in islice(names, _MOST_LISTED)]
     more = len(names) - len(shown)
     return separator.join(shown) + (f" and {more} more" if more else "")
 
 
 def first_of(sentences: Collection[str], what: str) -> tuple[str, ...]:
-    """Sentences for a report, each cut at 500 characters: the first forty, and how many more there are."""
+    """Return the first 40 sentences for a report, each cut at 500 characters, and the number of others.
+
+    Args:
+        sentences: all of them.
+        what: what they are, in the plural: "and 3 more `what`".
+    """
     shown = tuple(shortened(sentence, _LONGEST_SENTENCE) for sentence in islice(sentences, _MOST_SENTENCES))
     more = len(sentences) - len(shown)
     return (*shown, f"and {more} more {what}") if more else shown
 
 
 def printable(text: str) -> str:
-    """A text as it is, but for characters that a terminal would obey rather than show: those as "\\x1b"."""
-    return _OBEYED.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    """Return a text with its control characters escaped, as "\\x1b"."""
+    return _CONTROL.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def with_minus(text: str) -> str:
-    """With a minus sign where a hyphen stands before a number."""
+    """Return a text with a minus sign in place of every hyphen before a number."""
     return _HYPHEN.sub("−", text)
 
 
 def clauses(message: str) -> list[str]:
-    """The parts of a message between semicolons, those in brackets left whole."""
+    """Split a message at its semicolons, except those in parentheses."""
     parts, depth, start = [], 0, 0
     for place, character in enumerate(message):
         depth += (character == "(") - (character == ")")

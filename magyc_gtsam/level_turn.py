@@ -1,4 +1,4 @@
-"""What a calibration is worth in heading: the error over a turn in which the vehicle stays level."""
+"""The heading uncertainty of a calibration over a level turn."""
 
 from __future__ import annotations
 
@@ -16,17 +16,19 @@ from magyc_gtsam.recording import Array, Recording
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
 
-UNKNOWN_FROM = 90.0  # deg; a heading that is uncertain by more is unknown
-_MOST = 1000  # rows from which vertical and dip are taken
-_UPRIGHT = 0.5  # length of the mean vertical from which the vehicle has an axis that points up
-_DIP = 60.0  # deg, where nothing recorded says which way is up: that of the middle latitudes
-_STEPS = 120
+UNKNOWN_FROM = 90.0  # deg; a heading with a larger standard deviation is unknown
+_MOST_ROWS = 1000  # used for the vertical and the dip
+_UPRIGHT = 0.5  # length of the mean vertical above which the vehicle has an axis that points up
+_DEFAULT_DIP = 60.0  # deg, of the middle latitudes; used if the recording has no vertical
+_STEPS = 120  # headings of a turn
 
 
 class Askew(NamedTuple):
-    """What a calibration leaves open of a skew between magnetometer and gyroscope, which turns heading as well.
+    """The uncertainty of the rotation between magnetometer and gyroscope, which adds to that of heading.
 
-    covariance (3, 3) rad²; cross (9, 3): the covariance of vech(soft_iron) and hard_iron T with it.
+    Attributes:
+        covariance: (3, 3) rad² of the rotation.
+        cross: (9, 3) covariance of vech(soft_iron) and hard_iron (T) with the rotation.
     """
 
     covariance: Array
@@ -34,21 +36,21 @@ class Askew(NamedTuple):
 
     @classmethod
     def of(cls, calibration: Calibration) -> Askew | None:
-        """None where the method did not ask."""
+        """Return the uncertainty that the calibration's diagnostics hold; None if the method did not estimate it."""
         stored = calibration.diagnostics.get("skew")
         return None if stored is None else cls(np.array(stored["covariance"]), np.array(stored["cross"]))
 
 
 @dataclass(frozen=True, eq=False)
 class LevelTurn:
-    """A level turn through all headings, in the field of a recording.
+    """A level turn through all headings in the field of a recording.
 
     Attributes:
         heading: (n,) deg, 0 to 360.
         field: (n, 3) T, true field in sensor axes.
         ahead, left: (3,) unit vectors in sensor axes at heading 0.
         dip: deg, angle of the field below the horizontal.
-        about: what the vehicle turns about, in words.
+        about: the axis of the turn, in words.
     """
 
     heading: Array
@@ -59,16 +61,21 @@ class LevelTurn:
     about: str
 
     def raw_error(self, soft_iron: Array, hard_iron: Array) -> Array:
-        """(n,) deg by which the raw compass is off."""
+        """Return the heading error (n,) deg of the uncalibrated compass."""
         raw = self.field @ soft_iron.T + hard_iron
         angle = np.arctan2(raw @ self.left, raw @ self.ahead) - np.radians(self.heading)
         return cast(Array, np.degrees(np.angle(np.exp(1j * angle))))
 
     def systematic(self, covariance: Array, soft_iron: Array, askew: Askew | None = None) -> Array:
-        """(n,) deg, standard deviation of the calibrated heading that all samples share, by the covariance.
+        """Return the standard deviation (n,) deg of heading due to the calibration's covariance, shared by all samples.
 
-        A calibration error (dA, dh) leaves −A⁻¹ (dA u + dh) in the field u, one of the skew u × dε; its part across
-        the horizontal field turns the heading.
+        A calibration error (dA, dh) changes the field u by −A⁻¹ (dA u + dh), a rotation error dε by u × dε. The
+        component of the change across the horizontal field turns the heading.
+
+        Args:
+            covariance: (9, 9) or (12, 12) of vech(soft_iron), hard_iron and gyro_bias.
+            soft_iron: (3, 3) A.
+            askew: uncertainty of the rotation between magnetometer and gyroscope.
         """
         gain, (rows, columns) = self._gain(soft_iron), UPPER
         mirrored = (rows != columns) * (gain[:, columns] * self.field[:, rows])
@@ -80,16 +87,16 @@ class LevelTurn:
         return cast(Array, np.degrees(np.sqrt(np.clip(variance, 0.0, None))))
 
     def per_sample(self, noise: float, soft_iron: Array) -> Array:
-        """(n,) deg, standard deviation of the heading of one sample with that noise (T per axis)."""
+        """Return the standard deviation (n,) deg of heading of one sample with `noise` T per axis."""
         return cast(Array, np.degrees(noise * np.linalg.norm(self._gain(soft_iron), axis=1)))
 
     def _gain(self, soft_iron: Array) -> Array:
-        """(n, 3) rad/T: heading error by an error of the measured field."""
+        """Return the derivative (n, 3) rad/T of heading with respect to the measured field."""
         return cast(Array, self._across @ np.linalg.inv(soft_iron))
 
     @cached_property
     def _across(self) -> Array:
-        """(n, 3) rad/T: heading error by an error of the calibrated field."""
+        """Derivative (n, 3) rad/T of heading with respect to the calibrated field."""
         angle = np.radians(self.heading)[:, None]
         sideways = np.cos(angle) * self.left - np.sin(angle) * self.ahead
         horizontal = np.linalg.norm(self.field[0]) * np.cos(np.radians(self.dip))
@@ -98,12 +105,12 @@ class LevelTurn:
 
 @dataclass(frozen=True)
 class HeadingUncertainty:
-    """Standard deviation of heading, the largest over a level turn.
+    """The largest standard deviation of heading over a level turn.
 
     Attributes:
-        systematic: deg that all samples share, by the calibration's covariance; None where that states nothing, or
-            more than 90°.
-        per_sample: deg of a single sample, by the magnetometer's noise; None likewise.
+        systematic: deg, due to the calibration's covariance and shared by all samples; None without a covariance or
+            above 90°.
+        per_sample: deg, due to the magnetometer's noise in one sample; None if the noise is unknown or above 90°.
     """
 
     systematic: float | None
@@ -111,7 +118,7 @@ class HeadingUncertainty:
 
     @classmethod
     def of(cls, recording: Recording, calibration: Calibration) -> HeadingUncertainty:
-        """The one definition that terminal, page and files share."""
+        """Compute the uncertainty that terminal, page and files show."""
         turn = turn_of(recording, calibration)
         noise = calibration.noise.get("magnetic_field")
         return cls(
@@ -123,7 +130,7 @@ class HeadingUncertainty:
 
     @classmethod
     def stated(cls, calibration: Calibration) -> HeadingUncertainty:
-        """Without the recording: what the method found on it, which is the same turn and covariance."""
+        """Return the uncertainty that the method stored, for use without the recording: same turn, same covariance."""
         sigma = None if calibration.observability is None else calibration.observability.heading_sigma
         return cls(None if sigma is None or not sigma < UNKNOWN_FROM else sigma, None)
 
@@ -133,7 +140,7 @@ class HeadingUncertainty:
 
 
 def turn_of(recording: Recording, calibration: Calibration) -> LevelTurn:
-    """The level turn in which a calibration is judged."""
+    """Return the level turn over which a calibration is judged."""
     strength = calibration.field_strength
     if strength is None:
         field = calibrated(recording.magnetic_field, calibration.soft_iron, calibration.hard_iron)
@@ -142,27 +149,28 @@ def turn_of(recording: Recording, calibration: Calibration) -> LevelTurn:
 
 
 def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strength: float) -> LevelTurn:
-    """A level turn in a field of `strength` T, with the vertical and the dip of the recording.
+    """Return a level turn in a field of `strength` T, with the vertical and the dip of the recording.
 
-    Without a mean vertical the turn is about the sensor's z axis; without any vertical the dip is taken for 60°.
+    The turn is about the sensor's z axis if the recording has no mean vertical; the dip is 60° if it has no vertical
+    at all.
     """
-    rows = slice(None, None, max(len(recording.time) // _MOST, 1))
+    rows = slice(None, None, max(len(recording.time) // _MOST_ROWS, 1))
     field = calibrated(recording.magnetic_field[rows], soft_iron, hard_iron)
     up = vertical(
         None if recording.attitude is None else recording.attitude[rows],
         None if recording.acceleration is None else recording.acceleration[rows],
     )
-    axis, about, dip = None, "the sensor's z axis", _DIP
+    axis, about, dip = None, "the sensor's z axis", _DEFAULT_DIP
     if up is not None:
         known = np.isfinite(up[:, 0])
         up, seen = (up, field) if known.all() else (up[known], field[known])
         mean = up.mean(axis=0)
-        if np.linalg.norm(mean) > _UPRIGHT:  # else the instrument was tumbled, and no axis was the vertical
+        if np.linalg.norm(mean) > _UPRIGHT:  # otherwise the instrument was tumbled and no axis stayed vertical
             axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
         dip = float(np.median(inclination(seen, up)))
-    if axis is None:  # it points down in the northern half of the Earth
+    if axis is None:  # the field points down on the northern hemisphere
         axis = np.array([0.0, 0.0, -1.0 if np.median(field[:, 2]) > 0 else 1.0])
-    dip = float(np.clip(dip, -85.0, 85.0))  # nearer to the pole the heading has no meaning
+    dip = float(np.clip(dip, -85.0, 85.0))  # at a steeper dip heading has no meaning
     ahead = np.eye(3)[np.abs(axis).argmin()] if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
     ahead = ahead - axis * (axis @ ahead)
     ahead /= np.linalg.norm(ahead)
@@ -175,12 +183,20 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
 
 
 def calibrated(field: Array, soft_iron: Array, hard_iron: Array) -> Array:
-    """(n, 3) T: soft_iron⁻¹ (field − hard_iron)."""
+    """Return the calibrated field soft_iron⁻¹ (field − hard_iron), (n, 3) T."""
     return cast(Array, (field - hard_iron) @ np.linalg.inv(soft_iron).T)
 
 
 def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None:
-    """(n, 3) unit vertical in sensor axes, by the attitude or else the accelerometer; NaN where unknown."""
+    """Return the unit vertical (n, 3) in sensor axes, from the attitude or else the accelerometer; NaN where unknown.
+
+    Args:
+        attitude: (n, 4) quaternions x, y, z, w, sensor→world.
+        acceleration: (n, 3) m/s².
+
+    Returns:
+        None if neither holds a finite value.
+    """
     if attitude is not None and np.isfinite(attitude).any():
         x, y, z, w = np.ascontiguousarray(attitude.T)
         across, along = x * x + y * y, z * z + w * w
@@ -198,11 +214,12 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
 
 
 def inclination(field: Array, up: Array) -> Array:
-    """(n,) deg, angle of `field` below the horizontal."""
+    """Return the angle (n,) deg of `field` (n, 3) below the horizontal, with the vertical `up` (n, 3)."""
     sine = -np.einsum("ni,ni->n", field, up) / np.sqrt(np.einsum("ni,ni->n", field, field))
     return cast(Array, np.degrees(np.arcsin(np.clip(sine, -1, 1))))
 
 
 def _known(sigma: Array) -> float | None:
+    """Return the largest standard deviation, or None where heading is unknown."""
     worst = float(sigma.max())
     return worst if worst < UNKNOWN_FROM else None

@@ -1,6 +1,6 @@
-"""How good a calibration is: the measures of the papers, each with its source.
+"""Accuracy measures of calibrations from the literature.
 
-Model of all of them: y = matrix · m + offset with ‖m‖ = 1, in the unit of the samples. `model` gives it for a
+All use the model y = matrix · m + offset with ‖m‖ = 1, in the unit of the samples; `model` returns it for a
 `Calibration`. "Review" is Papafotis, Nikitas and Sotiriadis, Sensors 2021, 21, 5288; "Autocal" is the robust
 autocalibration paper.
 """
@@ -20,22 +20,24 @@ from magyc_gtsam.recording import Array
 
 
 def model(calibration: Calibration) -> tuple[Array, Array]:
-    """(matrix (3, 3), offset (3,)) in T: soft iron times field strength, and hard iron.
+    """Return matrix (3, 3) T, the soft iron times the field strength, and offset (3,) T, the hard iron.
 
     Raises:
-        MagycError: the calibration does not say its field strength.
+        MagycError: the calibration has no field strength.
     """
     if calibration.field_strength is None:
-        raise MagycError(f"the calibration of method {calibration.method!r} states no field strength")
+        raise MagycError(
+            f"the calibration of method {calibration.method!r} has no field strength, which this measure needs"
+        )
     return calibration.soft_iron * calibration.field_strength, calibration.hard_iron
 
 
 def normalised_model_error(
     matrix: ArrayLike, offset: ArrayLike, true_matrix: ArrayLike, true_offset: ArrayLike
 ) -> float:
-    """Autocal (39), and (40) with a reference for the truth: ‖[K b] − [K b]_true‖ / ‖[K b]_true‖, Frobenius.
+    """Return ‖[K b] − [K b]_true‖ / ‖[K b]_true‖ in the Frobenius norm: Autocal (39), or (40) with a reference.
 
-    Both matrices must fix their rotation alike (symmetric both, or triangular both).
+    Both matrices must fix their rotation in the same way (both symmetric, or both triangular).
     """
     estimate = np.column_stack([matrix, offset])
     truth = np.column_stack([true_matrix, true_offset])
@@ -43,9 +45,9 @@ def normalised_model_error(
 
 
 def sensor_estimation_error(matrix: ArrayLike, offset: ArrayLike, samples: ArrayLike) -> float:
-    """Autocal, section on real data, 2): root mean square of ‖K x + b − m‖ with the directions of (41).
+    """Return the root mean square of ‖K x + b − m‖ with the directions of (41): Autocal, section on real data, 2).
 
-    In the unit of the samples (n, 3); meant for samples without outliers that the model was not fitted to.
+    It has the unit of the samples (n, 3), which should be free of outliers and not have been used for the fit.
     """
     directions = closest_points(np.asarray(matrix), np.asarray(offset), np.asarray(samples).T).direction.T
     residual = directions @ np.asarray(matrix).T + offset - np.asarray(samples)
@@ -53,12 +55,12 @@ def sensor_estimation_error(matrix: ArrayLike, offset: ArrayLike, samples: Array
 
 
 def offset_error(offset: ArrayLike, true_offset: ArrayLike) -> float:
-    """Review (69): J_h = ‖h_true − h‖."""
+    """Return J_h = ‖h_true − h‖: Review (69)."""
     return float(np.linalg.norm(np.subtract(true_offset, offset)))
 
 
 def matrix_error(matrix: ArrayLike, true_matrix: ArrayLike) -> float:
-    """Review (71) to (73): J_T = min over R in O(3) of ‖T − T_true R‖, Frobenius; a Procrustes problem."""
+    """Return J_T = min over R in O(3) of ‖T − T_true R‖ (Frobenius), a Procrustes problem: Review (71–73)."""
     matrix, true_matrix = np.asarray(matrix), np.asarray(true_matrix)
     left, _, right = np.linalg.svd(true_matrix.T @ matrix)
     return float(np.linalg.norm(matrix - true_matrix @ left @ right))
@@ -67,10 +69,11 @@ def matrix_error(matrix: ArrayLike, true_matrix: ArrayLike) -> float:
 def model_cost(
     matrix: ArrayLike, offset: ArrayLike, true_matrix: ArrayLike, true_offset: ArrayLike, *, squared: bool = True
 ) -> float:
-    """Review (74): J = J_h + J_T, and (75) with matrix = I and offset = 0.
+    """Return J = J_h + J_T: Review (74), or (75) with matrix = I and offset = 0.
 
-    squared: add the squares, the only reading under which the review's Table 2 can be reached; it prints the
-    plain norms.
+    Args:
+        squared: add the squares of the norms. The review prints the plain norms, but its Table 2 can only be
+            reproduced with squares.
     """
     power = 2 if squared else 1
     return offset_error(offset, true_offset) ** power + matrix_error(matrix, true_matrix) ** power
@@ -78,10 +81,12 @@ def model_cost(
 
 @dataclass(frozen=True)
 class RunScores:
-    """Review (77) to (79) over the runs of one method.
+    """Scores of one method over its runs: Review (77)–(79).
 
-    robustness: share of the runs with J < δ J_o; accuracy: 1/ρ, one over the mean J of those runs; time: τ,
-    their mean run time in s. The latter two are NaN where no run succeeded.
+    Attributes:
+        robustness: share of the successful runs, those with J < δ J_o.
+        accuracy: 1/ρ, the inverse of the mean J of the successful runs; NaN without any.
+        time: τ, s, mean run time of the successful runs; NaN without any.
     """
 
     robustness: float
@@ -92,10 +97,10 @@ class RunScores:
 def scores(
     cost: Sequence[float], trivial_cost: Sequence[float], time: Sequence[float], *, delta: float = 1.0
 ) -> RunScores:
-    """Review (76) to (79).
+    """Return the scores of one method over its runs: Review (76)–(79).
 
     Args:
-        cost: J (74) of each run; infinite where the method gave nothing.
+        cost: J (74) of each run; infinite if the method failed.
         trivial_cost: J_o (75) of each run.
         time: s, run time of each run.
         delta: δ in (0, 1], which the review does not state.
@@ -107,20 +112,23 @@ def scores(
 
 
 def real_data_cost(matrix: ArrayLike, offset: ArrayLike, samples: ArrayLike) -> float:
-    """Review (81), (82): J_r = mean of (‖T⁻¹(y − h)‖² − 1)² over the samples (n, 3); needs no truth."""
+    """Return J_r, the mean of (‖T⁻¹(y − h)‖² − 1)² over the samples (n, 3); needs no truth: Review (81), (82)."""
     field = np.linalg.solve(np.asarray(matrix), (np.asarray(samples) - offset).T)
     return float(np.mean((np.sum(field**2, axis=0) - 1) ** 2))
 
 
 def heading_error(field: ArrayLike, attitude: ArrayLike, declination: float | None = None) -> Array:
-    """(n,) rad: direction of the horizontal field in the world frame, 0 for a perfect compass.
+    """Return the heading error (n,) rad: the direction of the horizontal field in the world frame minus declination.
 
-    MAGYC, section V, takes its root mean square.
+    Its root mean square is the measure of MAGYC, section V.
 
     Args:
         field: (n, 3) calibrated field in sensor axes, any unit.
-        attitude: (n, 4) quaternion x, y, z, w, sensor→world, the world's z axis vertical; NaN where unknown.
-        declination: rad from the world's x axis towards its y axis; None counts from the mean direction.
+        attitude: (n, 4) quaternion x, y, z, w, sensor→world, with a vertical z axis of the world; NaN where unknown.
+        declination: rad from the world's x axis towards its y axis; None for the mean direction of the field.
+
+    Returns:
+        NaN where the attitude is unknown.
     """
     field, attitude = np.asarray(field), np.asarray(attitude)
     error = np.full(len(field), np.nan)
@@ -134,19 +142,19 @@ def heading_error(field: ArrayLike, attitude: ArrayLike, declination: float | No
 
 
 def heading_deviation(field: ArrayLike, attitude: ArrayLike) -> float:
-    """deg, standard deviation of `heading_error` about the mean direction, where the attitude is known."""
+    """Return the standard deviation (deg) of `heading_error` about the mean direction, where the attitude is known."""
     return float(np.degrees(np.nanstd(heading_error(field, attitude))))
 
 
 def soft_iron_distance(one: ArrayLike, other: ArrayLike, *, scale: bool = False) -> float:
-    """Geodesic distance of two soft irons (3, 3): the affine-invariant metric on symmetric positive matrices.
+    """Return the distance of two soft irons (3, 3) in the affine-invariant metric of positive definite matrices.
 
-    √Σ log² λ_i with the eigenvalues λ_i of one⁻¹ other (Förstner and Moonen 1999; Pennec et al. 2006): 0.01 is a
-    relative difference of 1 % along one axis, in whatever axes and units the two are written.
+    It is √Σ log² λ_i with the eigenvalues λ_i of one⁻¹ other (Förstner and Moonen 1999; Pennec et al. 2006),
+    independent of axes and units: 0.01 is a relative difference of 1 % along one axis.
 
     Args:
         one, other: symmetric positive definite.
-        scale: count a common factor too. By default both are taken at determinant 1, as the field's strength
+        scale: include a common factor. By default both are scaled to determinant 1, since the field strength
             is a convention.
 
     Raises:
@@ -168,7 +176,7 @@ def soft_iron_distance(one: ArrayLike, other: ArrayLike, *, scale: bool = False)
 
 
 def _turned(quaternion: Array, vector: Array) -> Array:
-    """(n, 3) vectors turned by (n, 4) quaternions x, y, z, w; scipy's Rotation takes longer to import than to run."""
+    """Rotate vectors (n, 3) by quaternions (n, 4) x, y, z, w; importing scipy's Rotation would take longer."""
     unit = quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)
     axis, scalar = unit[:, :3], unit[:, 3:]
     twice = 2 * np.cross(axis, vector)

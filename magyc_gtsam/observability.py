@@ -1,4 +1,4 @@
-"""What the motion determined, named for the user."""
+"""Which parameters of a calibration the motion determined, and the motion that would determine the others."""
 
 from __future__ import annotations
 
@@ -13,20 +13,25 @@ from magyc_gtsam.level_turn import Askew, LevelTurn, level_turn
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
+# Limits of the standard deviation above which a result must not be trusted.
 HARD_IRON_LIMIT = 0.05  # share of the field strength: three degrees of heading in a mid-latitude field
 SOFT_IRON_LIMIT = 0.05
 GYRO_BIAS_LIMIT = 15e-3  # rad/s
-_UNDETERMINED = 100  # limits from which the size of a deviation says nothing more
+_ROWS_FOR_VERTICAL = 2000
+_LEAST_MEAN_FORCE = (
+    5.0  # m/s²; an instrument whose mean specific force is less was tumbled and has no vertical axis
+)
+_UNDETERMINED = 100  # times the limit, above which a parameter counts as not determined at all
 
 
 @dataclass(frozen=True)
 class Weakness:
-    """A direction of the parameters that the motion left weak.
+    """A direction in parameter space that the motion determined only weakly.
 
     Attributes:
-        what: which parameter or axis, in the user's words.
+        what: the parameter and axis, in words.
         sigma: standard deviation along that direction, in `unit`.
-        limit: the deviation from which the result must not be trusted, in `unit`.
+        limit: standard deviation above which the result must not be trusted, in `unit`.
         unit: "µT" (or "counts"), "%" or "mrad/s".
         remedy: the motion that would determine it.
     """
@@ -39,7 +44,7 @@ class Weakness:
 
     @property
     def sentence(self) -> str:
-        """One line for terminal and page."""
+        """The weakness in one sentence, for terminal and page."""
         limit = f"{self.limit:.2g}"
         if self.sigma > _UNDETERMINED * self.limit:
             return f"{self.what} is not determined (limit ±{limit} {self.unit}): {self.remedy}"
@@ -48,13 +53,13 @@ class Weakness:
 
 @dataclass(frozen=True)
 class Observability:
-    """Whether the motion determined the calibration, and what is weak.
+    """Whether the motion determined the calibration, and its weak directions.
 
     Attributes:
-        observable: False where any weakness passes its limit.
+        observable: False if any weakness exceeds its limit.
         weak: the weak directions, worst first.
-        heading_sigma: deg, largest standard deviation of heading that the calibration's own
-            uncertainty causes over a level turn (`level_turn.LevelTurn.systematic`).
+        heading_sigma: deg, largest standard deviation of heading over a level turn that the calibration's
+            uncertainty causes (`level_turn.LevelTurn.systematic`).
     """
 
     observable: bool
@@ -62,18 +67,18 @@ class Observability:
     heading_sigma: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types."""
+        """Return the fields as JSON types."""
         return asdict(self) | {"weak": [asdict(w) for w in self.weak]}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Observability:
-        """The inverse of `to_dict`."""
+        """Build from the result of `to_dict`."""
         return cls(**{**data, "weak": tuple(Weakness(**w) for w in data["weak"])})
 
 
 @dataclass(frozen=True, eq=False)
 class Assessor:
-    """Judges covariances of one calibration by the motion of one recording; see `assess` for the arguments."""
+    """Assesses covariances of one calibration on one recording; see `assess` for the arguments."""
 
     soft_iron: Array
     field_strength: float
@@ -82,7 +87,7 @@ class Assessor:
     askew: Askew | None = None
 
     def of(self, covariance: Array) -> Observability:
-        """What a covariance says, as `assess`."""
+        """Return what `assess` returns for a covariance."""
         shown, unit_shown = self.recording.field_shown
         in_tesla = self.recording.magnetic_field_unit == "T"
         limit = (
@@ -96,15 +101,15 @@ class Assessor:
             ("gyroscope bias about", covariance[9:, 9:], 1e3, GYRO_BIAS_LIMIT * 1e3, "mrad/s"),
         )
         weak = []
-        for what, block, scale, most, unit in groups:
-            if float(block.trace()) * scale**2 <= (0.5 * most) ** 2:
-                continue  # no direction has more than the trace
+        for what, block, scale, largest, unit in groups:
+            if float(block.trace()) * scale**2 <= (0.5 * largest) ** 2:
+                continue  # the trace bounds the variance of every direction
             variance, vectors = np.linalg.eigh(block)
             for sigma, vector in zip(np.sqrt(np.maximum(variance, 0.0)) * scale, vectors.T, strict=True):
-                if sigma > 0.5 * most:
+                if sigma > 0.5 * largest:
                     axis = _stretched(vector) if len(vector) == 6 else vector
                     remedy = _rest_or_move(sigma) if unit == "mrad/s" else _remedy(axis, _vertical(self.recording))
-                    weak.append(Weakness(f"{what} {_axis_name(axis)}", float(sigma), most, unit, remedy))
+                    weak.append(Weakness(f"{what} {_axis_name(axis)}", float(sigma), largest, unit, remedy))
         weak.sort(key=lambda w: -w.sigma / w.limit)
         return Observability(
             observable=all(w.sigma <= w.limit for w in weak),
@@ -114,7 +119,7 @@ class Assessor:
 
     @cached_property
     def _turn(self) -> LevelTurn:
-        """The level turn whose heading is judged."""
+        """The level turn over which heading is assessed."""
         centre = np.zeros(3) if self.hard_iron is None else self.hard_iron
         return level_turn(self.recording, self.soft_iron, centre, self.field_strength)
 
@@ -127,25 +132,25 @@ def assess(
     hard_iron: Array | None = None,
     askew: Askew | None = None,
 ) -> Observability:
-    """Name the weak directions of a calibration and the motion that would fix them.
+    """Name the weak directions of a calibration and the motion that would determine them.
 
     Args:
         covariance: (12, 12) of vech(soft_iron), hard_iron T, gyro_bias rad/s; (9, 9) without the bias.
         soft_iron: (3, 3).
         field_strength: T.
-        recording: the data it came from; says which way is up and about which axes it turned.
-        hard_iron: (3,) T; None for 0. The dip is taken from the field without it.
-        askew: what is open of the angles between magnetometer and gyroscope, which heading is as far off.
+        recording: the calibrated data, for the vertical and the dip.
+        hard_iron: (3,) T, subtracted from the field before its dip is measured; None for 0.
+        askew: uncertainty of the rotation between magnetometer and gyroscope, which adds to that of heading.
 
     Returns:
-        All directions whose standard deviation passes half its limit, worst first; not observable where
-        one passes the limit.
+        All directions whose standard deviation exceeds half its limit, worst first; not observable if one exceeds its
+        limit.
     """
     return Assessor(soft_iron, field_strength, recording, hard_iron, askew).of(covariance)
 
 
 def _stretched(vech: Array) -> Array:
-    """The axis along which a change of the soft iron stretches most."""
+    """Return the axis (3,) along which a change of the soft iron, vech (6,), stretches most."""
     shape = np.zeros((3, 3))
     shape[np.triu_indices(3)] = vech
     value, vector = np.linalg.eigh(shape + shape.T)
@@ -154,11 +159,12 @@ def _stretched(vech: Array) -> Array:
 
 
 def _rest_or_move(sigma: float) -> str:
+    """Return the remedy for a gyroscope bias with a standard deviation of `sigma` mrad/s."""
     return "record longer, with some seconds at rest" if sigma < 1e3 else "move: nothing turned"
 
 
 def _axis_name(axis: Array) -> str:
-    """ "z" where an axis is clear, else its components: "0.7 x + 0.7 y"."""
+    """Return the name of an axis (3,): "z" if it is close to a sensor axis, else its components: "0.7 x + 0.7 y"."""
     axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
     if np.abs(axis).max() > 0.95:
         return "xyz"[int(np.argmax(np.abs(axis)))]
@@ -167,19 +173,17 @@ def _axis_name(axis: Array) -> str:
 
 
 def _vertical(recording: Recording) -> Array | None:
-    """(3,) mean direction of the specific force in the sensor frame; None without an accelerometer."""
+    """Return the mean direction (3,) of the specific force in the sensor frame; None if there is none."""
     if recording.acceleration is None:
         return None
-    mean = _thin(recording.acceleration).mean(axis=0)
+    every = max(len(recording.acceleration) // _ROWS_FOR_VERTICAL, 1)
+    mean = recording.acceleration[::every].mean(axis=0)
     norm = float(np.linalg.norm(mean))
-    return mean / norm if norm > 5.0 else None  # an instrument turned all over has no vertical axis
-
-
-def _thin(values: Array, most: int = 2000) -> Array:
-    return values[:: max(len(values) // most, 1)]
+    return mean / norm if norm > _LEAST_MEAN_FORCE else None
 
 
 def _remedy(axis: Array, up: Array | None) -> str:
+    """Return the motion that would determine the hard or soft iron along an axis (3,), given the vertical (3,)."""
     if up is None:
         across = [n for a, n in zip(axis, "xyz", strict=True) if abs(a) < 0.6] or ["all axes"]
         return f"turn about {' and '.join(across)} by 30° or more"

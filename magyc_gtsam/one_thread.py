@@ -1,7 +1,7 @@
-"""Linear algebra on one thread while a calibration is computed.
+"""Restriction of BLAS to one thread while a calibration is computed.
 
-Its matrices are small. The threads that OpenBLAS starts by itself wait for each other on them: beside other work on the
-same cores `calibrate` and `find_gap` take about twice as long with them (`benchmarks/threads.py`).
+The matrices of a calibration are too small for the threads of OpenBLAS, which mostly wait for each other: next to other
+work on the same cores `calibrate` and `find_gap` take about twice as long with them (`benchmarks/threads.py`).
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ _Result = TypeVar("_Result")
 
 @functools.cache
 def _libraries() -> ThreadpoolController:
-    import scipy.linalg  # noqa: F401  # has a BLAS of its own, which is found once it is loaded
+    """Return the controller of the loaded BLAS libraries."""
+    import scipy.linalg  # noqa: F401  # has a separate BLAS, which the controller finds only once it is loaded
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
 class _Limit:
-    """The limit of this process: set by the first thread that enters, lifted by the last that leaves."""
+    """The BLAS limit of this process: set by the first thread that enters, lifted by the last that leaves."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -36,6 +37,7 @@ class _Limit:
 
     @contextmanager
     def held(self) -> Iterator[None]:
+        """Hold BLAS to one thread inside the block."""
         with self._lock:
             if self._inside == 0:
                 self._set = _libraries().limit(limits=1, user_api="blas")
@@ -53,7 +55,7 @@ _limit = _Limit()
 
 
 def one_thread(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """`function` with BLAS on one thread; what the caller had set is put back after it."""
+    """Decorate `function` to run with BLAS on one thread; the caller's setting is restored afterwards."""
 
     @functools.wraps(function)
     def limited(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:

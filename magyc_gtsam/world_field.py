@@ -1,4 +1,4 @@
-"""The Earth's field at a place and a day, by the World Magnetic Model."""
+"""The Earth's magnetic field by the World Magnetic Model."""
 
 from __future__ import annotations
 
@@ -11,22 +11,20 @@ import numpy as np
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 
-_YEARS = (2010, 2030)  # the first model's first year, and the first year after the last model
-_ALTITUDES = (
-    -10e3,
-    850e3,
-)  # m; the model is stated from 1 km below the ellipsoid, ocean trenches are close to it
+_YEARS = (2010, 2030)  # the first year of the first model, and the year after the last model
+# m. The model is specified from 1 km below the ellipsoid to 850 km; the lower limit here includes ocean trenches.
+_ALTITUDES = (-10e3, 850e3)
 _NANOTESLA = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class WorldField:
-    """The field of the World Magnetic Model.
+    """The field of the World Magnetic Model at one place and time.
 
     Attributes:
         strength: T.
-        declination: rad, of the horizontal field from true north, east positive.
-        inclination: rad, of the field below the horizontal.
+        declination: rad, direction of the horizontal field from true north, east positive.
+        inclination: rad, angle of the field below the horizontal.
         vector: (3,) T, north, east, down.
     """
 
@@ -39,15 +37,15 @@ class WorldField:
 def world_magnetic_field(
     latitude: float, longitude: float, date: datetime.date | str, altitude: float = 0.0
 ) -> WorldField:
-    """The Earth's main field; iron, buildings and rocks nearby are not in it.
+    """Return the Earth's main field, which does not include iron, buildings and rocks nearby.
 
     Args:
         latitude, longitude: degrees, north and east positive.
         date: a day, or its text "YYYY-MM-DD".
-        altitude: m above the WGS 84 ellipsoid (or the sea: the difference does not matter here).
+        altitude: m above the WGS 84 ellipsoid; above sea level is as good here.
 
     Raises:
-        MagycError: no such place, or a date that no model covers.
+        MagycError: a coordinate is out of range, or no model covers the date.
     """
     from pygeomag import GeoMag, calculate_decimal_year
 

@@ -102,10 +102,10 @@ def test_exports_say_what_they_do_not_hold() -> None:
     subtracted = rate - turned.apply_gyroscope(rate)
     for target in ("px4", "ardupilot", "vectornav", "ros"):
         text = turned.export(target)
-        assert "LIMIT: not in here" not in text
-        assert "LIMIT: not in here" not in plain.export(target)
+        assert "LIMIT: not included" not in text
+        assert "LIMIT: not included" not in plain.export(target)
         mirrored = replace(plain, terms=(Term("axis-order", -order.ravel(), np.zeros((9, 9)), {}),))
-        assert mirrored.export(target).startswith("# LIMIT: not in here: axis-order.")
+        assert mirrored.export(target).startswith("# LIMIT: not included: axis-order.")
     lines = [
         line.split("\t") for line in turned.export("px4").splitlines() if "CAL_GYRO0" in line and "\t" in line
     ]

@@ -140,7 +140,7 @@ def test_restricted_candidates_are_not_called_a_catalogue() -> None:
     [
         ({"recording": "x.mcap"}, r"mg\.find_gap: 'x\.mcap' is a file; read it first"),
         ({"calibration": "x.yaml"}, "calibration: a Calibration is needed, got str"),
-        ({"simulated": 3}, "simulated: a int, a Recording is expected"),
+        ({"simulated": 3}, "simulated: expected a Recording, got a int"),
         ({"candidates": "timing"}, "a list of names is needed"),
         ({"candidates": []}, "a list of names is needed"),
         ({"candidates": 5}, "a list of names is needed"),

@@ -243,7 +243,7 @@ def test_page_says_when_calibration_made_it_worse() -> None:
 
 def test_page_of_a_mirrored_sensor_says_which_target_cannot_hold_it() -> None:
     page = render(simulated(), replace(good(), soft_iron=np.diag([1.0, 1.0, -1.0]) @ SOFT_IRON))
-    assert "mirrors an axis, which PX4" in page
+    assert "mirrors an axis, which the symmetric matrix of PX4" in page
     assert "$VNWRG,23," in page
 
 

@@ -1,4 +1,4 @@
-"""`Calibration`: the result of every method; immutable, applied to data, saved and loaded without loss."""
+"""`Calibration`: the immutable result of every method, which can be applied to data, saved, loaded and exported."""
 
 from __future__ import annotations
 

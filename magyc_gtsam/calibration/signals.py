@@ -1,4 +1,4 @@
-"""What a calibration is applied to: a recording, or a field and the signals that its terms need."""
+"""The signals to which a calibration is applied: those of a recording, or arrays given by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from magyc_gtsam.recording.checks import columns_of
 
 
 def given_signals(value: ArrayLike | Recording, name: str, signals: Mapping[str, Any]) -> dict[str, Any]:
-    """`name` and the other signals, from a recording or as given."""
+    """Return the signals by name: all those of a recording, or the array `value` under `name` and `signals`.
+
+    Raises:
+        MagycError: a signal has an unknown name.
+    """
     known = ("time", "magnetic_field", "angular_rate", "acceleration", "channels")
     if isinstance(value, Recording):
         return {k: getattr(value, k) for k in known} | dict(signals)
@@ -26,6 +30,8 @@ def given_signals(value: ArrayLike | Recording, name: str, signals: Mapping[str,
 
 
 def as_signals(rows: int, given: Mapping[str, Any]) -> Signals:
+    """Return the result of `given_signals` as the `Signals` of the given number of rows; times are NaN without one."""
+
     def columns(name: str) -> Array | None:
         return None if given.get(name) is None else np.atleast_2d(vectors(name, given[name])).T
 
@@ -40,7 +46,7 @@ def as_signals(rows: int, given: Mapping[str, Any]) -> Signals:
 
 
 def _filled(time: Array, row: Array) -> Array:
-    """A channel without its gaps: between its samples on a line, all of it 0 where there are none."""
+    """Return a channel (n,) with its NaN interpolated linearly; zeros if it has no finite sample."""
     known = np.isfinite(row)
     if known.all() or not np.isfinite(time).all():
         return row
@@ -48,10 +54,17 @@ def _filled(time: Array, row: Array) -> Array:
 
 
 def vectors(name: str, value: ArrayLike) -> Array:
+    """Return `value` as an array (N, 3) or (3,).
+
+    Raises:
+        MagycError: it is not numeric or has another shape; the message starts with `name`.
+    """
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise MagycError(f"{name}: {value!r:.40} is no (N, 3) or (3,) of numbers; mg.read reads a log") from None
+        raise MagycError(
+            f"{name}: expected an array (N, 3) or (3,) of numbers, got {value!r:.40}; mg.read reads a log"
+        ) from None
     if array.ndim not in (1, 2) or array.shape[-1] != 3:
         columns = columns_of(value)
         pick = f"; it is a table with the columns {columns}: name three" if columns else ""

@@ -1,9 +1,9 @@
-"""Calibrations as parameters of PX4, ArduPilot, VectorNav and ROS, ready to paste; a target is a file.
+"""Export of calibrations as parameters of PX4, ArduPilot, VectorNav and ROS, ready to paste; one file per target.
 
-All four correct with a matrix and an offset, as we do (`soft_iron⁻¹ (m − hard_iron)`), but differ in
-units, in the sign of the offset and in the matrices they can hold. Nothing is rescaled: the field
-strength that `soft_iron` implies is kept. A rotation to the gyroscope's axes goes into the mounting, the
-motors' current and the temperature into the target's own terms where it has them.
+All four correct with a matrix and an offset, like this package (`soft_iron⁻¹ (m − hard_iron)`), but differ in units, in
+the sign of the offset and in the matrices they can represent. Nothing is rescaled: the field strength that `soft_iron`
+implies is kept. A rotation to the gyroscope's axes goes into the mounting; motor current and temperature go into the
+parameters that the target has for them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TARGETS: dict[str, Callable[[Correction], list[str]]] = {
 }
 _WITH_MOTOR = ("px4", "ardupilot")
 _WITH_TEMPERATURE = ("px4",)
-_TURNED = 1e-6  # rad, below which a rotation is rounding
+_SMALLEST_ROTATION = 1e-6  # rad; less is rounding
 
 
 def export(
@@ -51,39 +51,37 @@ def export(
     gyro_reference: float = 0.0,
     compass: int = 1,
 ) -> str:
-    """Text to paste into `target`.
+    """Return the text to paste into `target`.
 
     Args:
         target: "px4", "ardupilot", "vectornav" or "ros".
         soft_iron: (3, 3).
-        hard_iron: (3,) T, at no current and at the `reference` temperature.
-        gyro_bias: (3,) rad/s, in the gyroscope's own axes; None leaves the gyroscope out.
-        terms: effects of the calibration beyond these; no target holds them, and the text says so.
-        rotation: (3, 3) that brings the calibrated field to the gyroscope's axes; it goes into the mounting.
-        motor: (3,) T/A that the motors' current adds to the reading.
-        motors: (4, 3) T that motors 1 to 4 add at full output, each by itself; ArduPilot's only.
-        thermal: (3,) T/°C that warming above `reference` (°C) adds to it.
-        warming_gyro: (3,) rad/s/°C that warming above `gyro_reference` (°C) adds to the angular rate.
-        compass: which of the vehicle's, from 1; the targets that have several number their parameters by it.
+        hard_iron: (3,) T, at zero current and at the `reference` temperature.
+        gyro_bias: (3,) rad/s, in the gyroscope's axes; None leaves the gyroscope out.
+        terms: names of other effects of the calibration, which no target can represent; a comment lists them.
+        rotation: (3, 3) from the axes of the calibrated field to the gyroscope's; it goes into the mounting.
+        motor: (3,) T/A, change of the reading with the motors' current.
+        motors: (4, 3) T, change of the reading at full output of motors 1 to 4; for ArduPilot only.
+        thermal: (3,) T/°C, change of the reading with the temperature above `reference` (°C).
+        warming_gyro: (3,) rad/s/°C, change of the angular rate with the temperature above `gyro_reference` (°C).
+        compass: number of the compass on the vehicle, from 1, for targets with several.
 
     Raises:
-        MagycError: unknown target, or a calibration that the target cannot hold.
+        MagycError: the target is unknown or cannot represent the calibration.
     """
     if target not in TARGETS:
-        raise MagycError(f"no export called {target!r}; there are {', '.join(TARGETS)}")
-    matrix = np.linalg.inv(np.asarray(soft_iron, dtype=np.float64))
-    offset = np.asarray(hard_iron, dtype=np.float64)
+        raise MagycError(f"unknown export target {target!r}; there are {', '.join(TARGETS)}")
     correction = Correction(
-        matrix,
-        offset,
-        None if gyro_bias is None else np.asarray(gyro_bias, dtype=np.float64),
-        _beyond_rounding(rotation),
-        None if motor is None else np.asarray(motor, dtype=np.float64),
-        None if thermal is None else np.asarray(thermal, dtype=np.float64),
-        reference,
-        None if motors is None else np.asarray(motors, dtype=np.float64),
-        None if warming_gyro is None else np.asarray(warming_gyro, dtype=np.float64),
-        gyro_reference,
+        matrix=np.linalg.inv(np.asarray(soft_iron, dtype=np.float64)),
+        offset=np.asarray(hard_iron, dtype=np.float64),
+        gyro_bias=_array(gyro_bias),
+        rotation=_beyond_rounding(_array(rotation)),
+        motor=_array(motor),
+        thermal=_array(thermal),
+        reference=reference,
+        motors=_array(motors),
+        warming_gyro=_array(warming_gyro),
+        gyro_reference=gyro_reference,
     )
     lines = numbered(TARGETS[target](correction), target, compass)
     missing = [*terms]
@@ -91,19 +89,21 @@ def export(
     missing += ["temperature-hard-iron"] if thermal is not None and target not in _WITH_TEMPERATURE else []
     missing += ["temperature-gyro"] if warming_gyro is not None and target not in _WITH_TEMPERATURE else []
     limit = (
-        [f"# LIMIT: not in here: {', '.join(missing)}. Only `magyc-gtsam apply` takes it out."] if missing else []
+        [f"# LIMIT: not included: {', '.join(missing)}. Only `magyc-gtsam apply` corrects it."] if missing else []
     )
     return "\n".join([*limit, *lines]) + "\n"
 
 
 def do_not_use(reason: str, text: str) -> str:
-    """The values as comments, under DO NOT USE and the reason: no target reads any of them."""
+    """Return an exported text as comments, which no target reads, under DO NOT USE and the reason."""
     lines = [f"DO NOT USE: {' '.join(reason.split())}", *text.splitlines()]
     return "".join(f"# {line}\n" for line in lines)
 
 
-def _beyond_rounding(rotation: ArrayLike | None) -> Array | None:
-    if rotation is None:
-        return None
-    matrix = np.asarray(rotation, dtype=np.float64)
-    return matrix if np.radians(degrees(matrix)) > _TURNED else None
+def _array(value: ArrayLike | None) -> Array | None:
+    return None if value is None else np.asarray(value, dtype=np.float64)
+
+
+def _beyond_rounding(rotation: Array | None) -> Array | None:
+    """Return the rotation (3, 3), or None if its angle is only rounding."""
+    return None if rotation is None or np.radians(degrees(rotation)) <= _SMALLEST_ROTATION else rotation

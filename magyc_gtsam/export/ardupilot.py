@@ -1,6 +1,6 @@
 """ArduPilot: field = M (R raw + OFS) + current · MOT, R from COMPASS_ORIENT and CUST_ROT1, current in A.
 
-Or, in place of the last, + Σ output · PMOT over four motors.
+With compensation per motor the last term is Σ output · PMOT over four motors.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from magyc_gtsam.export.correction import (
 )
 from magyc_gtsam.factors.errors import MagycError
 
-MOTORS = 4  # that ArduPilot compensates for, each by itself
+MOTORS = 4  # number of motors with separate compensation
 _MILLIGAUSS = 1e7  # per tesla
 _LARGEST_OFFSET = 1800.0  # milligauss, default of COMPASS_OFFS_MAX
-_DIAGONAL = (0.2, 5.0)  # what ArduPilot's own calibration accepts
-_OFF_DIAGONAL = 1.0
+_DIAGONAL = (0.2, 5.0)  # range that ArduPilot's calibration accepts
+_OFF_DIAGONAL = 1.0  # largest magnitude that it accepts
 
 
 def ardupilot(c: Correction) -> list[str]:
-    """Lines of a parameter file of Mission Planner."""
+    """Return the lines of a parameter file for Mission Planner."""
     scale, notes = symmetric(c.matrix, "ArduPilot")
-    plain, rotation = scale, c.rotation
+    unturned_scale, rotation = scale, c.rotation
     added = -c.offset * _MILLIGAUSS
     values: dict[str, float] = {}
     if rotation is not None:
@@ -40,11 +40,11 @@ def ardupilot(c: Correction) -> list[str]:
         attitude = dict(zip(("ROLL", "PITCH", "YAW"), angles(rotation), strict=True))
         values |= {"COMPASS_ORIENT": 101, "CUST_ROT_ENABLE": 1}
         values |= {f"CUST_ROT1_{name}": angle for name, angle in attitude.items()}
-        notes.append(
-            f"COMPASS_ORIENT 101 turns by CUST_ROT1_*, degrees, {degrees(rotation):.2f} deg in all. It is"
-        )
-        notes.append("for an external compass that had COMPASS_ORIENT 0 as the log was recorded.")
-        notes.append(EXTERNAL_ONLY)
+        notes += [
+            f"COMPASS_ORIENT 101 turns by CUST_ROT1_*, degrees, {degrees(rotation):.2f} deg in all. It is",
+            "for an external compass that had COMPASS_ORIENT 0 when the log was recorded.",
+            EXTERNAL_ONLY,
+        ]
     diagonal, off_diagonal = np.diag(scale), scale[(0, 0, 1), (1, 2, 2)]
     values |= axes("COMPASS_OFS_{}", added) | axes("COMPASS_DIA_{}", diagonal)
     values |= axes("COMPASS_ODI_{}", off_diagonal) | {"COMPASS_SCALE": 1.0}
@@ -59,22 +59,19 @@ def ardupilot(c: Correction) -> list[str]:
         notes.append(f"LIMIT: a COMPASS_DIA is outside {low:g} to {high:g}, the range of ArduPilot's own fit.")
     if (np.abs(off_diagonal) >= _OFF_DIAGONAL).any():
         notes.append("LIMIT: a COMPASS_ODI is beyond 1, the limit of ArduPilot's own fit.")
+    to_field = unturned_scale if rotation is None else rotation @ unturned_scale
     if c.motor is not None:
-        turn = np.eye(3) if rotation is None else rotation
-        values |= {"COMPASS_MOTCT": 2} | axes("COMPASS_MOT_{}", -turn @ plain @ c.motor * _MILLIGAUSS)
+        values |= {"COMPASS_MOTCT": 2} | axes("COMPASS_MOT_{}", -to_field @ c.motor * _MILLIGAUSS)
         notes.append("COMPASS_MOT: milligauss per ampere of battery 1's current, ADDED after the matrix.")
-        notes.append("Where the channel was a throttle of 0 to 1: COMPASS_MOTCT 1, with the same COMPASS_MOT.")
+        notes.append("If the channel was a throttle of 0 to 1: COMPASS_MOTCT 1, with the same COMPASS_MOT.")
     if c.motors is not None:
-        turn = np.eye(3) if rotation is None else rotation
         values |= {"COMPASS_PMOT_EN": 1, "COMPASS_PMOT_EXP": 1.0}
-        for k, each in enumerate(c.motors, start=1):
-            values |= axes(f"COMPASS_PMOT{k}_{{}}", -turn @ plain @ each * _MILLIGAUSS)
-        notes.append(
-            "COMPASS_PMOT: milligauss at full output of motors 1 to 4, ADDED after the matrix, for the first"
-        )
-        notes.append(
-            "compass. It is for channels that were the motors' outputs, 0 to 1, by the order of their names."
-        )
+        for k, motor in enumerate(c.motors, start=1):
+            values |= axes(f"COMPASS_PMOT{k}_{{}}", -to_field @ motor * _MILLIGAUSS)
+        notes += [
+            "COMPASS_PMOT: milligauss at full output of motors 1 to 4, ADDED after the matrix, for the first",
+            "compass. It is for channels that were the motors' outputs, 0 to 1, in the order of their names.",
+        ]
     if c.gyro_bias is not None:
         values |= axes("INS_GYROFFS_{}", c.gyro_bias)
         notes.append("INS_GYROFFS is measured anew at every start unless INS_GYR_CAL is 0.")
@@ -82,7 +79,7 @@ def ardupilot(c: Correction) -> list[str]:
         "# ArduPilot parameters (Mission Planner: Full Parameter List > Load from file).",
         "# Offsets in milligauss, ADDED: field = matrix * COMPASS_SCALE * (raw + offset), in the vehicle's",
         "# axes, after COMPASS_ORIENT. ODI_X, ODI_Y, ODI_Z are the elements xy, xz, yz of the matrix.",
-        "# COMPASS_SCALE 1 says that the field strength is absolute; where it was not given to the",
+        "# COMPASS_SCALE 1 says that the field strength is absolute; if it was not given to the",
         "# calibration, set 0: the correction stays the same. Gyroscope offsets in rad/s, subtracted.",
         *(f"# {note}" for note in notes),
         *(f"{name},{value if isinstance(value, int) else number(value)}" for name, value in values.items()),
@@ -90,16 +87,21 @@ def ardupilot(c: Correction) -> list[str]:
 
 
 def motors_of(value: Array, setting: Mapping[str, float]) -> tuple[Array, Array]:
-    """Of a term of several circuits: (4, 3) T of motors 1 to 4 at full output, and (3,) T of all at their references.
+    """Return the effect (4, 3) T of motors 1 to 4 at full output, and that (3,) T of all at their reference outputs.
+
+    Args:
+        value: of a motor-current term with several channels, three numbers per channel.
+        setting: the reference output of each channel, by a name that ends in its number.
 
     Raises:
-        MagycError: there are more than four.
+        MagycError: a channel beyond the fourth.
     """
-    references = {int(name.rpartition("_")[2]): each for name, each in setting.items()}
+    references = {int(name.rpartition("_")[2]): output for name, output in setting.items()}
     rows = sorted(references) or list(range(len(value) // 3))
     if rows[-1] >= MOTORS:
         raise MagycError(
-            f"per motor: channel {rows[-1] + 1} of a current, and ArduPilot compensates for {MOTORS} motors"
+            f"per motor: ArduPilot compensates for {MOTORS} motors, the calibration has a channel of current number "
+            f"{rows[-1] + 1}"
         )
     motors = np.zeros((MOTORS, 3))
     motors[rows] = value.reshape(-1, 3)

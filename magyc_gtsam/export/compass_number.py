@@ -1,4 +1,4 @@
-"""The parameters of the first compass renamed to those of another of the same vehicle."""
+"""Renaming of the first compass's parameters to those of another compass of the vehicle."""
 
 from __future__ import annotations
 
@@ -6,29 +6,31 @@ import re
 
 from magyc_gtsam.factors.errors import MagycError
 
-_COMPASSES = {"px4": 4, "ardupilot": 3}  # that a target has parameters for; the others correct one sensor
-_ROTATIONS = 2  # custom ones of ArduPilot
+_COMPASSES = {"px4": 4, "ardupilot": 3}  # number of compasses with parameters; other targets correct one sensor
+_CUSTOM_ROTATIONS = 2  # of ArduPilot
 
 
 def numbered(lines: list[str], target: str, compass: int) -> list[str]:
-    """The lines of an export for the compass of that number, from 1.
+    """Return the lines of an export with the parameter names of the given compass, counted from 1.
 
     Raises:
-        MagycError: the target has no such compass, or what is exported exists for the first ones only.
+        MagycError: the target has no such compass, or has a parameter of the export only for the first ones.
     """
-    most = _COMPASSES.get(target)
-    if most is None or compass == 1:
+    count = _COMPASSES.get(target)
+    if count is None or compass == 1:
         return lines
-    if not isinstance(compass, int) or not 1 <= compass <= most:
-        raise MagycError(f"compass: {compass!r}; {target} has parameters for 1 to {most}")
+    if not isinstance(compass, int) or not 1 <= compass <= count:
+        raise MagycError(f"compass: must be 1 to {count} for {target}, got {compass!r}")
     if target == "px4":
         slot = f"CAL_MAG{compass - 1}"
         renamed = [re.sub(r"\b(CAL_MAG|TC_M)0_", rf"\g<1>{compass - 1}_", line) for line in lines]
         return [f"# Of compass {compass} in the log: {slot}_ID must be its device id.", *renamed]
-    if compass > _ROTATIONS and any(line.startswith("CUST_ROT1_") for line in lines):
-        raise MagycError(f"compass {compass}: ArduPilot has {_ROTATIONS} custom rotations only; mount it straight")
+    if compass > _CUSTOM_ROTATIONS and any(line.startswith("CUST_ROT1_") for line in lines):
+        raise MagycError(
+            f"compass {compass}: ArduPilot has only {_CUSTOM_ROTATIONS} custom rotations; mount it straight"
+        )
     if any(line.startswith("COMPASS_PMOT_EN") for line in lines):
-        raise MagycError(f"compass {compass}: ArduPilot compensates motor by motor for the first compass only")
+        raise MagycError(f"compass {compass}: ArduPilot compensates per motor only for the first compass")
     renames = (
         (r"\bCOMPASS_(OFS|DIA|ODI|MOT)_", rf"COMPASS_\g<1>{compass}_"),
         (r"\bCOMPASS_ORIENT([ ,])101\b", rf"COMPASS_ORIENT{compass}\g<1>{100 + compass}"),

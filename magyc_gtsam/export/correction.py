@@ -1,4 +1,4 @@
-"""What an export writes, whatever its target, and its parts in the forms that targets take."""
+"""The correction that an export writes, independent of the target, and its conversion to common forms."""
 
 from __future__ import annotations
 
@@ -13,23 +13,26 @@ Array = NDArray[np.float64]
 
 GAUSS = 1e4  # per tesla
 EXTERNAL_ONLY = (
-    "LIMIT: a compass inside the autopilot is turned with its board only: there this rotation is not applied, and the "
-    "heading stays off by it; `magyc-gtsam apply` takes it out."
+    "LIMIT: a compass inside the autopilot is turned only with its board: this rotation is not applied to it and "
+    "remains as a heading error; `magyc-gtsam apply` corrects it."
 )
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What is written: field = rotation matrix (raw − offset − motor · current − thermal · (temperature − reference)).
+    """The correction field = rotation matrix (raw − offset − motor · current − thermal · (temperature − reference)).
 
-    Args:
-        matrix, offset: (3, 3), (3,) T.
+    Attributes:
+        matrix: (3, 3).
+        offset: (3,) T.
         gyro_bias: (3,) rad/s, or None.
         rotation: (3, 3), or None.
-        motor, thermal: (3,) T/A, (3,) T/°C, or None.
+        motor: (3,) T/A, or None.
+        thermal: (3,) T/°C, or None.
         reference: °C.
-        motors: (4, 3) T, subtracted in proportion to each motor's output; or None.
-        warming_gyro: (3,) rad/s/°C that warming above `gyro_reference` (°C) adds to the angular rate; or None.
+        motors: (4, 3) T, subtracted in proportion to the output of each motor; or None.
+        warming_gyro: (3,) rad/s/°C, change of the angular rate with the temperature above `gyro_reference`; or None.
+        gyro_reference: °C.
     """
 
     matrix: Array
@@ -45,29 +48,36 @@ class Correction:
 
 
 def symmetric(matrix: Array, target: str) -> tuple[Array, list[str]]:
-    """The symmetric matrix that gives the same field strengths, and a note where that left a rotation out."""
+    """Return the symmetric matrix (3, 3) that gives the same field strengths, and a note if it omits a rotation.
+
+    Raises:
+        MagycError: the matrix contains a reflection.
+    """
     if np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * np.abs(matrix).max()):
         return (matrix + matrix.T) / 2, []
     left, stretch, right = np.linalg.svd(matrix)
     rotation = left @ right
     if np.linalg.det(rotation) < 0:
-        raise MagycError(f"this calibration mirrors an axis, which {target}'s symmetric matrix cannot hold")
-    # The form of a matrix that the field strength alone determined; nothing measured this rotation.
+        raise MagycError(
+            f"the calibration mirrors an axis, which the symmetric matrix of {target} cannot represent; "
+            "check the signs and the order of the axes"
+        )
     note = (
-        f"LIMIT: {target} holds symmetric matrices only: the field strength is the same, but a fixed "
+        f"LIMIT: {target} takes only symmetric matrices: the field strength is the same, but a fixed "
         f"rotation of {degrees(rotation):.2f} deg is left out."
     )
     return right.T @ np.diag(stretch) @ right, [note]
 
 
 def degrees(rotation: Array) -> float:
+    """Return the angle of a rotation (3, 3) in degrees."""
     from scipy.spatial.transform import Rotation
 
     return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
 
 
 def angles(rotation: Array) -> list[float]:
-    """Roll, pitch, yaw in degrees, as both autopilots take them."""
+    """Return roll, pitch and yaw of a rotation (3, 3) in degrees, in the convention of both autopilots."""
     from scipy.spatial.transform import Rotation
 
     yaw, pitch, roll = Rotation.from_matrix(rotation).as_euler("ZYX", degrees=True).tolist()
@@ -75,8 +85,10 @@ def angles(rotation: Array) -> list[float]:
 
 
 def axes(name: str, values: Array) -> dict[str, float]:
+    """Return {parameter: value} of three values, with X, Y, Z in place of the braces in `name`."""
     return {name.format(axis): float(value) for axis, value in zip("XYZ", values, strict=True)}
 
 
 def number(value: float) -> str:
-    return f"{value:.8f}"  # the targets hold single precision
+    """Return a number in the precision of the targets, which is single."""
+    return f"{value:.8f}"

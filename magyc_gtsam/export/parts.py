@@ -1,4 +1,4 @@
-"""What the terms of a calibration are to a target: mounting, motors' current, temperature, or nothing that it holds."""
+"""Assignment of a calibration's terms to what a target can represent: mounting, motor current and temperature."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from magyc_gtsam.factors.effects.corrections import corrected_field
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.effects.signals import Signals
 
-_TURNING = ("misalignment", "axis-order")  # terms that bring the field to the gyroscope's axes
+_ROTATIONS = ("misalignment", "axis-order")  # terms that turn the field to the gyroscope's axes
 
 
 class Parts(NamedTuple):
-    """The arguments of `export` that the terms decide."""
+    """The arguments of `export` that depend on the terms."""
 
     hard_iron: Array
     gyro_bias: Array | None
@@ -34,12 +34,14 @@ class Parts(NamedTuple):
 def parts_of(
     terms: Sequence[Term], hard_iron: Array, gyro_bias: Array | None, target: str, per_motor: bool
 ) -> Parts:
-    """Each term in the place that a target has for it.
+    """Assign each term to the parameter that a target has for it.
 
     Args:
-        terms: of a calibration, with its hard_iron (3,) T and gyro_bias (3,) rad/s.
-        target: whose parameters.
-        per_motor: the channels of a current are the outputs of motors, each compensated for by itself.
+        terms: of the calibration.
+        hard_iron: (3,) T.
+        gyro_bias: (3,) rad/s, or None.
+        target: "px4", "ardupilot", "vectornav" or "ros".
+        per_motor: the channels of current are outputs of motors, each with separate compensation.
     """
     missing: list[str] = []
     motor, motors, thermal, reference = None, None, None, 0.0
@@ -54,9 +56,8 @@ def parts_of(
             hard_iron = hard_iron - at_rest
         elif term.name == "motor-current" and len(term.value) == 3 and not per_motor and motor is None:
             motor = term.value
-            hard_iron = hard_iron - motor * sum(
-                term.setting.values()
-            )  # the one circuit's reference, if it has one
+            reference_current = sum(term.setting.values())  # at most one: the term has one channel
+            hard_iron = hard_iron - motor * reference_current
         elif term.name == "temperature-hard-iron" and len(term.value) == 3 and not term.setting.get("lag"):
             thermal, reference = term.value, term.setting.get("reference_0", 0.0)
         elif (
@@ -68,12 +69,12 @@ def parts_of(
             warming_gyro, gyro_reference = term.value, term.setting.get("reference_0", 0.0)
         elif (exchanged and np.linalg.det(term.value.reshape(3, 3)) < 0) or (
             term.side is not None and term.name != "misalignment"
-        ):  # what is neither of a side nor an exchange concerns the noise
+        ):  # a term without a side that is not an exchange of axes concerns only the noise
             missing.append(term.name)
-    turning = [term for term in terms if term.name in _TURNING]
-    rotation = (
-        corrected_field(np.eye(3), np.eye(3), np.zeros(3), turning, Signals(np.zeros(3))) if turning else None
-    )
+    rotations = [term for term in terms if term.name in _ROTATIONS]
+    rotation = None
+    if rotations:
+        rotation = corrected_field(np.eye(3), np.eye(3), np.zeros(3), rotations, Signals(np.zeros(3)))
     return Parts(
         hard_iron,
         gyro_bias,

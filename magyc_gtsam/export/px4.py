@@ -7,6 +7,7 @@ import numpy as np
 from magyc_gtsam.export.correction import (
     EXTERNAL_ONLY,
     GAUSS,
+    Array,
     Correction,
     angles,
     axes,
@@ -19,7 +20,7 @@ _SCALE = (0.1, 3.0)  # range of CAL_MAG0_*SCALE
 
 
 def px4(c: Correction) -> list[str]:
-    """Lines of a parameter file of QGroundControl."""
+    """Return the lines of a parameter file for QGroundControl."""
     scale, notes = symmetric(c.matrix, "PX4")
     rotation = c.rotation
     values = axes("CAL_MAG0_{}OFF", c.offset * GAUSS)
@@ -33,34 +34,39 @@ def px4(c: Correction) -> list[str]:
         whole["CAL_MAG0_ROT"] = 100
         values |= dict(zip(("CAL_MAG0_ROLL", "CAL_MAG0_PITCH", "CAL_MAG0_YAW"), angles(rotation), strict=True))
         notes.append(f"CAL_MAG0_ROT 100, with ROLL, PITCH, YAW in degrees, turns by {degrees(rotation):.2f} deg.")
-        notes.append("It is for an external compass that had CAL_MAG0_ROT 0 as the log was recorded.")
+        notes.append("It is for an external compass that had CAL_MAG0_ROT 0 when the log was recorded.")
         notes.append(EXTERNAL_ONLY)
     if c.motor is not None:
         whole["CAL_MAG_COMP_TYP"] = 2
         values |= axes("CAL_MAG0_{}COMP", -c.motor * GAUSS * 1e3)
         notes.append("CAL_MAG0_*COMP: gauss per kA of battery 1's current, ADDED to the raw field, while armed.")
-        notes.append("Where the channel was a throttle of 0 to 1: CAL_MAG_COMP_TYP 1, and COMP divided by 1000.")
+        notes.append("If the channel was a throttle of 0 to 1: CAL_MAG_COMP_TYP 1, and COMP divided by 1000.")
     if c.thermal is not None:
         whole["TC_M_ENABLE"] = 1
-        values |= {f"TC_M0_X1_{k}": float(value) for k, value in enumerate(c.thermal * GAUSS)}
-        values |= {"TC_M0_TREF": c.reference} | {f"TC_M0_X{n}_{k}": 0.0 for n in (0, 2, 3) for k in range(3)}
+        values |= _polynomial("TC_M0", c.thermal * GAUSS, c.reference)
         notes.append("TC_M0_*: gauss per degree of the magnetometer's own thermometer, subtracted; set TC_M0_ID")
         notes.append("to CAL_MAG0_ID, and TC_M0_TMIN, TC_M0_TMAX to the range that the log covers.")
     if c.gyro_bias is not None:
         values |= axes("CAL_GYRO0_{}OFF", c.gyro_bias)
     if c.warming_gyro is not None:
         whole["TC_G_ENABLE"] = 1
-        values |= {f"TC_G0_X1_{k}": float(value) for k, value in enumerate(c.warming_gyro)}
-        values |= {"TC_G0_TREF": c.gyro_reference} | {f"TC_G0_X{n}_{k}": 0.0 for n in (0, 2, 3) for k in range(3)}
+        values |= _polynomial("TC_G0", c.warming_gyro, c.gyro_reference)
         notes.append("TC_G0_*: rad/s per degree of the gyroscope's own thermometer, subtracted; set TC_G0_ID to")
         notes.append("CAL_GYRO0_ID, and TC_G0_TMIN, TC_G0_TMAX to the range that the log covers.")
     return [
         "# PX4 parameters (QGroundControl: Vehicle Setup > Parameters > Tools > Load from file).",
         "# Offsets in gauss, SUBTRACTED: field = scale * (raw - offset), in the sensor's own axes, before",
         "# CAL_MAG0_ROT. XODIAG, YODIAG, ZODIAG are the elements xy, xz, yz of the scale matrix.",
-        "# Gyroscope offsets in rad/s, subtracted. Another sensor than the first: replace MAG0, GYRO0.",
+        "# Gyroscope offsets in rad/s, subtracted. For a sensor other than the first replace MAG0, GYRO0.",
         *(f"# {note}" for note in notes),
         "# Vehicle-Id Component-Id Name Value Type",
         *(f"1\t1\t{name}\t{value}\t6" for name, value in whole.items()),
         *(f"1\t1\t{name}\t{number(value)}\t9" for name, value in values.items()),
     ]
+
+
+def _polynomial(name: str, slope: Array, reference: float) -> dict[str, float]:
+    """Return the parameters of a thermal correction of degree 1, with slope (3,) per °C above `reference`."""
+    values = {f"{name}_X1_{k}": float(value) for k, value in enumerate(slope)}
+    values[f"{name}_TREF"] = reference
+    return values | {f"{name}_X{n}_{k}": 0.0 for n in (0, 2, 3) for k in range(3)}

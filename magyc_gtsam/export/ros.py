@@ -8,7 +8,7 @@ from magyc_gtsam.export.correction import Correction
 
 
 def ros(c: Correction) -> list[str]:
-    """Lines of a parameter file."""
+    """Return the lines of a parameter file."""
     matrix = c.matrix if c.rotation is None else c.rotation @ c.matrix
     offset, gyro_bias = c.offset, c.gyro_bias
     lines = [
@@ -26,4 +26,5 @@ def ros(c: Correction) -> list[str]:
 
 
 def _yaml(values: Iterable[float]) -> str:
-    return ", ".join(f"{value:.12e}" for value in values)  # YAML 1.1 reads 2e-06, without a point, as text
+    """Return numbers for YAML 1.1, which reads 2e-06, without a decimal point, as text."""
+    return ", ".join(f"{value:.12e}" for value in values)

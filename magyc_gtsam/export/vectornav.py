@@ -10,12 +10,12 @@ from magyc_gtsam.export.correction import GAUSS, Array, Correction, number
 
 
 def vectornav(c: Correction) -> list[str]:
-    """Lines to send to the instrument."""
+    """Return the lines to send to the instrument."""
     matrix = c.matrix if c.rotation is None else c.rotation @ c.matrix
     offset, gyro_bias = c.offset, c.gyro_bias
     lines = [
-        "# VectorNav registers: send the lines that begin with a dollar sign; command WNV keeps them.",
-        "# For data recorded while these registers held their defaults; otherwise the two would add up.",
+        "# VectorNav registers: send the lines that begin with a dollar sign; command WNV stores them.",
+        "# For data recorded while these registers held their defaults; otherwise both corrections add up.",
         "# Register 23, magnetometer: field = C * (M - B), C row by row, B in gauss.",
         _register(23, matrix, offset * GAUSS),
     ]

@@ -1,4 +1,4 @@
-"""Checks of the arrays that make a `Recording`: shape, finiteness, time, units; each error says what to do."""
+"""Checks of the arrays of a `Recording`: shape, finiteness, order of time, units, placeholders."""
 
 from __future__ import annotations
 
@@ -16,30 +16,40 @@ EARTH_FIELD = (20e-6, 70e-6)  # T, the range of the Earth's field at its surface
 _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the field still passes
 FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
-_STAND_INS = (999, 9999, 99999, 999999, 2**15 - 1, 2**15, 2**16 - 1)  # what is written for "no value"
+_PLACEHOLDERS = (999, 9999, 99999, 999999, 2**15 - 1, 2**15, 2**16 - 1)  # commonly written for "no value"
 _LARGEST = 1e12  # of any channel: 100 A are 1e11 nA
-_BEYOND = (
-    10  # times the largest distance of the others from their median, from which such a number is a placeholder
-)
-_ABSURD = 1e4  # times, from which any number is a placeholder: more than a converter of 14 bits resolves
-_FEW = 0.05  # share of the samples that may be absurd; more is a channel of two levels
-_LEVELS = 3  # distinct distances of the others at least: what is else constant may be switched on once
+# A placeholder lies this many times farther from the median than any other sample.
+_PLACEHOLDER_FACTOR = 10
+# Any number this many times farther from the median than the others is an outlier: a 14-bit converter resolves less.
+_OUTLIER_FACTOR = 1e4
+_OUTLIER_SHARE = 0.05  # largest share of outliers; above it the channel has two levels
+# Smallest number of distinct distances among the other samples: a constant channel may be switched on once.
+_LEVELS = 3
 _FIELD_UNITS = {"µT": 1e-6, "gauss": 1e-4, "milligauss": 1e-7, "nT": 1e-9, "mT": 1e-3}
 
 
 def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = False) -> Array:
-    """A read-only float64 copy of `value`, checked for shape and finiteness; itself where it was `given_away`."""
+    """Return a read-only float64 copy of `value`, or `value` itself if it comes from `given_away`.
+
+    Args:
+        name: of the argument, for messages.
+        value: the array.
+        shape: expected shape; None stands for any length, a final `...` for an optional second dimension.
+        nan: whether values that are not finite are allowed.
+
+    Raises:
+        MagycError: not numeric, of another shape, or not finite.
+    """
     try:
         array = value if _given_away(value) else np.array(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise MagycError(f"{name}: not an array of numbers ({error})") from None
-    want = tuple(s for s in shape if s is not ...)
-    loose = len(want) < len(shape)
-    if (array.ndim != len(want) and not (loose and array.ndim == len(want) + 1)) or any(
-        w is not None and w != s for w, s in zip(want, array.shape, strict=False)
-    ):
+    expected = tuple(s for s in shape if s is not ...)
+    may_have_columns = len(expected) < len(shape)
+    dimensions_match = array.ndim == len(expected) or (may_have_columns and array.ndim == len(expected) + 1)
+    if not dimensions_match or any(e is not None and e != s for e, s in zip(expected, array.shape, strict=False)):
         text = ", ".join("N" if s is None else "k" if s is ... else str(s) for s in shape)
-        turned = " (transpose it?)" if array.ndim == 2 and array.shape[::-1] == want else ""
+        turned = " (transpose it?)" if array.ndim == 2 and array.shape[::-1] == expected else ""
         columns = columns_of(value)
         pick = f"; it is a table with the columns {columns}: name those of this argument" if columns else ""
         raise MagycError(f"{name}: shape {array.shape}, expected ({text}){turned}{pick}")
@@ -55,15 +65,21 @@ def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = Fals
     return array
 
 
+def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
+    """Raise a MagycError unless `value` is one of `choices`."""
+    if value not in choices:
+        raise MagycError(f"{name}: must be {' or '.join(map(repr, choices))}, got {value!r}")
+
+
 def columns_of(value: Any) -> str:
-    """The columns of a data frame, in words; "" of anything else."""
+    """Return the first 20 column names of a data frame, separated by commas; "" for any other object."""
     if not (hasattr(value, "columns") and hasattr(value, "iloc")):
         return ""
     return ", ".join(map(str, list(value.columns)[:20]))
 
 
 def given_away(array: Array) -> Array:
-    """The array made read-only, for `frozen` to take as it is; a copy where it is a part of another."""
+    """Make an array read-only, so that `frozen` takes it without copying; a view is copied first."""
     if not (array.flags.owndata and array.flags.c_contiguous):
         array = array.copy()
     array.flags.writeable = False
@@ -81,6 +97,7 @@ def _given_away(value: ArrayLike) -> TypeGuard[Array]:
 
 
 def check_ascending(time: Array) -> None:
+    """Raise a MagycError unless the time stamps (n,) s ascend strictly."""
     step = np.diff(time)
     if (step > 0).all():
         return
@@ -93,6 +110,7 @@ def check_ascending(time: Array) -> None:
 
 
 def check_field_unit(magnetic_field: Array) -> None:
+    """Raise a MagycError unless the field (n, 3) can be in tesla; the message names the likely unit."""
     square = np.einsum("ni,ni->n", magnetic_field, magnetic_field)
     norm = float(np.median(np.sqrt(square, out=square), overwrite_input=True))
     low, high = _FIELD_LIMITS
@@ -116,6 +134,7 @@ def check_field_unit(magnetic_field: Array) -> None:
 
 
 def check_rate_unit(time: Array, angular_rate: Array) -> None:
+    """Raise a MagycError unless the angular rate (n, 3) can be in rad/s."""
     if max(angular_rate.max(), -angular_rate.min()) > _RATE_LIMIT:
         largest = np.abs(angular_rate).max(axis=1)
         row = int(largest.argmax())
@@ -126,6 +145,11 @@ def check_rate_unit(time: Array, angular_rate: Array) -> None:
 
 
 def unit_quaternions(attitude: Array) -> Array:
+    """Return quaternions (n, 4) at norm 1 exactly; rows of NaN stay.
+
+    Raises:
+        MagycError: a norm differs from 1 by more than 0.01.
+    """
     norm = np.linalg.norm(attitude, axis=1)
     known = np.isfinite(norm)
     wrong = known & (np.abs(norm - 1) > 0.01)
@@ -135,50 +159,50 @@ def unit_quaternions(attitude: Array) -> Array:
             f"attitude: quaternion of norm {norm[row]:.4g} at row {row}, 1 is expected (x, y, z, w, "
             "sensor→world); mark rows without a reference with NaN"
         )
-    # What is normalised stays as it is to the last bit, so that a part of a recording repeats the whole.
+    # Normalised quaternions keep every bit, so that an interval of a recording has the values of the whole.
     unit = attitude / np.where(np.abs(norm - 1) < 1e-14, 1.0, norm)[:, None]
     unit.flags.writeable = False
     return unit
 
 
 def no_values(column: Array) -> Mask:
-    """(n,) samples of a channel that are placeholders: −99999 among temperatures, 1e30, infinity.
+    """Return the mask (n,) of the samples that stand for "no value": −99999 among temperatures, 1e30, infinity.
 
-    A current that is off for most of the time, or surges as it is switched on, has values only.
+    A current that is off most of the time, or surges when it is switched on, has no such samples.
     """
-    wrong = np.abs(column) > _LARGEST
-    known = np.isfinite(column) & ~wrong
-    signs = known & np.isin(np.abs(column), _STAND_INS)
-    if not (known & ~signs).any():
-        return wrong
-    off = np.where(known, np.abs(column - np.median(column[known & ~signs])), 0.0)
-    if signs.any():
-        usual = float(off[known & ~signs].max(initial=0.0))
-        wrong |= signs & (off > _BEYOND * usual) & (usual > 0)
-    rest = off[known & ~wrong]
-    if rest.max(initial=0.0) <= _ABSURD * float(np.quantile(rest, 1 - _FEW)):
-        return wrong
-    levels, count = np.unique(rest[rest > 0], return_counts=True)
+    missing = np.abs(column) > _LARGEST
+    known = np.isfinite(column) & ~missing
+    candidate = known & np.isin(np.abs(column), _PLACEHOLDERS)
+    if not (known & ~candidate).any():
+        return missing
+    distance = np.where(known, np.abs(column - np.median(column[known & ~candidate])), 0.0)
+    if candidate.any():
+        largest = float(distance[known & ~candidate].max(initial=0.0))
+        missing |= candidate & (distance > _PLACEHOLDER_FACTOR * largest) & (largest > 0)
+    remaining = distance[known & ~missing]
+    if remaining.max(initial=0.0) <= _OUTLIER_FACTOR * float(np.quantile(remaining, 1 - _OUTLIER_SHARE)):
+        return missing
+    levels, count = np.unique(remaining[remaining > 0], return_counts=True)
     above = np.cumsum(count[::-1])[::-1]
-    jumps = (levels[1:] > _ABSURD * levels[:-1]) & (above[1:] <= _FEW * len(rest))
+    jumps = (levels[1:] > _OUTLIER_FACTOR * levels[:-1]) & (above[1:] <= _OUTLIER_SHARE * len(remaining))
     jumps[: _LEVELS - 1] = False
     if jumps.any():
-        wrong |= known & (off > levels[np.argmax(jumps)])
-    return wrong
+        missing |= known & (distance > levels[np.argmax(jumps)])
+    return missing
 
 
 def without_no_values(name: str, value: Array) -> tuple[Array, str | None]:
-    """A channel (n,) or (n, k) with NaN for placeholders, and a note if there were any."""
+    """Return a channel (n,) or (n, k) with NaN for its placeholders, and a note, or None if there were none."""
     columns = value.reshape(len(value), -1)
-    wrong = np.column_stack([no_values(column) for column in columns.T]) if columns.size else columns > 0
-    if not wrong.any():
+    missing = np.column_stack([no_values(column) for column in columns.T]) if columns.size else columns > 0
+    if not missing.any():
         return value, None
-    row, place = np.argwhere(wrong)[0]
-    kept = columns[:, place][~wrong[:, place] & np.isfinite(columns[:, place])]
-    clean = np.where(wrong, np.nan, columns).reshape(value.shape)
+    row, place = np.argwhere(missing)[0]
+    kept = columns[:, place][~missing[:, place] & np.isfinite(columns[:, place])]
+    clean = np.where(missing, np.nan, columns).reshape(value.shape)
     clean.flags.writeable = False
-    rest = f", where the others are {kept.min():.4g} to {kept.max():.4g}" if len(kept) else ""
+    others = f", where the others are {kept.min():.4g} to {kept.max():.4g}" if len(kept) else ""
     return clean, (
-        f"channel {name!r}: {wrong.any(axis=1).sum()} of {len(value)} samples are no values and were left out, the "
-        f"first is {columns[row, place]:g} in row {row}{rest}; a sample without a value is best written as NaN"
+        f"channel {name!r}: {missing.any(axis=1).sum()} of {len(value)} samples are no values and were left out, the "
+        f"first is {columns[row, place]:g} in row {row}{others}; a sample without a value is best written as NaN"
     )

@@ -1,4 +1,4 @@
-"""What is handed over in place of a recording, and what to do instead."""
+"""The check that an argument is a `Recording`, with a remedy for the usual mistakes."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from magyc_gtsam.recording.recording import Recording
 
 
 def expect_recording(function: str, value: Any) -> None:
-    """Say what to do where something else than a recording was handed over.
+    """Check that the argument `value` of `function` is a `Recording`.
 
     Raises:
-        MagycError: it was.
+        MagycError: it is not; the message says how to make one from a path, a data frame or arrays.
     """
     if isinstance(value, Recording):
         return
@@ -24,10 +24,11 @@ def expect_recording(function: str, value: Any) -> None:
         )
     if columns := columns_of(value):
         raise MagycError(
-            f"{function}: a table with the columns {columns}; say which are which: mg.Recording(table['time'], "
+            f"{function}: expected a Recording, got a table with the columns {columns}; name the columns of each "
+            "argument: mg.Recording(table['time'], "
             "table[['mx', 'my', 'mz']], table[['gx', 'gy', 'gz']]), in s, T and rad/s"
         )
     raise MagycError(
-        f"{function}: a {type(value).__name__}, a Recording is expected: mg.read(path), or "
+        f"{function}: expected a Recording, got a {type(value).__name__}; use mg.read(path) or "
         "mg.Recording(time, magnetic_field, angular_rate) in s, T and rad/s"
     )

@@ -1,4 +1,4 @@
-"""An array that grows at its end and is cut at its front, as a stream of samples does."""
+"""An array of samples that grows at its end and is trimmed at its front."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from magyc_gtsam.recording.checks import Array
 
 
 class GrowingRows:
-    """Rows (n, width): appended at the end, cut at the front, both at amortised constant cost."""
+    """Rows (n, width) that are appended at the end and dropped at the front, both at amortised constant cost."""
 
     def __init__(self, width: int) -> None:
         self._data = np.empty((256, width))
@@ -19,11 +19,11 @@ class GrowingRows:
 
     @property
     def rows(self) -> Array:
-        """(n, width), a view that is valid until the next change."""
+        """The rows (n, width), as a view that is valid until the next change."""
         return self._data[self._first : self._stop]
 
     def append(self, rows: Array) -> None:
-        """Add rows at the end."""
+        """Append rows (k, width)."""
         stop = self._stop + len(rows)
         if stop > len(self._data):
             kept = self.rows
@@ -36,11 +36,11 @@ class GrowingRows:
         self._stop = stop
 
     def cut(self, count: int) -> None:
-        """Drop rows at the front."""
+        """Drop the first `count` rows."""
         self._first += count
 
     def keep(self, first: int, wanted: np.ndarray) -> None:
-        """Of the rows from `first` on, keep those that are `wanted`."""
+        """Drop the rows from `first` on that the mask `wanted` does not select."""
         kept = self.rows[first:][wanted]
         self._stop = self._first + first + len(kept)
         self.rows[first:] = kept

@@ -1,8 +1,7 @@
-"""The recording itself.
+"""The class `Recording`: one table with one row per time stamp.
 
-One table, one row per instant. Where the sensors have clocks or rates of their own the rows are the
-union of their time stamps, and two masks say which rows carry a sample of which sensor: every sample
-keeps its own stamp and its own bits, and the filled rows are never counted as information.
+Sensors with different clocks or rates share the table: its rows are the union of their stamps, and a mask per sensor
+says which rows carry a true sample. Every sample keeps its stamp and its value exactly; filled rows add no information.
 """
 
 from __future__ import annotations
@@ -10,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -21,61 +20,56 @@ from magyc_gtsam.recording.checks import (
     Array,
     Mask,
     check_ascending,
+    check_choice,
     check_field_unit,
     check_rate_unit,
     frozen,
     unit_quaternions,
     without_no_values,
 )
-from magyc_gtsam.recording.stamps import check_seconds, origin_of, seconds
+from magyc_gtsam.recording.freshness import HELD_GYROSCOPE, LONGEST_HOLD, fresh_rows, row_mask
+from magyc_gtsam.recording.stamps import Hole, check_seconds, holes, origin_of, seconds
 from magyc_gtsam.recording.time_base import Stream, unite
 
-_HELD_GYROSCOPE = 0.3  # share of exact repeats from which a gyroscope counts as sample-held
-_LONGEST_HOLD = 0.2  # s; a rate that repeats for longer stands still and is measured all the same
+RateKind: TypeAlias = Literal["instant", "interval-mean"]
+AttitudeKind: TypeAlias = Literal["independent", "estimate"]
+FieldUnit: TypeAlias = Literal["T", "counts"]
 
 
 class Samples(NamedTuple):
-    """The true samples of one sensor at its own time stamps: time (n,) s, value (n, 3)."""
+    """The true samples of one sensor: time (n,) s, value (n, 3)."""
 
     time: Array
     value: Array
 
 
-class Hole(NamedTuple):
-    """A hole in the time stamps: the last stamp before it and its duration, both in seconds."""
-
-    start: float
-    duration: float
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Recording:
-    """Magnetometer and gyroscope data of one instrument, with what else was recorded.
+    """Magnetometer and gyroscope data of one instrument, with optional acceleration, attitude and channels.
 
     Args:
-        time: (N,) s, strictly ascending; or datetime64, datetime or pandas stamps, of which the first becomes 0 s.
+        time: (N,) s, strictly ascending; or datetime64, datetime or pandas stamps, the first of which becomes 0 s.
         magnetic_field: (N, 3) T, sensor frame.
-        angular_rate: (N, 3) rad/s, sensor frame; None where there is no gyroscope.
+        angular_rate: (N, 3) rad/s, sensor frame; None without a gyroscope.
         acceleration: (N, 3) m/s², specific force, sensor frame.
         attitude: (N, 4) unit quaternion x, y, z, w, sensor→world (scipy's order); rows of NaN where
             there is no reference.
-        channels: {name: (N,) or (N, k)}, e.g. current, temperature, depth; NaN where absent. Of those that count as
-            one of a kind (`factors.signals.CHANNELS`), placeholders such as −99999 become NaN with a note.
-        name: what to call it in reports.
-        angular_rate_is: "instant" (values AT `time`; see `factors.rotations.increments`) or
+        channels: {name: (N,) or (N, k)}, e.g. current, temperature, depth; NaN where absent. In channels of a known
+            kind (`factors.effects.signals.CHANNELS`) placeholders such as −99999 become NaN, with a note.
+        name: the recording's name in reports.
+        angular_rate_is: "instant" (values AT `time`; see `factors.chain.rotations.increments`) or
             "interval-mean" (mean rate since the previous row, as delta angles are).
-        attitude_is: "independent" of the magnetometer, or an "estimate" that it took part in, as an autopilot's own
-            is. No calibration that rests on the latter is trusted.
-        magnetic_field_unit: "T", or "counts" where nobody knows what one is; then the field is what the log
-            holds, and all that follows from it is in counts too.
-        magnetic_field_fresh: (N,) bool, rows that hold a sample of the magnetometer's own. Default:
-            all rows that do not repeat the row before them exactly (sample-and-hold).
-        angular_rate_fresh: (N,) bool, likewise for the gyroscope. Default: all rows, unless the
-            gyroscope repeats itself so often that it must be sample-held.
-        magnetic_field_stamped: (N,) bool, rows at whose time the magnetometer's log has an entry, fresh or repeated;
-            the others fill its column only since another sensor has one there. Default: all rows, or those that are
-            given as fresh.
-        notes: what a reader had to do or leave out, for the report.
+        attitude_is: "independent" of the magnetometer, or an "estimate" to which it contributed, as an autopilot's
+            does. A calibration that rests on an estimate is not trusted.
+        magnetic_field_unit: "T", or "counts" where the scale is unknown; then the field, and every result that has
+            its unit, is in counts.
+        magnetic_field_fresh: (N,) bool, rows that hold a true sample of the magnetometer. Default: all rows that do
+            not repeat the row before them exactly (sample-and-hold).
+        angular_rate_fresh: (N,) bool, the same for the gyroscope. Default: all rows, unless the gyroscope repeats
+            itself so often that it must be sample-held.
+        magnetic_field_stamped: (N,) bool, rows at which the log has an entry of the magnetometer, fresh or repeated;
+            in the others another sensor has one. Default: all rows, or `magnetic_field_fresh` if that is given.
+        notes: remarks of the reader on converted or omitted data, for the report.
 
     Raises:
         MagycError: wrong shapes, non-finite values, time that does not ascend, implausible units.
@@ -88,17 +82,20 @@ class Recording:
     attitude: Array | None = field(default=None, kw_only=True)
     channels: Mapping[str, Array] = field(default_factory=dict, kw_only=True)
     name: str = field(default="", kw_only=True)
-    angular_rate_is: Literal["instant", "interval-mean"] = field(default="instant", kw_only=True)
-    attitude_is: Literal["independent", "estimate"] = field(default="independent", kw_only=True)
-    magnetic_field_unit: Literal["T", "counts"] = field(default="T", kw_only=True)
+    angular_rate_is: RateKind = field(default="instant", kw_only=True)
+    attitude_is: AttitudeKind = field(default="independent", kw_only=True)
+    magnetic_field_unit: FieldUnit = field(default="T", kw_only=True)
     magnetic_field_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     angular_rate_fresh: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     magnetic_field_stamped: Mask = field(default=None, kw_only=True)  # type: ignore[arg-type]
     notes: tuple[str, ...] = field(default=(), kw_only=True)
 
     def __post_init__(self) -> None:
-        put = object.__setattr__  # the only place that writes: the dataclass is frozen
+        put = object.__setattr__  # the dataclass is frozen
         put(self, "name", printable(self.name[:LONGEST]))
+        check_choice("angular_rate_is", self.angular_rate_is, get_args(RateKind))
+        check_choice("attitude_is", self.attitude_is, get_args(AttitudeKind))
+        check_choice("magnetic_field_unit", self.magnetic_field_unit, get_args(FieldUnit))
         time = frozen("time", seconds("time", self.time, origin_of(self.time)), (None,))
         if len(time) < 3:
             raise MagycError(f"time: {len(time)} rows, at least 3 are needed; is the file or interval empty?")
@@ -107,8 +104,7 @@ class Recording:
         n = len(time)
         put(self, "time", time)
         put(self, "magnetic_field", frozen("magnetic_field", self.magnetic_field, (n, 3)))
-        if self.magnetic_field_unit not in ("T", "counts"):
-            raise MagycError(f"magnetic_field_unit: {self.magnetic_field_unit!r} is neither 'T' nor 'counts'")
+
         if self.magnetic_field_unit == "T":
             check_field_unit(self.magnetic_field)
         if self.angular_rate is not None:
@@ -118,27 +114,37 @@ class Recording:
             put(self, "acceleration", frozen("acceleration", self.acceleration, (n, 3)))
         if self.attitude is not None:
             put(self, "attitude", unit_quaternions(frozen("attitude", self.attitude, (n, 4), nan=True)))
-        if self.angular_rate_is not in ("instant", "interval-mean"):
-            raise MagycError(f"angular_rate_is: {self.angular_rate_is!r} is neither 'instant' nor 'interval-mean'")
-        if self.attitude_is not in ("independent", "estimate"):
-            raise MagycError(f"attitude_is: must be 'independent' or 'estimate', got {self.attitude_is!r}")
         channels = {k: frozen(f"channel {k!r}", v, (n, ...), nan=True) for k, v in (self.channels or {}).items()}
         for name in filter(kinds, channels):
             channels[name], note = without_no_values(name, channels[name])
             put(self, "notes", (*self.notes, note) if note else self.notes)
         put(self, "channels", MappingProxyType(channels))
-        stamped = self.magnetic_field_fresh if self.magnetic_field_stamped is None else self.magnetic_field_stamped
-        put(self, "magnetic_field_stamped", stamped)
-        for mask, values, tolerated, longest in (
-            ("magnetic_field_fresh", self.magnetic_field, 0.0, np.inf),
-            ("angular_rate_fresh", self.angular_rate, _HELD_GYROSCOPE, _LONGEST_HOLD),
-            ("magnetic_field_stamped", None, 0.0, np.inf),
+        self._set_masks()
+
+    def _set_masks(self) -> None:
+        """Check the masks that are given, and derive the others from the data."""
+        stamped, fresh, rate_fresh = (
+            self.magnetic_field_stamped,
+            self.magnetic_field_fresh,
+            self.angular_rate_fresh,
+        )
+        if stamped is None:
+            stamped = fresh
+        if fresh is None:
+            fresh = fresh_rows(self.time, self.magnetic_field)
+        if rate_fresh is None and self.angular_rate is not None:
+            rate_fresh = fresh_rows(self.time, self.angular_rate, HELD_GYROSCOPE, LONGEST_HOLD)
+        for name, mask in (
+            ("magnetic_field_fresh", fresh),
+            ("angular_rate_fresh", rate_fresh),
+            ("magnetic_field_stamped", stamped),
         ):
-            put(self, mask, self._mask(mask, values, tolerated, longest))
-        if (self.magnetic_field_fresh & ~self.magnetic_field_stamped).any():
-            row = int(np.argmax(self.magnetic_field_fresh & ~self.magnetic_field_stamped))
+            object.__setattr__(self, name, row_mask(name, mask, len(self.time)))
+        not_stamped = self.magnetic_field_fresh & ~self.magnetic_field_stamped
+        if not_stamped.any():
             raise MagycError(
-                f"magnetic_field_stamped: row {row} is fresh, and so an entry, but not stamped as one"
+                f"magnetic_field_stamped: row {int(np.argmax(not_stamped))} is fresh in magnetic_field_fresh and must "
+                "be stamped too"
             )
         if self.magnetic_field_fresh.sum() < 3:
             raise MagycError(
@@ -146,31 +152,14 @@ class Recording:
                 "the sensor is stuck or the wrong column was read"
             )
 
-    def _mask(self, name: str, values: Array | None, tolerated: float, longest: float) -> Mask:
-        given = getattr(self, name)
-        if given is not None:
-            mask = np.array(given, dtype=bool)
-            if mask.shape != self.time.shape:
-                raise MagycError(f"{name}: shape {mask.shape}, expected {self.time.shape}, one flag per row")
-        else:
-            mask = np.ones(len(self.time), dtype=bool)
-            if values is not None:
-                repeats = (values[1:] == values[:-1]).all(axis=1)
-                if repeats.mean() > tolerated:
-                    mask[1:] = ~repeats
-                    own = np.maximum.accumulate(np.where(mask, self.time, -np.inf))
-                    mask |= self.time - own > longest
-        mask.flags.writeable = False
-        return mask
-
     @property
     def magnetometer(self) -> Samples:
-        """The magnetometer's own samples, held and filled rows left out."""
+        """The true samples of the magnetometer, without held and filled rows."""
         return self._samples(self.magnetic_field, self.magnetic_field_fresh)
 
     @property
     def gyroscope(self) -> Samples:
-        """The gyroscope's own samples.
+        """The true samples of the gyroscope, without held and filled rows.
 
         Raises:
             MagycError: the recording has no gyroscope.
@@ -189,25 +178,25 @@ class Recording:
 
     @property
     def field_shown(self) -> tuple[float, str]:
-        """What to multiply a field with before it is shown, and its unit then: µT, or counts as they are."""
+        """The factor that converts the field to the unit in which it is shown, and that unit: "µT" or "counts"."""
         return (1e6, "µT") if self.magnetic_field_unit == "T" else (1.0, "counts")
 
     @property
     def duration(self) -> float:
-        """Seconds from the first row to the last."""
+        """Time from the first row to the last, s."""
         return float(self.time[-1] - self.time[0])
 
     @property
     def gaps(self) -> tuple[Hole, ...]:
-        """Holes of the gyroscope's (else the magnetometer's) stamps: over 10 median steps and 0.5 s."""
-        time = self.magnetometer.time if self.angular_rate is None else self.gyroscope.time
-        step = np.diff(time)
-        long = np.flatnonzero(step > 0.5)
-        holes = long[step[long] > 10 * float(np.median(step))] if len(long) else long
-        return tuple(Hole(float(time[i]), float(step[i])) for i in holes)
+        """Holes in the stamps of the gyroscope (else the magnetometer) longer than 10 median steps and 0.5 s."""
+        return holes(self.magnetometer.time if self.angular_rate is None else self.gyroscope.time)
 
     def between(self, start: float | None = None, end: float | None = None) -> Recording:
-        """The rows from `start` to `end`, in seconds since the first row; None is the first or last row."""
+        """Return the rows from `start` to `end`, in s since the first row; None stands for the first or last row.
+
+        Raises:
+            MagycError: the interval holds fewer than 3 rows.
+        """
         since = self.time - self.time[0]
         first = -np.inf if start is None else start
         last = np.inf if end is None else end
@@ -220,7 +209,7 @@ class Recording:
         return self.rows(rows)
 
     def rows(self, rows: Any) -> Recording:
-        """The recording with only the given rows (slice, mask or indices)."""
+        """Return the recording reduced to the given rows (slice, mask or indices)."""
 
         def take(value: Array | None) -> Any:
             return None if value is None else value[rows]
@@ -249,19 +238,19 @@ class Recording:
         channels: Mapping[str, Stream] | None = None,
         name: str = "",
         notes: tuple[str, ...] = (),
-        angular_rate_is: Literal["instant", "interval-mean"] = "instant",
-        attitude_is: Literal["independent", "estimate"] = "independent",
-        magnetic_field_unit: Literal["T", "counts"] = "T",
+        angular_rate_is: RateKind = "instant",
+        attitude_is: AttitudeKind = "independent",
+        magnetic_field_unit: FieldUnit = "T",
     ) -> Recording:
-        """Bring sensors with clocks or rates of their own, each (time, values), to one table.
+        """Merge sensors with separate time stamps, each given as (time, values), into one recording.
 
-        The rows are the union of the magnetometer's and the gyroscope's stamps where the two overlap.
-        Magnetometer rows between samples hold the last sample, gyroscope rows are interpolated (interval
-        means hold back to the sample before); neither counts as information (`*_fresh`). Acceleration and
-        channels are interpolated, attitude by slerp; attitude and channels are NaN outside their own time span.
+        The rows are the union of the magnetometer's and the gyroscope's stamps where the two overlap. Between its
+        samples the magnetometer holds the last one and the gyroscope is interpolated (an interval mean applies back
+        to the sample before); `*_fresh` marks these rows as filled. Acceleration and channels are interpolated,
+        attitude by slerp; attitude and channels are NaN outside their time span.
 
         Raises:
-            MagycError: as the constructor, and where the clocks do not overlap.
+            MagycError: as the constructor, and if the stamps of the sensors do not overlap.
         """
         united = unite(magnetic_field, angular_rate, acceleration, attitude, channels or {}, angular_rate_is)
         notes = (*notes, *united.pop("notes"))
@@ -275,7 +264,7 @@ class Recording:
         )
 
     def with_samples(self, magnetic_field: Stream, angular_rate: Stream | None) -> Recording:
-        """The recording with other samples of its two sensors, and everything else brought to their rows."""
+        """Return the recording with other samples of its two sensors, and all other data interpolated to their rows."""
         optional = {"acceleration": self.acceleration, "attitude": self.attitude, **self.channels}
         others = {}
         for name, values in optional.items():
@@ -302,10 +291,10 @@ class Recording:
         )
 
     def __repr__(self) -> str:
-        own = {"magnetometer": self.magnetic_field_fresh, "gyroscope": self.angular_rate_fresh}
-        if self.angular_rate is None:
-            del own["gyroscope"]
-        rates = ", ".join(f"{k} {(m.sum() - 1) / self.duration:.1f} Hz" for k, m in own.items())
+        fresh = {"magnetometer": self.magnetic_field_fresh}
+        if self.angular_rate is not None:
+            fresh["gyroscope"] = self.angular_rate_fresh
+        rates = ", ".join(f"{k} {(m.sum() - 1) / self.duration:.1f} Hz" for k, m in fresh.items())
         return f"Recording({self.name!r}, {len(self.time)} rows, {self.duration:.1f} s, {rates})"
 
 

@@ -1,9 +1,9 @@
-"""Time stamps in seconds: calendar stamps converted (numpy, pandas, datetime), counts of another unit refused."""
+"""Time stamps in seconds: conversion of calendar stamps (numpy, pandas, datetime), and a check of the unit."""
 
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +11,35 @@ from numpy.typing import NDArray
 from magyc_gtsam.factors.errors import MagycError
 
 _LONGEST_STEP = 5.0  # s, median; larger steps are counts of another unit
-_FEW = 10  # rows, of which nothing can be said
+_SHORTEST_HOLE = (0.5, 10)  # s, and median steps: a hole is longer than both
+_FEWEST_ROWS = 10  # below this the median step is not judged
 _NANOSECONDS = "datetime64[ns]"
 
 
+class Hole(NamedTuple):
+    """A hole in the time stamps: the last stamp before it in s, and its duration in s."""
+
+    start: float
+    duration: float
+
+
+def holes(time: NDArray[np.float64]) -> tuple[Hole, ...]:
+    """Return the holes in time stamps (n,) s: steps longer than 10 median steps and 0.5 s."""
+    shortest, median_steps = _SHORTEST_HOLE
+    step = np.diff(time)
+    long = np.flatnonzero(step > shortest)
+    if len(long):
+        long = long[step[long] > median_steps * float(np.median(step))]
+    return tuple(Hole(float(time[i]), float(step[i])) for i in long)
+
+
 def seconds(name: str, time: Any, origin: int = 0) -> Any:
-    """Calendar stamps (numpy, pandas, datetime) and durations as float64 s; anything else as it is.
+    """Return calendar stamps (numpy, pandas, datetime) or durations as float64 s; any other value unchanged.
 
     Args:
-        name: for error messages.
+        name: of the argument, for messages.
         time: (N,) stamps.
-        origin: ns since 1970 that becomes 0 s; see `origin_of`.
+        origin: the stamp, in ns since 1970, that becomes 0 s; see `origin_of`.
 
     Raises:
         MagycError: a stamp is missing (NaT).
@@ -38,7 +56,7 @@ def seconds(name: str, time: Any, origin: int = 0) -> Any:
 
 
 def origin_of(time: Any) -> int:
-    """ns since 1970 of the first calendar stamp; 0 for durations and numbers, which count from where they count."""
+    """Return the first calendar stamp in ns since 1970; 0 for durations and numbers, which have their own origin."""
     array = time if isinstance(time, np.ndarray) else getattr(time, "to_numpy", lambda: np.asarray(time))()
     stamps = _nanoseconds(time)
     return 0 if stamps is None or not len(stamps) or array.dtype.kind == "m" else int(stamps[0])
@@ -49,7 +67,7 @@ def _nanoseconds(time: Any) -> NDArray[np.int64] | None:
         return None
     array = np.asarray(time)
     if array.dtype == object and array.ndim == 1 and len(array) and isinstance(array[0], datetime):
-        # With a zone (pandas' too), numpy would leave the zone out.
+        # numpy ignores the time zone of such objects.
         array = np.array([np.datetime64(int(_since_1970(t)), "ns") for t in array])
     if array.dtype.kind == "M":
         return array.astype(_NANOSECONDS).astype(np.int64)
@@ -59,7 +77,7 @@ def _nanoseconds(time: Any) -> NDArray[np.int64] | None:
 
 
 def _since_1970(moment: Any) -> int:
-    """ns; pandas' stamps know their nanoseconds, Python's their microseconds."""
+    """Return a datetime or pandas stamp in ns since 1970."""
     if hasattr(moment, "value"):
         return int(moment.value)
     zone = moment.utcoffset()
@@ -68,16 +86,16 @@ def _since_1970(moment: Any) -> int:
 
 
 def check_seconds(name: str, time: NDArray[np.float64]) -> None:
-    """Refuse numbers that count something else than seconds.
+    """Check that time stamps (n,) can be in seconds.
 
     Raises:
-        MagycError: the median step is larger than 5 s; the likely unit is named.
+        MagycError: the median step is larger than 5 s; the message names the likely unit.
     """
-    step = float(np.median(np.diff(time), overwrite_input=True)) if len(time) >= _FEW else 0.0
+    step = float(np.median(np.diff(time), overwrite_input=True)) if len(time) >= _FEWEST_ROWS else 0.0
     if step > _LONGEST_STEP:
         units = (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))
         likely, per_second = next(((u, s) for u, s in units if step / s <= _LONGEST_STEP), units[-1])
         raise MagycError(
-            f"{name}: steps by {step:g} from row to row, which is no sensor's in seconds; likely unit: {likely}; "
+            f"{name}: the median step must be at most {_LONGEST_STEP:g} s, got {step:g}; likely unit: {likely}; "
             f"divide by {per_second:g}, or pass datetime64"
         )

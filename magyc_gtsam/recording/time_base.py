@@ -1,4 +1,4 @@
-"""Sensors with clocks or rates of their own, brought to one time base without inventing information."""
+"""Merge sensor streams with separate time stamps into one table, marking which rows are true samples."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def unite(
     channels: Mapping[str, Stream],
     angular_rate_is: Literal["instant", "interval-mean"],
 ) -> dict[str, Any]:
-    """The arguments of a `Recording`, `notes` among them; see `Recording.from_streams` for the rules.
+    """Return the arguments of a `Recording`, including `notes`; `Recording.from_streams` states the rules.
 
     Raises:
-        MagycError: a stream of the wrong form, or clocks that do not overlap.
+        MagycError: a stream has the wrong form, or the streams do not overlap in time.
     """
     streams = {"magnetic_field": magnetic_field, "angular_rate": angular_rate}
     origin = origin_of(magnetic_field[0])
@@ -48,7 +48,7 @@ def unite(
             "shift one of them, or read a log by its recording times (stamps='log')"
         )
     mag_time, mag = clean["magnetic_field"]
-    if all(np.array_equal(t, mag_time) for t, _ in clean.values()):  # nothing to bring together
+    if all(np.array_equal(t, mag_time) for t, _ in clean.values()):
         time, cut, field = mag_time, 0, mag
         mag_stamped = np.ones(len(time), dtype=bool)
         mag_fresh = mag_stamped.copy()
@@ -73,7 +73,7 @@ def unite(
     }
     for k, v in channels.items():
         channel_time, channel = _stream(f"channel {k!r}", *v, None, origin)
-        if kinds(k):  # before it is interpolated: a line to −99999 has many values
+        if kinds(k):  # before the interpolation, which would spread a placeholder over its neighbours
             channel, note = without_no_values(k, channel)
             result["notes"] += (note,) if note else ()
             known = np.isfinite(channel).reshape(len(channel), -1).all(axis=1)
@@ -97,6 +97,7 @@ def unite(
 def _stream(
     name: str, time: ArrayLike, value: ArrayLike, width: int | None, origin: int = 0
 ) -> tuple[Array, Array]:
+    """Return time (n,) s and value (n, width) of a stream, checked; any number of columns if `width` is None."""
     clean_time = frozen(f"time of {name}", seconds(f"time of {name}", time, origin), (None,))
     if len(clean_time) < 2:
         raise MagycError(f"{name}: {len(clean_time)} samples, at least 2 are needed")
@@ -109,6 +110,7 @@ def _stream(
 
 
 def _interpolate(at: Array, time: Array, value: Array, outside: float | None = None) -> Array:
+    """Interpolate columns linearly; beyond the stamps hold the first and last value, or take `outside`."""
     if np.array_equal(at, time):
         return value
     result = np.empty((len(at), *value.shape[1:]))
@@ -118,13 +120,14 @@ def _interpolate(at: Array, time: Array, value: Array, outside: float | None = N
 
 
 def _slerp(at: Array, time: Array, quaternion: Array) -> Array:
+    """Interpolate quaternions (n, 4) along the shorter arc; NaN outside the stamps and inside their holes."""
     result = np.full((len(at), 4), np.nan)
     inside = (at >= time[0]) & (at <= time[-1])
-    # Inside a hole of the reference there is no reference either.
+    # There is no reference inside a hole of its stamps.
     step = np.diff(time)
     left = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(step) - 1)
     inside &= (step[left] <= max(10 * float(np.median(step)), 0.1)) | np.isin(at, time)
-    # Spherical linear interpolation, the short way round (Shoemake 1985).
+    # Spherical linear interpolation (Shoemake 1985).
     left = np.clip(np.searchsorted(time, at[inside], side="right") - 1, 0, len(time) - 2)
     q = unit_quaternions(quaternion)
     first, second = q[left], q[left + 1]

@@ -1,1 +1,1 @@
-"""Files that the package writes and reads back: in one step, within limits, known again by their checksum."""
+"""Files that the package writes and reads back: atomic writes, reads with size limits, and checksums."""

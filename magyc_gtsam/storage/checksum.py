@@ -1,4 +1,4 @@
-"""The checksum by which a file is known again."""
+"""The checksum that identifies a file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _BLOCK = 1 << 20  # bytes read at a time
 
 
 def sha256(file: Path) -> str:
-    """Of a file's bytes, hexadecimal.
+    """Return the SHA-256 of a file, hexadecimal.
 
     Raises:
         OSError: the file cannot be read.

@@ -1,4 +1,4 @@
-"""Values as JSON types."""
+"""Conversion of values to JSON types."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 
 
 def json_types(value: Any) -> Any:
-    """Dataclasses, arrays, mappings and sequences as dicts, lists and numbers; None where a number is not finite.
+    """Convert dataclasses, arrays, mappings and sequences to dicts, lists and numbers.
 
-    What has a `to_dict` of its own is taken at its word.
+    A number that is not finite becomes None. An object with a method `to_dict` is converted by it.
     """
     if hasattr(value, "to_dict"):
         return json_types(value.to_dict())

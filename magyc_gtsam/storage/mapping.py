@@ -1,4 +1,4 @@
-"""Mappings in YAML and JSON: read within limits, each key once, nothing that expands; and written."""
+"""YAML and JSON files that hold a mapping: read with size limits, unique keys and no aliases, and written."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 
-# Bytes of text; a calibration with all its diagnostics takes some hundred kB. YAML takes 6 s a megabyte, JSON 0.02 s.
+# Largest files, bytes. A calibration with its diagnostics takes some 100 kB. YAML parses at 6 s per MB, JSON at 0.02.
 _LARGEST = {".json": 1 << 26}
 _LARGEST_YAML = 1 << 21
-_DEEPEST = 40  # mappings and lists within each other
+_DEEPEST = 40  # levels of nested mappings and lists
 
 
 def load_mapping(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
-    """The mapping in a YAML or JSON (.json) file.
+    """Read the mapping in a JSON (.json) or YAML (any other suffix) file.
 
     Args:
-        path: of the file.
-        what: it should be, for error messages.
+        path: the file.
+        what: the kind of file that is expected, for messages.
 
     Raises:
-        MagycError: no such file, too large, not readable, a key that comes twice, or an alias (which could stand for
-            more than fits into memory).
+        MagycError: the file does not exist, is too large or cannot be parsed, or it holds a duplicate key, or an alias
+            (which could expand beyond memory).
     """
     path = Path(path)
     kind = path.suffix or "YAML"
@@ -51,24 +51,23 @@ def load_mapping(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise MagycError(f"{path}: not readable as {kind} ({shortened(error)})") from None
     if not isinstance(data, dict):
-        raise MagycError(f"{path}: not a {what}, it holds no names with values")
+        raise MagycError(f"{path}: not a {what}: expected a mapping of names to values")
     return data
 
 
 def parse_json(text: str) -> Any:
-    """JSON with each key once.
+    """Parse JSON.
 
     Raises:
-        MagycError: the text is not JSON, or has a key twice.
+        MagycError: the text is not JSON, or a mapping has a duplicate key.
     """
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
+        mapping = dict(pairs)
+        if len(mapping) < len(pairs):
             names = [name for name, _ in pairs]
-            twice = next(name for name in names if names.count(name) > 1)
-            raise MagycError(f"the key {shortened(twice)!r} comes twice; which one is meant?")
-        return found
+            raise _duplicate_key(next(name for name in names if names.count(name) > 1))
+        return mapping
 
     try:
         return json.loads(text, object_pairs_hook=unique)
@@ -79,14 +78,14 @@ def parse_json(text: str) -> Any:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML without aliases, with each key once, and not nested without end."""
+    """Loader of YAML that rejects aliases, duplicate keys and deep nesting."""
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
         self._depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Refuse before anything is built."""
+        """Compose a node; raise a MagycError for an alias or deep nesting before any object is built."""
         if self.check_event(yaml.events.AliasEvent):
             raise MagycError(
                 "holds an alias (*name), which could stand for more than fits into memory; write it out"
@@ -99,28 +98,33 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Hashable, Any]:
-        """Refuse a key that comes twice."""
+        """Construct a mapping; raise a MagycError for a duplicate key."""
         seen: set[Hashable] = set()
         for key, _ in node.value:
             name = self.construct_object(key, deep=True)
             if not isinstance(name, Hashable):
-                raise MagycError(f"the key {shortened(name)!r} is no name")
+                raise MagycError(f"the key {shortened(name)!r} is not a name")
             if name in seen:
-                raise MagycError(f"the key {shortened(name)!r} comes twice; which one is meant?")
+                raise _duplicate_key(name)
             seen.add(name)
         return super().construct_mapping(node, deep)
 
 
+def _duplicate_key(name: object) -> MagycError:
+    return MagycError(f"the key {shortened(name)!r} occurs twice; remove one")
+
+
 def parse_yaml(text: str, resolvers: Mapping[str, tuple[Any, list[str]]] | None = None) -> Any:
-    """YAML without aliases and with each key once.
+    """Parse YAML.
 
     Args:
+        text: the document.
         resolvers: further implicit types: {tag: (pattern, first characters)}.
 
     Raises:
-        MagycError: the text is not YAML, has an alias, or has a key twice.
+        MagycError: the text is not YAML, is nested too deeply, or has an alias or a duplicate key.
     """
-    loader: type[_Loader] = type("_Own", (_Loader,), {}) if resolvers else _Loader
+    loader: type[_Loader] = type("_ExtendedLoader", (_Loader,), {}) if resolvers else _Loader
     for tag, (pattern, first) in (resolvers or {}).items():
         loader.add_implicit_resolver(tag, pattern, first)
     try:
@@ -134,14 +138,14 @@ def parse_yaml(text: str, resolvers: Mapping[str, tuple[Any, list[str]]] | None 
 
 
 class _Dumper(yaml.SafeDumper):
-    """What is held twice is written twice: no aliases."""
+    """Dumper that writes an object again where it recurs, instead of an alias."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
 
 
 def dump_yaml(data: Mapping[str, Any]) -> str:
-    """YAML that `parse_yaml` reads."""
+    """Return a mapping as YAML that `parse_yaml` reads."""
     text: str = yaml.dump(
         dict(data), Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True
     )
@@ -149,10 +153,10 @@ def dump_yaml(data: Mapping[str, Any]) -> str:
 
 
 def numbers(name: str, value: ArrayLike) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """An array of what is numbers, and neither text nor true and false.
+    """Return `value` as a float64 array.
 
     Raises:
-        MagycError: it is something else.
+        MagycError: it holds anything but numbers; text and booleans are not converted.
     """
     try:
         array = np.array(value)

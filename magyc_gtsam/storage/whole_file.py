@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writing of files."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 
 @contextmanager
 def whole_file(file: Path) -> Iterator[Path]:
-    """A file to write to, which takes the place of `file` if the block ends well and is removed otherwise.
+    """Yield a temporary file that replaces `file` when the block ends, and is removed if the block raises.
 
-    What a kill leaves of it is overwritten by the next run, which has the same file to write.
+    The temporary file that a killed process leaves behind is overwritten by the next run.
     """
     part = file.with_name(file.name + ".part")
     try:
@@ -24,6 +24,6 @@ def whole_file(file: Path) -> Iterator[Path]:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Write a file of text (UTF-8), or put it in the place of another, in one step."""
+    """Write or replace a text file (UTF-8) in one step."""
     with whole_file(file) as part:
         part.write_text(text, encoding="utf-8", errors="backslashreplace")

@@ -1,0 +1,70 @@
+"""Conversion of a `Calibration` to JSON types, back, and to the text of a file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.observability import Observability
+from magyc_gtsam.storage.mapping import dump_yaml
+
+if TYPE_CHECKING:
+    from magyc_gtsam.calibration import Calibration
+
+FORMAT = "magyc-gtsam calibration 1"
+
+
+def as_mapping(calibration: Calibration) -> dict[str, Any]:
+    """Return all fields of a calibration as JSON types, with the format's name."""
+    result: dict[str, Any] = {"format": FORMAT}
+    for f in fields(calibration):
+        value = getattr(calibration, f.name)
+        if isinstance(value, np.ndarray):
+            value = value.tolist()
+        elif isinstance(value, MappingProxyType):
+            value = dict(value)
+        elif isinstance(value, Observability):
+            value = value.to_dict()
+        elif f.name == "terms":
+            value = [term.to_dict() for term in value]
+        result[f.name] = value
+    return result
+
+
+def constructor_arguments(calibration_class: type[Calibration], data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of `Calibration` that the result of `as_mapping` holds; unknown keys are ignored.
+
+    Raises:
+        MagycError: another format, or no soft iron or hard iron.
+    """
+    if data.get("format") != FORMAT:
+        raise MagycError(f"not a calibration: format is {data.get('format')!r}, expected {FORMAT!r}")
+    missing = {"soft_iron", "hard_iron"} - data.keys()
+    if missing:
+        raise MagycError(f"calibration without {' and '.join(sorted(missing))}")
+    known = {f.name for f in fields(calibration_class)}
+    arguments = {k: v for k, v in data.items() if k in known}
+    if arguments.get("observability") is not None:
+        arguments["observability"] = Observability.from_dict(arguments["observability"])
+    arguments["terms"] = tuple(Term.from_dict(term) for term in arguments.get("terms") or ())
+    return arguments
+
+
+def as_text(suffix: str, data: Mapping[str, Any]) -> str:
+    """Return the mapping in the format of a file suffix.
+
+    Raises:
+        MagycError: the suffix is not .yaml, .yml or .json.
+    """
+    if suffix == ".json":
+        return json.dumps(data, indent=2) + "\n"
+    if suffix in (".yaml", ".yml"):
+        return dump_yaml(data)
+    raise MagycError(f"a calibration is saved as .yaml or .json, not as {suffix or 'a file without suffix'!r}")
