@@ -131,7 +131,7 @@ def test_a_parameter_that_is_not_taken_is_named(write: Write) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "says"), [({"armed": True}, "armed"), ({"autopilot": "px4"}, "the vehicle there is no ardupilot")]
+    ("more", "says"), [({"armed": True}, "armed"), ({"autopilot": "px4"}, "the vehicle does not run ardupilot")]
 )
 def test_an_armed_vehicle_and_another_autopilot_are_left_alone(
     write: Write, more: dict[str, Any], says: str

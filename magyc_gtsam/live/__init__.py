@@ -1,1 +1,1 @@
-"""Samples that are still coming: growing files, pipes, sockets, ports, MAVLink and ROS 2 behind one interface."""
+"""Live sources of samples behind one interface: growing files, pipes, sockets, serial ports, MAVLink and ROS 2."""

@@ -1,4 +1,4 @@
-"""From what a user names to the source that is meant."""
+"""Open the live source that an address names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FORMS = "a growing MCAP file, - (JSON lines), udp://[HOST]:PORT, serial://PORT?b
 
 
 def is_file(text: str) -> bool:
-    """Whether it names a file, which may be complete."""
+    """Return whether an address names a file, growing or complete."""
     return text != "-" and "://" not in text
 
 
@@ -21,11 +21,11 @@ def open_source(text: str, request: Request) -> LiveSource:
     """Open a source.
 
     Args:
-        text: a file; "-" for standard input; or udp://, serial://, mavlink://, ros2:// and what follows.
+        text: a file, "-" for standard input, or an address in one of the `FORMS`.
         request: topics, units and stamps.
 
     Raises:
-        MagycError: no such source, or one that cannot be opened.
+        MagycError: the address is not valid, or the source cannot be opened.
     """
     if text == "-":
         from magyc_gtsam.live.json_lines import JsonLines
@@ -38,12 +38,12 @@ def open_source(text: str, request: Request) -> LiveSource:
         if path.is_dir():
             raise MagycError(f"{path}: is a directory; name the MCAP file in it that is being written")
         return McapFollower(path, request)
-    kind, _, rest = text.partition("://")
-    where, _, query = rest.partition("?")
+    kind, _, location = text.partition("://")
+    where, _, query = location.partition("?")
     options = {name: values[-1] for name, values in parse_qs(query, keep_blank_values=True).items()}
     known = {"udp": set[str](), "ros2": set(), "serial": {"baud"}, "mavlink": {"baud"}}
     if kind not in known or not options.keys() <= known[kind]:
-        raise MagycError(f"{text}: no source of that kind; it may be {FORMS}")
+        raise MagycError(f"{text}: unknown kind of source; use one of {FORMS}")
     if kind == "udp":
         from magyc_gtsam.live.udp import UdpLines
 
@@ -63,7 +63,8 @@ def open_source(text: str, request: Request) -> LiveSource:
     return Ros2Topics(request)
 
 
-def _number(text: str, part: str, most: int) -> int:
-    if not part.isdecimal() or not 0 <= int(part[:9]) <= most or len(part) > 9:
-        raise MagycError(f"{text}: {part[:40]!r} is no number from 0 to {most}")
+def _number(text: str, part: str, largest: int) -> int:
+    """Return a part of an address as a whole number from 0 to `largest`."""
+    if not part.isdecimal() or not 0 <= int(part[:9]) <= largest or len(part) > 9:
+        raise MagycError(f"{text}: expected a whole number from 0 to {largest}, got {part[:40]!r}")
     return int(part)

@@ -1,9 +1,9 @@
-"""How a source does: its rate, what is lost on the way, and how late it comes."""
+"""The health of a live source: sampling rates, lost samples and lateness."""
 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,23 +11,24 @@ import numpy as np
 from magyc_gtsam.live.source import NewSamples
 from magyc_gtsam.recording import Array
 
-_MEMORY = 5.0  # s over which rate and lateness are taken
-_CLOCK = 60.0  # s over which the quickest sample says how the two clocks stand: 50 ppm of drift are 3 ms
+_MEMORY = 5.0  # s over which rate and lateness are measured
+# s over which the quickest sample gives the offset between the two clocks; 50 ppm of drift are 3 ms in this time.
+_CLOCK_MEMORY = 60.0
 _STEPS = 200  # last steps of the stamps, whose median is the period
-_KNOWN = 20  # steps from which the period is known
-_MISSING = 1.6  # periods from which a step misses samples
+_FEWEST_STEPS = 20  # needed to know the period
+_MISSING = 1.6  # periods; a longer step has missing samples
 
 
 @dataclass(frozen=True)
 class StreamHealth:
-    """What is known of a source.
+    """The state of a live source.
 
     Attributes:
-        rate: Hz of magnetometer and gyroscope by their stamps over the last five seconds of arrival.
-        taken: samples so far.
-        missing: samples that the steps of the stamps miss so far.
-        late: s by which the last samples came later after their stamps than the quickest of the minute before.
-        link: s from there to here, where the source measures it.
+        rate: Hz, of magnetometer and gyroscope by their stamps, over the samples that arrived in the last 5 s.
+        taken: number of samples so far.
+        missing: number of samples missing so far, by the steps of the stamps.
+        late: s, largest delay of the last 5 s relative to the quickest sample of the minute before.
+        link: s, one-way delay of the link; None if the source does not measure it.
     """
 
     rate: tuple[float, float] = (0.0, 0.0)
@@ -38,7 +39,7 @@ class StreamHealth:
 
     @property
     def sentence(self) -> str:
-        """One line."""
+        """The state in one line."""
         share = self.missing / max(self.taken + self.missing, 1)
         delay = f"{self.late * 1e3:.0f} ms late" + (
             f", link {self.link * 1e3:.1f} ms" if self.link is not None else ""
@@ -46,20 +47,19 @@ class StreamHealth:
         return f"{self.rate[0]:.1f} and {self.rate[1]:.1f} Hz, {share:.1%} lost, {delay}"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types, units in the names."""
-        values = asdict(self)
+        """Return JSON types, with units in the names."""
         return {
             "rate_hz": list(self.rate),
             "taken": self.taken,
             "missing": self.missing,
-            "late_s": values["late"],
+            "late_s": self.late,
             "link_s": self.link,
             "sentence": self.sentence,
         }
 
 
 class StreamMonitor:
-    """Keeps `StreamHealth` up to date, in constant memory."""
+    """Computes the `StreamHealth` of a source in constant memory."""
 
     def __init__(self) -> None:
         self._steps = (_Steps(), _Steps())
@@ -68,7 +68,13 @@ class StreamMonitor:
         self._link: float | None = None
 
     def take(self, batch: NewSamples, arrived: float, round_trip: float | None = None) -> None:
-        """A batch that came at `arrived`, s on a clock that does not go back."""
+        """Add a batch of samples.
+
+        Args:
+            batch: the samples.
+            arrived: s, on a clock that never goes back.
+            round_trip: s, of the link, if the source measures it.
+        """
         self._link = None if round_trip is None else round_trip / 2
         self._forget(arrived)
         if not batch:
@@ -84,20 +90,21 @@ class StreamMonitor:
         self._blocks.append((arrived, late, counts, (self._steps[0].last, self._steps[1].last)))
 
     def _forget(self, now: float) -> None:
+        """Drop batches that are too old to count."""
         while self._blocks and self._blocks[0][0] < now - _MEMORY:
             self._blocks.popleft()
-        while self._quickest and self._quickest[0][0] < now - _CLOCK:
+        while self._quickest and self._quickest[0][0] < now - _CLOCK_MEMORY:
             self._quickest.popleft()
 
     @property
     def health(self) -> StreamHealth:
-        """As it is now."""
+        """The present state."""
         late = max((late for _, late, _, _ in self._blocks), default=0.0)
         rates = []
         for sensor in range(2):
             ends = [lasts[sensor] for _, _, _, lasts in self._blocks]
-            came = sum(counts[sensor] for _, _, counts, _ in list(self._blocks)[1:])
-            rates.append(came / (ends[-1] - ends[0]) if len(ends) > 1 and ends[-1] > ends[0] else 0.0)
+            count = sum(counts[sensor] for _, _, counts, _ in list(self._blocks)[1:])
+            rates.append(count / (ends[-1] - ends[0]) if len(ends) > 1 and ends[-1] > ends[0] else 0.0)
         return StreamHealth(
             (rates[0], rates[1]),
             sum(steps.count for steps in self._steps),
@@ -108,7 +115,7 @@ class StreamMonitor:
 
 
 class _Steps:
-    """The steps between the stamps of one sensor."""
+    """The steps between the stamps of one sensor, and the samples that they miss."""
 
     def __init__(self) -> None:
         self.count = self.missing = 0
@@ -123,6 +130,6 @@ class _Steps:
         steps = steps[steps > 0]
         self.last = max(self.last, float(time[-1]))
         self._recent = np.concatenate([self._recent, steps])[-_STEPS:]
-        if len(self._recent) >= _KNOWN and (period := float(np.median(self._recent))) > 0:
+        if len(self._recent) >= _FEWEST_STEPS and (period := float(np.median(self._recent))) > 0:
             wide = steps[steps > _MISSING * period]
             self.missing += int((np.round(wide / period) - 1).sum())

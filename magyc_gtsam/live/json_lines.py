@@ -1,4 +1,4 @@
-"""Samples as lines of JSON, as another program pipes them in."""
+"""Samples that another program pipes in as lines of JSON."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from magyc_gtsam.io.request import Request
 from magyc_gtsam.live.lines import SourceOfLines
 from magyc_gtsam.live.source import NewSamples, nothing
 
-_AT_ONCE = 1 << 16  # bytes
+_LARGEST_READ = 1 << 16  # bytes
 
 
 class JsonLines(SourceOfLines):
     """Samples from a pipe, a terminal or a file of JSON lines; a `LiveSource`.
 
     Args:
-        descriptor: of the open file, read without buffering; 0 for standard input.
+        descriptor: file descriptor, read without buffering; 0 for standard input.
         request: units.
-        name: what to call it.
+        name: the source's name in messages.
     """
 
     def __init__(self, descriptor: int, request: Request, name: str = "standard input") -> None:
@@ -26,13 +26,13 @@ class JsonLines(SourceOfLines):
         self._descriptor = descriptor
 
     def read(self, wait: float = 0.0) -> NewSamples:
-        """As `LiveSource.read`."""
+        """Return the new samples; see `LiveSource.read`."""
         if not select.select([self._descriptor], [], [], wait)[0]:
             return nothing()
-        data = os.read(self._descriptor, _AT_ONCE)
+        data = os.read(self._descriptor, _LARGEST_READ)
         self.ended = not data
         self.received += len(data)
         return self._lines.take(data, last=self.ended)
 
     def close(self) -> None:
-        """The descriptor is the caller's."""
+        """Do nothing: the descriptor belongs to the caller."""

@@ -1,4 +1,4 @@
-"""Parameters of a vehicle over MAVLink: read, written, and read back."""
+"""Read and write the parameters of a vehicle over MAVLink."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.live.mavlink import ADDRESS, BAUD
 
-_HEARTBEAT, _ANSWER = 10.0, 1.0  # s in which a vehicle is heard, and one answer comes
+_HEARTBEAT_TIMEOUT, _ANSWER_TIMEOUT = 10.0, 1.0  # s
 _TRIES = 4
-_WHOLE, _REAL = 6, 9  # MAV_PARAM_TYPE_INT32 and REAL32
+_INT32, _REAL32 = 6, 9  # MAV_PARAM_TYPE
 _INTEGERS = range(1, 9)  # of MAV_PARAM_TYPE
-_ARMED, _STATION = 128, 6  # MAV_MODE_FLAG_SAFETY_ARMED, MAV_TYPE_GCS
+_ARMED, _GROUND_STATION = 128, 6  # MAV_MODE_FLAG_SAFETY_ARMED, MAV_TYPE_GCS
 _AUTOPILOTS = {"ardupilot": 3, "px4": 12}  # MAV_AUTOPILOT
 _ADDRESS = re.compile(r"mavlink://([^?]+)(?:\?baud=(\d{1,8}))?")
 
 
 @dataclass(frozen=True)
 class VehicleSetting:
-    """A parameter as it shall be: its name, its value, and whether it is a whole number."""
+    """A parameter to write: its name, its value, and whether it is an integer parameter."""
 
     name: str
     value: float
@@ -36,32 +36,33 @@ class VehicleSetting:
 
 
 def settings_of(text: str, target: str) -> list[VehicleSetting]:
-    """The parameters of an export for "ardupilot" or "px4", in their order."""
+    """Return the parameters in an export for "ardupilot" or "px4", in their order."""
     rows = [line for line in text.splitlines() if line and not line.startswith("#")]
     if target == "px4":
         cells = (row.split("\t") for row in rows)
-        return [VehicleSetting(name, float(value), int(kind) == _WHOLE) for _, _, name, value, kind in cells]
+        return [VehicleSetting(name, float(value), int(kind) == _INT32) for _, _, name, value, kind in cells]
     pairs = (row.split(",") for row in rows)
     return [VehicleSetting(name, float(value), "." not in value) for name, value in pairs]
 
 
 class VehicleParameters:
-    """The parameters of the first vehicle that is heard.
+    """The parameters of the first vehicle that sends a heartbeat.
 
-    PX4 sends whole numbers as the bytes of a float, ArduPilot as their values (MAVLink, parameter protocol).
+    PX4 transfers integers as the bytes of a float, ArduPilot as their values (MAVLink, parameter protocol).
 
     Args:
-        source: mavlink://udpin:HOST:PORT, as of `online`.
+        source: mavlink://udpin:HOST:PORT, as for `online`.
         target: "ardupilot" or "px4".
 
     Raises:
-        MagycError: pymavlink is not installed, no connection, nobody is heard, another autopilot, or it is armed.
+        MagycError: pymavlink is not installed, the connection fails, no vehicle answers, it runs another autopilot, or
+            it is armed.
     """
 
     def __init__(self, source: str, target: str) -> None:
         self.name = source
-        found = _ADDRESS.fullmatch(source)
-        if not found or not ADDRESS.fullmatch(found[1]):
+        match = _ADDRESS.fullmatch(source)
+        if not match or not ADDRESS.fullmatch(match[1]):
             raise MagycError(f"{source}: write it as mavlink://udpin:127.0.0.1:14550, or mavlink:///dev/ttyACM0")
         if target not in _AUTOPILOTS:
             raise MagycError(f"{target}: only {' and '.join(_AUTOPILOTS)} take parameters over MAVLink")
@@ -71,67 +72,70 @@ class VehicleParameters:
             raise MagycError(
                 f"{source}: needs pymavlink; install it with: pip install 'magyc-gtsam[ardupilot]'"
             ) from None
-        baud = int(found[2] or BAUD)
+        baud = int(match[2] or BAUD)
         try:
-            with redirect_stdout(sys.stderr):  # the library speaks there of its troubles
-                self._link: Any = mavutil.mavlink_connection(found[1], baud=baud, dialect="ardupilotmega")
-        except Exception as error:  # as sockets, serial ports and the library raise them
+            with redirect_stdout(sys.stderr):  # pymavlink prints its errors to standard output
+                self._link: Any = mavutil.mavlink_connection(match[1], baud=baud, dialect="ardupilotmega")
+        except Exception as error:  # sockets, serial ports and pymavlink raise no common class
             raise MagycError(f"{source}: cannot be opened ({shortened(error)})") from error
         self._target = target
         try:
-            self._meet()
+            self._address = self._find_vehicle()
         except MagycError:
             self.close()
             raise
 
     def read(self, name: str) -> float | None:
-        """The value now; None where the vehicle does not answer, as for a name that it does not have."""
-        return self._asked(
+        """Return the present value; None if the vehicle does not answer, as for an unknown name."""
+        return self._ask(
             name, lambda: self._link.mav.param_request_read_send(*self._address, name.encode(), -1), None
         )
 
     def write(self, setting: VehicleSetting) -> float | None:
-        """Set a parameter; the value that the vehicle then says that it has, None where it does not answer."""
-        asked, kind = setting.value, _WHOLE if setting.whole else _REAL
-        sent = struct.unpack("<f", struct.pack("<i", int(asked)))[0] if self._as_bytes(kind) else asked
+        """Write a parameter, and return the value that the vehicle confirms; None if it does not answer."""
+        value, kind = setting.value, _INT32 if setting.whole else _REAL32
+        encoded = struct.unpack("<f", struct.pack("<i", int(value)))[0] if self._as_bytes(kind) else value
         name = setting.name.encode()
-        return self._asked(
-            setting.name, lambda: self._link.mav.param_set_send(*self._address, name, sent, kind), asked
+        return self._ask(
+            setting.name, lambda: self._link.mav.param_set_send(*self._address, name, encoded, kind), value
         )
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self._link.close()
 
     def _as_bytes(self, kind: int) -> bool:
+        """Return whether values of a MAV_PARAM_TYPE are transferred as the bytes of a float."""
         return self._target == "px4" and kind in _INTEGERS
 
-    def _meet(self) -> None:
-        until = time.monotonic() + _HEARTBEAT
+    def _find_vehicle(self) -> tuple[int, int]:
+        """Wait for a heartbeat, check the vehicle, and return its system and component."""
+        until = time.monotonic() + _HEARTBEAT_TIMEOUT
         while time.monotonic() < until:
-            heard = self._link.recv_match(type="HEARTBEAT", blocking=True, timeout=0.5)
-            if heard is None or heard.type == _STATION:
+            heartbeat = self._link.recv_match(type="HEARTBEAT", blocking=True, timeout=0.5)
+            if heartbeat is None or heartbeat.type == _GROUND_STATION:
                 continue
-            if heard.autopilot != _AUTOPILOTS[self._target]:
-                raise MagycError(f"{self.name}: the vehicle there is no {self._target}; nothing was written")
-            if heard.base_mode & _ARMED:
+            if heartbeat.autopilot != _AUTOPILOTS[self._target]:
+                raise MagycError(f"{self.name}: the vehicle does not run {self._target}; nothing was written")
+            if heartbeat.base_mode & _ARMED:
                 raise MagycError(f"{self.name}: the vehicle is armed; disarm it first. Nothing was written")
-            self._address = heard.get_srcSystem(), heard.get_srcComponent()
-            return
-        raise MagycError(f"{self.name}: no vehicle was heard within {_HEARTBEAT:g} s; is it the right address?")
+            return heartbeat.get_srcSystem(), heartbeat.get_srcComponent()
+        raise MagycError(
+            f"{self.name}: no heartbeat of a vehicle within {_HEARTBEAT_TIMEOUT:g} s; is it the right address?"
+        )
 
-    def _asked(self, name: str, ask: Callable[[], None], expected: float | None) -> float | None:
-        """The last value that comes for a name; asked again where none comes, or another one than is expected."""
+    def _ask(self, name: str, send: Callable[[], None], expected: float | None) -> float | None:
+        """Send a request until a value of the parameter arrives, the expected one if given; return the last value."""
         value: float | None = None
         for _ in range(_TRIES):
-            ask()
-            until = time.monotonic() + _ANSWER
-            while (left := until - time.monotonic()) > 0:
-                heard = self._link.recv_match(type="PARAM_VALUE", blocking=True, timeout=left)
-                if heard is None or heard.param_id != name or heard.get_srcSystem() != self._address[0]:
+            send()
+            until = time.monotonic() + _ANSWER_TIMEOUT
+            while (remaining := until - time.monotonic()) > 0:
+                answer = self._link.recv_match(type="PARAM_VALUE", blocking=True, timeout=remaining)
+                if answer is None or answer.param_id != name or answer.get_srcSystem() != self._address[0]:
                     continue
-                value = heard.param_value
-                if self._as_bytes(heard.param_type):
+                value = answer.param_value
+                if self._as_bytes(answer.param_type):
                     value = float(struct.unpack("<i", struct.pack("<f", value))[0])
                 if expected is None or is_that(value, expected):
                     return value
@@ -139,5 +143,5 @@ class VehicleParameters:
 
 
 def is_that(value: float | None, expected: float) -> bool:
-    """Whether a parameter, which is held in single precision, has a value."""
+    """Return whether a value equals the expected one in the single precision of parameters."""
     return value is not None and np.float32(value) == np.float32(expected)

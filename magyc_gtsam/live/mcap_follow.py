@@ -1,7 +1,7 @@
-"""Follow an MCAP file that is still being written: no index, no footer, the last chunk incomplete.
+"""Read an MCAP file while it is written: without index and footer, and with an incomplete last chunk.
 
-Reading goes on where complete records end, so a record is decoded once, when all of it is there. That also
-covers writers that come back to a chunk to fill its length in: until then the length reaches beyond the file.
+Reading continues where the complete records end, so that a record is decoded once it is complete. This also covers
+writers that fill in the length of a chunk later: until then the length reaches beyond the end of the file.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, SensorSource, choose, need
 from magyc_gtsam.live.source import SENSORS, NewSamples, none
 from magyc_gtsam.recording import Samples
 
-_AT_ONCE = 1 << 20  # bytes after which a batch is handed over, so that catching up with a long file can be watched
-_POLL = 0.05  # s between looks at a file that does not grow
+_BATCH = 1 << 20  # bytes after which a batch is returned, so that catching up with a long file shows progress
+_POLL = 0.05  # s between checks of a file that does not grow
 
 
 class McapFollower:
     """The magnetometer and gyroscope samples of a growing file; a `LiveSource`.
 
-    Stamps are seconds on the log's own clock (for ROS since 1970), not counted from its first row.
+    Stamps are seconds on the clock of the log (for ROS since 1970), not counted from its first row.
 
     Args:
-        path: the file; it must exist, and may be empty so far.
+        path: the file; it must exist, but may be empty.
         request: topics, units and stamps, as for `read`.
 
     Raises:
-        MagycError: here or from `read`: no such file, not MCAP, several topics that could be meant, a topic that
-            cannot be read, or a file that shrank.
+        MagycError: here or from `read`: the file does not exist, is not MCAP or shrank; a topic cannot be read; or
+            several topics match.
     """
 
     def __init__(self, path: str | os.PathLike[str], request: Request) -> None:
@@ -53,74 +53,76 @@ class McapFollower:
         self._request = request
         self._scale = {}
         for sensor in SENSORS:
-            self._scale[sensor], said = request.scale(sensor)
-            self.notes.extend(said)
+            self._scale[sensor], notes = request.scale(sensor)
+            self.notes.extend(notes)
         try:
             self._file: IO[bytes] = open(self._path, "rb", buffering=0)  # noqa: SIM115
         except OSError as error:
             raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
-        self._place = 0  # where complete records end
-        # No channels: only what the sensors are read from.
+        self._place = 0  # byte at which the complete records end
+        # Only the topics of the two sensors are needed, not those of channels.
         self._topics = Topics(needed(replace(request, channels=()), SENSORS), request, self.notes, announced=True)
         self._chosen: dict[str, SensorSource] = {}
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._file.close()
 
     @property
     def waiting_for(self) -> str:
-        """The sensors without a topic so far."""
+        """The sensors without a topic so far, and the topics in the file; see `LiveSource`."""
         absent = [sensor for sensor in SENSORS if sensor not in self._chosen]
         if not absent:
             return ""
         wanted = " and ".join(
             f"{sensor} ({self._request.named(sensor) or FOUND_BY_TYPE[sensor]})" for sensor in absent
         )
-        found = listed([f"{t.name} ({t.schema.name})" for t in self._topics.values()])
-        return f"no topic of {wanted} yet; the file has {found or 'no topic'} so far"
+        present = listed([f"{t.name} ({t.schema.name})" for t in self._topics.values()])
+        return f"no topic of {wanted} yet; the file has {present or 'no topic'} so far"
 
     def read(self, wait: float = 0.0) -> NewSamples:
-        """As `LiveSource.read`."""
+        """Return the new samples; see `LiveSource.read`."""
         until = time.monotonic() + wait
         while True:
             for record in self._records():
                 if not isinstance(record, Metadata):
                     self._topics.keep(record)
             batch = self._batch()
-            rest = until - time.monotonic()
-            if batch or self.ended or rest <= 0:
+            remaining = until - time.monotonic()
+            if batch or self.ended or remaining <= 0:
                 return batch
-            time.sleep(min(_POLL, rest))
+            time.sleep(min(_POLL, remaining))
 
     def _records(self) -> Iterator[Record]:
-        """The records that are complete and not read yet, up to some megabytes of them."""
+        """Yield the complete records that have not been read yet, up to some megabytes."""
         self.received = size = os.fstat(self._file.fileno()).st_size
         if size < self._place:
             raise MagycError(
-                f"{self._path}: shrank from {self._place} to {size} bytes; was it replaced? begin anew with it"
+                f"{self._path}: shrank from {self._place} to {size} bytes, so it was replaced; start again"
             )
         if self._place == 0 and size >= len(MAGIC):
             if self._file.read(len(MAGIC)) != MAGIC:
                 raise MagycError(
-                    f"{self._path}: not an MCAP file, the only one that can be followed; for a whole log use calibrate"
+                    f"{self._path}: not an MCAP file, and only these can be read while they grow; use calibrate for a "
+                    "complete log"
                 )
             self._place = len(MAGIC)
-        enough = self._place + _AT_ONCE
-        while 0 < self._place < enough and not self.ended:
+        batch_end = self._place + _BATCH
+        while 0 < self._place < batch_end and not self.ended:
             self._file.seek(self._place)
             head = self._read(HEAD.size)
             if len(head) < HEAD.size:
                 return
             opcode, length = HEAD.unpack(head)
             if opcode == 0 or self._place + HEAD.size + length > size:
-                return  # space that was set aside, or a record that is still being written
+                return  # reserved space, or a record that is still being written
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
                 yield from self._parsed(opcode, self._read(length))
             self.ended = opcode in (Opcode.DATA_END, Opcode.FOOTER)
             self._place += HEAD.size + length
 
     def _read(self, count: int) -> bytes:
+        """Return the next `count` bytes, or fewer at the end of the file."""
         parts = []
         while count > 0 and (part := self._file.read(count)):
             parts.append(part)
@@ -128,6 +130,7 @@ class McapFollower:
         return b"".join(parts)
 
     def _parsed(self, opcode: int, content: bytes) -> Iterator[Record]:
+        """Yield the records of a record's content; damaged content is left out with a note."""
         try:
             if opcode == Opcode.MESSAGE:
                 yield from block_of(content, [0], [len(content)])
@@ -141,6 +144,7 @@ class McapFollower:
             self.notes.append(f"a {what} at byte {self._place} is damaged and was left out ({shortened(error)})")
 
     def _batch(self) -> NewSamples:
+        """Return the samples of the messages that the topics hold, and empty the topics."""
         for sensor in SENSORS:
             if sensor not in self._chosen and self._present(sensor):
                 source = choose(self._topics, sensor, self._request, self.notes)
@@ -152,11 +156,11 @@ class McapFollower:
         return NewSamples(*(samples.get(sensor, none()) for sensor in SENSORS))
 
     def _present(self, sensor: str) -> bool:
-        """Whether a topic that could be the sensor's has been seen."""
+        """Return whether a topic that matches the sensor has appeared."""
         name = self._request.named(sensor)
         if name is not None:
-            own = {name.lstrip("/"), name.lstrip("/").partition(".")[0]}
-            return any(topic.lstrip("/") in own for topic in self._topics)
+            names = {name.lstrip("/"), name.lstrip("/").partition(".")[0]}
+            return any(topic.lstrip("/") in names for topic in self._topics)
         return any(topic.type == FOUND_BY_TYPE[sensor] for topic in self._topics.values())
 
     def _samples(self, sensor: str, source: SensorSource) -> Samples:
@@ -165,6 +169,6 @@ class McapFollower:
             return none()
         if unknown(source):
             raise MagycError(
-                f"{source.name}: says that it has no {sensor} (covariance[0] is -1); name another topic"
+                f"{source.name}: declares that it has no {sensor} (covariance[0] is -1); name another topic"
             )
         return Samples(stamp / 1e9, source.topic.read(source.columns) * self._scale[sensor])

@@ -1,4 +1,4 @@
-"""What a person beside the vehicle is shown while it turns: directions seen, the next move, the residual."""
+"""The live display while a vehicle is turned: directions covered, the next motion, and the residual."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ from magyc_gtsam.online.next_move import next_move
 from magyc_gtsam.recording import Array, Samples
 
 _KEPT = 4000  # samples of the whole run, evenly thinned
-_DRAWN = 400  # of them
-_RECENT = 5.0  # s of which the residual is taken
-_SURE = 4.0  # deviations of the mean residual from which the field is called disturbed
-_LEAST = 0.5e-6  # T, and at least this: less is below the ripple of a hand-held turn
+_DRAWN = 400  # samples that are drawn
+_RECENT = 5.0  # s over which the residual is averaged
+# The field counts as disturbed if the mean residual exceeds this many standard deviations and this many T; a smaller
+# residual is within the ripple of a turn by hand.
+_DISTURBED_SIGMAS = 4.0
+_DISTURBED_FIELD = 0.5e-6
 
 
 class Picture:
-    """Samples of a run, few of all and all of the last seconds, and what they show with the present calibration.
+    """A thinned set of all samples of a run and the complete last seconds, displayed with the present calibration.
 
     Args:
-        online: the calibrator; what it has kept of an earlier run is shown as well.
+        online: the calibrator; samples that it kept of an earlier run are shown too.
     """
 
     def __init__(self, online: OnlineCalibrator) -> None:
@@ -35,7 +37,7 @@ class Picture:
         self._recent: deque[Samples] = deque()
 
     def take(self, batch: NewSamples) -> None:
-        """New samples."""
+        """Add new samples."""
         time, value = batch.magnetometer
         if not len(time):
             return
@@ -48,7 +50,15 @@ class Picture:
             self._recent.popleft()
 
     def to_dict(self, calibration: Calibration | None) -> dict[str, Any]:
-        """JSON types: `points` (n × 3, of the unit sphere), `cells` (60, seen or not), `now`, `next`, `residual`."""
+        """Return the display as JSON types.
+
+        Args:
+            calibration: the present one; None if there is none yet.
+
+        Returns:
+            `points` (n × 3, directions on the unit sphere), `cells` (60, 1 where a direction was covered), `now` (the
+            present direction), `next` (the motion to make), `residual`, and `rough` (no calibration yet).
+        """
         if not len(self._seen):
             return {"points": [], "cells": [], "now": None, "next": None, "residual": None, "rough": True}
         direction = _directions(self._seen, calibration)
@@ -67,29 +77,33 @@ class Picture:
         }
 
     def _residual(self, calibration: Calibration) -> dict[str, Any] | None:
-        """How far the last seconds are off the sphere, and whether that is more than noise and calibration explain."""
+        """Return the residual of the field strength over the last seconds, and whether it exceeds its uncertainty.
+
+        None without recent samples or a field strength.
+        """
         if not self._recent or not calibration.field_strength:
             return None
         value = np.vstack([samples.value for samples in self._recent])
-        off = np.linalg.norm(calibration.apply(value), axis=1) - calibration.field_strength
+        residual = np.linalg.norm(calibration.apply(value), axis=1) - calibration.field_strength
         noise = float(calibration.noise.get("magnetic_field") or 0.0)
-        own = (
-            0.0
-            if calibration.covariance is None
-            else float(np.linalg.eigvalsh(calibration.covariance[6:9, 6:9])[-1])
-        )
-        limit = max(_SURE * np.sqrt(noise**2 / len(off) + own), _LEAST)
+        variance = noise**2 / len(residual)
+        if calibration.covariance is not None:
+            variance += float(np.linalg.eigvalsh(calibration.covariance[6:9, 6:9])[-1])
+        limit = max(_DISTURBED_SIGMAS * np.sqrt(variance), _DISTURBED_FIELD)
         return {
-            "mean_ut": float(off.mean()) * 1e6,
-            "rms_ut": float(np.sqrt((off**2).mean())) * 1e6,
+            "mean_ut": float(residual.mean()) * 1e6,
+            "rms_ut": float(np.sqrt((residual**2).mean())) * 1e6,
             "noise_ut": noise * 1e6,
             "limit_ut": float(limit) * 1e6,
-            "disturbed": bool(abs(off.mean()) > limit),
+            "disturbed": bool(abs(residual.mean()) > limit),
         }
 
 
 def _directions(field: Array, calibration: Calibration | None, among: Array | None = None) -> Array:
-    """Unit vectors; before there is a calibration, about the middle of what was seen."""
+    """Return unit vectors (n, 3) of the calibrated field (n, 3).
+
+    Without a calibration the hard iron is approximated by the middle of the range of `among` (default: `field`).
+    """
     if calibration is None:
         among = field if among is None else among
         field = field - (among.min(axis=0) + among.max(axis=0)) / 2

@@ -1,17 +1,14 @@
-"""Samples from ROS 2 topics, where ROS is installed (`rclpy`)."""
+"""Samples from ROS 2 topics; needs a ROS 2 installation (`rclpy`)."""
 
 from __future__ import annotations
 
 import time
 from typing import Any
 
-import numpy as np
-
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
-from magyc_gtsam.live.source import SENSORS, NewSamples, none
-from magyc_gtsam.recording import Samples
+from magyc_gtsam.live.source import SENSORS, NewSamples, samples_of
 
 _VECTOR = {"magnetic_field": "magnetic_field", "angular_rate": "angular_velocity"}  # fields of the messages
 
@@ -20,10 +17,10 @@ class Ros2Topics:
     """Samples from a MagneticField and an Imu topic; a `LiveSource`.
 
     Args:
-        request: topics and units; where a topic is not named, the only one of its type is taken when it appears.
+        request: topics and units; a sensor without a named topic takes the only topic of its type.
 
     Raises:
-        MagycError: here or from `read`: no ROS here, or several topics that could be meant.
+        MagycError: here or from `read`: ROS 2 is not available, or several topics match.
     """
 
     def __init__(self, request: Request) -> None:
@@ -52,12 +49,12 @@ class Ros2Topics:
 
     @property
     def waiting_for(self) -> str:
-        """The sensors without a topic so far."""
+        """The sensors without a topic so far; see `LiveSource`."""
         absent = [f"{s} ({self._request.named(s) or FOUND_BY_TYPE[s]})" for s in SENSORS if s not in self._topic]
         return f"no topic of {' and '.join(absent)} yet" if absent else ""
 
     def read(self, wait: float = 0.0) -> NewSamples:
-        """As `LiveSource.read`."""
+        """Return the new samples; see `LiveSource.read`."""
         self._subscribe()
         until = time.monotonic() + wait
         while not any(self._rows.values()):
@@ -65,7 +62,9 @@ class Ros2Topics:
             if time.monotonic() >= until:
                 break
         rows, self._rows = self._rows, {sensor: [] for sensor in SENSORS}
-        return NewSamples(*(_samples(rows[sensor], self._request.scale(sensor)[0]) for sensor in SENSORS))
+        new = [samples_of(rows[sensor]) for sensor in SENSORS]
+        scales = [self._request.scale(sensor)[0] for sensor in SENSORS]
+        return NewSamples(*(s._replace(value=s.value * scale) for s, scale in zip(new, scales, strict=True)))
 
     def close(self) -> None:
         """Leave the ROS network."""
@@ -74,15 +73,17 @@ class Ros2Topics:
         self._rclpy.shutdown(context=self._context)
 
     def _subscribe(self) -> None:
+        """Subscribe to the topics of sensors that have none yet."""
         absent = [sensor for sensor in SENSORS if sensor not in self._topic]
-        there = self._node.get_topic_names_and_types() if absent else []
+        present = self._node.get_topic_names_and_types() if absent else []
         for sensor in absent:
             named = self._request.named(sensor)
-            found = [name for name, types in there if _ros2_name(sensor) in types]
-            if named is None and len(found) > 1:
-                option = f"{sensor}={found[0]}"
-                raise MagycError(f"ros2://: {', '.join(found)} could be meant; name one ({option})")
-            if topic := named or next(iter(found), None):
+            matches = [name for name, types in present if _ros2_name(sensor) in types]
+            if named is None and len(matches) > 1:
+                raise MagycError(
+                    f"ros2://: {', '.join(matches)} could be the {sensor}; name one ({sensor}={matches[0]})"
+                )
+            if topic := named or next(iter(matches), None):
                 self._topic[sensor] = topic
                 self._node.create_subscription(
                     self._types[sensor], topic, lambda message, s=sensor: self._take(s, message), self._quality
@@ -90,7 +91,7 @@ class Ros2Topics:
 
     def _take(self, sensor: str, message: Any) -> None:
         if sensor == "angular_rate" and message.angular_velocity_covariance[0] == -1:
-            self.lost += 1  # says that it has none
+            self.lost += 1  # -1 declares that the message holds no angular rate
             return
         stamp, vector = message.header.stamp, getattr(message, _VECTOR[sensor])
         self.received += 1
@@ -100,10 +101,3 @@ class Ros2Topics:
 def _ros2_name(sensor: str) -> str:
     package, message = FOUND_BY_TYPE[sensor].split("/")
     return f"{package}/msg/{message}"
-
-
-def _samples(rows: list[list[float]], scale: float) -> Samples:
-    if not rows:
-        return none()
-    table = np.array(rows)
-    return Samples(table[:, 0], table[:, 1:] * scale)

@@ -14,15 +14,15 @@ BAUD = 115200
 
 
 class SerialLines(SourceOfLines):
-    """Samples from a port; a `LiveSource`. What the port was in the middle of saying when it was opened is left out.
+    """Samples from a serial port; a `LiveSource`. The incomplete line at the start is left out.
 
     Args:
-        port: its name, as /dev/ttyUSB0 or COM3.
+        port: the port's name, such as /dev/ttyUSB0 or COM3.
         baud: bits per second.
-        request: units; of MotionCal's lines those of its counts, where none is named.
+        request: units; by default those of the counts in MotionCal's lines.
 
     Raises:
-        MagycError: here or from `read`: pyserial is not installed, no such port, or it is gone.
+        MagycError: here or from `read`: pyserial is not installed, the port cannot be opened, or it is lost.
     """
 
     def __init__(self, port: str, baud: int, request: Request) -> None:
@@ -38,10 +38,10 @@ class SerialLines(SourceOfLines):
         except (*self._problems, ValueError) as error:
             raise MagycError(f"{port}: cannot be opened at {baud} baud ({error}); is it the right port?") from None
         super().__init__(port, request, ArrivalClock())
-        self._begun = False
+        self._synchronised = False  # whether the start of a line has been seen
 
     def read(self, wait: float = 0.0) -> NewSamples:
-        """As `LiveSource.read`."""
+        """Return the new samples; see `LiveSource.read`."""
         try:
             self._port.timeout = wait
             data = self._port.read(1)
@@ -49,19 +49,19 @@ class SerialLines(SourceOfLines):
                 data += self._port.read(more)
         except self._problems as error:
             raise MagycError(
-                f"{self.name}: is gone ({error}); plug it in and begin again, with the same --state"
+                f"{self.name}: the port is lost ({error}); plug it in and start again with the same --state"
             ) from None
         if not data:
             return nothing()
         self.received += len(data)
-        if not self._begun:
-            line, end, rest = data.partition(b"\n")
-            whole = line.lstrip().startswith((b"{", b"Raw:"))
-            self._begun = bool(end) or whole
-            data = data if whole else rest
+        if not self._synchronised:
+            line, newline, after = data.partition(b"\n")
+            complete = line.lstrip().startswith((b"{", b"Raw:"))
+            self._synchronised = bool(newline) or complete
+            data = data if complete else after
         return self._lines.take(data)
 
     def close(self) -> None:
-        """Let go of the port."""
-        with contextlib.suppress(*self._problems):
+        """Close the port."""
+        with contextlib.suppress(*self._problems):  # closing a port that was unplugged fails, and changes nothing
             self._port.close()

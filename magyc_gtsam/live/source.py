@@ -1,4 +1,4 @@
-"""What sources of samples that are still coming have in common."""
+"""The interface of live sources of samples."""
 
 from __future__ import annotations
 
@@ -12,12 +12,20 @@ SENSORS = ("magnetic_field", "angular_rate")
 
 
 def none() -> Samples:
-    """No samples."""
+    """Return zero samples of one sensor."""
     return Samples(np.empty(0), np.empty((0, 3)))
 
 
+def samples_of(rows: list[list[float]]) -> Samples:
+    """Return the samples in rows [time, x, y, z]."""
+    if not rows:
+        return none()
+    table = np.array(rows)
+    return Samples(table[:, 0], table[:, 1:])
+
+
 class NewSamples(NamedTuple):
-    """New samples of both sensors, T and rad/s at their own stamps in s, in the order in which they came."""
+    """New samples of both sensors in T and rad/s, each with its stamps in s, in the order of arrival."""
 
     magnetometer: Samples
     gyroscope: Samples
@@ -27,20 +35,20 @@ class NewSamples(NamedTuple):
 
 
 def nothing() -> NewSamples:
-    """No samples of either sensor."""
+    """Return zero samples of both sensors."""
     return NewSamples(none(), none())
 
 
 class LiveSource(Protocol):
-    """Samples as they come.
+    """A source of samples while they are measured.
 
     Attributes:
-        name: what to call it.
-        ended: nothing will come any more.
-        received: bytes that have come so far.
-        lost: messages, lines or records that are known to be lost, or could not be used.
-        notes: what had to be left out so far, one sentence each, oldest first.
-        waiting_for: what has not been seen yet of what is needed, "" for nothing.
+        name: the source's name in messages.
+        ended: whether the source has ended.
+        received: number of bytes so far.
+        lost: number of messages, lines or records that were lost or invalid.
+        notes: remarks on data that was left out, one sentence each, oldest first.
+        waiting_for: needed data that has not arrived yet, in words; "" for none.
     """
 
     name: str
@@ -55,7 +63,7 @@ class LiveSource(Protocol):
     def waiting_for(self) -> str: ...
 
     def read(self, wait: float) -> NewSamples:
-        """What has come since the last call; where that is nothing, wait for at most so many seconds."""
+        """Return the samples since the last call; if there are none, wait for up to `wait` s."""
 
     def close(self) -> None:
-        """Let go of file, socket or port."""
+        """Close the file, socket or port."""

@@ -1,4 +1,4 @@
-"""Samples as UDP datagrams, each of one or more whole lines of JSON."""
+"""Samples in UDP datagrams, each with one or more complete lines of JSON."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from magyc_gtsam.live.lines import SourceOfLines
 from magyc_gtsam.live.source import NewSamples, nothing
 
 LOOPBACK = "127.0.0.1"
-_AT_ONCE = 1000  # datagrams of one batch
-_ROOM = 4 << 20  # bytes that the system is asked to keep while nobody reads
-_LARGEST = 65535  # bytes
+_LARGEST_BATCH = 1000  # datagrams
+_RECEIVE_BUFFER = 4 << 20  # bytes that the system keeps while nobody reads
+_LARGEST_DATAGRAM = 65535  # bytes
+_MOST_STRANGERS = 10  # other senders that are noted
 
 
 class UdpLines(SourceOfLines):
-    """Samples from datagrams; a `LiveSource`. The first sender is listened to, others are not.
+    """Samples from UDP datagrams; a `LiveSource`. Only datagrams of the first sender are read.
 
     Args:
-        host: address to listen on; "" is this machine alone (127.0.0.1), "0.0.0.0" every network.
-        port: number; 0 takes one that is free (`port` says which).
+        host: address to listen on; "" for this machine only (127.0.0.1), "0.0.0.0" for every network.
+        port: port number; 0 takes a free one, which the attribute `port` holds.
         request: units.
 
     Raises:
@@ -30,9 +31,9 @@ class UdpLines(SourceOfLines):
 
     def __init__(self, host: str, port: int, request: Request) -> None:
         self._sender: str | None = None
-        self._strange: set[str] = set()
+        self._strangers: set[str] = set()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ROOM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
         try:
             self._socket.bind((host or LOOPBACK, port))
         except (OSError, OverflowError) as error:
@@ -45,29 +46,27 @@ class UdpLines(SourceOfLines):
         super().__init__(f"udp://{host or LOOPBACK}:{self.port}", request)
 
     def read(self, wait: float = 0.0) -> NewSamples:
-        """As `LiveSource.read`."""
+        """Return the new samples; see `LiveSource.read`."""
         if not select.select([self._socket], [], [], wait)[0]:
             return nothing()
         parts = []
-        for _ in range(_AT_ONCE):
+        for _ in range(_LARGEST_BATCH):
             try:
-                data, (sender, _port) = self._socket.recvfrom(_LARGEST)
-            except BlockingIOError:
+                data, (sender, _port) = self._socket.recvfrom(_LARGEST_DATAGRAM)
+            except BlockingIOError:  # all that has arrived is read
                 break
-            except ConnectionResetError:  # Windows says so of an answer that nobody took
+            except ConnectionResetError:  # Windows reports an earlier datagram that was not delivered
                 continue
             self._sender = self._sender or sender
             if sender != self._sender:
-                if sender not in self._strange and len(self._strange) < 10:
-                    self._strange.add(sender)
-                    self.notes.append(
-                        f"{self.name}: {self._sender} is listened to; what {sender} sends is left out"
-                    )
+                if sender not in self._strangers and len(self._strangers) < _MOST_STRANGERS:
+                    self._strangers.add(sender)
+                    self.notes.append(f"{self.name}: {self._sender} is read; datagrams from {sender} are ignored")
                 continue
             self.received += len(data)
             parts.append(data if data.endswith(b"\n") else data + b"\n")
         return self._lines.take(b"".join(parts))
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the socket."""
         self._socket.close()
