@@ -14,7 +14,7 @@ from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
 
 DISTURBED_WEIGHT = 0.5  # a window whose robust weight is below counts as disturbed
-_MOST_ROWS = 400_000  # samples of a log that a page works on; an hour at 100 Hz, beyond it every k-th
+_MOST_ROWS = 200_000  # samples of a log that a page works on; half an hour at 100 Hz, beyond it every k-th
 _CELLS = (24, 12)  # of the coverage map: longitude × latitude, all of the same area
 
 
