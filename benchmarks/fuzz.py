@@ -51,7 +51,7 @@ def exported(path: Path) -> None:
     loaded.export("ardupilot")
 
 
-Reader = tuple[Callable[[Path], tuple[bytes, str]], Callable[[Path], object]]
+Reader = tuple[Callable[[Path, mg.Recording], tuple[bytes, str]], Callable[[Path], object]]
 READERS: dict[str, Reader] = {
     "mcap": (files.mcap, log),
     "mcap-plain": (files.mcap_plain, log),
@@ -105,7 +105,7 @@ def main(name: str, count: int, seed: int = 0) -> int:
     internal: dict[str, str] = {}
     slowest = 0.0
     with tempfile.TemporaryDirectory() as folder:
-        whole, suffix = make(Path(folder))
+        whole, suffix = make(Path(folder), files.recording())
         use(_written(Path(folder) / f"whole{suffix}", whole))
         try:
             for k in range(count):

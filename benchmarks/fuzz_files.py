@@ -1,4 +1,4 @@
-"""Small logs and files of the package's own, each whole, for `fuzz.py` to damage."""
+"""Write a recording in every format that is read, and files of the package's own; `fuzz.py` damages them."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def recording(n: int = 40) -> mg.Recording:
     return mg.Recording(np.arange(n) / 20, field, rate, acceleration=rate, channels={"current": rate[:, 0]})
 
 
-def mcap(folder: Path) -> tuple[bytes, str]:
-    write_mcap(folder / "a.mcap", recording(), epoch=10**18)
+def mcap(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
+    write_mcap(folder / "a.mcap", made, epoch=10**18)
     return (folder / "a.mcap").read_bytes(), ".mcap"
 
 
-def mcap_plain(folder: Path) -> tuple[bytes, str]:
-    write_mcap(folder / "a.mcap", recording(), epoch=10**18, compression=None)
+def mcap_plain(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
+    write_mcap(folder / "a.mcap", made, epoch=10**18, compression=None)
     return (folder / "a.mcap").read_bytes(), ".mcap"
 
 
-def dataflash(folder: Path) -> tuple[bytes, str]:
+def dataflash(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     formats = {
         "FMT": (128, "BBnNZ", "<BB4s16s64s", "Type,Length,Name,Format,Columns"),
         "PARM": (64, "QNf", "<Q16sf", "TimeUS,Name,Value"),
@@ -47,14 +47,14 @@ def dataflash(folder: Path) -> tuple[bytes, str]:
 
     data = b"".join(add("FMT", n, 3 + struct.calcsize(s), k, c, names) for k, (n, c, s, names) in formats.items())
     data += add("PARM", 0, "COMPASS_OFS_X", 10.0)
-    made = recording()
-    for k, m in enumerate((made.magnetic_field * 1e7).round().astype(int).tolist()):
-        data += add("MAG", 50_000 * k, 0, *m, 10, 0, 0, 0, 0, 0, 1)
-        data += add("IMU", 50_000 * k, 0, *made.angular_rate[k], 0.0, 0.0, -9.8)
+    field = (made.magnetic_field * 1e7).round().astype(int).tolist()
+    for at, m, w in zip(_micro(made), field, made.angular_rate, strict=True):
+        data += add("MAG", at, 0, *m, 10, 0, 0, 0, 0, 0, 1)
+        data += add("IMU", at, 0, *w, 0.0, 0.0, -9.8)
     return data, ".bin"
 
 
-def ulog(folder: Path) -> tuple[bytes, str]:
+def ulog(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     """Only what PX4's own format needs: definitions, one subscription a message, data."""
 
     def message(kind: str, content: bytes) -> bytes:
@@ -67,15 +67,13 @@ def ulog(folder: Path) -> tuple[bytes, str]:
         key = f"int32_t {name}".encode()
         data += message("P", bytes([len(key)]) + key + struct.pack("<i", value))
     data += message("A", struct.pack("<BH", 0, 3) + b"sensor_combined")
-    made = recording()
-    for k in range(len(made.time)):
-        row = struct.pack("<Q6f", 50_000 * (k + 1), *made.angular_rate[k], *made.magnetic_field[k] * 1e4)
+    for at, w, m in zip(_micro(made), made.angular_rate, made.magnetic_field * 1e4, strict=True):
+        row = struct.pack("<Q6f", at + 50_000, *w, *m)
         data += message("D", struct.pack("<H", 3) + row)
     return data, ".ulg"
 
 
-def csv(folder: Path) -> tuple[bytes, str]:
-    made = recording()
+def csv(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     rows = [
         ",".join(f"{x:.9g}" for x in (t, *m, *w))
         for t, m, w in zip(made.time, made.magnetic_field, made.angular_rate, strict=True)
@@ -83,22 +81,21 @@ def csv(folder: Path) -> tuple[bytes, str]:
     return ("t,mx,my,mz,gx,gy,gz\n" + "\n".join(rows) + "\n").encode(), ".csv"
 
 
-def calibration(folder: Path) -> tuple[bytes, str]:
+def calibration(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     deviations = np.diag(np.arange(1.0, 13.0) * 1e-14)
     cal = mg.Calibration(np.eye(3) + 0.01, [1e-5, 2e-5, 3e-5], [1e-3, 0, 0], deviations, method="smoother")
     cal.save(folder / "a.yaml")
     return (folder / "a.yaml").read_bytes(), ".yaml"
 
 
-def state(folder: Path) -> tuple[bytes, str]:
+def state(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     online = mg.OnlineCalibrator()
-    made = recording()
     online.update(made.time, made.magnetic_field, made.angular_rate)
     online.save(folder / "a.npz")
     return (folder / "a.npz").read_bytes(), ".npz"
 
 
-def ros_bag(folder: Path) -> tuple[bytes, str]:
+def ros_bag(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     """A bag of ROS 1, by the library that reads it."""
     from rosbags import rosbag1
     from rosbags.typesys import Stores, get_typestore
@@ -106,28 +103,28 @@ def ros_bag(folder: Path) -> tuple[bytes, str]:
     types = get_typestore(Stores.ROS1_NOETIC)
     (folder / "a.bag").unlink(missing_ok=True)
     with rosbag1.Writer(folder / "a.bag") as bag:
-        for topic, kind, messages in _ros_messages(types, ros1=True):
+        for topic, kind, messages in _ros_messages(types, made, ros1=True):
             connection = bag.add_connection(topic, kind, typestore=types)
             for stamp, data in messages:
                 bag.write(connection, stamp, data)
     return (folder / "a.bag").read_bytes(), ".bag"
 
 
-def ros_database(folder: Path) -> tuple[bytes, str]:
+def ros_database(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     """A bag of ROS 2 in SQLite, likewise."""
     from rosbags import rosbag2
     from rosbags.typesys import Stores, get_typestore
 
     types = get_typestore(Stores.ROS2_HUMBLE)
     with rosbag2.Writer(folder / "b", version=9) as bag:
-        for topic, kind, messages in _ros_messages(types, ros1=False):
+        for topic, kind, messages in _ros_messages(types, made, ros1=False):
             connection = bag.add_connection(topic, kind, typestore=types)
             for stamp, data in messages:
                 bag.write(connection, stamp, data)
     return next((folder / "b").glob("*.db3")).read_bytes(), ".db3"
 
 
-def _ros_messages(types: Any, ros1: bool) -> list[tuple[str, str, list[tuple[int, bytes]]]]:
+def _ros_messages(types: Any, made: mg.Recording, ros1: bool) -> list[tuple[str, str, list[tuple[int, bytes]]]]:
     known = types.types
     time, header = known["builtin_interfaces/msg/Time"], known["std_msgs/msg/Header"]
     vector, quaternion = known["geometry_msgs/msg/Vector3"], known["geometry_msgs/msg/Quaternion"]
@@ -135,9 +132,9 @@ def _ros_messages(types: Any, ros1: bool) -> list[tuple[str, str, list[tuple[int
     serialize = types.serialize_ros1 if ros1 else types.serialize_cdr
     field, inertial = "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/Imu"
     topics: dict[str, list[tuple[int, bytes]]] = {field: [], inertial: []}
-    made = recording()
-    for k, (m, w) in enumerate(zip(made.magnetic_field.tolist(), made.angular_rate.tolist(), strict=True)):
-        stamp = START + 50_000_000 * k
+    samples = zip(_micro(made), made.magnetic_field.tolist(), made.angular_rate.tolist(), strict=True)
+    for k, (micro, m, w) in enumerate(samples):
+        stamp = START + 1000 * micro
         at = time(stamp // 10**9, stamp % 10**9)
         head = header(k, at, "imu") if ros1 else header(at, "imu")
         for kind, message in (
@@ -148,34 +145,33 @@ def _ros_messages(types: Any, ros1: bool) -> list[tuple[str, str, list[tuple[int
     return [("/mag", field, topics[field]), ("/imu", inertial, topics[inertial])]
 
 
-def telemetry(folder: Path) -> tuple[bytes, str]:
+def telemetry(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     """Messages of MAVLink behind stamps, as a ground station writes them."""
     from pymavlink.dialects.v20 import ardupilotmega
 
     data = io.BytesIO()
     link = ardupilotmega.MAVLink(data, srcSystem=1)
-    made = recording()
     rows = np.c_[made.angular_rate * 1e3, made.magnetic_field * 1e7].round().astype(int).tolist()
-    for k, row in enumerate(rows):
-        message = ardupilotmega.MAVLink_scaled_imu2_message(1000 + 50 * k, 0, 0, -1000, *row)
-        data.write((START // 1000 + 50_000 * k).to_bytes(8, "big") + message.pack(link))
+    for at, row in zip(_micro(made), rows, strict=True):
+        message = ardupilotmega.MAVLink_scaled_imu2_message(1000 + at // 1000, 0, 0, -1000, *row)
+        data.write((START // 1000 + at).to_bytes(8, "big") + message.pack(link))
     return data.getvalue(), ".tlog"
 
 
-def phone(folder: Path) -> tuple[bytes, str]:
+def phone(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     """An archive as Sensor Logger makes it."""
-    made, data = recording(), io.BytesIO()
+    data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in (("Magnetometer", made.magnetic_field * 1e6), ("Gyroscope", made.angular_rate)):
             rows = [
-                f"{START + 50_000_000 * k},{k / 20},{v[2]!r},{v[1]!r},{v[0]!r}"
-                for k, v in enumerate(values.tolist())
+                f"{START + 1000 * at},{at / 1e6!r},{z!r},{y!r},{x!r}"
+                for at, (x, y, z) in zip(_micro(made), values.tolist(), strict=True)
             ]
             archive.writestr(f"{name}.csv", "time,seconds_elapsed,z,y,x\n" + "\n".join(rows))
     return data.getvalue(), ".zip"
 
 
-def blackbox(folder: Path) -> tuple[bytes, str]:
+def blackbox(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
     """A log of I frames alone, of which nothing is predicted."""
     names = ["loopIteration", "time", *(f"{k}[{i}]" for k in ("gyroADC", "accSmooth", "magADC") for i in range(3))]
     lines = [
@@ -194,12 +190,11 @@ def blackbox(folder: Path) -> tuple[bytes, str]:
         "Field P predictor:1,1" + ",1" * 9,
         "Field P encoding:0,0" + ",0" * 9,
     ]
-    made = recording()
     rate, field = np.degrees(made.angular_rate) / 0.0625, made.magnetic_field / 4e-8
     rows = np.c_[rate, np.tile([0.0, 0.0, 4096.0], (len(rate), 1)), field].round().astype(int)
     frames = b"".join(
-        b"I" + b"".join(map(_variable_byte, [k, 50_000 * k, *((v << 1) ^ (v >> 31) for v in row)]))
-        for k, row in enumerate(rows.tolist())
+        b"I" + b"".join(map(_variable_byte, [k, at, *((v << 1) ^ (v >> 31) for v in row)]))
+        for k, (at, row) in enumerate(zip(_micro(made), rows.tolist(), strict=True))
     )
     return "".join(f"H {line}\n" for line in lines).encode() + frames + b"E\xffEnd of log\0", ".bbl"
 
@@ -211,3 +206,8 @@ def _variable_byte(value: int) -> bytes:
         result.append((value & 127) | 128)
         value >>= 7
     return bytes([*result, value])
+
+
+def _micro(made: mg.Recording) -> list[int]:
+    """µs since the first sample."""
+    return [round(at) for at in ((made.time - made.time[0]) * 1e6).tolist()]

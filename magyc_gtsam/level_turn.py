@@ -207,9 +207,10 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
             if np.count_nonzero(upright < 0) > np.count_nonzero(upright > 0):
                 up = -up
         return up
-    if acceleration is not None and np.isfinite(acceleration).any():
+    if acceleration is not None:
         norm = np.linalg.norm(acceleration, axis=1, keepdims=True)
-        return acceleration / np.where(norm > 0, norm, np.nan)
+        if (norm > 0).any():  # else it was not measured: NaN, or zeros in its place
+            return acceleration / np.where(norm > 0, norm, np.nan)
     return None
 
 

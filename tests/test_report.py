@@ -120,6 +120,12 @@ def test_level_turn_is_the_error_of_the_raw_heading() -> None:
     assert np.abs(turn.raw_error(SOFT_IRON, HARD_IRON)).max() == pytest.approx(largest, abs=0.3)
 
 
+def test_zeros_in_place_of_an_acceleration_are_no_vertical() -> None:
+    bare = replace(simulated(), attitude=None, acceleration=None)
+    zeros = turn_of(replace(bare, acceleration=np.zeros_like(bare.magnetic_field)), good())
+    assert (zeros.dip, zeros.about) == (60.0, turn_of(bare, good()).about)
+
+
 def test_systematic_heading_error_is_the_spread_of_calibrations() -> None:
     calibration = good()
     assert calibration.covariance is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import shutil
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,9 @@ from served import DIVE, PATIENCE, Served
 
 import magyc_gtsam as mg
 from magyc_gtsam.io import write_mcap
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import fuzz_files
 
 pytest.importorskip("starlette", reason="pip install 'magyc-gtsam[serve]'")
 pytest.importorskip("uvicorn", reason="pip install 'magyc-gtsam[serve]'")
@@ -123,6 +127,28 @@ def test_drop_a_log_drag_an_interval_and_calibrate(
     assert report.evaluate("origin") == "null", "a report's script is nobody's"
     page.locator("#remove").click()
     page.locator("#log").wait_for(state="hidden")
+
+
+def test_logs_of_every_other_format(served: Served, visit: Callable[..., Any], tmp_path: Path) -> None:
+    """Each written by its format's library or description, dropped, and calibrated as on the command line."""
+    page, part = visit(served), mg.read(DIVE, end=240.0)
+    for make in (
+        fuzz_files.dataflash,
+        fuzz_files.ulog,
+        fuzz_files.ros_bag,
+        fuzz_files.ros_database,
+        fuzz_files.telemetry,
+        fuzz_files.phone,
+    ):
+        content, suffix = make(tmp_path, part)
+        file = tmp_path / f"{make.__name__}{suffix}"
+        file.write_bytes(content)
+        page.set_input_files("#files", str(file))
+        folder = result(page, served, f"{file.name} · calibration")
+        expected = mg.calibrate(mg.read(file))
+        found = mg.Calibration.load(folder / "calibration.yaml")
+        for name in ("soft_iron", "hard_iron", "gyro_bias", "covariance"):
+            np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=suffix)
 
 
 def test_a_log_that_cannot_be_read_says_why(served: Served, visit: Callable[..., Any]) -> None:

@@ -22,6 +22,7 @@ from magyc_gtsam.recording import Recording
 
 _AT_ONCE = 4096  # messages
 _LARGEST = 1 << 24  # bytes of a message
+_KEPT = 1 << 26  # bytes of unpacked chunks of ROS 1; a chunk is 768 kB as a rule
 SQLITE = b"SQLite format 3\0"
 
 
@@ -113,16 +114,21 @@ def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iter
 def _bound(bag: Any, path: Path) -> None:
     """Let no chunk of a bag that is open unpack to more than it announces, nor all to far more than the file.
 
-    The library unpacks in full whatever a chunk holds, and once more each time that messages of two take turns.
+    The library unpacks in full whatever a chunk holds, and once more each time that messages of two take turns, as
+    they do where a bag was written topic by topic: so the latest chunks are kept.
     """
     from rosbags.rosbag1.reader import Header, RecordType
 
     size = path.stat().st_size
     left = UNPACKED[0] * size + UNPACKED[1]
+    kept: dict[int, bytes] = {}  # by place, the one that was used last at the end
 
-    def bounded(compression: str, announced: int) -> Callable[[bytes], bytes]:
+    def bounded(place: int, compression: str, announced: int) -> Callable[[bytes], bytes]:
         def unpack(data: bytes) -> bytes:
             nonlocal left
+            if place in kept:
+                kept[place] = kept.pop(place)
+                return kept[place]
             result = (
                 _unbzipped(data, announced)
                 if compression == "bz2"
@@ -134,6 +140,9 @@ def _bound(bag: Any, path: Path) -> None:
                     f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, which no log of measurements "
                     "does; refused before it fills the memory"
                 )
+            kept[place] = result
+            while len(kept) > 1 and sum(map(len, kept.values())) > _KEPT:
+                del kept[next(iter(kept))]
             return result
 
         return unpack
@@ -141,7 +150,7 @@ def _bound(bag: Any, path: Path) -> None:
     for place, chunk in bag.chunks.items():
         bag.bio.seek(place)
         head = Header.read(bag.bio, RecordType.CHUNK)
-        unpack = bounded(head.get_string("compression"), head.get_uint32("size"))
+        unpack = bounded(place, head.get_string("compression"), head.get_uint32("size"))
         bag.chunks[place] = chunk._replace(decompressor=unpack)
 
 
