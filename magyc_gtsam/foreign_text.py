@@ -64,3 +64,33 @@ def clauses(message: str) -> list[str]:
             parts.append(message[start:place].strip())
             start = place + 1
     return [part for part in (*parts, message[start:].strip()) if part]
+
+
+def cause_and_action(message: str) -> tuple[str, str]:
+    """A message of the form "cause (numbers): remedy" without its numbers, to at most 30 words."""
+    cause, _, action = message.partition(": ")
+    if len(f"{cause} {action}".split()) > MOST_WORDS:
+        cause = _without_brackets(cause)
+    if len(f"{cause} {action}".split()) > MOST_WORDS:
+        action = _cut_to_words(action, MOST_WORDS - min(len(cause.split()), MOST_WORDS))
+    return _cut_to_words(cause, MOST_WORDS), action
+
+
+def _without_brackets(text: str) -> str:
+    while " (" in text and ")" in text[text.index(" (") :]:
+        start = text.index(" (")
+        text = text[:start] + text[text.index(")", start) + 1 :]
+    return text
+
+
+def _cut_to_words(text: str, words: int) -> str:
+    """As many whole clauses as fit, or as many words where not even one does."""
+    kept = ""
+    for clause in text.replace("; ", ", ").split(", "):
+        longer = f"{kept}, {clause}" if kept else clause
+        if len(longer.split()) > words:
+            break
+        kept = longer
+    if kept or not text or words < 2:
+        return kept
+    return " ".join(text.split()[: words - 1]) + " …"

@@ -15,6 +15,7 @@ from magyc_gtsam.gap.doubt import Doubt, doubted, left_open, with_doubt
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.field_variation import field_variation
 from magyc_gtsam.gap.fine import Fine, fine_innovations
+from magyc_gtsam.gap.judged import judged
 from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.moved import against, contradiction, moved
 from magyc_gtsam.gap.naming import Found, Look, as_found, term_places
@@ -117,6 +118,8 @@ def gap_of(
     if contradicted and word == "none":
         word = "closed"  # by the fit: the calibration was the model, and it does not hold
     wanted = manoeuvre(first, found, word, open_places)
+    given, fitted = (final, corrected) if applied else (started, base)
+    used, untrusted = judged(given, fitted, result.recording, strength)
     gap = Gap(
         verdict=word,
         sentence=contradiction(contradicted) + sentence,
@@ -127,8 +130,8 @@ def gap_of(
         after=after,
         moved=contradicted
         + tuple(row for row in shifted if row.name not in {known.name for known in contradicted}),
-        calibration=final if applied else started,
-        base=started,
+        calibration=used,
+        base=started if applied else used,
         next_manoeuvre=wanted,
         diagnostics={
             "windows": first.refit.twin.n,
@@ -138,7 +141,7 @@ def gap_of(
         },
     )
     if word in ("none", "closed"):
-        return gap
+        return gap if untrusted is None else replace(gap, doubt=untrusted)
     if CLOCK_DRIFT in result.leftover:
         return with_doubt(gap, APART_IN_BRIEF)
     missing = place_of(result.leftover, last) if result.leftover else ""

@@ -107,7 +107,7 @@ def refit(problem: Problem, model: Model, short_term: SensorNoise | None) -> Ref
     for _ in range(_ROUNDS if short_term is not None else 1):
         for _ in range(_STEPS):
             base = twin.base_columns
-            precision, value = _prior(twin)
+            precision, value = prior_of(twin)
             gradient = base @ twin.residual().ravel() - twin.base_pull + precision * value
             information = base @ base.T + np.diag(precision)
             if not np.isfinite(information).all():
@@ -219,7 +219,7 @@ def _inverse(information: Array) -> Array:
     return result
 
 
-def _prior(twin: Twin) -> tuple[Array, Array]:
+def prior_of(twin: Twin) -> tuple[Array, Array]:
     """(q,) precision of the free parameters and the terms before anything was measured, and the values it holds to 0.
 
     What a motion does not determine of a term stays where the data sheet has it.
@@ -235,7 +235,7 @@ def _prior(twin: Twin) -> tuple[Array, Array]:
 
 
 def _cost(twin: Twin) -> float:
-    precision, value = _prior(twin)
+    precision, value = prior_of(twin)
     return float(twin.reduced.cost + 0.5 * precision @ value**2)
 
 

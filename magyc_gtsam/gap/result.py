@@ -265,7 +265,7 @@ class Gap:
             settled before).
         assumptions: of the user's simulator, where one was given.
         next_manoeuvre: None where there is nothing to tell apart.
-        doubt: why the calibration must not be used, and what to do; None where the verdict is "none" or "closed".
+        doubt: why the calibration must not be used, and what to do; None where it may be.
         probabilities: of every name, of "field-variation" (the field of the place varies), of "unknown" (something that
             is in no catalogue) and of "nothing"; empty where nothing was tested.
         diagnostics: about the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from magyc_gtsam.foreign_text import clauses
+from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.recording import Array
-from magyc_gtsam.report.verdict import Verdict, cause_and_action
+from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import uncertain
 from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 

@@ -126,10 +126,11 @@ def judged_gap(gap: Gap, validation: Validation | None = None, unjudged: str = "
     contradiction = None if validation is None else contradicted(gap, validation)
     if unjudged:
         contradiction = "The result could not be judged on the other log", Doubt(unjudged, "give another log"), ""
-    if not closed(gap):
-        assert gap.doubt is not None  # whatever is left open says why
+    if gap.doubt is not None:
         doubts = [] if contradiction is None else [f"{contradiction[0]}: {contradiction[1].cause}"]
-        return _refused(title(gap), gap.doubt, (*doubts, *whole, noise))
+        # Of a gap that is closed it is the calibration that is in doubt, not what was found.
+        called = "" if closed(gap) else title(gap)
+        return _refused(called, gap.doubt, (*doubts, title(gap), *whole, noise))
     if contradiction is not None:
         called, doubt, more = contradiction
         return _refused(called, doubt, (more, f"On its own log: {title(gap)}", *whole, noise))
@@ -171,7 +172,7 @@ def _details(sentences: Sequence[str], *told: str) -> tuple[str, ...]:
 
 def as_judged(gap: Gap, verdict: Verdict) -> Gap:
     """The gap with a calibration that is refused wherever the verdict is against it."""
-    if verdict.trusted or not closed(gap):
+    if verdict.trusted or gap.doubt is not None:
         return gap
     title = f"{verdict.title[:1].lower()}{verdict.title[1:]}"
     return with_doubt(gap, Doubt(f"{title}, {verdict.cause}", verdict.action))

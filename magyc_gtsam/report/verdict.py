@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import beyond_turning, field_jumps
-from magyc_gtsam.foreign_text import MOST_WORDS, clauses
+from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.level_turn import HeadingUncertainty
 from magyc_gtsam.recording import Recording
 
@@ -149,36 +149,6 @@ def _joined(remedies: list[str]) -> str:
     *first, last = sorted(remedies[:2], key=lambda remedy: remedy.startswith("record"))
     again = last if last.startswith("record") else f"{last}, and record again"
     return ", ".join([*first, again])
-
-
-def cause_and_action(message: str) -> tuple[str, str]:
-    """A message of the form "cause (numbers): remedy" without its numbers, to at most 30 words."""
-    cause, _, action = message.partition(": ")
-    if len(f"{cause} {action}".split()) > MOST_WORDS:
-        cause = _without_brackets(cause)
-    if len(f"{cause} {action}".split()) > MOST_WORDS:
-        action = cut_to_words(action, MOST_WORDS - min(len(cause.split()), MOST_WORDS))
-    return cut_to_words(cause, MOST_WORDS), action
-
-
-def _without_brackets(text: str) -> str:
-    while " (" in text and ")" in text[text.index(" (") :]:
-        start = text.index(" (")
-        text = text[:start] + text[text.index(")", start) + 1 :]
-    return text
-
-
-def cut_to_words(text: str, words: int) -> str:
-    """As many whole clauses as fit, or as many words where not even one does."""
-    kept = ""
-    for clause in text.replace("; ", ", ").split(", "):
-        longer = f"{kept}, {clause}" if kept else clause
-        if len(longer.split()) > words:
-            break
-        kept = longer
-    if kept or not text or words < 2:
-        return kept
-    return " ".join(text.split()[: words - 1]) + " …"
 
 
 def _details(calibration: Calibration) -> tuple[str, ...]:

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
+import numpy as np
+
 from magyc_gtsam.estimators.model_error.components import likeliest_of_each
 from magyc_gtsam.estimators.model_error.families import ColumnFamily
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
@@ -18,6 +20,9 @@ _SAYS = 1.0  # nats of gain, below which nothing depends on a family
 # Of what is new in a column, the share that may be the gyroscope's noise: 0.02 at most on the four motions of the
 # papers, 0.03 to 0.6 on vehicles that hardly tilt or turn at 0.03 rad/s, where scores are off by 3 to 17 nats.
 _NOISE_SHARE = 0.03
+# Of a column, the share that terms of the model must leave: they are made of samples, columns of windows, so that one
+# of a term's own form keeps 0.001 to 0.005 of the gyroscope's noise.
+_BESIDE_TERMS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +63,7 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Teste
     result = beside.moves([each.new for each in families])
     for each, move in zip(families, result, strict=True):
         if each.family.at_end is not None:
-            there = each.family.at_end(motion)
+            there = each.family.at_end(motion) * _beside_terms(each.new)
             move[: len(there)] -= there
     return result
 
@@ -66,7 +71,13 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Teste
 def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[Tested]:
     """Each family by itself."""
     new = beside.of_each([partial(family.columns, motion) for family in families])
-    return [_of_the_motion(beside, motion, each) for each in _tested(beside, families, new)]
+    return [_informative(beside, motion, each) for each in _tested(beside, families, new)]
+
+
+def _beside_terms(new: New) -> np.ndarray:
+    """(k,) bool, which columns are more than terms of the model."""
+    result: np.ndarray = new.left_by_terms > _BESIDE_TERMS
+    return result
 
 
 def _tested(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Sequence[New]) -> list[Tested]:
@@ -77,17 +88,18 @@ def _tested(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Seque
     return [Tested(family, own, group, best.gain) for family, own, group, best in each]
 
 
-def _of_the_motion(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
-    """Without the columns that the gyroscope's noise makes up, where the data speak for the family.
+def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
+    """Where the data speak for the family: without the columns that are terms, or that the gyroscope's noise makes up.
 
     That noise is in the residual as well, so that the score of such a column is biased.
     """
-    family = tested.family
-    if not family.from_rate or tested.gain < _SAYS:
+    family, kept = tested.family, _beside_terms(tested.new)
+    if tested.gain < _SAYS or (kept.all() and not family.from_rate):
         return tested
-    columns, noisier = family.columns(motion).dense, family.columns(motion.noisier).dense
-    noise = beside.of(columns.less(noisier)).normal.diagonal()
-    kept = noise < _NOISE_SHARE * tested.new.normal.diagonal()
+    columns = family.columns(motion).dense
+    if family.from_rate:
+        noise = beside.of(columns.less(family.columns(motion.noisier).dense)).normal.diagonal()
+        kept &= noise < _NOISE_SHARE * tested.new.normal.diagonal()
     if kept.all():
         return tested
     return _tested(beside, [family], [beside.of(columns.only(kept))])[0]

@@ -9,7 +9,7 @@ what they can,
 Products are all that is needed, and the elimination of the fit has half of them: with L Lᵀ the directions' matrix, C
 the directions' Jacobian against columns and Z = L⁻¹ C, directions leave XᵀX − ZᵀZ. Columns and parameters are taken
 through the same steps, so that their joint matrix has no negative direction but for rounding, for which all have a
-trace of information of their own.
+trace of information of their own. Terms of a model beyond θ are parameters like its own, held by their priors.
 """
 
 from __future__ import annotations
@@ -50,6 +50,15 @@ class New:
     make: Make
     beside: ColumnProducts
 
+    @property
+    def left_by_terms(self) -> Array:
+        """(k,) share of what is new beside θ in each column that is new beside the terms, too; 1 without terms."""
+        own, terms = self.normal.diagonal(), self.beside.fit.terms
+        if terms is None:
+            return np.ones(len(own))
+        held: Array = np.square(self.explained[-terms.columns.size :]).sum(axis=0)
+        return own / np.maximum(own + held, 1e-300)
+
     @cached_property
     def absorbed(self) -> Array:
         """(k, 2n) Zᵀ."""
@@ -86,7 +95,7 @@ class ColumnProducts:
         """Degrees of freedom of the residual: a window that is weighed down counts for less."""
         fit = self.fit
         weights = fit.weights.window.sum() * 3 + fit.weights.link[fit.chain.windows.linked].sum() * 2
-        return float(max(weights - 2 * len(fit.chain.windows) - fit.free.sum(), 1.0))
+        return float(max(weights - 2 * len(fit.chain.windows) - self._free.sum(), 1.0))
 
     @cached_property
     def square(self) -> float:
@@ -124,7 +133,7 @@ class ColumnProducts:
         left, each = self._left, list(groups.values())
         part = self._products(each) if isinstance(each[0], Products) else self._dense(each)
         absorbed = solved(self._factor, part.border)
-        explained = self._explained(part.pull - self.fit.reduced.half[:, : len(part.pull)].T @ absorbed.T)
+        explained = self._explained(part.pull - self._of_parameters.half @ absorbed.T)
         score = absorbed @ left.absorbed + explained.T @ left.explained - part.score
         result, first = {}, 0
         for i, group in groups.items():
@@ -145,19 +154,19 @@ class ColumnProducts:
 
     def _dense(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
         """The products of any columns."""
-        reduced, left, size = self.fit.reduced, self._left, len(self.fit.free)
+        own, left = self._of_parameters, self._left
         window = _whitened([group.window for group in groups], self.window_scale)
         link = _whitened([group.link for group in groups], self.link_scale)
         count = sum(group.size for group in groups)
         border = self._border(count, window, link)
-        pull, score = np.zeros((size, count)), np.zeros(count)
+        pull, score = np.zeros((len(self._free), count)), np.zeros(count)
         if window is not None:
             window = window.reshape(count, -1)
-            pull += reduced.on_parameters.reshape(size, -1) @ window.T
+            pull += own.window.reshape(len(pull), -1) @ window.T
             score += window @ left.window
         if link is not None:
             link = link.reshape(count, -1)
-            pull[9:12] += self._on_bias @ link.T
+            pull[own.linked] += own.link @ link.T
             score += link @ left.link
         parts = [part for part in (window, link) if part is not None]
 
@@ -171,7 +180,7 @@ class ColumnProducts:
 
     def _products(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
         """Those of profiles along the same axes: what the axes have is the same for all profiles."""
-        reduced, size = self.fit.reduced, len(self.fit.free)
+        own, size = self._of_parameters, len(self._free)
         products = [group for group in groups if isinstance(group, Products)]
         axes, profiles = (
             products[0].axes * self.window_scale,
@@ -180,7 +189,7 @@ class ColumnProducts:
         (count, _, n), transposed = axes.shape, profiles.T
         of_axes = self._border(count, axes, None)
         border = (np.repeat(profiles, 2, axis=1)[:, None] * of_axes).reshape(-1, 2 * n)
-        on_parameters = np.einsum("pin,bin->pbn", reduced.on_parameters, axes)
+        on_parameters = np.einsum("pin,bin->pbn", own.window, axes)
         pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
         score = along(self._left.window.reshape(3, n), axes) @ transposed
         between = np.einsum("ain,bin->abn", axes, axes)
@@ -202,9 +211,9 @@ class ColumnProducts:
         if not groups:
             return []
         explained = np.concatenate([new.explained for new in groups], axis=1)
-        result = np.zeros((len(self.fit.free), explained.shape[1]))
-        result[self.fit.free] = self._scale[:, None] * (self._inverse_root.T @ explained)
-        return np.split(result, np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
+        result = np.zeros((len(self._free), explained.shape[1]))
+        result[self._free] = self._scale[:, None] * (self._inverse_root.T @ explained)
+        return np.split(result[: len(self.fit.free)], np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
 
     def _border(self, count: int, window: Array | None, link: Array | None) -> Array:
         """(k, 2n) products of the directions' Jacobian with whitened columns."""
@@ -225,27 +234,34 @@ class ColumnProducts:
 
     def _explained(self, pull: Array) -> Array:
         """The root of what the free parameters explain, of products (P, k) with all."""
-        result: Array = self._inverse_root @ (self._scale[:, None] * pull[self.fit.free])
+        result: Array = self._inverse_root @ (self._scale[:, None] * pull[self._free])
         return result
 
     @cached_property
     def _left(self) -> _Left:
-        fit, reduced = self.fit, self.fit.reduced
+        fit = self.fit
         residuals = fit.residuals
-        window = residuals.window * (np.sqrt(fit.weights.window) * fit.chain.window_scale)
+        window = residuals.window * self._residual_scale
         link = residuals.link * self.link_scale
         absorbed = solved(self._factor, self._border(1, window[None], link[None]))[0]
-        pull = reduced.on_parameters.reshape(len(fit.free), -1) @ window.ravel()
-        pull[9:12] += self._on_bias @ link.ravel()
-        pull -= absorbed @ reduced.half[:, : len(pull)]
+        own = self._of_parameters
+        pull = own.window.reshape(len(self._free), -1) @ window.ravel() - own.half @ absorbed
+        pull[own.linked] += own.link @ link.ravel()
+        if fit.terms is not None:
+            pull[len(fit.free) :] += fit.terms.precision * fit.terms.value
         return _Left(window.ravel(), link.ravel(), absorbed, self._explained(pull[:, None])[:, 0])
 
     @cached_property
     def window_scale(self) -> Array:
         """(n,) or (3, n) 1/T, what whitens columns of the windows."""
-        chain = self.fit.chain
-        scale = np.sqrt(self.fit.weights.window) * chain.window_scale
-        return scale if chain.answer is None else chain.answer * scale
+        answer = self.fit.chain.answer
+        return self._residual_scale if answer is None else answer * self._residual_scale
+
+    @cached_property
+    def _residual_scale(self) -> Array:
+        """(n,) 1/T, what whitens residuals of the windows."""
+        result: Array = np.sqrt(self.fit.weights.window) * self.fit.chain.window_scale
+        return result
 
     @cached_property
     def link_scale(self) -> Array:
@@ -253,28 +269,66 @@ class ColumnProducts:
         return np.sqrt(self.fit.weights.link) * self.fit.chain.link_scale
 
     @cached_property
-    def _on_bias(self) -> Array:
-        """(3, 3n − 3) the links' Jacobian."""
-        return np.ascontiguousarray(self.fit.reduced.on_bias.swapaxes(0, 1)).reshape(3, -1)
+    def _free(self) -> np.ndarray:
+        """(p,) bool, of θ and of the terms, all of which are."""
+        terms = self.fit.terms
+        return (
+            self.fit.free if terms is None else np.append(self.fit.free, np.ones(terms.columns.size, dtype=bool))
+        )
+
+    @cached_property
+    def _of_parameters(self) -> _OfParameters:
+        fit, reduced, size = self.fit, self.fit.reduced, len(self.fit.free)
+        on_bias = np.ascontiguousarray(reduced.on_bias.swapaxes(0, 1)).reshape(3, -1)
+        half = reduced.half[:, :size].T
+        terms = fit.terms
+        if terms is None:
+            return _OfParameters(reduced.on_parameters, np.arange(9, 12), on_bias, half, reduced.information)
+        count, (own_window, own_link) = terms.columns.size, terms.columns
+        windows = (count, 3, len(fit.chain.windows))
+        window = np.zeros(windows) if own_window is None else own_window * self._residual_scale
+        link = np.zeros((count, 3, windows[2] - 1)) if own_link is None else own_link * self.link_scale
+        absorbed = solved(self._factor, self._border(count, window, link))
+        flat, flat_link = window.reshape(count, -1), link.reshape(count, -1)
+        across = reduced.on_parameters.reshape(size, -1) @ flat.T - half @ absorbed.T
+        across[9:12] += on_bias @ flat_link.T
+        square = flat @ flat.T + flat_link @ flat_link.T - absorbed @ absorbed.T + np.diag(terms.precision)
+        return _OfParameters(
+            np.concatenate([reduced.on_parameters, window]),
+            np.append(np.arange(9, 12), np.arange(size, size + count)),
+            np.concatenate([on_bias, flat_link]),
+            np.concatenate([half, absorbed]),
+            np.block([[reduced.information, across], [across.T, square]]),
+        )
 
     @cached_property
     def _scale(self) -> Array:
         """(free,) one over the norm of each parameter's own column."""
-        reduced = self.fit.reduced
-        flat = reduced.on_parameters.reshape(len(self.fit.free), -1)
-        square = np.maximum(np.einsum("pm,pm->p", flat, flat), np.diag(reduced.information))
-        square[9:12] += np.einsum("km,km->k", self._on_bias, self._on_bias)
-        result: Array = 1 / np.sqrt(np.maximum(square[self.fit.free], 1e-300))
+        own = self._of_parameters
+        square = np.maximum(np.einsum("pin,pin->p", own.window, own.window), np.diag(own.information))
+        square[own.linked] += np.einsum("km,km->k", own.link, own.link)
+        result: Array = 1 / np.sqrt(np.maximum(square[self._free], 1e-300))
         return result
 
     @cached_property
     def _inverse_root(self) -> Array:
         """(free, free) inverse of the Cholesky factor of the information times `_scale` on both sides."""
-        free, scale = self.fit.free, self._scale
-        information = self.fit.reduced.information[np.ix_(free, free)] * scale * scale[:, None]
+        free, scale = self._free, self._scale
+        information = self._of_parameters.information[np.ix_(free, free)] * scale * scale[:, None]
         root = np.linalg.cholesky(information + _ROUNDING * np.eye(len(scale)))
         result: Array = dtrtri(root, lower=1)[0]
         return result
+
+
+class _OfParameters(NamedTuple):
+    """Of θ and the terms, p in all: window (p, 3, n) whitened Jacobians; link (q, 3n − 3) those of the `linked` (q,);
+    half (p, 2n) their products with the directions' after elimination; information (p, p) after it."""
+
+    window: Array
+    linked: np.ndarray
+    link: Array
+    half: Array
+    information: Array
 
 
 class _Left(NamedTuple):

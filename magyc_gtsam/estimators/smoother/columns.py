@@ -1,4 +1,4 @@
-"""Columns that a model lacks: derivatives of the reading and of the gyroscope's links, per unit of a coefficient."""
+"""Columns of the reading and of the gyroscope's links: of what a model lacks, and of its terms."""
 
 from __future__ import annotations
 
@@ -39,6 +39,18 @@ class UnmodelledColumns(NamedTuple):
         return UnmodelledColumns(
             None if self.window is None else share * self.window, None if self.link is None else share * self.link
         )
+
+
+class Terms(NamedTuple):
+    """Parameters of a model beyond θ, which the chain's windows and links are corrected by.
+
+    columns: by what a unit of each of m changes the residual; value (m,); precision (m,): with which each was held to 0
+    beforehand.
+    """
+
+    columns: UnmodelledColumns
+    value: Array
+    precision: Array
 
 
 @dataclass(frozen=True, eq=False)

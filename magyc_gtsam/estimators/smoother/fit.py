@@ -17,6 +17,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 if TYPE_CHECKING:
     from magyc_gtsam.estimators.smoother.beside import ColumnProducts
+    from magyc_gtsam.estimators.smoother.columns import Terms
     from magyc_gtsam.estimators.smoother.skew import Skew
 
 MAX_ITERATIONS = 40
@@ -45,6 +46,7 @@ class Fit:
         converged: the last steps of the parameters and of the noise levels were small against their sigmas.
         noise_freedom: degrees of freedom from which the gyroscope's noise was estimated; infinite where it is known.
         skew: what the data say of a skew between the chips; None where it was not asked.
+        terms: parameters beyond θ, estimated with it; None where there are none.
     """
 
     chain: FieldChain
@@ -56,6 +58,7 @@ class Fit:
     converged: bool = False
     noise_freedom: float = np.inf
     skew: Skew | None = None
+    terms: Terms | None = None
 
     def saying(self, skew: Skew) -> Fit:
         """The same with what the data say of a skew, and with all that was computed of it."""

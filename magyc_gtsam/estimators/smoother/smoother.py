@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,22 +17,20 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
-from magyc_gtsam.estimators.model_error.samples import flickers, too_slow
-from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.dip import dip_of
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import Progress, Streams, fit_field_chain, positive
-from magyc_gtsam.estimators.smoother.skew import Skew, on_skew
+from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.factors.chain.facts import quadratic
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.level_turn import Askew
-from magyc_gtsam.observability import Assessor, Observability, assess
+from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Array, Recording
 
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
@@ -80,14 +78,6 @@ def _contradictions(recording: Recording, options: SmootherOptions) -> list[str]
     return contradictions(calibration_of(recording, fit, rival, alone), options)
 
 
-class Posterior(NamedTuple):
-    """θ (13,) and its covariance (13, 13) with the skew's share, and the skew itself."""
-
-    parameters: Array
-    covariance: Array
-    skew: Skew | None
-
-
 def posterior(fit: Fit, factor: float) -> Posterior:
     """What is known of θ: the data, their information divided by `factor`, and the facts, which are what they are."""
     facts = tuple(fact for fact in fit.chain.facts if not on_skew(fact))
@@ -129,39 +119,28 @@ def calibration_of(
     """
     samples = recording if samples is None else samples
     colour = fit.colour if colour is None else colour
-    parameters, sensors, skew = posterior(fit, colour * fit.widening)
+    known = posterior(fit, colour * fit.widening)
     unexplained = model_error(fit, samples) if unexplained is None else unexplained
-    covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]
-    soft, scale = unvech(parameters[:6]), (options.known_strength, options.strength_sigma)
-    soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12], *scale)
-    of_sensors = fix_scale(soft, sensors[:12, :12], *scale)[2]
-    askew = _askew(skew, unit, unexplained.covariance)
-    assessor = Assessor(soft_iron, unit, recording, parameters[6:9], askew)
-    observability = assessor.of(of_sensors)
-    whole = observability
-    if unexplained.covariance.any():
-        whole = assessor.of(reported)
-    probable = whole
-    if whole.weak and unexplained.possible:  # what is merely possible widens the sigmas and leaves the verdict
-        of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
-        of_probable = fix_scale(soft, of_probable[:12, :12], *scale)[2]
-        probable = assessor.of(of_probable)
+    strength = options.known_strength, options.strength_sigma
+    judgement = judge(known, unexplained, recording, samples, *strength)
+    parameters, _, skew = known
+    unit, observability = judgement.strength, judgement.observability
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
     reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
     if not observability.observable:
 
         def enough(covariance: Array) -> bool:
-            given = fix_scale(soft, covariance[:12, :12], *scale)[2]
-            return assess(given, soft_iron, unit, recording, parameters[6:9]).observable
+            given = fix_scale(unvech(parameters[:6]), covariance[:12, :12], *strength)[2]
+            return assess(given, judgement.soft_iron, unit, recording, parameters[6:9]).observable
 
         reasons += remedies(fit, colour * fit.widening, enough, options, recording)
-    reasons += filter(None, (flickers(samples), too_slow(samples), reason(unexplained, probable, observability)))
+    reasons += judgement.reasons
     dip = dip_of(fit)
     told = [
         f"converged in {fit.iterations} iterations",
         known_of(options).note,
         "" if dip is None else dip.sentence,
-        remark(unexplained, of_sensors, reported),
+        judgement.remark,
     ]
     noise = fit.chain.noise
     terms: tuple[Term, ...] = ()
@@ -169,20 +148,20 @@ def calibration_of(
         terms = (Term("misalignment", -skew.value, skew.covariance),)
         told.insert(1, skew.sentence)
     return Calibration(
-        soft_iron=soft_iron,
+        soft_iron=judgement.soft_iron,
         hard_iron=parameters[6:9],
         gyro_bias=parameters[9:12],
-        covariance=reported,
-        noise_covariance=of_sensors,
+        covariance=judgement.reported,
+        noise_covariance=judgement.of_sensors,
         delay=float(parameters[DELAY]),
-        delay_sigma=float(np.sqrt(covariance[DELAY, DELAY])) if fit.free[DELAY] else None,
+        delay_sigma=float(np.sqrt(judgement.delay_variance)) if fit.free[DELAY] else None,
         terms=terms,
         converged=not reasons,
         message="; ".join(reasons or filter(None, told)),
         method="smoother",
         noise={"magnetic_field": noise.magnetometer, "angular_rate": noise.gyroscope},
         field_strength=unit,
-        observability=replace(observability, heading_sigma=whole.heading_sigma),
+        observability=observability,
         diagnostics={
             "windows": len(fit.chain.windows),
             "iterations": fit.iterations,
@@ -191,36 +170,11 @@ def calibration_of(
             "colour": colour,
             "widening": fit.widening,
             "disturbed": _disturbed(fit),
-            "model_error": diagnostics(unexplained),
         }
-        | _said_of(skew, askew)
+        | judgement.diagnostics
         | ({} if dip is None else dip.diagnostics),
         configuration=dict(options.configuration),
     )
-
-
-def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | None:
-    """What a skew leaves open of the heading; `unexplained` (P, P) is what model error adds, to ε where it is in θ."""
-    if skew is None:
-        return None
-    covariance, cross = skew.covariance, skew.gain[:9] @ skew.covariance
-    if len(unexplained) > PARAMETERS:
-        covariance, cross = covariance + unexplained[SKEW, SKEW], cross + unexplained[:9, SKEW]
-    cross[:6] /= strength
-    return Askew(covariance, cross)
-
-
-def _said_of(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
-    """For the diagnostics, JSON types."""
-    if skew is None or askew is None:
-        return {}
-    return {
-        "skew": {
-            "evidence": skew.evidence,
-            "covariance": askew.covariance.tolist(),
-            "cross": askew.cross.tolist(),
-        }
-    }
 
 
 def _jumped(fit: Fit, recording: Recording) -> list[str]:

@@ -1,0 +1,120 @@
+"""What a calibration is worth: its covariance with what the model does not explain, and why it must not be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.estimators.model_error import ModelError
+from magyc_gtsam.estimators.model_error.samples import flickers, too_slow
+from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
+from magyc_gtsam.estimators.smoother.search import Streams
+from magyc_gtsam.estimators.smoother.skew import Skew
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.level_turn import Askew
+from magyc_gtsam.observability import Assessor, Observability
+from magyc_gtsam.recording import Array, Recording
+
+
+class Posterior(NamedTuple):
+    """θ (13,) and its covariance (13, 13) with the skew's share, and the skew itself."""
+
+    parameters: Array
+    covariance: Array
+    skew: Skew | None
+
+
+class Judgement(NamedTuple):
+    """A calibration and what it is worth.
+
+    Attributes:
+        soft_iron: (3, 3); strength: T.
+        reported: (12, 12) covariance of soft iron, hard iron and bias; of_sensors: the sensors' part of it.
+        delay_variance: s².
+        observability: by the sensors' part; its heading_sigma by the whole.
+        reasons: why it must not be trusted, beside what observability says.
+        remark: on its sigmas.
+        diagnostics: JSON types.
+    """
+
+    soft_iron: Array
+    strength: float
+    reported: Array
+    of_sensors: Array
+    delay_variance: float
+    observability: Observability
+    reasons: tuple[str, ...]
+    remark: str
+    diagnostics: dict[str, Any]
+
+
+def judge(
+    known: Posterior,
+    unexplained: ModelError,
+    recording: Recording,
+    samples: Streams,
+    strength: float | None = None,
+    strength_sigma: float = 0.0,
+) -> Judgement:
+    """Judge what is known of θ.
+
+    Args:
+        known: by the sensors alone.
+        unexplained: the model error of the same fit.
+        recording: says how it moved; samples: of both sensors, which may be fewer.
+        strength: T, of the field, where it is known; strength_sigma: its standard deviation.
+    """
+    parameters, sensors, skew = known
+    soft = unvech(parameters[:6])
+    covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]
+    soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12], strength, strength_sigma)
+    of_sensors = fix_scale(soft, sensors[:12, :12], strength, strength_sigma)[2]
+    askew = _askew(skew, unit, unexplained.covariance)
+    assessor = Assessor(soft_iron, unit, recording, parameters[6:9], askew)
+    observability = assessor.of(of_sensors)
+    whole = observability
+    if unexplained.covariance.any():
+        whole = assessor.of(reported)
+    probable = whole
+    if whole.weak and unexplained.possible:  # what is merely possible widens the sigmas and leaves the verdict
+        of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
+        of_probable = fix_scale(soft, of_probable[:12, :12], strength, strength_sigma)[2]
+        probable = assessor.of(of_probable)
+    reasons = (flickers(samples), too_slow(samples), reason(unexplained, probable, observability))
+    return Judgement(
+        soft_iron,
+        unit,
+        reported,
+        of_sensors,
+        float(covariance[DELAY, DELAY]),
+        replace(observability, heading_sigma=whole.heading_sigma),
+        tuple(filter(None, reasons)),
+        remark(unexplained, of_sensors, reported),
+        {"model_error": diagnostics(unexplained)} | _said_of(skew, askew),
+    )
+
+
+def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | None:
+    """What a skew leaves open of the heading; `unexplained` (P, P) is what model error adds, to ε where it is in θ."""
+    if skew is None:
+        return None
+    covariance, cross = skew.covariance, skew.gain[:9] @ skew.covariance
+    if len(unexplained) > PARAMETERS:
+        covariance, cross = covariance + unexplained[SKEW, SKEW], cross + unexplained[:9, SKEW]
+    cross[:6] /= strength
+    return Askew(covariance, cross)
+
+
+def _said_of(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
+    """For the diagnostics, JSON types."""
+    if skew is None or askew is None:
+        return {}
+    return {
+        "skew": {
+            "evidence": skew.evidence,
+            "covariance": askew.covariance.tolist(),
+            "cross": askew.cross.tolist(),
+        }
+    }
