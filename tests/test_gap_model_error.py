@@ -20,6 +20,7 @@ from magyc_gtsam.gap.refit import Refit, as_calibration, prior_of, refit, widene
 from magyc_gtsam.gap.twin import Columns
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
+from magyc_gtsam.report.verdict import said
 
 
 def fitted(recording: mg.Recording, *names: str) -> Refit:
@@ -108,6 +109,6 @@ def test_a_closed_gap_whose_calibration_is_uncertain_is_not_used() -> None:
     verdict = judged_gap(gap)
     assert (verdict.trusted, verdict.cause, verdict.title) == (False, doubt.cause, "Do not use this calibration")
     assert as_judged(gap, verdict) is gap
-    assert doubt.cause in render_gap(recording, gap)
+    assert said(doubt.sentence) in render_gap(recording, gap)
     with pytest.raises(MagycError, match="must not be trusted"):
         calibration.export("px4")

@@ -20,16 +20,13 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri
 
 from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.estimated import ROUNDING, Estimated
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.banded import solved
 from magyc_gtsam.factors.chain.rotations import Array, along
 
-_ROUNDING = (
-    1e-12  # of a column's square before anything explains it, the information it is given; rounding is 1e-15
-)
 # Columns times windows that go through the elimination at a time: few calls, and all that is at hand in the cache.
 _TOGETHER = 1 << 15
 
@@ -95,7 +92,7 @@ class ColumnProducts:
         """Degrees of freedom of the residual: a window that is weighed down counts for less."""
         fit = self.fit
         weights = fit.weights.window.sum() * 3 + fit.weights.link[fit.chain.windows.linked].sum() * 2
-        return float(max(weights - 2 * len(fit.chain.windows) - self._free.sum(), 1.0))
+        return float(max(weights - 2 * len(fit.chain.windows) - self._estimated.free.sum(), 1.0))
 
     @cached_property
     def square(self) -> float:
@@ -133,7 +130,7 @@ class ColumnProducts:
         left, each = self._left, list(groups.values())
         part = self._products(each) if isinstance(each[0], Products) else self._dense(each)
         absorbed = solved(self._factor, part.border)
-        explained = self._explained(part.pull - self._of_parameters.half @ absorbed.T)
+        explained = self._estimated.explained(part.pull - self._estimated.half @ absorbed.T)
         score = absorbed @ left.absorbed + explained.T @ left.explained - part.score
         result, first = {}, 0
         for i, group in groups.items():
@@ -142,7 +139,7 @@ class ColumnProducts:
             of_own, explained_of_own = absorbed[own], explained[:, own]
             square = of_own @ of_own.T
             normal = part.square(own) - square
-            normal.flat[:: len(normal) + 1] += _ROUNDING * (normal.diagonal() + square.diagonal())
+            normal.flat[:: len(normal) + 1] += ROUNDING * (normal.diagonal() + square.diagonal())
             normal -= explained_of_own.T @ explained_of_own
             result[i] = normal, score[own], explained_of_own
         return result
@@ -154,12 +151,12 @@ class ColumnProducts:
 
     def _dense(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
         """The products of any columns."""
-        own, left = self._of_parameters, self._left
+        own, left = self._estimated, self._left
         window = _whitened([group.window for group in groups], self.window_scale)
         link = _whitened([group.link for group in groups], self.link_scale)
         count = sum(group.size for group in groups)
         border = self._border(count, window, link)
-        pull, score = np.zeros((len(self._free), count)), np.zeros(count)
+        pull, score = np.zeros((len(own.free), count)), np.zeros(count)
         if window is not None:
             window = window.reshape(count, -1)
             pull += own.window.reshape(len(pull), -1) @ window.T
@@ -180,7 +177,7 @@ class ColumnProducts:
 
     def _products(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
         """Those of profiles along the same axes: what the axes have is the same for all profiles."""
-        own, size = self._of_parameters, len(self._free)
+        own, size = self._estimated, len(self._estimated.free)
         products = [group for group in groups if isinstance(group, Products)]
         axes, profiles = (
             products[0].axes * self.window_scale,
@@ -211,9 +208,8 @@ class ColumnProducts:
         if not groups:
             return []
         explained = np.concatenate([new.explained for new in groups], axis=1)
-        result = np.zeros((len(self._free), explained.shape[1]))
-        result[self._free] = self._scale[:, None] * (self._inverse_root.T @ explained)
-        return np.split(result[: len(self.fit.free)], np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
+        result = self._estimated.moved(explained)[: len(self.fit.free)]
+        return np.split(result, np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
 
     def _border(self, count: int, window: Array | None, link: Array | None) -> Array:
         """(k, 2n) products of the directions' Jacobian with whitened columns."""
@@ -232,11 +228,6 @@ class ColumnProducts:
         result: Array = self.fit.reduced.factor.astype(complex)
         return result
 
-    def _explained(self, pull: Array) -> Array:
-        """The root of what the free parameters explain, of products (P, k) with all."""
-        result: Array = self._inverse_root @ (self._scale[:, None] * pull[self._free])
-        return result
-
     @cached_property
     def _left(self) -> _Left:
         fit = self.fit
@@ -244,12 +235,11 @@ class ColumnProducts:
         window = residuals.window * self._residual_scale
         link = residuals.link * self.link_scale
         absorbed = solved(self._factor, self._border(1, window[None], link[None]))[0]
-        own = self._of_parameters
-        pull = own.window.reshape(len(self._free), -1) @ window.ravel() - own.half @ absorbed
+        own = self._estimated
+        pull = own.window.reshape(len(own.free), -1) @ window.ravel() - own.half @ absorbed
         pull[own.linked] += own.link @ link.ravel()
-        if fit.terms is not None:
-            pull[len(fit.free) :] += fit.terms.precision * fit.terms.value
-        return _Left(window.ravel(), link.ravel(), absorbed, self._explained(pull[:, None])[:, 0])
+        pull += own.pull
+        return _Left(window.ravel(), link.ravel(), absorbed, self._estimated.explained(pull[:, None])[:, 0])
 
     @cached_property
     def window_scale(self) -> Array:
@@ -269,66 +259,11 @@ class ColumnProducts:
         return np.sqrt(self.fit.weights.link) * self.fit.chain.link_scale
 
     @cached_property
-    def _free(self) -> np.ndarray:
-        """(p,) bool, of θ and of the terms, all of which are."""
-        terms = self.fit.terms
-        return (
-            self.fit.free if terms is None else np.append(self.fit.free, np.ones(terms.columns.size, dtype=bool))
-        )
+    def _estimated(self) -> Estimated:
+        def absorb(count: int, window: Array, link: Array) -> Array:
+            return solved(self._factor, self._border(count, window, link))
 
-    @cached_property
-    def _of_parameters(self) -> _OfParameters:
-        fit, reduced, size = self.fit, self.fit.reduced, len(self.fit.free)
-        on_bias = np.ascontiguousarray(reduced.on_bias.swapaxes(0, 1)).reshape(3, -1)
-        half = reduced.half[:, :size].T
-        terms = fit.terms
-        if terms is None:
-            return _OfParameters(reduced.on_parameters, np.arange(9, 12), on_bias, half, reduced.information)
-        count, (own_window, own_link) = terms.columns.size, terms.columns
-        windows = (count, 3, len(fit.chain.windows))
-        window = np.zeros(windows) if own_window is None else own_window * self._residual_scale
-        link = np.zeros((count, 3, windows[2] - 1)) if own_link is None else own_link * self.link_scale
-        absorbed = solved(self._factor, self._border(count, window, link))
-        flat, flat_link = window.reshape(count, -1), link.reshape(count, -1)
-        across = reduced.on_parameters.reshape(size, -1) @ flat.T - half @ absorbed.T
-        across[9:12] += on_bias @ flat_link.T
-        square = flat @ flat.T + flat_link @ flat_link.T - absorbed @ absorbed.T + np.diag(terms.precision)
-        return _OfParameters(
-            np.concatenate([reduced.on_parameters, window]),
-            np.append(np.arange(9, 12), np.arange(size, size + count)),
-            np.concatenate([on_bias, flat_link]),
-            np.concatenate([half, absorbed]),
-            np.block([[reduced.information, across], [across.T, square]]),
-        )
-
-    @cached_property
-    def _scale(self) -> Array:
-        """(free,) one over the norm of each parameter's own column."""
-        own = self._of_parameters
-        square = np.maximum(np.einsum("pin,pin->p", own.window, own.window), np.diag(own.information))
-        square[own.linked] += np.einsum("km,km->k", own.link, own.link)
-        result: Array = 1 / np.sqrt(np.maximum(square[self._free], 1e-300))
-        return result
-
-    @cached_property
-    def _inverse_root(self) -> Array:
-        """(free, free) inverse of the Cholesky factor of the information times `_scale` on both sides."""
-        free, scale = self._free, self._scale
-        information = self._of_parameters.information[np.ix_(free, free)] * scale * scale[:, None]
-        root = np.linalg.cholesky(information + _ROUNDING * np.eye(len(scale)))
-        result: Array = dtrtri(root, lower=1)[0]
-        return result
-
-
-class _OfParameters(NamedTuple):
-    """Of θ and the terms, p in all: window (p, 3, n) whitened Jacobians; link (q, 3n − 3) those of the `linked` (q,);
-    half (p, 2n) their products with the directions' after elimination; information (p, p) after it."""
-
-    window: Array
-    linked: np.ndarray
-    link: Array
-    half: Array
-    information: Array
+        return Estimated.of(self.fit, self._residual_scale, self.link_scale, absorb)
 
 
 class _Left(NamedTuple):
