@@ -1,6 +1,6 @@
 """Whether the stated sigmas of real calibrations are true, judged by optical references.
 
-    python benchmarks/real_honesty.py FOLDER [MORE.mcap ...] [--half tuning|unseen]
+    python benchmarks/real_honesty.py FOLDER [MORE.mcap ...] [--half tuning|unseen] [--by calibrate|gap]
 
 FOLDER holds recordings as arrays (*.npz: tm, m, tg, w, ta, a, tq, q, move, dev in SI units; where tg and ta are
 missing they equal tm) and `truth_by_optics.json`: for each recording the full matrix `A` (µT), the hard iron `h`
@@ -20,7 +20,7 @@ import itertools
 import json
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,11 @@ SCATTER = {"A": 0.3, "B": 0.06}  # µT an axis, of one unit's hard iron from tri
 MOVING = {1: (34.0, 160.0), 6: (38.0, 160.0), 32: (41.5, 92.0)}  # s, of the MCAP files
 DELAY_TRUTH = 1.5e-3  # s, how well optics know the delay: found in steps of 2 ms
 KNOWN = {"hard iron": 3, "gyroscope bias": 3, "delay": 1}
+Method = Callable[[mg.Recording], mg.Calibration]
+METHODS: dict[str, Method] = {
+    "calibrate": mg.calibrate,
+    "gap": lambda recording: mg.find_gap(recording).calibration,
+}
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("more", type=Path, nargs="*", help="BROAD trials as MCAP")
     parser.add_argument("--half", choices=("tuning", "unseen"), help="every other recording, by name")
+    parser.add_argument("--by", choices=METHODS, default="calibrate", help="what calibrates")
     parser.add_argument("--words", action="store_true", help="print the whole message")
     arguments = parser.parse_args()
     logs = list(read_all(arguments.folder, arguments.more))
@@ -97,7 +103,7 @@ def main() -> None:
     rows = []
     for log in chosen:
         for part, recording in parts_of(log):
-            row = judge(log, part, recording, logs)
+            row = judge(log, part, METHODS[arguments.by], recording, logs)
             rows.append(row)
             print(line_of(row, arguments.words), flush=True)
     summarise(rows)
@@ -109,10 +115,10 @@ def parts_of(log: Log) -> Iterator[tuple[str, mg.Recording]]:
         yield "moving", log.recording.between(*log.moving)
 
 
-def judge(log: Log, part: str, recording: mg.Recording, logs: list[Log]) -> Row:
+def judge(log: Log, part: str, method: Method, recording: mg.Recording, logs: list[Log]) -> Row:
     """Calibrate and compare."""
     begun = time.process_time()
-    calibration = mg.calibrate(recording)
+    calibration = method(recording)
     seconds = time.process_time() - begun
     stated = calibration.covariance
     errors = {

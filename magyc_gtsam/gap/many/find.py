@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.judged import judged
 from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
@@ -218,7 +220,7 @@ def _with(course: _Course, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> 
 def _result(course: _Course, noise: Sequence[SharedEffect]) -> GapOfMany:
     effects = (*told(course.added, course.logs), *noise)
     weights = tuple(Weight(each.name, each.shared, each.apart) for each in course.weighed)
-    calibrations = {log.name: as_calibration(widened(log.refitted), None) for log in course.logs}
+    calibrations = {log.name: _calibration(log) for log in course.logs}
     named = "; ".join(effect.sentence for effect in effects)
     if len(course.logs) < _LEAST:
         verdict, said = "not enough information", f"{len(course.logs)} of the logs can be used, and two are needed"
@@ -231,3 +233,9 @@ def _result(course: _Course, noise: Sequence[SharedEffect]) -> GapOfMany:
     else:
         verdict, said = "none", f"nothing is missing in {len(course.logs)} logs"
     return GapOfMany(verdict, said, effects, course.own, weights, calibrations)  # type: ignore[arg-type]
+
+
+def _calibration(log: OneLog) -> Calibration:
+    """With the effects as terms, and with what the log shows beside them in its covariance and verdict."""
+    fitted = widened(log.refitted)
+    return judged(as_calibration(fitted, None), fitted, log.recording, None)[0]

@@ -92,7 +92,7 @@ class GapOfMany:
         effects: in the order of adding.
         own: logs that were left out, and why.
         weights: every hypothesis against the last model, strongest first.
-        calibrations: {log: with the effects as terms}.
+        calibrations: {log: with the effects as terms, and a verdict by what the log shows beside them}.
     """
 
     verdict: Verdict
