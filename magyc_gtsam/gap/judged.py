@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error import model_error
-from magyc_gtsam.estimators.smoother.columns import Terms, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, asked
@@ -72,7 +72,7 @@ def fit_of(twin: Twin) -> Fit:
     return Fit(twin.chain, twin.state, weights, twin.reduced, twin.model.free, terms=_terms(twin))
 
 
-def _terms(twin: Twin) -> Terms | None:
+def _terms(twin: Twin) -> EstimatedTerms | None:
     estimated = twin.model.estimated
     if not estimated:
         return None
@@ -80,4 +80,4 @@ def _terms(twin: Twin) -> Terms | None:
     window = np.concatenate([part.window for part in parts])
     links = [np.zeros((*part.window.shape[:2], twin.n - 1)) if part.link is None else part.link for part in parts]
     precision, value = (rows[int(twin.model.free.sum()) :] for rows in prior_of(twin))
-    return Terms(UnmodelledColumns(window, np.concatenate(links)), value, precision)
+    return EstimatedTerms(UnmodelledColumns(window, np.concatenate(links)), value, precision)

@@ -41,7 +41,7 @@ class UnmodelledColumns(NamedTuple):
         )
 
 
-class Terms(NamedTuple):
+class EstimatedTerms(NamedTuple):
     """Parameters of a model beyond θ, which the chain's windows and links are corrected by.
 
     columns: by what a unit of each of m changes the residual; value (m,); precision (m,): with which each was held to 0

@@ -17,7 +17,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 if TYPE_CHECKING:
     from magyc_gtsam.estimators.smoother.beside import ColumnProducts
-    from magyc_gtsam.estimators.smoother.columns import Terms
+    from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
     from magyc_gtsam.estimators.smoother.skew import Skew
 
 MAX_ITERATIONS = 40
@@ -58,7 +58,7 @@ class Fit:
     converged: bool = False
     noise_freedom: float = np.inf
     skew: Skew | None = None
-    terms: Terms | None = None
+    terms: EstimatedTerms | None = None
 
     def saying(self, skew: Skew) -> Fit:
         """The same with what the data say of a skew, and with all that was computed of it."""
