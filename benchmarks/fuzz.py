@@ -10,6 +10,7 @@ than 30 s, or the process grew beyond 1 GB.
 from __future__ import annotations
 
 import collections
+import os
 import random
 import resource
 import signal
@@ -25,6 +26,10 @@ import numpy as np
 
 import magyc_gtsam as mg
 from magyc_gtsam.io import info, read
+from magyc_gtsam.io.request import Request
+from magyc_gtsam.live.json_lines import JsonLines
+from magyc_gtsam.live.mcap_follow import McapFollower
+from magyc_gtsam.live.source import LiveSource
 
 LONGEST, LARGEST = 30.0, 1000.0  # s, MB
 INTERESTING = [
@@ -51,6 +56,31 @@ def exported(path: Path) -> None:
     loaded.export("ardupilot")
 
 
+def followed(path: Path) -> None:
+    """Take all samples of a log that is still written, as `magyc-gtsam online` does."""
+    _taken(McapFollower(path, Request()))
+
+
+def piped(path: Path) -> None:
+    """Take all samples of lines of JSON, likewise."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        _taken(JsonLines(descriptor, Request()))
+    finally:
+        os.close(descriptor)
+
+
+def _taken(source: LiveSource) -> None:
+    online = mg.OnlineCalibrator()
+    while True:
+        batch = source.read(0.0)
+        if not batch:
+            break
+        online.update(*batch.magnetometer)
+        online.update(batch.gyroscope.time, angular_rate=batch.gyroscope.value)
+    source.close()
+
+
 Reader = tuple[Callable[[Path, mg.Recording], tuple[bytes, str]], Callable[[Path], object]]
 READERS: dict[str, Reader] = {
     "mcap": (files.mcap, log),
@@ -65,6 +95,8 @@ READERS: dict[str, Reader] = {
     "blackbox": (files.blackbox, lambda path: read(path, magnetic_unit=4e-8)),
     "calibration": (files.calibration, exported),
     "state": (files.state, mg.OnlineCalibrator.load),
+    "lines": (files.lines, piped),
+    "follow": (files.mcap_plain, followed),
     "info": (files.mcap_plain, info),
 }
 

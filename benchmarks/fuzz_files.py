@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zipfile
 from pathlib import Path
@@ -79,6 +80,17 @@ def csv(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
         for t, m, w in zip(made.time, made.magnetic_field, made.angular_rate, strict=True)
     ]
     return ("t,mx,my,mz,gx,gy,gz\n" + "\n".join(rows) + "\n").encode(), ".csv"
+
+
+def lines(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
+    """Lines of JSON, as another program pipes them in."""
+    rows = [
+        json.dumps({"time": t, "magnetic_field": m, "angular_rate": w})
+        for t, m, w in zip(
+            made.time.tolist(), made.magnetic_field.tolist(), made.angular_rate.tolist(), strict=True
+        )
+    ]
+    return ("\n".join(rows) + "\n").encode(), ".jsonl"
 
 
 def calibration(folder: Path, made: mg.Recording) -> tuple[bytes, str]:
