@@ -42,7 +42,7 @@ def test_a_calibration_that_was_loaded_is_told_its_recording(
     loaded = mg.Calibration.load(tmp_path / "cal.yaml")
     for forgotten in (loaded, replace(calibration, message=""), pickle.loads(pickle.dumps(calibration))):
         assert forgotten.recording is None
-        with pytest.raises(mg.MagycError, match="give it: recording="):
+        with pytest.raises(mg.MagycError, match="pass recording="):
             forgotten.plot()
     assert loaded.report(tmp_path / "page.html", recording).exists()
     assert "✔ Calibrated" in loaded._repr_html_()

@@ -1,4 +1,4 @@
-"""The page of an accelerometer calibration: what to trust, what it looks like, the numbers."""
+"""The page of an accelerometer calibration: verdict, figures and parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magyc_gtsam.storage.whole_file import write_text
 def write_accelerometer_report(
     target: str | os.PathLike[str], recording: Recording, calibration: AccelerometerCalibration
 ) -> Path:
-    """Write the page as one self-contained HTML file, in one step; returns the file."""
+    """Write the page as one self-contained HTML file, atomically, and return its path."""
     path = Path(target)
     time, raw = accelerometer_samples(recording)
     within = calibration.inliers(raw)
@@ -43,7 +43,7 @@ def write_accelerometer_report(
 
 
 def parameter_rows(calibration: AccelerometerCalibration) -> list[tuple[str, list[str]]]:
-    """(name with its unit, one text per axis or one in all)."""
+    """Return one row per parameter: (name with its unit, one text per axis or a single text)."""
     sigma = calibration.sigma
     scale_sigma = sigma.get("scale", np.full((3, 3), np.nan))
     bias_sigma = sigma.get("bias", np.full(3, np.nan))
@@ -63,7 +63,7 @@ def parameter_rows(calibration: AccelerometerCalibration) -> list[tuple[str, lis
 
 
 def _numbers(calibration: AccelerometerCalibration, raw: Array, within: Mask) -> list[Number]:
-    """The numbers to see first."""
+    """Return the numbers that the page shows first."""
     still = within if within.any() else np.ones(len(raw), dtype=bool)
     before, after = (
         float(np.sqrt(np.mean((np.linalg.norm(a[still], axis=1) - calibration.gravity) ** 2)))
@@ -82,7 +82,7 @@ def _numbers(calibration: AccelerometerCalibration, raw: Array, within: Mask) ->
 
 
 def _cloud(raw: Array, within: Mask, calibration: AccelerometerCalibration) -> Figure:
-    """Raw samples with the fitted ellipsoid, those that are motion in another colour, and gravity's sphere."""
+    """Draw the raw samples, those in motion in another colour, with the fitted ellipsoid and gravity's sphere."""
     gravity = calibration.gravity
     clouds = [("at rest", "raw", raw[within])]
     if not within.all():
@@ -101,7 +101,7 @@ def _cloud(raw: Array, within: Mask, calibration: AccelerometerCalibration) -> F
 
 
 def _strength(recording: Recording, time: Array, raw: Array, calibration: AccelerometerCalibration) -> Figure:
-    """Length of the acceleration over time, raw and calibrated."""
+    """Draw the length of the acceleration over time, raw and calibrated."""
     lengths = [np.linalg.norm(value, axis=1) for value in (raw, calibration.apply(raw))]
     reach = 4 * float(np.median(np.abs(lengths[0] - calibration.gravity))) + 0.5
     limits = calibration.gravity - reach, calibration.gravity + reach

@@ -1,4 +1,4 @@
-"""The numbers behind the report's figures: from a recording and its calibration to what a navigator asks."""
+"""Compute the numbers that the report's figures show from a recording and its calibration."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from magyc_gtsam.level_turn import vertical
 from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
 
-DISTURBED_WEIGHT = 0.5  # a window whose robust weight is below counts as disturbed
-_MOST_ROWS = 200_000  # samples of a log that a page works on; half an hour at 100 Hz, beyond it every k-th
+DISTURBED_WEIGHT = 0.5  # a window with a robust weight below this counts as disturbed
+_MOST_ROWS = 200_000  # samples per page, half an hour at 100 Hz; a longer log is thinned to every k-th sample
 _CELLS = (24, 12)  # of the coverage map: longitude × latitude, all of the same area
 
 
 @dataclass(frozen=True, eq=False)
 class FieldHistory:
-    """The magnetometer's own samples, every k-th of long logs, before and after.
+    """The magnetometer's samples before and after calibration; every k-th sample of a long log.
 
     Attributes:
         time: (n,) s since the first row.
         raw, calibrated: (n, 3) T, sensor axes.
-        aligned: (n, 3) T, the calibrated field at the instants of the references, its delay taken out.
+        aligned: (n, 3) T, the calibrated field at the instants of the references, corrected for its delay.
         strength: T, of the calibrated field.
-        up: (n, 3) unit vertical in sensor axes, rows of NaN where unknown; None without any reference.
-        up_from: where the vertical is from, in words; "" without any reference.
+        up: (n, 3) unit vertical in sensor axes, NaN in rows where it is unknown; None without any reference.
+        up_from: the source of the vertical, for display; "" without any reference.
         heading_error: (n, 2) deg, magnetic heading minus reference heading, raw and calibrated, each
             about its own mean; None without a reference attitude.
     """
@@ -45,7 +45,7 @@ class FieldHistory:
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """How long the field pointed where, in sensor axes.
+    """Time that the field spent in each cell of direction, in sensor axes.
 
     Attributes:
         longitude: (25,) rad, cell edges about the z axis, from x towards y.
@@ -59,19 +59,21 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """Share of the directions that were visited."""
+        """Return the share of the directions that were visited."""
         return float((self.seconds > 0).mean())
 
     @property
     def middle(self) -> int:
-        """1 where the field pointed to the side of +z most of the time, else −1."""
+        """Return 1 if the field pointed to the side of +z most of the time, otherwise −1."""
         return 1 if (self.sine[:-1] + self.sine[1:]) @ self.seconds.sum(axis=1) > 0 else -1
 
 
 def field_history(recording: Recording, calibration: Calibration) -> FieldHistory:
-    """The field before and after, with the references the recording has for it; every k-th sample of long logs."""
+    """Return the field before and after calibration, with the references that the recording holds."""
     every = -(-int(recording.magnetic_field_fresh.sum()) // _MOST_ROWS)
-    if recording.magnetic_field_fresh.all():  # whose row numbers are as long as a column
+    if (
+        recording.magnetic_field_fresh.all()
+    ):  # a slice of the rows: their indices would need as much memory as a column
         fresh = np.arange(0, len(recording.time), every)
     else:
         fresh = np.flatnonzero(recording.magnetic_field_fresh)[::every]
@@ -103,7 +105,7 @@ def _up_from(attitude: Array | None, acceleration: Array | None) -> str:
 
 
 def coverage(time: Array, field: Array) -> Coverage:
-    """How long `field` (n, 3) pointed where."""
+    """Return how long `field` (n, 3) pointed into each cell of direction."""
     unit = field / np.linalg.norm(field, axis=1, keepdims=True)
     longitude = np.linspace(-np.pi, np.pi, _CELLS[0] + 1)
     sine = np.linspace(-1, 1, _CELLS[1] + 1)
@@ -112,7 +114,7 @@ def coverage(time: Array, field: Array) -> Coverage:
 
 
 def ellipsoid_outline(matrix: Array, centre: Array, plane: tuple[int, int]) -> Array:
-    """(121, 2): outline of {matrix x + centre, ‖x‖ = 1} seen along the axis that `plane` leaves out."""
+    """Return the outline (121, 2) of {matrix x + centre, ‖x‖ = 1}, projected onto the two axes of `plane`."""
     axes = list(plane)
     silhouette = np.linalg.cholesky((matrix @ matrix.T)[np.ix_(axes, axes)])
     angle = np.linspace(0, 2 * np.pi, 121)
@@ -121,7 +123,7 @@ def ellipsoid_outline(matrix: Array, centre: Array, plane: tuple[int, int]) -> A
 
 
 def disturbed_stretches(time: Array, weight: Array) -> list[tuple[float, float]]:
-    """(start, end) of the stretches whose windows have low weight; neighbours three windows apart are one."""
+    """Return (start, end) of the stretches with low weight; those at most three windows apart are joined."""
     low: NDArray[np.int_] = np.flatnonzero(weight < DISTURBED_WEIGHT)
     if not len(low):
         return []
@@ -131,7 +133,7 @@ def disturbed_stretches(time: Array, weight: Array) -> list[tuple[float, float]]
 
 
 def summary(time: Array, value: Array, most: int = 600) -> tuple[Array, Array, Array, Array]:
-    """(time, mean, lowest, highest) of at most `most` stretches of equally many samples, NaN left out."""
+    """Return (time, mean, lowest, highest) of at most `most` bins of equal sample count, ignoring NaN."""
     per_bin = -(-len(time) // most)
     bins = len(time) // per_bin
     blocks = value[: bins * per_bin].reshape(bins, per_bin)
@@ -144,7 +146,7 @@ def summary(time: Array, value: Array, most: int = 600) -> tuple[Array, Array, A
 
 
 def spread(field: Array, cube: float, most: int = 3000) -> NDArray[np.int_]:
-    """Rows of `field` (n, 3) to draw: one per cube of that side, so that time at rest hides no motion."""
+    """Return the rows of `field` (n, 3) to draw: one per cube of side `cube`, so that rest does not hide motion."""
     cells = np.floor(field / cube).astype(np.int64)
     cells -= cells.min(axis=0)
     cell = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0) + 1))

@@ -1,4 +1,4 @@
-"""Figures as the numbers from which the browser draws them: charts by uPlot, and a sphere that turns.
+"""Figures as data for the browser, which draws charts with uPlot and a sphere that can be turned.
 
 Arrays travel as base64 of little-endian 32-bit floats, thinned to what a screen can show.
 """
@@ -17,10 +17,10 @@ from markupsafe import Markup
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.report.analysis import Coverage, spread, summary
 
-MOST_BINS = 800  # of a chart over time
-MOST_POINTS = 2500  # of a cloud
-_LONG = 1200.0  # s, from which minutes are shown
-_UNIX = 1e6  # s; stamps beyond are of a clock whose zero is no log's beginning
+MOST_BINS = 800  # per series of a chart over time
+MOST_POINTS = 2500  # per cloud of a sphere
+_LONG = 1200.0  # s, duration above which a chart shows minutes
+_UNIX = 1e6  # s; times beyond this are from a clock that does not start with the log
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Figure:
     """A figure with its title, caption and what the browser needs to draw it.
 
     Attributes:
-        title, caption: words above and below.
-        spec: for charts.js or sphere.js.
-        keys: (index of the series or "cells", colour, label) of what can be shown and hidden.
+        title, caption: text above and below the figure.
+        spec: the input of charts.js or sphere.js.
+        keys: (index of the series or "cells", colour, label) of each part that can be shown and hidden.
         wide: whether it takes the page's whole width.
     """
 
@@ -42,7 +42,7 @@ class Figure:
 
     @property
     def data(self) -> Markup:
-        """The specification as JSON that may stand inside a script element."""
+        """Return the specification as JSON that is safe inside a script element."""
         return Markup(json.dumps(self.spec, ensure_ascii=False).replace("<", "\\u003c"))
 
 
@@ -51,9 +51,9 @@ class Series:
     """One line of a chart: values, the range about them, or both.
 
     Attributes:
-        label: "" for what needs no key.
+        label: "" for a series without a key.
         colour: a name of style.css: raw, calibrated, disturbed, ink, soft.
-        y, low, high: (n,), NaN where there is nothing.
+        y, low, high: (n,), NaN where there is no value.
         style: "line", "dashed", "dots", "marked", "bars", or "errors": large dots, with bars from low to high.
     """
 
@@ -65,7 +65,7 @@ class Series:
     style: str = "line"
 
     def to_dict(self) -> dict[str, Any]:
-        """For charts.js."""
+        """Return the series as charts.js expects it."""
         return {
             "label": self.label,
             "colour": self.colour,
@@ -78,9 +78,9 @@ class Series:
 
 @dataclass(frozen=True)
 class Frame:
-    """What surrounds the lines of a chart: labels, dashed levels, shaded stretches, limits.
+    """The axes and annotations of a chart: labels, dashed levels, shaded intervals, limits.
 
-    `more` may hold "names" (n,), shown instead of x; "marks", dashed upright lines; "dates", s since 1970 of x = 0.
+    `more` may hold "names" (n,), shown instead of x; "marks", x of vertical dashed lines; "dates", s since 1970 at x=0.
     """
 
     xlabel: str
@@ -95,7 +95,7 @@ class Frame:
 
 
 def packed(values: Array | None) -> str | None:
-    """base64 of 32-bit floats."""
+    """Return the values as base64 of little-endian 32-bit floats, or None."""
     if values is None:
         return None
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
@@ -104,7 +104,7 @@ def packed(values: Array | None) -> str | None:
 def chart(
     title: str, caption: str, x: Array, series: Sequence[Series], frame: Frame, *, wide: bool = False
 ) -> Figure:
-    """A chart of lines, dots or bars over `x`."""
+    """Return a chart of lines, dots or bars over `x`."""
     spec = {
         "kind": "lines",
         "strip": False,
@@ -137,18 +137,18 @@ def over_time(
     spans: Sequence[tuple[float, float]] = (),
     wide: bool = False,
 ) -> Figure:
-    """Means as lines and ranges of the samples as bands, on one scale.
+    """Return a chart over time: means as lines and ranges of the samples as bands, on one scale.
 
     Args:
-        title, caption: of the figure.
-        recording: whose clock `time` is counted on.
+        title, caption: text above and below the figure.
+        recording: the recording whose clock `time` is counted on.
         time: (n,) s since `origin(recording)`.
-        values: (label, colour, (n,)) each.
-        ylabel: of the vertical axis.
+        values: (label, colour, values (n,)) of each series.
+        ylabel: label of the vertical axis.
         strip: whether an interval can be dragged and copied.
-        levels: dashed.
-        spans: shaded, s.
-        wide: whether it takes the page's whole width.
+        levels: values at which a dashed line is drawn.
+        spans: (start, end) of shaded intervals, s.
+        wide: whether the figure takes the page's whole width.
     """
     series = []
     middle = time
@@ -166,14 +166,14 @@ def clock(
     spans: Sequence[tuple[float, float]] = (),
     strip: bool = False,
 ) -> Frame:
-    """The frame of a chart over time, in seconds or minutes."""
+    """Return the frame of a chart over time, in seconds or minutes."""
     long = float(time[-1] - time[0]) > _LONG
     more = {"time": True, "divide": 60.0 if long else 1.0, "strip": strip, "origin": 0.0}
     return Frame("Time (min)" if long else "Time (s)", ylabel, levels, spans, more=more)
 
 
 def origin(recording: Recording) -> float:
-    """s, what the page counts time from: the log's own zero, or the first row of a clock that has none."""
+    """Return the page's zero of time, in s: the log's own zero, or its first row where the clock is absolute."""
     first = float(recording.time[0])
     return 0.0 if abs(first) < _UNIX else first
 
@@ -187,14 +187,14 @@ def sphere(
     outlines: Sequence[tuple[Array, Array, str]] = (),
     coverage: Coverage | None = None,
 ) -> Figure:
-    """Points in three dimensions that can be turned.
+    """Return a figure of points in three dimensions that can be turned.
 
     Args:
-        title, caption: of the figure.
-        clouds: (label, colour, (n, 3)) each.
-        radius: of the sphere about zero.
-        outlines: (matrix (3, 3), centre (3,), colour): great circles of {matrix u + centre}.
-        coverage: how long which direction was seen, painted on the sphere.
+        title, caption: text above and below the figure.
+        clouds: (label, colour, points (n, 3)) of each cloud.
+        radius: radius of the sphere about zero.
+        outlines: (matrix (3, 3), centre (3,), colour) of each ellipsoid {matrix u + centre}, drawn as great circles.
+        coverage: time spent in each direction, painted on the sphere.
     """
     drawn = []
     for label, colour, points in clouds:

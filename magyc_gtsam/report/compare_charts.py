@@ -1,4 +1,4 @@
-"""The figures of the comparison page, as Fig. 7 of the Autocal paper: ellipsoids, and norms before and after."""
+"""The figures of the comparison page, after Fig. 7 of the Autocal paper: ellipsoids, and norms before and after."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from magyc_gtsam.report.charts import Figure, origin, over_time, sphere
 from magyc_gtsam.report.words import uncertain
 from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
-_BEYOND = 1.5  # times the spread of the trusted methods, from which an estimate is drawn at the edge
+_BEYOND = 1.5  # half width of the scale in spreads of the trusted methods; estimates beyond are drawn at the edge
 
 
 @dataclass(frozen=True)
 class DotAxis:
-    """The dots of one axis, and what stands at both ends and in the middle of their scale."""
+    """The estimates along one axis, and the labels at both ends and in the middle of their scale."""
 
     axis: str
     dots: list[Dot]
@@ -26,7 +26,7 @@ class DotAxis:
 
 @dataclass(frozen=True)
 class Dot:
-    """One method's estimate on a scale: its place, and its bar from `start` over `width`, in %; and in words."""
+    """One method's estimate on a scale: its position `left`, its bar from `start` over `width`, in %, and its text."""
 
     method: str
     left: float
@@ -38,7 +38,7 @@ class Dot:
 
 
 def ellipsoid(comparison: Comparison, outcome: MethodOutcome) -> Figure:
-    """Raw samples, those that fit no ellipsoid in another colour, and the method's ellipsoid."""
+    """Draw the raw samples, the outliers in another colour, and the method's ellipsoid."""
     calibration, strength = outcome.calibration, outcome.strength
     assert calibration is not None
     assert strength is not None
@@ -53,7 +53,7 @@ def ellipsoid(comparison: Comparison, outcome: MethodOutcome) -> Figure:
 
 
 def strength(comparison: Comparison, outcome: MethodOutcome) -> Figure:
-    """Strength of the field over time, before and after."""
+    """Draw the strength of the field over time, before and after."""
     assert outcome.calibration is not None
     time, field = comparison.recording.magnetometer
     scale, unit = comparison.recording.field_shown
@@ -70,7 +70,7 @@ def strength(comparison: Comparison, outcome: MethodOutcome) -> Figure:
 
 
 def heading(comparison: Comparison, outcome: MethodOutcome) -> Figure:
-    """Error of the magnetic heading against the reference over time, before and after."""
+    """Draw the error of the magnetic heading against the reference over time, before and after."""
     raw, calibrated = comparison.raw.heading, outcome.heading
     assert raw is not None
     assert calibrated is not None
@@ -86,7 +86,7 @@ def heading(comparison: Comparison, outcome: MethodOutcome) -> Figure:
 
 
 def hard_irons(comparison: Comparison, axis: int) -> DotAxis:
-    """Hard iron of every method along an axis, on a scale that shows where the trusted ones differ."""
+    """Return the hard iron of every method along an axis, on a scale set by the trusted methods."""
     outcomes = [o for o in comparison.by_trust if o.calibration is not None]
     scale, unit = comparison.recording.field_shown
     value, sigma = _estimates(outcomes, axis, scale)

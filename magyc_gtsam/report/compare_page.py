@@ -1,4 +1,4 @@
-"""The comparison page: all methods on one recording, to see which to believe."""
+"""The comparison page: the results of all methods on one recording, side by side."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 @dataclass(frozen=True)
 class Card:
-    """A method with its figures."""
+    """One method with its summary and figures."""
 
     outcome: MethodOutcome
     summary: str
@@ -22,7 +22,7 @@ class Card:
 
 
 def render_comparison(comparison: Comparison) -> str:
-    """The page as HTML text, self-contained."""
+    """Return the page as self-contained HTML text."""
     without = [o for o in comparison.outcomes if o.calibration is None]
     verdict = compare_words.judged_comparison(comparison)
     return rendered(

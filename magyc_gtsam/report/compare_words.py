@@ -1,4 +1,4 @@
-"""The comparison's numbers: as rows for a file, and as the words of a table for the terminal and the page."""
+"""The comparison's numbers as records for a file, and as table texts for the terminal and the page."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from magyc_gtsam.report.verdict import Verdict
 from magyc_gtsam.report.words import uncertain
 from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
-_HUGE = 1e5  # in the unit shown, from where digits behind the point say nothing
+_HUGE = 1e5  # in the unit shown; larger values are written without decimals
 _UPPER = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 def records(comparison: Comparison) -> list[dict[str, Any]]:
-    """One flat record per row, "raw" first; units in the names, None where a method has no such number."""
+    """Return one flat record per method, "raw" first: units in the names, None where a method has no such number."""
     unit = comparison.recording.magnetic_field_unit
     rows = []
     for outcome in (comparison.raw, *comparison.outcomes):
@@ -67,7 +67,7 @@ def records(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def csv_text(comparison: Comparison) -> str:
-    """`records` as a text table; cells without a number are empty."""
+    """Return `records` as CSV; cells without a number are empty."""
     rows = records(comparison)
     text = io.StringIO()
     writer = csv.DictWriter(text, rows[0].keys())
@@ -77,7 +77,7 @@ def csv_text(comparison: Comparison) -> str:
 
 
 def to_dict(comparison: Comparison) -> dict[str, Any]:
-    """The comparison as JSON types, whole calibrations included."""
+    """Return the comparison as JSON types, calibrations included."""
     outcomes = [
         record | {"calibration": None if outcome.calibration is None else outcome.calibration.to_dict()}
         for record, outcome in zip(records(comparison), (comparison.raw, *comparison.outcomes), strict=True)
@@ -97,7 +97,7 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
 
 
 def judged_comparison(comparison: Comparison) -> Verdict:
-    """Which method to use, and how many gave a result to trust."""
+    """Return the verdict: reference method to use, and how many gave a trusted result."""
     ran = sum(o.status is not OutcomeStatus.IMPOSSIBLE for o in comparison.outcomes)
     best, good = comparison.recommended, len(comparison.trusted)
     if ran == 0:
@@ -112,14 +112,14 @@ def judged_comparison(comparison: Comparison) -> Verdict:
 
 
 def short_header(comparison: Comparison) -> list[str]:
-    """Names of the columns of `short_rows`."""
+    """Return the column names of `short_rows`."""
     _, unit = comparison.recording.field_shown
     header = ["method", "status", f"hard iron ({unit})", f"spread ({unit})"]
     return [*header, *(["heading (°)"] if comparison.raw.heading is not None else []), "time"]
 
 
 def short_rows(comparison: Comparison) -> list[list[str]]:
-    """What fits a terminal of 80 columns; methods that gave nothing are left to `remarks`."""
+    """Return one row per calibrated method for a terminal of 80 columns; `remarks` names the other methods."""
     scale, _ = comparison.recording.field_shown
     rows = []
     for outcome in (comparison.raw, *comparison.by_trust):
@@ -136,13 +136,13 @@ def short_rows(comparison: Comparison) -> list[list[str]]:
 
 
 def _brief(value: float) -> str:
-    """Six characters or so."""
+    """Return the value in about six characters."""
     size = abs(value)
     return f"{value:.2f}" if size < 100 else f"{value:.0f}" if size < _HUGE else f"{value:.0e}"
 
 
 def result_header(comparison: Comparison) -> list[str]:
-    """Names of the columns of `result_rows`."""
+    """Return the column names of `result_rows`."""
     _, unit = comparison.recording.field_shown
     header = ["method", "status", *(f"hard iron {axis} ({unit})" for axis in "xyz"), f"field spread ({unit})"]
     if not comparison.inlier.all():
@@ -153,7 +153,7 @@ def result_header(comparison: Comparison) -> list[str]:
 
 
 def result_rows(comparison: Comparison) -> list[list[str]]:
-    """Per row: method, status, hard iron ± σ, spread of the field, of the heading, run time; "raw" first."""
+    """Return one row per method, "raw" first: method, status, hard iron ± σ, spreads of field and heading, run time."""
     scale, _ = comparison.recording.field_shown
     rows = []
     for outcome in (comparison.raw, *comparison.by_trust):
@@ -174,7 +174,7 @@ GYROSCOPE = ("method", *(f"gyroscope bias {axis} (mrad/s)" for axis in "xyz"), "
 
 
 def soft_iron_rows(comparison: Comparison) -> list[list[str]]:
-    """Soft iron ± σ of the methods that gave parameters; see `SOFT_IRON`."""
+    """Return the soft iron ± σ of each calibrated method; columns as in `SOFT_IRON`."""
     rows = []
     upper = np.triu_indices(3)
     for outcome in comparison.by_trust:
@@ -188,7 +188,7 @@ def soft_iron_rows(comparison: Comparison) -> list[list[str]]:
 
 
 def gyroscope_rows(comparison: Comparison) -> list[list[str]]:
-    """Gyroscope bias and delay, each ± σ, of the methods that estimate one of them; see `GYROSCOPE`."""
+    """Return gyroscope bias and delay ± σ of the methods that estimate one of them; columns as in `GYROSCOPE`."""
     rows = []
     for outcome in comparison.by_trust:
         calibration = outcome.calibration
@@ -204,9 +204,9 @@ def gyroscope_rows(comparison: Comparison) -> list[list[str]]:
 
 
 def remarks(comparison: Comparison) -> list[str]:
-    """A sentence for each method that is to be doubted or gave nothing, its first reason; the page has them all.
+    """Return a sentence with the first reason for each method that is not trusted, and the notes on single methods.
 
-    And one for what only some got to see.
+    The page shows all reasons.
     """
     sentences = [
         f"{o.method} {o.status}: {_first(o.reason)}"
@@ -221,13 +221,13 @@ def remarks(comparison: Comparison) -> list[str]:
 
 
 def _first(reason: str) -> str:
-    """The first of the reasons, in at most 30 words."""
+    """Return the first reason in at most 30 words."""
     first = next(iter(clauses(reason)), "no reason given")
     return ": ".join(part for part in cause_and_action(first) if part)
 
 
 def footnotes(comparison: Comparison) -> list[str]:
-    """What the numbers of all methods have in common."""
+    """Return the explanations that apply to the numbers of all methods."""
     sentences = ["Field spread: standard deviation of the calibrated field's strength."]
     if not comparison.inlier.all():
         out = int((~comparison.inlier).sum())
@@ -239,13 +239,13 @@ def footnotes(comparison: Comparison) -> list[str]:
         way = "later" if comparison.delay > 0 else "earlier"
         late = f", the field taken {abs(comparison.delay) * 1e3:.1f} ms {way}, as {comparison.delay_from} found it"
         estimate = comparison.recording.attitude_is == "estimate"
-        which = (
+        reference = (
             "attitude of the log, an estimate that the magnetometer took part in"
             if estimate
             else "reference attitude"
         )
         sentences.append(
-            f"Heading spread: standard deviation of the magnetic heading against the {which}"
+            f"Heading spread: standard deviation of the magnetic heading against the {reference}"
             f"{late if comparison.delay_from else ''}."
         )
     if comparison.recording.magnetic_field_unit == "counts":
@@ -256,7 +256,7 @@ def footnotes(comparison: Comparison) -> list[str]:
 
 
 def duration(seconds: float | None) -> str:
-    """A run time to two digits: "12 ms", "3.4 s"."""
+    """Return a run time as text: "12 ms", "3.40 s", "25 s"."""
     if seconds is None:
         return ""
     return (

@@ -1,4 +1,4 @@
-"""The gap page's figures: the gap before and after, over time and heading on one scale, and where it is."""
+"""The gap page's figures: the prediction error before and after over time and heading, and the misfit maps."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from magyc_gtsam.report.charts import MOST_BINS, Figure, Frame, Series, chart, c
 
 _MICRO = 1e6
 _SECTORS = 36
-_SCALE = 1.05  # of the largest value, up to which the common scale goes
+_SCALE = 1.05  # upper limit of the common scale, in largest values
 
 
 def shrinking(recording: Recording, gap: Gap) -> list[Figure]:
-    """The prediction's error in µT over time and over heading, before and after, on one scale."""
+    """Draw the prediction error in µT over time and over heading, before and after, on one scale."""
     before, after = gap.before.open_loop, gap.after.open_loop
     if not len(before.time):
         return []  # shorter than the horizon
@@ -41,7 +41,7 @@ def shrinking(recording: Recording, gap: Gap) -> list[Figure]:
 
 
 def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
-    """The error of the magnetic heading against the reference, before and after, where there is one."""
+    """Draw the error of the magnetic heading against the reference, before and after; empty without a reference."""
     if recording.attitude is None or not np.isfinite(recording.attitude).any():
         return []
     values = [("before", "raw", gap.base)]
@@ -52,7 +52,9 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
     for label, colour, calibration in values:
         try:
             error = np.degrees(heading_error(calibration.apply(recording), recording.attitude))
-        except MagycError:  # a term needs what this recording lacks
+        except (
+            MagycError
+        ):  # the calibration has a term that needs a channel which this recording lacks: no curve of it
             continue
         middle, mean, low, high = summary(time, error, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))
@@ -61,7 +63,7 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
 
 
 def gap_map(recording: Recording, before: GapMap, after: GapMap) -> Figure:
-    """Misfit over one variable, before and after, with the band in which the right model would stay."""
+    """Draw the misfit over one variable, before and after, with the band expected of the right model."""
     worst = "Within the band" if before.worst <= 1 else f"Up to {before.worst:.2f} times the band"
     closing = (
         "" if after is before else f", then {'within it' if after.worst <= 1 else f'{after.worst:.2f} times'}"
@@ -84,7 +86,7 @@ def gap_map(recording: Recording, before: GapMap, after: GapMap) -> Figure:
 
 
 def maps(recording: Recording, before: Metrics, after: Metrics) -> list[Figure]:
-    """Where the gap is, over each variable."""
+    """Draw the misfit map over each variable."""
     later = {gap.over: gap for gap in after.maps}
     return [
         gap_map(recording, gap, gap if after is before else later.get(gap.over, gap))
@@ -146,7 +148,7 @@ def _over_heading(
 
 
 def _headings(recording: Recording, gap: Gap) -> Array | None:
-    """(N,) deg, 0 to 360, of the calibrated field in the horizontal plane; None where nothing says what is level."""
+    """Return the magnetic heading (N,) deg, 0 to 360, of the calibrated field; None without a vertical reference."""
     up = vertical(recording.attitude, recording.acceleration)
     if up is None:
         return None

@@ -1,4 +1,4 @@
-"""The gap page: where model and measurement disagree, what it was named, and how it shrank."""
+"""The gap page: where model and measurement disagree, which effects explain it, and what remains."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def render_gap(
     validation: Validation | None = None,
     verdict: Verdict | None = None,
 ) -> str:
-    """The page as HTML text, self-contained.
+    """Return the page as self-contained HTML text.
 
     Args:
-        recording: what was searched.
-        gap: the result.
+        recording: the recording that was searched.
+        gap: the result of the search.
         validation: both models on another recording.
-        verdict: on the gap, where it is known already.
+        verdict: the verdict on the gap; judged here if None.
     """
     verdict = verdict or judged_gap(gap, validation)
     return rendered(
@@ -69,7 +69,7 @@ def render_gap(
 def _advice(gap: Gap, verdict: Verdict) -> list[str]:
     if not verdict.trusted:
         lines = [f"Do not use this calibration: {verdict.action}."]
-        if gap.verdict in ("none", "closed") and verdict.called:  # by another recording
+        if gap.verdict in ("none", "closed") and verdict.called:  # refused because of another recording
             lines.append("Use the correction only after it holds on another log.")
         elif gap.verdict == "unknown":
             lines.append("The calibration was not changed. The evidence below shows what the misfit depends on.")

@@ -1,4 +1,4 @@
-"""Figures of a gap by matplotlib: where it is, and prediction before and after."""
+"""Figures of a gap by matplotlib: the misfit maps, and the prediction before and after."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _TICKS = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000)
 
 
 def gap_map(figure: FigureBase, before: GapMap, after: GapMap) -> None:
-    """Misfit over one variable, before and after, with the band in which the right model would stay."""
+    """Draw the misfit over one variable, before and after, with the band expected of the right model."""
     axes = figure.add_subplot()
     unit, label = _axis(before)
     centre = before.centre / unit
@@ -36,7 +36,7 @@ def gap_map(figure: FigureBase, before: GapMap, after: GapMap) -> None:
 
 
 def open_loop(figure: FigureBase, before: OpenLoop, after: OpenLoop) -> None:
-    """Error of a prediction by the gyroscope alone, over time, with the band that the model expects."""
+    """Draw the error of the prediction by the gyroscope alone over time, with the band that the model expects."""
     unit, label = clock(before.time)
     panels = figure.subplots(3, 1, sharex=True)
     for axis, axes in enumerate(panels):
@@ -54,14 +54,14 @@ def open_loop(figure: FigureBase, before: OpenLoop, after: OpenLoop) -> None:
 
 
 def _plain_ticks(axes: Axes, values: Sequence[float] | Array) -> None:
-    """1 and 3 of every decade, on a logarithmic axis."""
+    """Set ticks at 1 and 3 of every decade of a logarithmic axis."""
     ticks = [t for t in _TICKS if 0.8 * min(values) <= t <= 1.2 * max(values)]
     axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
     axes.set_xticks([], minor=True)
 
 
 def _axis(gap: GapMap) -> tuple[float, str]:
-    """Divisor and label of a map's variable."""
+    """Return divisor and label of a map's variable."""
     if gap.over == "time":
         return clock(gap.centre)
     name = gap.over[0].upper() + gap.over[1:]

@@ -1,4 +1,4 @@
-"""The verdict on a gap, by itself and on another recording."""
+"""The verdict on a gap, from its own recording and from a validation recording."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.result import Effect, Gap, Metrics, Moved
 from magyc_gtsam.report.verdict import Verdict, said
 
-_WORSE = 0.005  # nats per window, by which what was found may make another recording worse
-_BETTER = 0.98  # prediction with the correction over that without, below which the correction helps there
-_NOISIER = 1.25  # times the noise of the log, from which another log's differs
-_FOREIGN = 0.1  # of the field; a prediction beyond it is no matter of effects that were not found
-_SWEPT = 0.5  # of the field, by which another recording must turn it to be one to judge by
-MOST_EFFECTS = 3  # named one by one in the verdict
+_WORSE = 0.005  # nats per window that the correction may lose on the other recording
+_BETTER = 0.98  # ratio of prediction errors with and without correction, below which the correction helps there
+_NOISIER = 1.25  # ratio of the noise levels from which they differ
+_FOREIGN = 0.1  # of the field; a larger prediction error means another instrument, not a missing effect
+_SWEPT = 0.5  # of the field; smallest sweep of a recording that can validate
+MOST_EFFECTS = 3  # named singly in the verdict
 _TITLES = {
     "none": "Nothing was found missing",
     "closed": "Gap found and closed",
@@ -30,13 +30,13 @@ _TITLES = {
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Both models on another recording.
+    """The models before and after the search, compared on another recording.
 
     Attributes:
-        name: of the recording.
-        swept: T, by its field.
-        before, after: how well the twelve parameters, and the model with what was found, agree with it.
-        differences: what it says otherwise when it is fitted by itself, and matters.
+        name: name of the recording.
+        swept: sweep of its field, T.
+        before, after: how well the twelve parameters alone, and the model with the effects found, agree with it.
+        differences: the parameters that differ significantly when the recording is fitted by itself.
     """
 
     name: str
@@ -47,12 +47,12 @@ class Validation:
 
 
 def closed(gap: Gap) -> bool:
-    """Whether nothing was missing, or what was missing is in the model now."""
+    """Return whether nothing was missing, or every missing effect is in the model now."""
     return gap.verdict in ("none", "closed")
 
 
 def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | None:
-    """Why the result does not hold on the other recording: a title, the doubt, and all of it; None where it holds."""
+    """Return why the result does not hold on the other recording: (title, doubt, explanation); None if it holds."""
     loop, strength = validation.after.open_loop, gap.calibration.field_strength
     assert strength is not None
     name = validation.name
@@ -91,7 +91,7 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
             "another delay",
         )
     before, after = validation.before.held_out, validation.after.held_out
-    # A likelihood falls where the noise is another, too: the prediction says whether the correction helps.
+    # The likelihood also falls where only the noise differs; the prediction error shows whether the correction helps.
     if after > before - _WORSE or loop.rms < _BETTER * validation.before.open_loop.rms:
         return None
     return (
@@ -103,7 +103,7 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
 
 
 def noise_there(validation: Validation) -> str:
-    """Where the noise of the other recording is another: how much; else ""."""
+    """Return a sentence where the noise level of the other recording differs, otherwise ""."""
     over_time = next((m for m in validation.after.maps if m.over == "time"), None)
     if over_time is None or not over_time.share.sum() > 0:
         return ""
@@ -114,12 +114,12 @@ def noise_there(validation: Validation) -> str:
 
 
 def judged_gap(gap: Gap, validation: Validation | None = None, unjudged: str = "") -> Verdict:
-    """The verdict on a gap, which terminal, page, files and exit code share.
+    """Return the verdict on a gap, which terminal, page, files and exit code share.
 
     Args:
-        gap: the result.
-        validation: of it on another recording.
-        unjudged: why it could not be judged there.
+        gap: the result of the search.
+        validation: its validation on another recording.
+        unjudged: why the other recording could not validate it; "" if it could.
     """
     whole = (*clauses(gap.sentence), *(effect.sentence for effect in gap.effects))
     noise = "" if validation is None else noise_there(validation)
@@ -146,7 +146,7 @@ def _refused(called: str, doubt: Doubt, details: Sequence[str]) -> Verdict:
 
 
 def _found(gap: Gap) -> str:
-    """What was found, in few words."""
+    """Return the effects found in at most `MOST_WORDS` words or as a list of names."""
     effects = sorted(gap.effects, key=lambda effect: effect.name not in TERMS)
     if not effects:
         return clauses(gap.sentence)[0]
@@ -159,19 +159,19 @@ def _found(gap: Gap) -> str:
 
 
 def _size(effect: Effect) -> str:
-    """The length of its value in brackets, where it has a unit."""
+    """Return the length of the effect's value in brackets; "" without a unit."""
     if not effect.unit:
         return ""
     return f" ({float(np.linalg.norm(effect.value)):.2g} {effect.unit})"
 
 
-def _details(sentences: Sequence[str], *told: str) -> tuple[str, ...]:
-    """Each once, without what was told already."""
-    return tuple(dict.fromkeys(said(each) for each in sentences if each and said(each) not in map(said, told)))
+def _details(sentences: Sequence[str], *shown: str) -> tuple[str, ...]:
+    """Return each sentence once, without those in `shown`."""
+    return tuple(dict.fromkeys(said(each) for each in sentences if each and said(each) not in map(said, shown)))
 
 
 def as_judged(gap: Gap, verdict: Verdict) -> Gap:
-    """The gap with a calibration that is refused wherever the verdict is against it."""
+    """Return the gap with the verdict's doubt on its calibration, so that every output refuses it alike."""
     if verdict.trusted or gap.doubt is not None:
         return gap
     title = f"{verdict.title[:1].lower()}{verdict.title[1:]}"
@@ -179,5 +179,5 @@ def as_judged(gap: Gap, verdict: Verdict) -> Gap:
 
 
 def title(gap: Gap) -> str:
-    """The verdict as a heading."""
+    """Return the verdict as a heading."""
     return _TITLES[gap.verdict]

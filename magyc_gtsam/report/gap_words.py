@@ -1,4 +1,4 @@
-"""The gap in words and rows, for page and terminal."""
+"""The gap as sentences and table rows, for page and terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
 HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
-_WORTH_SAYING, _SAID = 0.01, 6  # probability, and how many
+_LEAST_PROBABILITY, _MOST_PROBABILITIES = 0.01, 6  # that the sentence names
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "change (σ)")
 DIFFERS = ("parameter that differs", "this log", "other log", "difference (σ)")
@@ -21,7 +21,7 @@ PLAN = ("effect", "found from", "relevant from", "found when relevant", "remaini
 
 
 def key_numbers(gap: Gap) -> list[Number]:
-    """The numbers to see first."""
+    """Return the numbers that the page shows first."""
     before, after = gap.before, gap.after
     loop = before.open_loop
     numbers = [
@@ -32,7 +32,7 @@ def key_numbers(gap: Gap) -> list[Number]:
         )
     ]
     if not len(loop.time):
-        numbers = []  # the recording is shorter
+        numbers = []  # the recording is shorter than the horizon
     if before.heading is not None and after.heading is not None:
         numbers.append(
             Number(
@@ -48,7 +48,7 @@ def key_numbers(gap: Gap) -> list[Number]:
 
 
 def effect_value(effect: Effect) -> str:
-    """Its parameters with their deviations, and its time; "" of what has no unit."""
+    """Return the effect's parameters and times, each ± σ; "" for an effect without a unit."""
     values = [uncertain(v, s) for v, s in zip(np.ravel(effect.value), np.ravel(effect.sigma), strict=True)]
     if len(values) > 1:
         values = [f"{name} {value}" for name, value in zip(effect.parameters, values, strict=True)]
@@ -61,31 +61,34 @@ def effect_value(effect: Effect) -> str:
 
 
 def probability_sentence(gap: Gap) -> str:
-    """How probable what may be there is, the likeliest first; "" where nothing was tested."""
+    """Return the posterior probabilities of the hypotheses, the likeliest first; "" if nothing was tested."""
     words = {
         "unknown": "something in no catalogue",
         "nothing": "nothing",
         "field-variation": "a field that varies",
     }
-    likely = [(name, p) for name, p in gap.probabilities.items() if p >= _WORTH_SAYING][:_SAID]
+    likely = [(name, p) for name, p in gap.probabilities.items() if p >= _LEAST_PROBABILITY][:_MOST_PROBABILITIES]
     told = [f"{words.get(name) or LABELS[name]} {per_cent(p)}" for name, p in likely]
     return f"Probabilities: {', '.join(told)}" if told else ""
 
 
 def per_cent(probability: float) -> str:
-    """A probability; none is said to be certain, or impossible."""
+    """Return a probability in per cent, bounded away from 0 and 100 %."""
     if not 0.001 <= probability <= 0.999:
         return "> 99.9 %" if probability > 0.5 else "< 0.1 %"
     return f"{100 * probability:.{0 if 0.1 <= probability <= 0.9 else 1}f} %"
 
 
 def hypothesis_label(hypothesis: Hypothesis) -> str:
-    """In words; of the generic families, which share words, with the number of their parameters."""
+    """Return the label, with the number of parameters for generic families, whose labels are alike."""
     return hypothesis.label + (f" ({hypothesis.parameters})" if hypothesis.generic else "")
 
 
 def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -> list[list[str]]:
-    """One row per hypothesis, the named first and then the strongest; see `HYPOTHESES`. `explained`: why, in words."""
+    """Return one row per hypothesis, named ones first, then by evidence; columns as in `HYPOTHESES`.
+
+    With `explained`, a last column gives the reason.
+    """
     ordered = sorted(hypotheses, key=lambda h: (h.status != "named", -h.statistic / max(h.threshold, 1e-12)))
     return [
         [
@@ -102,7 +105,7 @@ def hypothesis_rows(hypotheses: Sequence[Hypothesis], explained: bool = False) -
 
 
 def evidence_rows(hypotheses: Sequence[Hypothesis], most: int = 14) -> list[tuple[str, float, str, bool]]:
-    """(label, width of its bar in %, evidence over threshold in words, whether significant), strongest first."""
+    """Return (label, bar width in %, evidence over threshold as text, significant) per hypothesis, strongest first."""
     shown = sorted(hypotheses, key=lambda h: -h.statistic / h.threshold)[:most]
     ratio = [max(h.statistic / h.threshold, 1e-2) for h in shown]
     top = np.log(100 * max([1.0, *ratio]))
@@ -113,7 +116,7 @@ def evidence_rows(hypotheses: Sequence[Hypothesis], most: int = 14) -> list[tupl
 
 
 def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
-    """One row per metric of a recording; see `METRICS`."""
+    """Return one row per metric of a recording; columns as in `METRICS`."""
     loop = before.open_loop
     rows = [
         [
@@ -128,7 +131,7 @@ def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
         ],
     ]
     if not len(loop.time):
-        rows = []  # the recording is shorter
+        rows = []  # the recording is shorter than the horizon
     rows += [
         ["Held-out log-likelihood per window", f"{before.held_out:.4f}", f"{after.held_out:.4f}"],
         ["Whiteness of the innovations (1 is white)", f"{before.whiteness:.2f}", f"{after.whiteness:.2f}"],
@@ -145,7 +148,7 @@ def metric_rows(before: Metrics, after: Metrics) -> list[list[str]]:
 
 
 def line_sentences(metrics: Metrics) -> list[str]:
-    """What stands out of the spectrum."""
+    """Return a sentence per line in the spectrum of the misfit."""
     return [
         f"The spectrum of the misfit has a line at {line.frequency:.3g} Hz with {line.amplitude * _MICRO:.2f} µT: a "
         "tone, or the period of the motion if an effect is missing."
@@ -154,7 +157,7 @@ def line_sentences(metrics: Metrics) -> list[str]:
 
 
 def moved_rows(moved: Sequence[Moved]) -> list[list[str]]:
-    """One row per parameter that moved; see `MOVED`."""
+    """Return one row per parameter that moved; columns as in `MOVED`."""
     return [
         [f"{m.name} ({m.unit})" if m.unit else m.name, f"{m.before:.4g}", f"{m.after:.4g}", f"{m.sigmas:+.1f}"]
         for m in moved
@@ -162,7 +165,7 @@ def moved_rows(moved: Sequence[Moved]) -> list[list[str]]:
 
 
 def assumption_rows(gap: Gap) -> list[list[str]]:
-    """One row per assumption of the user's simulator; see `ASSUMPTIONS`."""
+    """Return one row per assumption of the user's simulator; columns as in `ASSUMPTIONS`."""
 
     def measured(a: Assumption) -> str:
         return uncertain(a.measured, a.sigma) if a.sigma > 0 else f"{a.measured:.4g}"
@@ -178,7 +181,7 @@ def assumption_rows(gap: Gap) -> list[list[str]]:
 
 
 def confusion_sentences(gap: Gap) -> list[str]:
-    """What each name could be mistaken for, and what would settle it."""
+    """Return which other effects each named effect could be confused with."""
     sentences = []
     untested = {u.name for u in gap.untested}
     named = {effect.name for effect in gap.effects}
@@ -200,7 +203,7 @@ def confusion_sentences(gap: Gap) -> list[str]:
 
 
 def plan_rows(table: Sequence[Isolability]) -> list[list[str]]:
-    """One row per effect of an isolability table; see `PLAN`."""
+    """Return one row per effect of an isolability table; columns as in `PLAN`."""
     return [
         [
             row.name,
@@ -215,7 +218,7 @@ def plan_rows(table: Sequence[Isolability]) -> list[list[str]]:
 
 
 def _named_as(row: Isolability) -> str:
-    """Its name, and those that it gets instead or beside it in most cases, with the share of the cases."""
+    """Return the effect's name and the names it is confused with, each with its share of the cases."""
     if not np.isfinite(row.smallest):
         return ""
     return " or ".join([row.name, *(f"{name} ({share:.0%})" for name, share in row.confused_with.items())])

@@ -1,4 +1,4 @@
-"""What all pages have in common: the skeleton that their templates extend, and writing them."""
+"""Render the templates of all pages, which extend base.html."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _STYLES = ("uplot/uPlot.min.css", "style.css")
 
 
 def rendered(template: str, recording: Recording | None = None, **values: Any) -> str:
-    """A page as HTML text, self-contained.
+    """Return a page as self-contained HTML text.
 
     Args:
-        template: file name; extends base.html, which says what it needs of `values`.
-        recording: what the page is about; None where it is about many.
-        values: for the template.
+        template: file name of the template; it extends base.html, which lists the values it needs.
+        recording: the recording that the page is about; None for a page about many.
+        values: values for the template.
     """
     environment = Environment(
         loader=PackageLoader(_PACKAGE, "."),
@@ -38,7 +38,7 @@ def rendered(template: str, recording: Recording | None = None, **values: Any) -
 
 
 def _sentence(text: str) -> Markup:
-    """Words as HTML: real minus signs, and what stands between backticks as code."""
+    """Return text as HTML with real minus signs, and text between backticks as code."""
     return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", escape(with_minus(text))))
 
 

@@ -1,4 +1,4 @@
-"""What a calibration and a gap show in a notebook: figures by matplotlib, and a few lines of HTML."""
+"""Show calibrations, gaps and comparisons in a notebook: figures by matplotlib and short HTML."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
 
 
 def plot_calibration(calibration: Calibration, recording: Recording | None = None) -> Figure:
-    """The field before and after, its strength, and the heading.
+    """Plot the field before and after calibration, its strength and the heading error.
 
     Args:
-        calibration: the result.
-        recording: what it was made from; None where the calibration knows it.
+        calibration: the calibration to plot.
+        recording: the recording it was made from; None if the calibration holds it.
 
-    Raises:
-        MagycError: the recording is not known.
+        Raises:
+            MagycError: neither gives the recording.
     """
     from magyc_gtsam.report import plots
 
-    recording = _of(calibration, recording)
+    recording = _recording_of(calibration, recording)
     history = field_history(recording, calibration)
     figure = _figure(11.0, 6.6)
     halves: Any = figure.subfigures(2, 1)
@@ -57,7 +57,7 @@ def plot_calibration(calibration: Calibration, recording: Recording | None = Non
 
 
 def plot_gap(gap: Gap) -> Figure:
-    """The prediction before and after, and where the gap is."""
+    """Plot the prediction before and after, and the misfit maps."""
     from magyc_gtsam.report import gap_plots
 
     later = {each.over: each for each in gap.after.maps}
@@ -75,8 +75,8 @@ def plot_gap(gap: Gap) -> Figure:
 
 
 def report(calibration: Calibration, path: str | os.PathLike[str], recording: Recording | None = None) -> Path:
-    """The page of a calibration as an HTML file, or its figures as a PDF where the name ends in .pdf."""
-    recording = _of(calibration, recording)
+    """Write the page of a calibration as an HTML file, or its figures if the name ends in .pdf; return the path."""
+    recording = _recording_of(calibration, recording)
     if Path(path).suffix == ".pdf":
         plot_calibration(calibration, recording).savefig(path)
         return Path(path)
@@ -89,7 +89,7 @@ def report(calibration: Calibration, path: str | os.PathLike[str], recording: Re
 
 
 def html_of(value: Calibration | Gap | Comparison) -> str:
-    """A verdict and a table."""
+    """Return a verdict and a table as HTML, for the notebook's display."""
     if isinstance(value, Calibration):
         rows = [[name, *values] for name, values in words.parameter_rows(value)]
         return _html(judged(value, value.recording).sentence, ("", "x", "y", "z"), rows)
@@ -111,17 +111,15 @@ def _html(sentence: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -
     return f"<p><b>{html.escape(sentence)}</b></p>{table}"
 
 
-def _of(calibration: Calibration, recording: Recording | None) -> Recording:
-    found = recording if recording is not None else calibration.recording
-    if found is None:
-        raise MagycError(
-            "the calibration does not know its recording (it was loaded or changed); give it: recording="
-        )
-    return found
+def _recording_of(calibration: Calibration, recording: Recording | None) -> Recording:
+    recording = recording if recording is not None else calibration.recording
+    if recording is None:
+        raise MagycError("the calibration does not hold its recording (it was loaded or changed): pass recording=")
+    return recording
 
 
 def _figure(width: float, height: float) -> Figure:
-    """Of pyplot, so that a notebook shows what is returned, and closed, so that it shows it once."""
+    """Return a figure of pyplot, which a notebook displays, closed so that it is displayed only once."""
     import matplotlib.pyplot as plt
 
     figure = plt.figure(figsize=(width, height), layout="constrained")

@@ -1,4 +1,4 @@
-"""The report page: what to trust, what it looks like, what to do next."""
+"""The report page of a calibration: verdict, figures, parameters and advice."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from magyc_gtsam.report.verdict import Verdict, degrees, judged
 from magyc_gtsam.storage.whole_file import write_text
 
 _MICRO = 1e6
-_MOST_RESIDUALS = 1500  # windows drawn
+_MOST_RESIDUALS = 1500  # windows drawn per chart
 
 
 @dataclass(frozen=True)
 class ResidualSection:
-    """Figures of the residuals and the stretches that do not fit."""
+    """Figures of the residuals, and the stretches of time that do not fit the model."""
 
     figures: tuple[Figure, ...]
     stretches: tuple[tuple[float, float], ...]
@@ -50,13 +50,13 @@ def write_report(
 
     Args:
         target: the file (its name ends in .html), or a directory that receives `report.html`.
-        recording: what was calibrated from.
-        calibration: the result.
-        residuals: of the method's windows; None for methods without any.
-        verdict: on the calibration, where it is known already.
+        recording: the recording the calibration was made from.
+        calibration: the calibration.
+        residuals: residuals of the method's windows; None for methods without windows.
+        verdict: the verdict on the calibration; judged here if None.
 
     Returns:
-        The file written, in one step.
+            The path of the file, written atomically.
     """
     path = Path(target)
     if path.suffix != ".html":
@@ -72,7 +72,7 @@ def render(
     residuals: WindowResiduals | None = None,
     verdict: Verdict | None = None,
 ) -> str:
-    """The report as HTML text."""
+    """Return the report as HTML text."""
     verdict = verdict or judged(calibration, recording)
     history = field_history(recording, calibration)
     visited = coverage(history.time, history.calibrated)
@@ -172,7 +172,7 @@ def _time_figures(recording: Recording, history: FieldHistory, time: Array) -> l
 
 def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -> list[Figure]:
     error = turn.raw_error(calibration.soft_iron, calibration.hard_iron)
-    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # from −180° to 180°, not to be joined
+    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # no line across the wrap at ±180°
     about = f"A turn about {turn.about}, at a dip of {turn.dip:.0f}°."
     frame = Frame("Heading (°)", "Error (°)", levels=[0.0], xlim=(0, 360))
     figures = [
@@ -202,7 +202,7 @@ def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -
 def _residual_section(recording: Recording, residuals: WindowResiduals) -> ResidualSection:
     time = residuals.time - origin(recording)
     middle = (time[1:] + time[:-1]) / 2
-    joined = np.isfinite(residuals.link_sigma)  # not across a hole of the data
+    joined = np.isfinite(residuals.link_sigma)  # links across a gap in the data have no sigma
     fits = [
         ("Magnetometer", time, residuals.magnetic_field, residuals.magnetic_sigma, residuals.magnetic_weight),
         (

@@ -1,4 +1,4 @@
-"""Figures by matplotlib, for notebooks and for paper: each function draws into a figure that is given."""
+"""Figures by matplotlib, for notebooks and print; each function draws into the given figure."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from magyc_gtsam.level_turn import LevelTurn
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.analysis import FieldHistory, ellipsoid_outline, spread, summary
 
-RAW = "#d9730d"  # orange and blue keep apart for colour-blind eyes and on light and dark ground
+RAW = "#d9730d"  # orange and blue: distinct to colour-blind readers and on light and dark backgrounds
 CALIBRATED = "#2b8cdb"
-INK = "#808a94"  # to be read on light and dark ground
+INK = "#808a94"  # readable on light and dark backgrounds
 _MICRO = 1e6
-_FLAT = 0.1  # share of the axis below which the calibrated curve gets a scale of its own
+_FLAT = 0.1  # share of the common scale below which the calibrated curve gets its own panel
 
 
 def field_projection(
     figure: FigureBase, history: FieldHistory, soft_iron: Array, hard_iron: Array, plane: tuple[int, int]
 ) -> None:
-    """Raw and calibrated field, with the fitted ellipsoid and the sphere, seen along one sensor axis."""
+    """Plot raw and calibrated field, with the fitted ellipsoid and the sphere, along one sensor axis."""
     axes = figure.add_subplot()
     rows = spread(history.calibrated, history.strength / 40)
     for field, colour in ((history.raw, RAW), (history.calibrated, CALIBRATED)):
@@ -36,22 +36,22 @@ def field_projection(
 
 
 def field_strength(figure: FigureBase, history: FieldHistory) -> None:
-    """Strength of the field over time, raw and calibrated."""
+    """Plot the strength of the field over time, raw and calibrated."""
     raw, calibrated = (np.linalg.norm(field, axis=1) * _MICRO for field in (history.raw, history.calibrated))
     before_after(figure, history.time, raw, calibrated, "Strength (µT)", history.strength * _MICRO)
 
 
 def heading_error(figure: FigureBase, time: Array, error: Array) -> None:
-    """Error of the magnetic heading (n, 2) deg against the reference over time, raw and calibrated."""
+    """Plot the error of the magnetic heading (n, 2) deg, raw and calibrated, over time."""
     before_after(figure, time, error[:, 0], error[:, 1], "Heading error (°)", 0.0)
 
 
 def level_turn_error(figure: FigureBase, turn: LevelTurn, calibration: Calibration) -> None:
-    """Heading error over a level turn: of the raw field, and the calibration's own uncertainty."""
+    """Plot the heading error of the raw field over a level turn, and the uncertainty after calibration."""
     rows = 1 if calibration.covariance is None else 2
     grid = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[3, 2][:rows])[:, 0]
     error = turn.raw_error(calibration.soft_iron, calibration.hard_iron)
-    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # from −180° to 180°, not to be joined
+    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # no line across the wrap at ±180°
     grid[0].plot(turn.heading, np.where(jumps, np.nan, error), color=RAW)
     grid[0].set_ylabel("Raw (°)")
     if calibration.covariance is not None:
@@ -64,7 +64,7 @@ def level_turn_error(figure: FigureBase, turn: LevelTurn, calibration: Calibrati
 
 
 def before_after(figure: FigureBase, time: Array, raw: Array, calibrated: Array, label: str, ideal: float) -> None:
-    """Means as lines, ranges as bands, `ideal` dashed; in two rows where one scale would hide one of them."""
+    """Plot means as lines, ranges as bands and `ideal` dashed; in two panels where one scale would hide a curve."""
     unit, time_label = clock(time)
     low, high = np.nanpercentile(calibrated, [1, 99])
     both = np.append(raw, calibrated)
@@ -80,7 +80,7 @@ def before_after(figure: FigureBase, time: Array, raw: Array, calibrated: Array,
 
 
 def clock(time: Array) -> tuple[float, str]:
-    """Seconds per unit of a time axis, and its label."""
+    """Return seconds per unit of a time axis, and its label."""
     span = float(time[-1] - time[0])
     if span <= 1200:
         return 1.0, "Time (s)"

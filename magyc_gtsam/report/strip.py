@@ -1,4 +1,4 @@
-"""A log at a glance: strength of the raw field and turn rate over time, in few steps."""
+"""Summarise a log for display: strength of the raw field and turn rate over time, in few steps."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _DIGITS = 4
 
 
 def strip_of(recording: Recording) -> dict[str, Any]:
-    """{quantity: {"time", "mean", "low", "high"}} as lists, JSON types; null where nothing was measured.
+    """Return a summary of the field strength and the turn rate over time, as JSON types.
 
     Args:
-        recording: of any length.
+        recording: a recording of any length.
 
     Returns:
-        "field" in µT (or counts) and, where there is a gyroscope, "rate" in °/s, each with its "unit"; "start" and
-        "end" of the recording; times in s since the log's first row.
+        "start" and "end" of the recording in s, "field" in µT (or counts) and "rate" in °/s; each of the two with its
+        "unit" and the lists "time", "mean", "low" and "high". "rate" is None without a gyroscope.
     """
     shown, unit = recording.field_shown
     time, field = recording.magnetometer

@@ -1,4 +1,4 @@
-"""Pages over many logs: a table of calibrations with links, and the history of one instrument."""
+"""Pages about many logs: a table of calibrations with links, and the history of one instrument."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _BARS = "Bars: 95% interval (±1.96σ)."
 
 @dataclass(frozen=True)
 class Link:
-    """A cell of a table that leads to another page."""
+    """A table cell that links to another page."""
 
     text: str
     href: str
@@ -30,7 +30,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page."""
+    """A section of a page."""
 
     title: str
     header: Sequence[str] = ()
@@ -40,16 +40,16 @@ class Section:
 
 
 def summary_page(title: str, headline: str, good: bool, lead: Sequence[str], sections: Sequence[Section]) -> str:
-    """A page as HTML text; works without a network."""
+    """Return a page as self-contained HTML text."""
     return rendered("summary.html", about=title, headline=headline, good=good, lead=lead, sections=sections)
 
 
 def by_log(names: Sequence[str], hard_iron: Array, sigma: Array) -> list[Figure]:
-    """Hard iron of each log by itself, one figure per axis.
+    """Draw the hard iron of each log by itself, one figure per axis.
 
     Args:
-        names: (k,) of the logs.
-        hard_iron, sigma: (k, 3) µT, of trusted calibrations.
+        names: (k,) names of the logs.
+        hard_iron, sigma: (k, 3) µT, from trusted calibrations.
     """
     at = np.arange(1, len(names) + 1, dtype=np.float64)
     figures = []
@@ -63,7 +63,7 @@ def by_log(names: Sequence[str], hard_iron: Array, sigma: Array) -> list[Figure]
 
 
 def history_page(history: History, title: str = "History of an instrument") -> str:
-    """The page of a history: hard iron over the logs, jumps, contradictions, groups and the next calibration."""
+    """Return the page of a history: hard iron over the logs, jumps, contradictions, groups, the next calibration."""
     jumps, names = history_rows(history), history.names
     following = history.next
     values = following.hard_iron * 1e6
@@ -92,7 +92,7 @@ def history_page(history: History, title: str = "History of an instrument") -> s
 
 
 def judged_history(history: History) -> Verdict:
-    """The verdict on a history, for page, terminal and exit code."""
+    """Return the verdict on a history, for page, terminal and exit code."""
     instruments = len([group for group in history.groups if len(group) > 1]) or 1
     jumps = len(history.jumps)
     if instruments > 1:
@@ -105,26 +105,26 @@ def judged_history(history: History) -> Verdict:
     times = {0: "did not jump", 1: "jumped once"}.get(jumps, f"jumped {jumps} times")
     scatter = f"{history.walk * 1e6:.2g} µT per square root of a {'day' if _dated(history) else 'log'}"
     between = "otherwise " if jumps else ""
-    out = len(history.contradictions)
-    left = f"; {out} more {'logs' if out > 1 else 'log'} left out" if out else ""
-    used = len(history) - out
+    excluded = len(history.contradictions)
+    exclusion = f"; {excluded} more {'logs' if excluded > 1 else 'log'} left out" if excluded else ""
+    used = len(history) - excluded
     return Verdict(
         True,
-        worth=f"the hard iron {times}; it {between}changes by {scatter} (1σ){left}",
+        worth=f"the hard iron {times}; it {between}changes by {scatter} (1σ){exclusion}",
         called=f"{used} logs of one instrument" if used > 1 else "1 log",
     )
 
 
 def history_rows(history: History) -> list[list[str | Link]]:
-    """One row for each jump: the log before which it was, its date, and the size with sigma along x, y, z."""
+    """Return one row per jump: the log that follows it, with its date, and the size ± σ along x, y, z."""
 
-    def called(index: int) -> str:
+    def dated_name(index: int) -> str:
         time = history.factors[index].time
         date = "" if time is None else f" ({datetime.fromtimestamp(time, timezone.utc):%Y-%m-%d})"
         return history.names[index] + date
 
     return [
-        [called(index), *(f"{s * 1e6:+.2f} ± {d * 1e6:.2f} µT" for s, d in zip(size, sigma, strict=True))]
+        [dated_name(index), *(f"{s * 1e6:+.2f} ± {d * 1e6:.2f} µT" for s, d in zip(size, sigma, strict=True))]
         for index, size, sigma in history.jumps
     ]
 
@@ -134,7 +134,7 @@ def _dated(history: History) -> bool:
 
 
 def _hard_iron(history: History) -> list[Figure]:
-    """Hard iron over the largest group's logs, an axis each, and what each log says by itself."""
+    """Draw the hard iron over the logs of the largest group, one figure per axis, with each log's own estimate."""
     rows = sorted({*history.groups[0], *(each.index for each in history.contradictions)})
     dated = _dated(history)
     at = np.array([history.factors[i].time if dated else i + 1 for i in rows], dtype=np.float64)

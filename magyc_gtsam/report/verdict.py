@@ -1,4 +1,4 @@
-"""The one verdict on a calibration, which terminal, page, JSON, files and exit code all take from here."""
+"""The verdict on a calibration, shared by terminal, page, JSON, files and exit code."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.level_turn import HeadingUncertainty
 from magyc_gtsam.recording import Recording
 
-_STILL = 5e-6  # T, sweep of the field below which a log holds no motion
+_STILL = 5e-6  # T, sweep of the field below which the instrument did not move
 _INTERVAL = "choose an interval without it (--start, --end)"
 _MODEL_ERROR = "what the model does not explain"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a result is to be used.
+    """Whether to use a result, and why.
 
     Attributes:
-        trusted: whether it is.
-        cause, action: why not, and what to do, together of at most 30 words; "" where it is trusted.
-        heading: what it is worth; unknown of a result that is not trusted.
-        worth: likewise in words.
-        details: everything else that was noticed, one sentence each.
-        called: its title, where it is not on a calibration.
+        trusted: whether to use it.
+        cause, action: why not, and what to do, at most 30 words together; "" for a trusted result.
+        heading: the heading error to expect; unknown for a result that is not trusted.
+        worth: the expected accuracy, as text.
+        details: further findings, one sentence each.
+        called: the title of a verdict that is not on a calibration.
     """
 
     trusted: bool
@@ -41,23 +41,23 @@ class Verdict:
 
     @property
     def title(self) -> str:
-        """In a few words: `called`, or what is to be said of a calibration."""
+        """Return `called`, or the title of a verdict on a calibration."""
         return self.called or ("Calibrated" if self.trusted else "Do not use this calibration")
 
     @property
     def reason(self) -> str:
-        """Cause and action in one sentence; what it is worth where it is trusted."""
+        """Return cause and action in one sentence, or `worth` for a trusted result."""
         if self.trusted:
             return self.worth
         return f"{self.cause}: {self.action}" if self.action else self.cause
 
     @property
     def sentence(self) -> str:
-        """The first line of every output."""
+        """Return the first line of every output."""
         return f"{'✔' if self.trusted else '✘'} {self.title}: {self.reason}"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types, units in the names."""
+        """Return the verdict as JSON types."""
         return {
             "trusted": self.trusted,
             "sentence": self.sentence,
@@ -69,12 +69,12 @@ class Verdict:
 
 
 def judged(calibration: Calibration, recording: Recording | None = None) -> Verdict:
-    """The verdict on a calibration.
+    """Return the verdict on a calibration.
 
     Args:
-        calibration: the result.
-        recording: what it was made from; without it the heading's error is the one that the method stated, that of
-            single samples is left out, and no jump is looked for.
+        calibration: the calibration to judge.
+        recording: the recording it was made from. Without it the heading error is the one that the method stated,
+            the error of single samples is omitted, and jumps of the field are not looked for.
     """
     details = _details(calibration)
     if not calibration.trusted:
@@ -90,12 +90,12 @@ def judged(calibration: Calibration, recording: Recording | None = None) -> Verd
 
 
 def degrees(value: float | None) -> str:
-    """Two digits, or that it is unknown."""
+    """Return an angle with two digits, or "unknown"."""
     return "unknown" if value is None else f"{value:.2g}°"
 
 
 def parts_of_sigma(calibration: Calibration) -> tuple[float, float] | None:
-    """T, of the hard iron's sigma: sensor noise, and what the model does not explain; None where not told apart."""
+    """Return the two parts of the hard iron's sigma, in T: sensor noise and model error; None where not separated."""
     noise_covariance = calibration.noise_covariance
     if calibration.covariance is None or noise_covariance is None:
         return None
@@ -118,7 +118,7 @@ def _worth(calibration: Calibration, heading: HeadingUncertainty) -> str:
 
 
 def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, str]:
-    """The root cause and what to do about it, in few words."""
+    """Return why the calibration is not trusted, and the remedy."""
     if recording is not None and recording.magnetic_field_unit != "counts":
         jumps = field_jumps(recording)
         if jumps:
@@ -137,12 +137,12 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
         cause = f"too little motion to determine the {observability.weak[0].what}"
         if recording is not None and float(np.ptp(recording.magnetic_field, axis=0).max()) < _STILL:
             cause = "the instrument hardly moved"
-        return cause, _joined(missing)
+        return cause, _joined_remedies(missing)
     return cause_and_action(first)
 
 
-def _joined(remedies: list[str]) -> str:
-    """One action for several remedies."""
+def _joined_remedies(remedies: list[str]) -> str:
+    """Return one action that covers several remedies."""
     turn, pitch = "turn through all headings", "pitch or roll by 20° or more"
     if any(turn in remedy for remedy in remedies) and any(pitch in remedy for remedy in remedies):
         remedies = [turn, pitch]
@@ -167,5 +167,5 @@ def _details(calibration: Calibration) -> tuple[str, ...]:
 
 
 def said(sentence: str) -> str:
-    """With a capital and a full stop."""
+    """Return the clause as a sentence, with a capital letter and a full stop."""
     return sentence[:1].upper() + sentence[1:].removesuffix(".") + "."

@@ -1,4 +1,4 @@
-"""The report's words and numbers: verdict, parameters with their uncertainty, advice, exports."""
+"""The report's texts: key numbers, parameters with their uncertainty, advice and exports."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from magyc_gtsam.report.verdict import Verdict, degrees
 
 _MICRO = 1e6
 _TARGET_NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "vectornav": "VectorNav", "ros": "ROS 2"}
-_LONG = 12  # longer lists are not written out among the options
+_LONG = 12  # longer lists among the options are summarised
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number to see first: what it is, its value as text, and what it means."""
+    """A number that a page shows first: what it is, its value as text, and what it means."""
 
     what: str
     value: str
@@ -32,7 +32,7 @@ class Number:
 
 
 def cautions(history: FieldHistory) -> list[str]:
-    """What to look at closely although the verdict may be good."""
+    """Return warnings that hold even where the verdict is good."""
     sentences = []
     if _spread(history.calibrated) > _spread(history.raw):
         sentences.append("The strength of the calibrated field varies more than that of the raw field.")
@@ -50,7 +50,7 @@ def _spread(field: Array) -> float:
 def key_numbers(
     calibration: Calibration, verdict: Verdict, history: FieldHistory, turn: LevelTurn, visited: Coverage
 ) -> list[Number]:
-    """The numbers to see first."""
+    """Return the numbers that the page shows first."""
     before, after = (_three_digits(_spread(field) * _MICRO) for field in (history.raw, history.calibrated))
     numbers = [Number("Field strength varies by", f"{before} → {after} µT", "1σ, raw → calibrated")]
     if history.heading_error is not None:
@@ -90,12 +90,12 @@ def key_numbers(
 
 
 def _three_digits(value: float) -> str:
-    """With three digits, as many of them decimals as a value of some units needs."""
+    """Return the value with three significant digits, at most two of them decimals."""
     return f"{value:.{int(np.clip(2 - np.floor(np.log10(max(value, 1e-9))), 0, 2))}f}"
 
 
 def uncertain(value: float, sigma: float) -> str:
-    """`value ± sigma`, both to two digits of sigma; without ± where sigma is 0 or NaN."""
+    """Return "value ± sigma", both to two digits of sigma; without ± if sigma is 0 or NaN."""
     if not sigma > 0:
         return f"{value:.4f}"
     decimals = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 7))
@@ -103,7 +103,7 @@ def uncertain(value: float, sigma: float) -> str:
 
 
 def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
-    """(name with its unit, one text per axis or one in all)."""
+    """Return one row per parameter: (name with its unit, one text per axis or a single text)."""
     sigma = calibration.sigma
     unknown = np.full(3, np.nan)
 
@@ -133,13 +133,13 @@ def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
 
 
 def stretch(seconds: tuple[float, float]) -> str:
-    """A stretch of time in words: "120–150 s (2:00–2:30)"."""
+    """Return a stretch of time as text: "120–150 s (2:00–2:30)"."""
     start, end = int(np.floor(seconds[0])), int(np.ceil(seconds[1]))
     return f"{start}–{end} s ({start // 60}:{start % 60:02d}–{end // 60}:{end % 60:02d})"
 
 
 def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[tuple[float, float]]) -> list[str]:
-    """What to do next, most urgent first."""
+    """Return what to do next, most urgent first."""
     lines = []
     if calibration.observability is not None:
         remedies: dict[str, list[str]] = {}
@@ -169,7 +169,7 @@ def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[t
 
 
 def exports(calibration: Calibration) -> list[tuple[str, str, bool]]:
-    """(target, text to paste or why there is none, whether it can be pasted); none of what must not be trusted."""
+    """Return (target, text to paste or why there is none, whether it can be pasted); empty if not trusted."""
     if not calibration.trusted:
         return []
     result = []
@@ -182,7 +182,7 @@ def exports(calibration: Calibration) -> list[tuple[str, str, bool]]:
 
 
 def configuration(calibration: Calibration) -> str:
-    """The method's options and its own numbers, as readable text."""
+    """Return the method's options and diagnostics as readable JSON."""
     values = {
         "method": calibration.method,
         "configuration": dict(calibration.configuration),
