@@ -1,1 +1,1 @@
-"""What is wrong with the samples: axes that stand still, and readings cut off at full scale."""
+"""Find faulty samples: stuck axes, readings cut off at full scale, repeats and placeholders."""

@@ -1,4 +1,4 @@
-"""Turns faster than the gyroscope's full scale: how far the instrument turned meanwhile is not known."""
+"""Detect turns faster than the gyroscope's full scale, during which the rotation is unknown."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import numpy as np
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.largest_value import LargestValue
 
-MOST = 0.5  # share of the recording that may be left out
+MOST = 0.5  # largest share of the recording that may be left out
 _HOLE = 12  # median steps, and
-_HOLE_DURATION = 0.6  # s, of the hole made after each sample: one that counts (`Recording.gaps`)
-_STAMPS = 33  # samples after which their median step is taken to be known; nothing is decided before
-_LONGEST_RUN = 100  # samples at the largest value that are held back; a rate that repeats for longer is `stuck`
+_HOLE_DURATION = 0.6  # s, that are left out after each sample: enough to count as a gap (`Recording.gaps`)
+_STAMPS = 33  # samples needed for the median step; nothing is decided before
+_LONGEST_RUN = 100  # samples at the largest value that are held back; a longer run is left to `stuck`
 
 
 @dataclass(frozen=True)
 class Clipped:
-    """What a gyroscope's full scale cut off.
+    """The samples that a gyroscope's full scale cut off.
 
     Attributes:
-        axes: of x, y, z, that reached it.
-        level: rad/s, the largest of them.
-        count: of the samples; first: s, stamp of the first.
-        share: of the recording that is left out for it.
+        axes: the axes that reached full scale, of "xyz".
+        level: the largest full scale found, rad/s.
+        count: number of samples cut off.
+        first: stamp of the first of them, s.
+        share: share of the recording that is left out for them.
     """
 
     axes: str
@@ -36,21 +37,21 @@ class Clipped:
 
     @property
     def where(self) -> str:
-        """Which axes, at which rate, when first."""
-        which = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
+        """Return which axes were cut off, at which rate, and when first."""
+        axes = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
         return (
-            f"angular_rate: {which} of the gyroscope cut off at {self.level:.3g} rad/s in {self.count} samples, "
+            f"angular_rate: {axes} of the gyroscope cut off at {self.level:.3g} rad/s in {self.count} samples, "
             f"first at {self.first:.1f} s ({self.share:.1%} of the recording)"
         )
 
     @property
     def too_often(self) -> bool:
-        """Whether too little is left for a calibration."""
+        """Return whether too little of the recording is left for a calibration."""
         return self.share > MOST
 
     @property
     def sentence(self) -> str:
-        """`where`, the limit and the remedy."""
+        """Return `where`, the limit and the remedy."""
         return (
             f"{self.where}: at most {MOST:.0%} can be left out; raise the gyroscope's full scale, turn more "
             "slowly, or choose an interval without it (--start, --end)"
@@ -58,13 +59,14 @@ class Clipped:
 
 
 class CutOff:
-    """Finds the samples of a gyroscope that its full scale cut off; a `gate.Detector`.
+    """Find the samples of a gyroscope that its full scale cut off; a `gate.Detector`.
 
-    A turn that levels off repeats its largest value by a step or so of the sensor; a full scale repeats it however
-    steep the way there and back. Noise of some steps does so, too, but spreads over all values near the largest.
+    A turn that levels off repeats its largest value only where the rate changes by a step of the sensor or less; a
+    full scale repeats it however steeply the rate rises and falls. Noise of a few steps also repeats it, but spreads
+    over all values near the largest.
 
     Attributes:
-        spans: (m, 2) s, stretches that a batch leaves out: each sample that was cut off and the hole after it.
+        spans: (m, 2) s, intervals that a batch leaves out: each sample that was cut off and the hole after it.
     """
 
     def __init__(self) -> None:
@@ -75,7 +77,7 @@ class CutOff:
         self._seen, self._last = 0, np.full(3, np.nan)
         self._stamps = np.empty(0)  # s, the first ones
         self._run, self._run_since = 0, np.nan  # samples in a row at a largest value, and since when
-        self._rejected = np.empty((0, 2))  # as `spans`, of what could still be held back
+        self._rejected = np.empty((0, 2))  # like `spans`, restricted to samples that could still be held back
         self._count, self._first, self._latest = 0, np.nan, -np.inf
 
     def observe(self, block: Samples) -> None:
@@ -105,7 +107,7 @@ class CutOff:
         self._latest = float(time[-1])
 
     def _examine(self, time: Array, value: Array, change: Array, moved: np.ndarray, step: Array) -> None:
-        """Take samples of which some are near a largest value."""
+        """Take samples of which some are near the largest value of their side."""
         n = len(time)
         allowed = self._seen + np.arange(n) >= _STAMPS
         at, continued, known = (np.zeros(n, dtype=bool) for _ in range(3))
@@ -131,7 +133,7 @@ class CutOff:
         known: np.ndarray,
         decisive: set[int],
     ) -> None:
-        """Note what was cut off at `stamps`, and which of the samples an estimator can still be kept from."""
+        """Record the samples cut off at `stamps`, and which of them can still be held back from an estimator."""
         place = np.arange(len(time))
         begun = np.maximum.accumulate(np.where(at & ~continued, place, -1))
         run = np.where(at, np.where(begun >= 0, place - begun + 1, self._run + place + 1), 0)
@@ -143,7 +145,7 @@ class CutOff:
             self._first = float(np.fmin(self._first, stamps[0]))
             self.spans = _merged(np.vstack([self.spans, np.column_stack([stamps, stamps + hole])]))
             rejected = [np.column_stack([time[known], time[known] + hole])]
-            for row in sorted(decisive):  # with the run that was held back until it was known
+            for row in sorted(decisive):  # together with the run that was held back until then
                 last = row if at[row] else row - 1
                 length, start = (run[last], since[last]) if last >= 0 else (self._run, self._run_since)
                 if length - int(at[row]) < _LONGEST_RUN:
@@ -155,27 +157,27 @@ class CutOff:
         self.pending = self._run_since if undecided else np.inf
 
     def rejects(self, time: Array) -> np.ndarray:
-        """(n,) bool, the samples in a hole that began while they could be held back."""
+        """Return (n,) bool: the samples in a hole that began while they could be held back."""
         return inside(self._rejected, time)
 
     def finding(self, share: float) -> Clipped | None:
-        """What was cut off so far; `share` of the recording is left out for it."""
-        found = [side.full_scale for side in self._sides]
-        if np.isnan(found).all():
+        """Return what was cut off so far, or None; `share` is the share of the recording left out for it."""
+        levels = [side.full_scale for side in self._sides]
+        if np.isnan(levels).all():
             return None
         axes = "".join(
-            axis for axis, *of in zip("xyz", found[:3], found[3:], strict=True) if not np.isnan(of).all()
+            axis for axis, *of in zip("xyz", levels[:3], levels[3:], strict=True) if not np.isnan(of).all()
         )
-        return Clipped(axes, float(np.nanmax(found)), self._count, self._first, share)
+        return Clipped(axes, float(np.nanmax(levels)), self._count, self._first, share)
 
     @property
     def now(self) -> bool:
-        """Whether the last sample is in a hole."""
+        """Return whether the last sample is in a hole."""
         return len(self._rejected) > 0 and bool(self._latest <= self._rejected[-1, 1])
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
-        own = {
+        """Return the state for `restore`."""
+        state = {
             "numbers": np.array([self.pending, self._step, self._run_since, self._first, self._latest]),
             "counts": np.array([self._seen, self._run, self._count]),
             "last": self._last,
@@ -183,7 +185,7 @@ class CutOff:
             "spans": self.spans,
             "rejected": self._rejected,
         }
-        return own | {f"{i}/{name}": v for i, side in enumerate(self._sides) for name, v in side.state().items()}
+        return state | {f"{i}/{name}": v for i, side in enumerate(self._sides) for name, v in side.state().items()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Continue from `state`."""
@@ -197,7 +199,7 @@ class CutOff:
 
 
 def inside(spans: Array, time: Array) -> np.ndarray:
-    """(n,) bool, which times are inside one of the ascending `spans` (m, 2) s, their ends included."""
+    """Return (n,) bool: which times are inside one of the ascending `spans` (m, 2) s, ends included."""
     if not len(spans):
         return np.zeros(len(time), dtype=bool)
     at = np.searchsorted(spans[:, 0], time, side="right") - 1
@@ -205,7 +207,7 @@ def inside(spans: Array, time: Array) -> np.ndarray:
 
 
 def _merged(spans: Array) -> Array:
-    """Ascending (m, 2), without overlaps."""
+    """Return the spans (m, 2) in ascending order, with overlaps merged."""
     if not len(spans):
         return spans
     spans = spans[np.argsort(spans[:, 0], kind="stable")]

@@ -1,4 +1,4 @@
-"""All faults of both sensors: which samples a method, batch or online, may use, and what is said of the rest."""
+"""Detect all faults of both sensors, pass on the usable samples and report the rest, in batch and online."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from magyc_gtsam.sensor_faults.repeats import Repeats
 from magyc_gtsam.sensor_faults.stuck import Stretch, Stuck, StuckAxes, field_turned, named
 from magyc_gtsam.sensor_faults.zeros import Zeros
 
-_WAITING = 60.0  # s after which an answer of the other sensor is not waited for
+_WAITING = 60.0  # s, longest wait for the samples of the other sensor
 
 
 class SensorFaults:
-    """The detectors of both sensors and the gates behind them.
+    """The fault detectors of both sensors and the gates behind them.
 
     Args:
-        samples: of the magnetometer, that come as one block; None for a stream.
-        shown: what a field is multiplied with before it is shown, and its unit then.
+        samples: number of magnetometer samples, if they come as one block; None for a stream.
+        shown: (factor, unit) by which messages show a field.
     """
 
     def __init__(self, samples: int | None = None, shown: tuple[float, str] = (1e6, "µT")) -> None:
@@ -34,16 +34,16 @@ class SensorFaults:
         self.repeats = Repeats()
         self.magnetometer = StuckAxes()
         self.gyroscope = StuckAxes(self._field_turned, *([np.inf] if self._whole else []))
-        # A long turn at full scale looks like an axis that is stuck, so it is rejected first.
+        # A long turn at full scale looks like a stuck axis, so it is rejected first.
         self._zeros_gate = SampleGate(self.zeros)
         self._cut_off_gate = SampleGate(self.cut_off)
         self._gates = SampleGate(self.magnetometer), SampleGate(self.gyroscope)
-        self._field = GrowingRows(4)  # magnetometer samples that the gyroscope has not come to
+        self._field = GrowingRows(4)  # magnetometer samples later than the gyroscope's
         self._latest = -np.inf  # s, stamp of the last gyroscope sample
 
     @classmethod
     def of(cls, recording: Recording, sensors: Sequence[str] = ("magnetic_field", "angular_rate")) -> SensorFaults:
-        """Those of a whole recording, of the named sensors."""
+        """Return the faults of a whole recording, of the named sensors."""
         field = recording.magnetometer
         faults = cls(len(field.time), recording.field_shown)
         repeated = recording.time[recording.magnetic_field_stamped & ~recording.magnetic_field_fresh]
@@ -53,7 +53,7 @@ class SensorFaults:
         return faults
 
     def take(self, magnetometer: Samples, gyroscope: Samples, repeated: Array) -> tuple[Samples, Samples]:
-        """What of the samples a method may use; `repeated` (n,) s are the stamps of repeats of the magnetometer."""
+        """Return the usable samples; `repeated` (n,) s are the stamps at which the magnetometer repeated a sample."""
         magnetometer = self._zeros_gate.take(magnetometer)
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
@@ -71,39 +71,39 @@ class SensorFaults:
 
     @property
     def dropped(self) -> int:
-        """Samples that were dropped."""
+        """Return the number of samples that were dropped."""
         return sum(gate.dropped for gate in (self._zeros_gate, self._cut_off_gate, *self._gates))
 
     @property
     def clipped(self) -> Clipped | None:
-        """What the gyroscope's full scale cut off."""
+        """Return what the gyroscope's full scale cut off, or None."""
         return self.cut_off.finding(self._cut_off_gate.dropped / max(self._cut_off_gate.taken, 1))
 
     @property
     def clipped_field(self) -> ClippedField | None:
-        """What the magnetometer's full scale cut off, if it does harm."""
+        """Return what the magnetometer's full scale cut off, if it is enough to do harm; otherwise None."""
         return self.full_scale.finding(*self._shown)
 
     def stuck(self, duration: float, now: bool = False) -> tuple[Stuck, ...]:
-        """What stood still in a run of `duration` s, the largest share first; or only what does so `now`."""
+        """Return the stuck axes in a run of `duration` s, the largest share first; with `now`, those still stuck."""
         field = self.magnetometer_stretches(now)
         field += self.repeats.now if now else self.repeats.stretches
         rate = self.gyroscope.now if now else self.gyroscope.stretches
-        found = (
+        stuck = (
             *named("magnetic_field", field, duration, *self._shown),
             *named("angular_rate", rate, duration, 1e3, "mrad/s"),
         )
-        return tuple(sorted(found, key=lambda stuck: -stuck.share))
+        return tuple(sorted(stuck, key=lambda stuck: -stuck.share))
 
     def magnetometer_stretches(self, now: bool = False) -> tuple[Stretch, ...]:
-        """When axes of the magnetometer stood still other than at its full scale."""
+        """Return when axes of the magnetometer were stuck, except at its full scale."""
         finding = self.clipped_field
         levels = np.full((3, 2), np.nan) if finding is None else np.array(finding.levels)
         every = self.magnetometer.now if now else self.magnetometer.stretches
         return tuple(s for s in every if not _at_full_scale(s, levels))
 
     def _field_turned(self, rows: Array) -> bool | None:
-        """Whether the field turned while the gyroscope stood still as in rows (n, 4); None while that is not known."""
+        """Return whether the field turned during the gyroscope's stuck rows (n, 4); None while that is not known."""
         field, last = self._field.rows, rows[-1, 0]
         if not self._whole and (not len(field) or field[-1, 0] < last):
             return None if self._latest - last < _WAITING else False
@@ -122,7 +122,7 @@ class SensorFaults:
         }
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state for `restore`."""
         states = {name: part.state() for name, part in self._parts.items()}
         result = {f"{name}/{key}": value for name, state in states.items() for key, value in state.items()}
         return result | {"field": self._field.rows.copy(), "latest": np.array(self._latest)}
@@ -137,6 +137,6 @@ class SensorFaults:
 
 
 def _at_full_scale(stretch: Stretch, levels: Array) -> bool:
-    """Whether the axes of a stretch stood at levels (3, 2) at which they are cut off."""
+    """Return whether the axes of a stretch were stuck at the levels (3, 2) at which they are cut off."""
     axes, value = np.array(stretch.axes), np.array(stretch.value)
     return bool((value[axes, None] == levels[axes]).any(axis=1).all())

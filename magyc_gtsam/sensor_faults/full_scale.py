@@ -1,9 +1,9 @@
-"""A field beyond the magnetometer's full scale: an axis that reads its own extreme again and again, and no more.
+"""Detect a field beyond the magnetometer's full scale: an axis that reads its own extreme again and again.
 
-The rows cannot be left out, as turns beyond the gyroscope's full scale are: that chooses rows by their noise. Without
-them the hard iron was 1 to 17 sigmas off, and without 0.6 s around them, too, still 2 (in an hour 5) where an axis
-stays near the level, as on a vehicle that stays level. So they stay in, for the gap's saturation to see, and no
-calibration from them is trusted.
+Unlike turns beyond the gyroscope's full scale, these rows cannot be left out, because that would select rows by their
+noise. Without them the hard iron was off by 1 to 17 sigmas; without 0.6 s around them it was still off by 2 sigmas
+(5 in an hour) where an axis stays near the level, as on a vehicle that does not tilt. The rows therefore stay in,
+where the gap's saturation term can model them, and no calibration from them is trusted.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.sensor_faults.noise import resolution
 
-MOST = 0.005  # share of the samples; so few moved the hard iron by up to half a sigma in an hour
-LEAST = 20  # samples at the extreme; a handful comes together by chance
-_RUNS = 5  # separate ones: an axis that is stuck has one
-_NOISY = (0.5, 1.0)  # steps of the sensor, of noise on the axis and on another: at rest it repeats without it
-_OFTEN = (3.0, 1.5)  # times as often as a value next to it, at so much noise; a turn that levels off reaches 2.4
-_STEEP = 1.5  # steps between the extreme and a neighbour, as on
-_STEEPLY = 0.05  # of the passages with noise; on the edge between two values none is
+MOST = 0.005  # share of the samples that does no harm: it moved the hard iron by up to half a sigma in an hour
+LEAST = 20  # samples at the extreme; fewer occur by chance
+_RUNS = 5  # separate runs at the extreme; a stuck axis has one
+_NOISY = (0.5, 1.0)  # noise in steps of the sensor, on this axis and another; less noise repeats values at rest
+_OFTEN = (3.0, 1.5)  # ratio to the count of the next value, for each noise; a turn that levels off reaches 2.4
+_STEEP = 1.5  # steps between the extreme and its neighbour in a steep passage
+_STEEPLY = 0.05  # share of the passages that must be steep; noise between two values gives none
 
 
 @dataclass(frozen=True)
 class ClippedField:
-    """What the magnetometer's full scale cut off.
+    """The samples that the magnetometer's full scale cut off.
 
     Attributes:
-        axes: of x, y, z, that reached it.
-        levels: (lowest, highest) reading of each axis in T, or counts; NaN where nothing was cut off.
-        shown: the largest reading that was cut off, in size, as shown: µT or counts with the unit.
-        count: of the samples in which an axis was cut off; share: of all samples.
+        axes: the axes that reached full scale, of "xyz".
+        levels: (lowest, highest) reading of each axis, T or counts; NaN where nothing was cut off.
+        shown: the largest absolute reading that was cut off, as text with its unit (µT or counts).
+        count: number of samples in which an axis was cut off.
+        share: their share of all samples.
     """
 
     axes: str
@@ -44,21 +45,21 @@ class ClippedField:
 
     @property
     def where(self) -> str:
-        """Which axes, at which reading, how often."""
-        which = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
+        """Return which axes were cut off, at which reading, and how often."""
+        axes = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
         return (
-            f"magnetic_field: {which} of the magnetometer cut off at {self.shown} in {self.count} samples "
+            f"magnetic_field: {axes} of the magnetometer cut off at {self.shown} in {self.count} samples "
             f"({self.share:.1%} of the recording)"
         )
 
     @property
     def too_often(self) -> bool:
-        """Whether it harms a calibration."""
+        """Return whether the samples are enough to harm a calibration."""
         return self.share > MOST
 
     @property
     def sentence(self) -> str:
-        """`where`, the limit and the remedy."""
+        """Return `where`, the limit and the remedy."""
         return (
             f"{self.where}: at most {MOST:.1%} do no harm; choose a larger full scale, move what is magnetic away from "
             "the sensor, or take the calibration of `magyc-gtsam gap`, where that can model it"
@@ -66,19 +67,19 @@ class ClippedField:
 
 
 class FullScale:
-    """Finds the levels at which a magnetometer's axes are cut off, and counts the samples there.
+    """Find the levels at which a magnetometer's axes are cut off, and count the samples there.
 
-    Every so many samples the latest are looked at; a level that was found stays one until something is beyond it.
+    Every `every` samples the last `latest` are examined. A level remains valid until a sample exceeds it.
 
     Args:
-        every, latest: samples; a batch gives the number of all it has.
+        every, latest: numbers of samples; a batch passes the number of all its samples.
     """
 
     def __init__(self, every: int = 300, latest: int = 6000) -> None:
         self._every, self._latest = every, latest
         self._rows, self._new = np.empty((0, 3)), np.empty((0, 3))
         self._levels = np.full((3, 2), np.nan)
-        self._taken = self._count = 0  # samples; and of them, those at a level
+        self._taken = self._count = 0  # samples, and those of them at a level
 
     def observe(self, value: Array) -> None:
         """Take the next samples (n, 3) T or counts."""
@@ -90,21 +91,21 @@ class FullScale:
             if len(self._new) == self._every:
                 self._rows = np.vstack([self._rows, self._new])[-self._latest :]
                 self._new = self._new[:0]
-                self._look()
+                self._examine()
 
-    def _look(self) -> None:
+    def _examine(self) -> None:
         rows = self._rows
         beyond = np.stack([rows.min(axis=0) < self._levels[:, 0], rows.max(axis=0) > self._levels[:, 1]], axis=1)
         levels = np.where(beyond, np.nan, self._levels)
         levels = np.where(np.isnan(levels), clipped_levels(rows), levels)
         if np.array_equal(levels, self._levels, equal_nan=True):
             return
-        # Of what is no longer kept only the count is known, which holds while no level was given up.
+        # Of the samples no longer kept only the count is known, and it holds only while no level was given up.
         known = 0 if beyond.any() else self._count - int(at_level(rows, self._levels).sum())
         self._count, self._levels = known + int(at_level(rows, levels).sum()), levels
 
     def finding(self, shown: float = 1e6, unit: str = "µT") -> ClippedField | None:
-        """What was cut off so far, if it is enough to do harm; a field is shown times `shown`, with its unit."""
+        """Return what was cut off so far, if it is enough to do harm; messages show a field times `shown` in `unit`."""
         known = np.isfinite(self._levels)
         if not known.any() or not self._count > MOST * self._taken:
             return None
@@ -114,7 +115,7 @@ class FullScale:
         return ClippedField(axes, each, f"{level:.4g} {unit}", self._count, self._count / self._taken)
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state for `restore`."""
         counts = np.array([self._taken, self._count])
         return {"rows": self._rows, "new": self._new, "levels": self._levels, "counts": counts}
 
@@ -125,12 +126,12 @@ class FullScale:
 
 
 def at_level(value: Array, levels: Array) -> np.ndarray:
-    """(n,) bool, which samples (n, 3) are at a level (3, 2) of any axis."""
+    """Return (n,) bool: which samples (n, 3) are at a level (3, 2) of any axis."""
     return np.asarray((value[:, :, None] == levels).any(axis=(1, 2)))
 
 
 def clipped_levels(value: Array) -> Array:
-    """(3, 2) lowest and highest reading of each axis of samples (n, 3) where it was cut off; NaN where it was not."""
+    """Return the levels (3, 2), lowest and highest, at which samples (n, 3) were cut off; NaN where they were not."""
     levels = np.full((3, 2), np.nan)
     step = resolution(value)
     for axis, column in enumerate(value.T):
@@ -142,9 +143,9 @@ def clipped_levels(value: Array) -> Array:
 
 
 def _cut_off(side: Array, others: Array, step: float) -> bool:
-    """Whether a full scale cut off what was larger than the largest value of an axis.
+    """Return whether a full scale cut off the values beyond the largest value of an axis.
 
-    A full scale gathers there what noise and turns spread over all values beyond.
+    A full scale gathers at one value the samples that noise and turns would spread beyond it.
     """
     away = side.max() - side
     top = away == 0
@@ -159,16 +160,16 @@ def _cut_off(side: Array, others: Array, step: float) -> bool:
     if steep < max(_RUNS, _STEEPLY * len(edges)):
         return False
     beside = np.histogram(away, np.array([0.5, 1.5, 2.5]) * step)[0].max()
-    often = (top.sum() - runs.max()) / max(beside, 1)  # without the longest: an axis that is stuck at its extreme
+    often = (top.sum() - runs.max()) / max(beside, 1)  # without the longest run, which may be a stuck axis
     noise = min(_noise(others, top, step), _noise(side[:, None], ~top, step))
     return any(noise >= least and often >= times for least, times in zip(_NOISY, _OFTEN, strict=True))
 
 
 def _noise(value: Array, rows: np.ndarray, step: float) -> float:
-    """Steps of white noise per sample about some rows, on the noisiest of the axes (n, axes), before it was rounded."""
+    """Return the white noise per sample in steps before rounding, near `rows`, on the noisiest axis of (n, axes)."""
     second = np.diff(value, 2, axis=0)[rows[1:-1]] / step
     if not len(second):
         return 0.0
-    # 6 is the gain of second differences, 1/12 what rounding adds.
+    # 6 is the gain of second differences; rounding adds 1/12.
     variance = (second**2).mean(axis=0) / 6 - 1 / 12
     return float(np.sqrt(max(variance.max(), 0.0)))

@@ -1,4 +1,4 @@
-"""The gate between a sensor and an estimator: it holds samples back while a detector is undecided about them."""
+"""A gate between sensor and estimator, which holds samples back while a detector is undecided about them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from magyc_gtsam.recording.growing_rows import GrowingRows
 
 
 class Detector(Protocol):
-    """A fault of one sensor, found in its samples as they arrive.
+    """A detector that finds one fault of a sensor in its samples as they arrive.
 
-    Which samples are called faulty must not depend on how the stream is cut into blocks.
+    Which samples it finds faulty must not depend on how the stream is cut into blocks.
 
     Attributes:
-        pending: s, stamp of the first sample about which nothing is decided; inf where all are decided.
+        pending: stamp of the first undecided sample, s; inf if all are decided.
     """
 
     pending: float
@@ -26,20 +26,20 @@ class Detector(Protocol):
         """Take the next samples, if there are any."""
 
     def rejects(self, time: Array) -> np.ndarray:
-        """(n,) bool, the decided samples at `time` (n,) that were found faulty when they could still be held back."""
+        """Return (n,) bool: the decided samples at `time` (n,) that were found faulty while they could be held back."""
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state for `restore`."""
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Continue from `state`."""
 
 
 class SampleGate:
-    """Passes on the samples that a detector does not reject.
+    """Pass on the samples that a detector does not reject.
 
     Attributes:
-        detector: the one given.
+        detector: the detector that decides.
         taken, dropped: number of samples.
     """
 
@@ -49,7 +49,7 @@ class SampleGate:
         self.taken = self.dropped = 0
 
     def take(self, block: Samples) -> Samples:
-        """The samples of this block, and of those held back, that an estimator may use."""
+        """Return the usable samples of this block and of those held back before."""
         self.detector.observe(block)
         self.taken += len(block.time)
         if not len(self._held) and self.detector.pending == np.inf and not self.detector.rejects(block.time).any():
@@ -63,9 +63,9 @@ class SampleGate:
         return Samples(passed[:, 0], passed[:, 1:])
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
-        own = {"held": self._held.rows.copy(), "counts": np.array([self.taken, self.dropped])}
-        return own | {f"detector/{name}": value for name, value in self.detector.state().items()}
+        """Return the state for `restore`."""
+        state = {"held": self._held.rows.copy(), "counts": np.array([self.taken, self.dropped])}
+        return state | {f"detector/{name}": value for name, value in self.detector.state().items()}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Continue from `state`."""

@@ -1,4 +1,4 @@
-"""The largest value of an axis to one side: whether samples come to it as to a full scale."""
+"""Decide from the largest values of one side of an axis whether they are a full scale."""
 
 from __future__ import annotations
 
@@ -10,18 +10,24 @@ from scipy.special import betainc
 
 from magyc_gtsam.recording import Array
 
-_BAND = 30  # steps of the sensor below the largest value, in which the values near it are counted
-LEAST = 5  # samples at exactly the largest value, of which some follow each other
-_STEEP = 3.0  # steps of the sensor between the largest value and a neighbour: no turn levels off so
-_CHANCE = 1e-7  # that so many fall on the largest value where all in the band are as likely
-_EVEN = 0.9  # share of repeats from which the whole recording is at even rates: a simulation
-_REMEMBERED = 256  # stamps of samples at the largest value, before it is known to be a full scale
+_BAND = 30  # steps of the sensor below the largest value that count as near it
+LEAST = 5  # samples at exactly the largest value, some of them consecutive
+_STEEP = 3.0  # steps of the sensor between the largest value and a neighbour: steeper than a turn that levels off
+_CHANCE = 1e-7  # probability of so many samples at the largest value if all values of the band are equally likely
+_EVEN = 0.9  # share of repeats from which the whole recording turns at constant rates, as a simulation may
+_REMEMBERED = 256  # stamps kept of samples at the largest value, before it is known to be a full scale
 
 
 class SideOfBlock(NamedTuple):
-    """What one side of an axis says of a block: (n,) samples at its largest value, those of them that follow another,
-    those since the value is known to be a full scale; the rows (indices) at which it became known; the stamps of all
-    samples at a full scale, earlier blocks' with them where it became known in this one."""
+    """The samples of a block near the largest value of one side of an axis.
+
+    Attributes:
+        at: (n,) bool, samples at the largest value.
+        continued: (n,) bool, those of them that follow another.
+        known: (n,) bool, samples since the value is known to be a full scale.
+        decisive: rows at which it became known.
+        stamps: s, samples at a full scale, including those of earlier blocks if it became known in this one.
+    """
 
     at: np.ndarray
     continued: np.ndarray
@@ -31,27 +37,28 @@ class SideOfBlock(NamedTuple):
 
 
 class LargestValue:
-    """The largest value of an axis to one side, and how the samples come to it.
+    """The largest value of one side of an axis, and the statistics of the samples near it.
 
     Attributes:
-        full_scale: rad/s, the largest value that was known to be one; NaN without.
+        full_scale: the largest value known to be a full scale, rad/s; NaN without one.
     """
 
     def __init__(self) -> None:
         self.full_scale = np.nan
         self._level, self._at, self._known = -np.inf, False, False
-        # Samples at the level, pairs of them while another axis moved, passages between it and a neighbour, steep
-        # ones, samples within the band below it; and pairs of neighbours away from any level, and equal ones.
+        # Counts of: samples at the level, consecutive pairs of them while another axis moved, passages between the
+        # level and a neighbour, steep passages, samples within the band below. Away from any level: pairs of
+        # neighbours, and equal pairs.
         self._counts, self._away = np.zeros(5, dtype=int), np.zeros(2, dtype=int)
-        self._near = np.empty((0, 2))  # values within the band, and how often
+        self._near = np.empty((0, 2))  # values within the band, and their counts
         self._stamps = np.empty(0)
 
     def is_far(self, most: float, step: float) -> bool:
-        """Whether samples up to `most` stay below the band, and the last one was not at the largest value."""
+        """Return whether samples up to `most` stay below the band and the last one was not at the largest value."""
         return not self._at and most < self._level - _BAND * step
 
     def pass_by(self, count: int, repeats: int) -> None:
-        """Take note of samples that are far, and of how many of them repeat the one before."""
+        """Count samples that are far from the largest value, and how many of them repeat the one before."""
         self._away = self._away + [count, repeats]
 
     def observe(
@@ -64,8 +71,8 @@ class LargestValue:
         step_before: float,
         allowed: np.ndarray,
     ) -> SideOfBlock | None:
-        """Take samples (n,) of this side; None where none comes near the largest value."""
-        first = int(np.isnan(change[0]))  # of all, which has no neighbour
+        """Take samples (n,) of this side; return None where none is near the largest value."""
+        first = int(np.isnan(change[0]))  # the first sample of all has no neighbour
         if self.is_far(float(x.max()), step_before):
             self.pass_by(len(x), int((change == 0).sum()))
             return None
@@ -76,7 +83,7 @@ class LargestValue:
         was = np.concatenate([[self._at], at[:-1]]) & ~rises
         edge, away = at != was, ~(at | was)
         edge[:first] = away[:first] = False
-        number = np.cumsum(rises)  # of the level
+        number = np.cumsum(rises)  # of the current level
         begin = np.maximum.accumulate(np.where(rises, np.arange(len(x)), 0))
         near = ~at & (x > level - _BAND * step)
         kinds = np.stack([at, continued & moved, edge, edge & (change >= _STEEP * step), near])
@@ -87,12 +94,14 @@ class LargestValue:
         possible = allowed & (at | was) & (count >= LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)
         possible &= (others == 0) | (repeats < _EVEN * others)
         asked = begin[possible & (number > 0)]
-        for row in np.unique(np.append(asked, begin[-1]) if number[-1] else asked):  # how many came near it before
+        for row in np.unique(
+            np.append(asked, begin[-1]) if number[-1] else asked
+        ):  # add the samples near it before
             low = level[row] - _BAND * step[row]
             before = int(self._near[self._near[:, 0] > low, 1].sum()) + int((x[:row] > low).sum())
             counts[4, begin == row] += before
         sure = np.zeros(len(x), dtype=bool)
-        # Of a binomial distribution, all values in the band being as likely.
+        # Binomial tail, with all values in the band equally likely.
         sure[possible] = betainc(count[possible], counts[4, possible] + 1, 1 / (_BAND + 1)) < _CHANCE
         total = np.cumsum(sure)
         known = np.where(number > 0, total - (total - sure)[begin] > 0, self._known | (total > 0))
@@ -114,7 +123,7 @@ class LargestValue:
         return SideOfBlock(at, continued, known, decisive, stamps)
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state for `restore`."""
         return {
             "numbers": np.array([self.full_scale, self._level, self._at, self._known]),
             "counts": np.concatenate([self._counts, self._away]),

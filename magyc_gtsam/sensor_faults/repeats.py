@@ -1,4 +1,4 @@
-"""A magnetometer that stands still on all axes while the vehicle turns: its rows repeat, so that none is a sample."""
+"""Detect a magnetometer that is stuck on all axes while the vehicle turns: its rows repeat one sample."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.sensor_faults.stuck import LEAST_DURATION, LEAST_SAMPLES, Stretch
 
-_LONGER = 10.0  # times the mean interval of its samples, for which a held magnetometer does not repeat itself
-_TURNED = 0.3  # rad about the mean rate, which the gyroscope at rest does not drift by
-_LATEST = 120.0  # s of the gyroscope's samples that are looked at
-_REMEMBERED = 50  # stretches, the latest
+_LONGER = 10.0  # mean intervals of its samples; a sensor polled faster than it measures repeats for less
+_TURNED = 0.3  # rad about the median rate; more than the drift of a gyroscope at rest
+_LATEST = 120.0  # s of gyroscope samples that are examined
+_REMEMBERED = 50  # latest stretches kept
 
 
 class Repeats:
-    """Finds since when the magnetometer repeats, where the gyroscope turned meanwhile."""
+    """Find the stretches in which the magnetometer repeats one sample while the gyroscope turns."""
 
     def __init__(self) -> None:
-        self._last = np.full(4, np.nan)  # the sample that is repeated, time and value
-        self._until, self._count = np.nan, 0  # of the repeats, and how many
-        self._samples, self._first = 0, np.nan  # how many there were, and the first's stamp
+        self._last = np.full(4, np.nan)  # the repeated sample, time and value
+        self._until, self._count = np.nan, 0  # stamp of the last repeat, and number of repeats
+        self._samples, self._first = 0, np.nan  # number of samples, and stamp of the first
         self._gyroscope = GrowingRows(4)
-        self._over = np.empty((0, 5))  # from, to, value; about which the gyroscope is still to be asked
+        self._over = np.empty((0, 5))  # from, to, value: stretches that the gyroscope has not confirmed yet
         self._found = np.empty((0, 5))
 
     def observe(self, magnetometer: Samples, repeated: Array, gyroscope: Samples) -> None:
@@ -46,12 +46,12 @@ class Repeats:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """When it stood still, `now` with it."""
+        """Return the stretches in which the magnetometer was stuck, including `now`."""
         return (*(_stretch(row) for row in self._found), *self.now)
 
     @property
     def now(self) -> tuple[Stretch, ...]:
-        """The stretch that is not over; empty where there is none."""
+        """Return the stretch that is not over, if there is one."""
         since, until = float(self._last[0]), self._until
         if not self._long(since, until, self._count, self._samples) or not self._turned(since, until):
             return ()
@@ -64,7 +64,7 @@ class Repeats:
         count = np.bincount(place, minlength=len(rows))
         count[0] += self._count
         until = np.append(self._until, np.full(len(stamps), np.nan))
-        until[place] = repeated  # the last of equals is kept
+        until[place] = repeated  # among repeats of one sample the last stamp is kept
         if len(stamps) and np.isnan(self._first):
             self._first = float(stamps[0])
         for i in np.flatnonzero(count[:-1] >= LEAST_SAMPLES):
@@ -74,7 +74,7 @@ class Repeats:
         self._samples += len(stamps)
 
     def _long(self, since: float, until: float, count: int, samples: int) -> bool:
-        """Whether so many repeats of the last of so many samples are more than a held sensor shows."""
+        """Return whether `count` repeats of the last of `samples` samples are too many for a sensor polled too fast."""
         if count < LEAST_SAMPLES or not until - since >= LEAST_DURATION:
             return False
         return bool((until - since) * max(samples - 1, 1) > _LONGER * (since - self._first))
@@ -90,7 +90,7 @@ class Repeats:
         return bool(np.ptp(angle, axis=0).max() > _TURNED)
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state for `restore`."""
         return {
             "last": self._last,
             "counts": np.array([self._until, self._count, self._samples, self._first]),

@@ -1,6 +1,6 @@
-"""What a fault needs to be there at all, asked of a whole recording before its detectors look at every sample.
+"""Screen a whole recording for faults before the detectors examine every sample.
 
-Most recordings have none of it; each question costs a few comparisons a sample or less.
+Each test checks a necessary condition of a fault at a few comparisons per sample; most recordings fail them all.
 """
 
 from __future__ import annotations
@@ -14,17 +14,21 @@ from magyc_gtsam.sensor_faults import full_scale, largest_value, stuck
 
 
 def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
-    """Whether any of the detectors could find something in the named sensors' samples."""
+    """Return whether any of the detectors could find a fault in the named sensors' samples."""
     field = recording.magnetometer.value
-    if _repeats(recording) or _has_zeros(field) or any(_stands(axis) or _gathers(axis) for axis in _axes(field)):
+    if (
+        _repeats(recording)
+        or _has_zeros(field)
+        or any(_may_be_stuck(axis) or _may_be_cut_off(axis) for axis in _axes(field))
+    ):
         return True
     if recording.angular_rate is None or "angular_rate" not in sensors:
         return False
-    return any(_stands(axis) or _levels_off(axis) for axis in _axes(recording.gyroscope.value))
+    return any(_may_be_stuck(axis) or _levels_off(axis) for axis in _axes(recording.gyroscope.value))
 
 
 def _axes(values: Array) -> Iterator[Array]:
-    """The columns of (n, 3) one after the other, each contiguous, in the place of the one before."""
+    """Yield the columns of (n, 3) in turn, each copied into the same contiguous array."""
     axis = np.empty(len(values))
     for column in values.T:
         axis[:] = column
@@ -32,13 +36,13 @@ def _axes(values: Array) -> Iterator[Array]:
 
 
 def _has_zeros(field: Array) -> bool:
-    """Whether a sample of (n, 3) is zero on all axes."""
+    """Return whether a sample of (n, 3) is zero on all axes."""
     zero = field[:, 0] == 0
     return bool(zero.any()) and bool((zero & (field[:, 1] == 0) & (field[:, 2] == 0)).any())
 
 
 def _repeats(recording: Recording) -> bool:
-    """Whether the magnetometer repeats one sample as often as one that stands still."""
+    """Return whether the magnetometer repeats one sample as often as a stuck one."""
     fresh = recording.magnetic_field_fresh
     if fresh.all():
         return False
@@ -46,10 +50,10 @@ def _repeats(recording: Recording) -> bool:
     return bool(np.diff(edges).max() > stuck.LEAST_SAMPLES)
 
 
-def _stands(axis: Array) -> bool:
-    """Whether an axis (n,) may have one value as often in a row as one that stands still.
+def _may_be_stuck(axis: Array) -> bool:
+    """Return whether an axis (n,) may hold one value for as long as a stuck axis.
 
-    Such a run holds one of the blocks of half its length, laid end to end.
+    Any such run contains at least one of the consecutive blocks of half its length.
     """
     half = stuck.LEAST_SAMPLES // 2
     blocks = axis[: len(axis) // half * half].reshape(-1, half)
@@ -57,20 +61,20 @@ def _stands(axis: Array) -> bool:
     return bool((blocks == blocks[:, :1]).all(axis=1).any())
 
 
-def _gathers(axis: Array) -> bool:
-    """Whether an axis (n,) reads its own extreme as often as one that is cut off."""
+def _may_be_cut_off(axis: Array) -> bool:
+    """Return whether an axis (n,) reads its own extreme as often as an axis that is cut off."""
     least = max(full_scale.LEAST, full_scale.MOST * len(axis))
     return any(np.count_nonzero(axis == value) > least for value in (axis.max(), axis.min()))
 
 
 def _levels_off(axis: Array) -> bool:
-    """Whether an axis (n,) repeats its largest value so far as one that is cut off does: at once, and often."""
-    return bool((axis[1:] == axis[:-1]).any()) and any(_repeats_its_largest(side) for side in (axis, -axis))
+    """Return whether an axis (n,) repeats its largest value so far consecutively and often, as when cut off."""
+    return bool((axis[1:] == axis[:-1]).any()) and any(_repeats_largest(side) for side in (axis, -axis))
 
 
-def _repeats_its_largest(side: Array) -> bool:
+def _repeats_largest(side: Array) -> bool:
     largest = np.maximum.accumulate(side)
-    again = side[1:] == largest[:-1]  # samples at the level that was there before
+    again = side[1:] == largest[:-1]  # samples at the largest value so far
     if np.count_nonzero(again) < largest_value.LEAST - 1:
         return False
     often = np.unique(largest[1:][again], return_counts=True)[1]

@@ -1,10 +1,10 @@
-"""Axes that stand still where a working sensor cannot: a broken chip, a bus that froze, a column never filled in.
+"""Detect stuck axes: readings that stay constant where a working sensor's cannot.
 
-A value that repeats is no fault by itself: a vehicle at rest with a coarse sensor repeats for minutes, and a
-simulation without noise turns about one axis only. An axis counts as stuck where its own sensor shows noise of
-1.5 steps or more on another axis meanwhile; a gyroscope as a whole where the field turned meanwhile, unless it stands
-at a rate and the magnetometer shows no noise either, as in a simulation of an even turn. (A magnetometer that repeats
-on all axes brings no samples: `repeats`.)
+Causes are a broken chip, a frozen bus or a column that was never filled in. A repeated value alone is no fault: a
+coarse sensor at rest repeats for minutes, and a simulation without noise may turn about one axis only. An axis counts
+as stuck if another axis of the same sensor shows noise of 1.5 steps or more meanwhile. A whole gyroscope counts as
+stuck if the field turned meanwhile, unless it reads a constant nonzero rate and the magnetometer shows no noise either,
+as in a simulated even turn. A magnetometer that repeats on all axes is found by `repeats`.
 """
 
 from __future__ import annotations
@@ -18,23 +18,25 @@ import numpy as np
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.noise import white_noise
 
-MOST = 0.5  # share of the recording from which no calibration is tried
-SMALL = 0.005  # share up to which it harms no method
-LEAST_SAMPLES = 100  # in a row; with noise of half a step a working axis repeats that often once in 10¹⁵
+MOST = 0.5  # share of the recording above which no calibration is tried
+SMALL = 0.005  # share up to which no method is harmed
+LEAST_SAMPLES = 100  # consecutive; with noise of half a step a working axis repeats this often once in 10¹⁵
 LEAST_DURATION = 2.0  # s
-_SUSPECT = 6  # equal values in a row from which samples are held back
-_LONGEST = 30.0  # s, for which a gyroscope that stands still on all axes is held back until the field has turned
-_NOISY = 1.5  # steps of the sensor from which noise on one axis must show on another
-_TURNED = 0.2  # sweep of the field over its median strength that no gyroscope at rest goes with
-_REMEMBERED = 50  # stretches, the latest
+_SUSPECT = 6  # consecutive equal values from which samples are held back
+_LONGEST = 30.0  # s, longest time that a gyroscope stuck on all axes is held back while the field does not turn
+_NOISY = 1.5  # steps of noise on one axis from which a working axis must show noise, too
+_TURNED = 0.2  # sweep of the field over its median strength that excludes rest
+_REMEMBERED = 50  # latest stretches kept
 _NAMES = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}
 
 Turned = Callable[[Array], bool | None]
 
 
 class Stretch(NamedTuple):
-    """Axes (3,) bool that stood still at `value` (3,) from `start` to `end` in s; `held` s is the first stamp that an
-    estimator could still be kept from."""
+    """Axes (3,) bool that were stuck at `value` (3,) from `start` to `end`, s.
+
+    `held` is the stamp, s, of the first sample that could still be held back from an estimator.
+    """
 
     axes: tuple[bool, ...]
     value: tuple[float, ...]
@@ -45,14 +47,14 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True)
 class Stuck:
-    """Axes of one sensor that stood still.
+    """Stuck axes of one sensor.
 
     Attributes:
         sensor: "magnetic_field" or "angular_rate".
-        axes: of x, y, z.
-        value: what the first of them stood at at first, as shown: µT, counts or mrad/s with the unit.
+        axes: the stuck axes, of "xyz".
+        value: the reading of the first stretch, as text with its unit: µT, counts or mrad/s.
         stretches: (from, to) in s, the longest first.
-        share: of the recording's duration.
+        share: share of the recording's duration.
     """
 
     sensor: str
@@ -63,21 +65,21 @@ class Stuck:
 
     @property
     def where(self) -> str:
-        """Which axes stood still, where and by what evidence."""
+        """Return which axes are stuck, when, and by what evidence."""
         start, end = self.stretches[0]
         more = f" and {len(self.stretches) - 1} more times" if len(self.stretches) > 1 else ""
         one = f"axis {self.axes} of the {_NAMES[self.sensor]} is"
-        which = one if len(self.axes) == 1 else f"axes {', '.join(self.axes)} are"
+        subject = one if len(self.axes) == 1 else f"axes {', '.join(self.axes)} are"
         turned = "the gyroscope turned" if self.sensor == "magnetic_field" else "the field turned"
         others = {1: "its other axes show noise", 2: "its other axis shows noise", 3: turned}
         return (
-            f"{self.sensor}: {which} stuck at {self.value} from {start:.1f} to {end:.1f} s{more}, "
+            f"{self.sensor}: {subject} stuck at {self.value} from {start:.1f} to {end:.1f} s{more}, "
             f"{self.share:.0%} of the recording, while {others[len(self.axes)]}"
         )
 
     @property
     def sentence(self) -> str:
-        """`where`, the limit and the remedy."""
+        """Return `where`, the limit and the remedy."""
         spare = ""
         if self.sensor == "angular_rate":
             spare = "; methods that need the magnetometer alone (--method autocal) do without it"
@@ -88,28 +90,28 @@ class Stuck:
 
 
 class StuckAxes:
-    """Finds the axes of one sensor that stand still; a `gate.Detector`.
+    """Find the stuck axes of one sensor; a `gate.Detector`.
 
-    From six equal values in a row on samples are undecided, until the axis moves, or until a hundred of them say that
-    it is stuck: then all are rejected until it moves.
+    From six consecutive equal values on, samples are undecided until the axis moves or until a hundred of them show
+    that it is stuck. A stuck axis is rejected until it moves.
 
     Args:
-        turned: whether the field turned while all axes stood still as in rows (n, 4) of time and value; None while
-            that is not known. A magnetometer's is never asked.
-        longest: s, after which a gyroscope that stands still while the field does is taken to be at rest.
+        turned: called with the rows (n, 4) of time and value during which all axes were constant; returns whether the
+            field turned meanwhile, or None while that is not known. Not called for a magnetometer.
+        longest: time after which a constant gyroscope counts as at rest if the field does not turn, s.
     """
 
     def __init__(self, turned: Turned = lambda rows: False, longest: float = _LONGEST) -> None:
         self.pending = np.inf
         self._turned, self._longest = turned, longest
         self._stuck = np.zeros(3, dtype=bool)
-        self._begun = np.full(3, np.nan)  # s, since when each axis has its value
-        self._run = np.zeros(3, dtype=int)  # equal values in a row
+        self._begun = np.full(3, np.nan)  # s, stamp from which each axis has its value
+        self._run = np.zeros(3, dtype=int)  # consecutive equal values
         self._last = np.full(4, np.nan)  # time and value
         self._step = np.inf  # smallest change of any axis
         self._held = np.empty((0, 4))
-        self._examined = 0  # of the samples held
-        self._waiting = np.empty((0, 4))  # samples that follow an examination which waits for the other sensor
+        self._examined = 0  # number of held samples that were examined
+        self._waiting = np.empty((0, 4))  # samples after an examination that waits for the other sensor
         self._stretches: list[Stretch] = []  # the last one is still open while an axis is stuck
 
     def observe(self, block: Samples) -> None:
@@ -123,7 +125,7 @@ class StuckAxes:
         self.pending = min([part[0, 0] for part in (self._held, self._waiting) if len(part)], default=np.inf)
 
     def conclude(self) -> None:
-        """No more samples follow: decide about those that are held."""
+        """Decide about the held samples; called after the last sample."""
         if len(self._held) >= LEAST_SAMPLES and self._held[-1, 0] - self._held[0, 0] >= LEAST_DURATION:
             self._examine()
 
@@ -131,7 +133,7 @@ class StuckAxes:
         time, n = rows[:, 0], len(rows)
         change = np.abs(np.diff(rows[:, 1:], axis=0, prepend=self._last[None, 1:]))
         same, place = change == 0, np.arange(n)[:, None]
-        moved = np.maximum.accumulate(np.where(same, -1, place), axis=0)  # row since which an axis has its value
+        moved = np.maximum.accumulate(np.where(same, -1, place), axis=0)  # row from which an axis has its value
         run = np.where(moved >= 0, place - moved + 1, self._run + place + 1)
         begun = np.where(moved >= 0, time[moved], self._begun)
         smallest = np.where(change > 0, change, np.inf).min(axis=1)
@@ -145,7 +147,7 @@ class StuckAxes:
         if not len(self._held) and not self._stuck.any() and not suspect.any():
             note(n - 1)
             return
-        # A stretch of suspects that begins and ends here is of no interest where it is short.
+        # A short stretch of suspects that begins and ends in this block can be ignored.
         edges = np.flatnonzero(np.diff(suspect.astype(int), prepend=0, append=0)).reshape(-1, 2)
         size = edges[:, 1] - edges[:, 0]
         carried = (edges[:, 0] == 0) & (len(self._held) > 0)
@@ -171,7 +173,7 @@ class StuckAxes:
                 self._held, self._examined = self._held[:0], 0
                 i = int(first)
                 continue
-            # One more at least: two seconds may be less than two by rounding.
+            # At least one more, since rounding may make two seconds slightly less than two.
             need = max(max(LEAST_SAMPLES, 2 * self._examined) - len(self._held), 1)
             since = self._held[0, 0] if len(self._held) else time[i]
             stop = max(i + need, int(np.searchsorted(time, since + LEAST_DURATION)) + 1)
@@ -187,13 +189,13 @@ class StuckAxes:
         note(n - 1)
 
     def _due(self) -> bool:
-        """Whether enough is held to say more."""
+        """Return whether enough samples are held for the next examination."""
         if len(self._held) < max(LEAST_SAMPLES, 2 * self._examined):
             return False
         return bool(self._held[-1, 0] - self._held[0, 0] >= LEAST_DURATION)
 
     def _examine(self) -> bool:
-        """Decide about the samples held, or hold them longer; False where that takes more of the other sensor."""
+        """Decide about the held samples or hold them longer; return False while the other sensor's are missing."""
         rows, still = self._held, self._run >= len(self._held)
         if still.all():
             answer = self._turned(rows)
@@ -204,7 +206,9 @@ class StuckAxes:
                 return True
             self._stuck = np.full(3, answer)
         else:
-            value = rows[1:, 1:][(np.diff(rows[:, 1:], axis=0) != 0).any(axis=1)]  # a held sensor repeats its rows
+            value = rows[1:, 1:][
+                (np.diff(rows[:, 1:], axis=0) != 0).any(axis=1)
+            ]  # without repeated rows, which are no samples
             noisy = [white_noise(np.delete(value, axis, axis=1)) >= _NOISY * self._step for axis in range(3)]
             self._stuck = still & noisy
         if self._stuck.any():
@@ -213,13 +217,13 @@ class StuckAxes:
         return True
 
     def _open(self, held: float) -> None:
-        """A stretch begins, of the axes stuck now."""
+        """Begin a stretch of the axes that are stuck now."""
         axes, value = tuple(self._stuck.tolist()), tuple(self._last[1:].tolist())
         start, end = float(self._begun[self._stuck].min()), float(self._last[0])
         self._stretches = [*self._stretches, Stretch(axes, value, start, end, held)][-_REMEMBERED:]
 
     def rejects(self, time: Array) -> np.ndarray:
-        """(n,) bool, the samples at which an axis was known to stand still."""
+        """Return (n,) bool: the samples at which an axis was known to be stuck."""
         result = np.zeros(len(time), dtype=bool)
         for stretch in self._stretches:
             if len(time) and stretch.end >= time[0]:
@@ -228,16 +232,16 @@ class StuckAxes:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """When axes stood still."""
+        """Return the stretches in which axes were stuck."""
         return tuple(self._stretches)
 
     @property
     def now(self) -> tuple[Stretch, ...]:
-        """The stretch that is not over; empty where nothing stands still."""
+        """Return the stretch that is not over, if there is one."""
         return tuple(self._stretches[-1:]) if self._stuck.any() else ()
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state for `restore`."""
         return {
             "axes": np.array([self._stuck, self._begun, self._run], dtype=float),
             "last": self._last,
@@ -263,7 +267,7 @@ class StuckAxes:
 def named(
     sensor: str, stretches: Sequence[Stretch], duration: float, shown: float, unit: str
 ) -> tuple[Stuck, ...]:
-    """Findings of one sensor, stretches of the same axes together; `shown` is what a value is multiplied with."""
+    """Return one finding per set of axes of a sensor; messages show a value times `shown` in `unit`."""
     result = []
     for axes in dict.fromkeys(stretch.axes for stretch in stretches):
         group = sorted((s for s in stretches if s.axes == axes), key=lambda s: s.start - s.end)
@@ -276,7 +280,7 @@ def named(
 
 
 def field_turned(field: Array, rate: Array) -> bool:
-    """Whether a field (n, 3) turned by more than a gyroscope would go with that stands at `rate` (3,)."""
+    """Return whether a field (n, 3) turned more than a gyroscope that reads a constant `rate` (3,) allows."""
     if len(field) < 3:
         return False
     low, high = np.percentile(field, (5, 95), axis=0)

@@ -1,4 +1,4 @@
-"""What a batch method may use of a recording: the rows in which neither sensor was at fault."""
+"""Select the rows of a recording that a batch method may use: those in which neither sensor was faulty."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from magyc_gtsam.sensor_faults.zeros import NoValues
 
 @dataclass(frozen=True, eq=False)
 class Usable:
-    """What is left of a recording.
+    """A recording without its faulty rows, and the faults found.
 
     Attributes:
-        recording: the rows in which nothing was wrong that could be left out.
-        stuck: axes that stood still for more than an instant; the largest share first.
-        zeros: samples of the magnetometer that are placeholders (zero on all axes); None where there are none.
-        cut_off: what the gyroscope's full scale cut off; None where nothing was.
-        clipped: what the magnetometer's full scale cut off, which is still in the rows; None where nothing was.
+        recording: the rows without faults.
+        stuck: axes that were stuck for more than a share of `SMALL`, the largest share first.
+        zeros: magnetometer samples that are placeholders (zero on all axes); None without any.
+        cut_off: what the gyroscope's full scale cut off; None if nothing.
+        clipped: what the magnetometer's full scale cut off, which stays in the rows; None if nothing.
     """
 
     recording: Recording
@@ -37,15 +37,17 @@ class Usable:
 
     @property
     def left_out(self) -> list[str]:
-        """What was left out, in words."""
+        """Return a message per fault that was left out."""
         return [fault.where for fault in (*self.stuck, self.zeros, self.cut_off) if fault is not None]
 
 
 def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_field", "angular_rate")) -> Usable:
-    """The rows in which nothing was wrong with the named sensors: a hole is no harm to a method, a false axis is.
+    """Return the recording without the rows in which the named sensors were faulty.
+
+    The methods tolerate gaps in a recording but not faulty axes.
 
     Raises:
-        MagycError: an axis stood still for half of the recording, or too many turns were cut off.
+        MagycError: an axis was stuck for more than half of the recording, or too many turns were cut off.
     """
     if not may_be_faulty(recording, sensors):
         return Usable(recording, (), None, None, None)
@@ -55,13 +57,12 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     if cut_off is not None and cut_off.too_often:
         raise MagycError(cut_off.sentence)
     stuck = tuple(s for s in faults.stuck(recording.duration) if s.share > SMALL)
-    false = [
-        found for found in stuck if (found.sensor, found.axes) != ("magnetic_field", "xyz")
-    ]  # that has no samples
-    if false and false[0].share > MOST:
-        raise MagycError(false[0].sentence)
+    # A magnetometer stuck on all axes has no samples to leave out.
+    faulty = [each for each in stuck if (each.sensor, each.axes) != ("magnetic_field", "xyz")]
+    if faulty and faulty[0].share > MOST:
+        raise MagycError(faulty[0].sentence)
     kept = ~hole
-    for start, end in (stretch for found in false for stretch in found.stretches):
+    for start, end in (stretch for each in faulty for stretch in each.stretches):
         kept &= (time < start) | (time > end)
     zeros = faults.zeros.finding()
     usable = recording if zeros is None else _without_zeros(recording)
@@ -69,7 +70,7 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
 
 
 def _without_zeros(recording: Recording) -> Recording:
-    """Replace zeros of the magnetometer by the sample before (the first by the one after), marked as not measured."""
+    """Replace zeros of the magnetometer by the sample before (or after, at the start), marked as not measured."""
     zero = np.asarray(~recording.magnetic_field.any(axis=1))
     place = np.maximum.accumulate(np.where(zero, -1, np.arange(len(zero))))
     place = np.where(place < 0, np.argmin(zero), place)
