@@ -184,14 +184,14 @@ def test_a_foreign_name_that_points_here(served: Served) -> None:
     [
         ([], "an object"),
         ({"kind": "rm"}, "kind"),
-        ({"kind": "calibrate", "logs": ["/etc/passwd"]}, "not there any more"),
+        ({"kind": "calibrate", "logs": ["/etc/passwd"]}, "no longer exist"),
         ({"kind": "calibrate", "logs": []}, "1 to"),
         ({"kind": "calibrate", "logs": ["x"] * 300}, "1 to"),
         ({"kind": "calibrate", "logs": ["{log}"], "start": "0; rm"}, "start"),
         ({"kind": "calibrate", "logs": ["{log}"], "start": float("nan")}, "start"),
         ({"kind": "calibrate", "logs": ["{log}"], "reading": {"output": "/tmp/x"}}, "reading"),
         ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_unit": "--force"}}, "not known"),
-        ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_field": "a\n--force"}}, "short text"),
+        ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_field": "a\n--force"}}, "printable text"),
     ],
 )
 def test_orders_that_mean_nothing(served: Served, asked: Any, says: str) -> None:

@@ -109,15 +109,15 @@ def test_a_server_that_is_killed_in_the_middle(
     [
         ({"do": "start", "source": {"kind": "file", "log": "/etc/passwd"}}, "MCAP file of the folder"),
         ({"do": "start", "source": {"kind": "serial", "port": "/dev/sda", "baud": 9600}}, "no such serial port"),
-        ({"do": "start", "source": {"kind": "mavlink", "address": "/etc/passwd"}}, "is expected"),
-        ({"do": "start", "source": {"kind": "mavlink", "address": "tcp:a b:1"}}, "is expected"),
+        ({"do": "start", "source": {"kind": "mavlink", "address": "/etc/passwd"}}, "must be"),
+        ({"do": "start", "source": {"kind": "mavlink", "address": "tcp:a b:1"}}, "must be"),
         ({"do": "start", "source": {"kind": "udp", "port": 22}}, "1024 to 65535"),
         ({"do": "start", "source": {"kind": "udp", "port": "14560 --force"}}, "1024 to 65535"),
-        ({"do": "start", "source": "-"}, "is expected"),
+        ({"do": "start", "source": "-"}, "must be"),
         ({"do": "start", "source": {"kind": "udp", "port": 14999}, "reading": {"state": "/tmp/x"}}, "reading"),
-        ({"do": "go on"}, "no run to go on with"),
-        ({"do": "rm"}, "is expected"),
-        ([], "is expected"),
+        ({"do": "go on"}, "no live run to resume"),
+        ({"do": "rm"}, "must be"),
+        ([], "must be"),
     ],
 )
 def test_sources_that_are_refused(idle: Served, asked: Any, says: str) -> None:
@@ -145,7 +145,7 @@ def test_a_port_that_another_program_has(tmp_path: Path) -> None:
         try:
             server.ask("POST", "/api/live", {"do": "start", "source": {"kind": "udp", "port": port}})
             run = until(server, lambda run: run["state"] == "failed")
-            assert "cannot be listened on" in run["said"][-1]
+            assert "cannot be listened on" in run["messages"][-1]
         finally:
             server.stop()
 

@@ -1,1 +1,1 @@
-"""`magyc-gtsam serve`: calibrate in a browser. A page, and behind it jobs that are the ordinary command line."""
+"""`magyc-gtsam serve`: calibrate in a browser, through a page whose jobs run the ordinary command line."""

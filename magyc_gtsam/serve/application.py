@@ -1,4 +1,4 @@
-"""The application: what stands behind every address of the server."""
+"""The web application: the request handlers of every address of the server."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from magyc_gtsam.serve.safety import Guard
 from magyc_gtsam.serve.sources import source_of
 from magyc_gtsam.serve.store import Full, Store
 
-# A report's own script may run, and reach nothing: not this server, not the network, not the page beside it.
+# A report's own script may run, but cannot reach this server, the network or the page beside it.
 _REPORT = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:; form-action 'none'; "
     "base-uri 'none'; frame-ancestors 'none'; sandbox allow-scripts allow-modals allow-popups"
@@ -38,11 +38,11 @@ _REPORT = (
 
 
 class Server:
-    """The state of a server, and the answers to its requests.
+    """The state of a server, and the handlers of its requests.
 
     Args:
-        folder: of logs; `results/` is made in it.
-        limits: what is allowed at most.
+        folder: folder of logs; `results/` is created in it.
+        limits: bounds on requests, jobs and uploads.
     """
 
     def __init__(self, folder: Path, limits: Limits) -> None:
@@ -51,16 +51,18 @@ class Server:
         self.events = Events(self.snapshot, limits)
         self.jobs = Jobs(self.store.folder, limits, self.events.changed, self._done)
         self.live = Live(self.store.folder, self.events.changed, self._frozen)
-        left = next((folder for folder in self.store.found().values() if (folder / STATE).exists()), None)
-        if left is not None:
-            self.live.found(left)
+        interrupted = next(
+            (each for each in self.store.result_folders().values() if (each / STATE).exists()), None
+        )
+        if interrupted is not None:
+            self.live.adopt(interrupted)
 
     def snapshot(self) -> dict[str, Any]:
-        """What changes while the page is open."""
+        """Return the state that changes while the page is open, as JSON types."""
         return {"jobs": self.jobs.listed(), "live": self.live.snapshot()}
 
     def _frozen(self, folder: Path, last: dict[str, Any] | None) -> None:
-        """Keep what the page will want to know of a live run."""
+        """Record the outcome of a live run for the page."""
         last = last or {}
         trusted = bool(last.get("converged")) and last.get("exit_code") == 0
         sentence = None if trusted else f"✘ Not yet: {last.get('sentence', 'no samples came')}"
@@ -68,7 +70,7 @@ class Server:
         self.store.keep(folder, record)
 
     def _done(self, job: Job) -> None:
-        """Keep what the page will want to know of a result."""
+        """Record the outcome of a job for the page."""
         if job.folder is None:
             return
         verdict = _verdict(job.result)
@@ -77,15 +79,15 @@ class Server:
         self.store.discard_empty(job.folder)
 
     async def page(self, request: Request) -> Response:
-        """The page."""
+        """Return the page."""
         text, policy = page(request.headers["host"])
         return HTMLResponse(text, headers={"Content-Security-Policy": policy})
 
     async def state(self, request: Request) -> Response:
-        """Everything that the page begins with."""
+        """Return the state that the page starts from."""
         logs = await run_in_threadpool(self.store.logs)
-        found = await run_in_threadpool(self.store.found)
-        results = [self.store.described(folder) for folder in found.values()]
+        folders = await run_in_threadpool(self.store.result_folders)
+        results = [self.store.described(folder) for folder in folders.values()]
         state = {
             "version": __version__,
             "folder": self.store.folder.name,
@@ -96,17 +98,17 @@ class Server:
         return JSONResponse(state | self.snapshot())
 
     async def upload(self, request: Request) -> Response:
-        """A log, streamed to the disk."""
+        """Store an uploaded log, streaming it to the disk."""
         length = request.headers.get("content-length")
         size = int(length) if length is not None and length.isdecimal() else None
         most = self.limits.upload
         if size is not None and size > most:
             raise HTTPException(
-                413, f"{size} bytes, at most {most} are taken; put the log into the folder instead"
+                413, f"the log has {size} bytes, at most {most} are accepted; put it into the folder instead"
             )
         with self.store.arriving(request.query_params.get("name", "log"), size) as (key, path):
             with open(path, "wb") as file:
-                came = 0
+                received = 0
                 stream = aiter(request.stream())
                 while True:
                     try:
@@ -115,36 +117,36 @@ class Server:
                         break
                     except (ClientDisconnect, asyncio.TimeoutError):
                         raise HTTPException(408, "the upload broke off; drop the log again") from None
-                    came += len(part)
-                    if came > most:
+                    received += len(part)
+                    if received > most:
                         raise HTTPException(
-                            413, f"at most {most} bytes are taken; put the log into the folder instead"
+                            413, f"at most {most} bytes are accepted; put the log into the folder instead"
                         )
-                    if came % (64 << 20) < len(part):
+                    if received % (64 << 20) < len(part):  # once per 64 MiB
                         self.store.room_for(0)
                     await run_in_threadpool(file.write, part)
-            if not came:
+            if not received:
                 raise HTTPException(400, "the log is empty")
         return JSONResponse(self.store.logs()[key].to_dict(), 201)
 
     async def remove(self, request: Request) -> Response:
-        """Remove a log that was dropped."""
+        """Remove an uploaded log."""
         if not await run_in_threadpool(self.store.remove, request.path_params["key"]):
-            raise HTTPException(404, "no such log was dropped")
+            raise HTTPException(404, "no uploaded log has this key; reload the page")
         return JSONResponse({})
 
     async def start(self, request: Request) -> Response:
         """Start a job."""
-        asked = order(await self._body(request), await run_in_threadpool(self.store.logs), self.limits)
-        folder = None if asked.kind == "look" else self.store.new_result(asked.title, asked.kind)
-        interval = None if asked.start is None and asked.end is None else [asked.start, asked.end]
+        ordered = order(await self._body(request), await run_in_threadpool(self.store.logs), self.limits)
+        folder = None if ordered.kind == "look" else self.store.new_result(ordered.title, ordered.kind)
+        interval = None if ordered.start is None and ordered.end is None else [ordered.start, ordered.end]
         try:
             job = self.jobs.start(
-                asked.kind,
-                asked.title,
-                asked.arguments(None if folder is None else str(folder)),
+                ordered.kind,
+                ordered.title,
+                ordered.arguments(None if folder is None else str(folder)),
                 folder,
-                logs=[log.key for log in asked.logs],
+                logs=[log.key for log in ordered.logs],
                 interval=interval,
             )
         except MagycError:
@@ -154,25 +156,25 @@ class Server:
         return JSONResponse(job.to_dict(), 201)
 
     async def live_run(self, request: Request) -> Response:
-        """Start a live run, freeze it, or go on with it."""
+        """Start, freeze or resume a live run."""
         asked = await self._body(request)
-        what = asked.get("do") if isinstance(asked, dict) else None
-        if what == "start":
+        action = asked.get("do") if isinstance(asked, dict) else None
+        if action == "start":
             source = source_of(asked.get("source"), await run_in_threadpool(self.store.logs))
             arguments = reading(asked)
             if self.live.state == "running":
                 raise MagycError("a live run is going on; freeze it first")
             await self.live.start(self.store.new_result(asked["source"]["kind"], "live"), source, arguments)
-        elif what == "freeze":
+        elif action == "freeze":
             await self.live.freeze()
-        elif what == "go on":
-            await self.live.go_on()
+        elif action == "go on":
+            await self.live.resume()
         else:
-            raise MagycError('do: one of "start", "freeze", "go on" is expected')
+            raise MagycError('do: must be "start", "freeze" or "go on"')
         return JSONResponse(self.live.snapshot())
 
     async def ports(self, request: Request) -> Response:
-        """The serial ports that can be chosen."""
+        """Return the serial ports that can be chosen."""
         return JSONResponse({"ports": await run_in_threadpool(serial_ports)})
 
     async def _body(self, request: Request) -> Any:
@@ -180,11 +182,11 @@ class Server:
         async for part in request.stream():
             data += part
             if len(data) > self.limits.body:
-                raise HTTPException(413, "this request is too long")
+                raise HTTPException(413, f"the request is longer than {self.limits.body} bytes")
         try:
             return json.loads(data)
         except (ValueError, RecursionError):
-            raise HTTPException(400, "this request is not JSON") from None
+            raise HTTPException(400, "the request is not JSON") from None
 
     def _job(self, request: Request) -> Job:
         job = self.jobs.all.get(request.path_params["key"])
@@ -193,7 +195,7 @@ class Server:
         return job
 
     async def job(self, request: Request) -> Response:
-        """A job, with what it gave."""
+        """Return the state of a job, with the output of a "look"."""
         job = self._job(request)
         output = job.result if job.kind == "look" else None
         if isinstance(output, dict) and output.get("problem"):
@@ -206,19 +208,19 @@ class Server:
         return JSONResponse({})
 
     def _folder(self, request: Request) -> Path:
-        folder = self.store.found().get(request.path_params["key"])
+        folder = self.store.result_folders().get(request.path_params["key"])
         if folder is None:
             raise HTTPException(404, "no such result")
         return folder
 
     async def result(self, request: Request) -> Response:
-        """A result in numbers and texts."""
+        """Return the numbers and texts of a result."""
         folder = self._folder(request)
         known = {name: value for name, value in self.store.described(folder).items() if value is not None}
         return JSONResponse(await run_in_threadpool(details, folder, known.get("trusted")) | known)
 
     async def file(self, request: Request) -> Response:
-        """A file of a result: a page to look at, anything else to keep."""
+        """Return a file of a result: an HTML page to display, any other file as a download."""
         folder = self._folder(request)
         path = {path.name: path for path in folder.iterdir() if path.is_file()}.get(request.path_params["name"])
         if path is None or path.name.startswith("."):
@@ -229,7 +231,7 @@ class Server:
         return FileResponse(path, media_type="application/octet-stream", filename=path.name)
 
     def application(self) -> Starlette:
-        """All of it under its addresses, without the guard."""
+        """Return the application with all its routes, without the guard."""
 
         @asynccontextmanager
         async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -253,18 +255,18 @@ class Server:
             Route("/results/{key}/{name}", self.file),
             WebSocketRoute("/api/events", self.events.socket),
         ]
-        handlers: Any = {HTTPException: _said, MagycError: _refused, Full: _full}
-        made = Starlette(routes=routes, lifespan=lifespan, exception_handlers=handlers)
-        made.router.redirect_slashes = False
-        return made
+        handlers: Any = {HTTPException: _http_problem, MagycError: _refused, Full: _full}
+        application = Starlette(routes=routes, lifespan=lifespan, exception_handlers=handlers)
+        application.router.redirect_slashes = False
+        return application
 
 
 def guarded(server: Server, token: str | None, port: int) -> Guard:
-    """The application as it is served."""
+    """Return the application behind its guard, as it is served."""
     return Guard(server.application(), token, f"magyc_gtsam_{port}")
 
 
-async def _said(request: Request, error: Exception) -> Response:
+async def _http_problem(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     return JSONResponse({"problem": error.detail}, error.status_code, headers={"Connection": "close"})
 
@@ -278,7 +280,7 @@ async def _full(request: Request, error: Exception) -> Response:
 
 
 def _verdict(result: Any) -> dict[str, Any]:
-    """{"sentence", "trusted"} of a command's JSON; None where it has neither."""
+    """Return "sentence" and "trusted" from a command's JSON; None for each that it lacks."""
     if not isinstance(result, dict):
         return {"sentence": None, "trusted": None}
     for name in ("judgement", "verdict"):  # a gap has a verdict of one word beside its judgement

@@ -1,4 +1,4 @@
-"""The web socket: the state of jobs and of the live run, whenever it changes."""
+"""Send the state of the jobs and of the live run to open pages over a web socket, whenever it changes."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from magyc_gtsam.serve.limits import Limits
 
-_PAUSE = 0.15  # s between two messages, at least
+_PAUSE = 0.15  # s, shortest interval between two messages
 _TOO_MANY = 1013  # of RFC 6455: try again later
 
 
 class Events:
-    """Sends a snapshot to every page that is open, when something has changed.
+    """Send a snapshot to every open page when something has changed.
 
     Args:
-        snapshot: JSON types of the present state.
-        limits: of the number of sockets.
+        snapshot: returns the present state as JSON types.
+        limits: bound on the number of sockets.
     """
 
     def __init__(self, snapshot: Callable[[], dict[str, Any]], limits: Limits) -> None:
@@ -29,12 +29,12 @@ class Events:
         self._open: set[asyncio.Event] = set()
 
     def changed(self) -> None:
-        """There is something new to show."""
+        """Announce that the state has changed."""
         for event in self._open:
             event.set()
 
     async def socket(self, socket: WebSocket) -> None:
-        """One page, until it leaves. What it sends is not looked at."""
+        """Serve one page until it disconnects; messages from it are ignored."""
         if len(self._open) >= self._limits.sockets:
             await socket.close(_TOO_MANY)
             return
@@ -49,6 +49,7 @@ class Events:
         finally:
             self._open.discard(event)
             sender.cancel()
+            # Cancelled just above, or sending to a page that has left, of which Starlette raises either error.
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await sender
 

@@ -1,4 +1,4 @@
-"""Jobs: the ordinary command line in processes of its own, one per core, the others waiting."""
+"""Run jobs, each the ordinary command line in its own process: one per core, the others wait."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.limits import Limits
 from magyc_gtsam.serve.workers import Workers, end, ended
 
-_PATIENCE = 10.0  # s between asking a job to end, and ending it
-_LINES = 20  # of what a job said, kept
-_REST = 1.0  # s after the last job, in which its page is drawn, until the next processes start
-_WAITING = 2  # processes that wait for a job: a dropped log is looked at and calibrated
+_PATIENCE = 10.0  # s between interrupting a job and killing it
+_LINES = 20  # last lines of a job's standard error that are kept
+_REST = 1.0  # s after the last job until the next processes start, so that its page is drawn first
+_WAITING = 2  # processes that wait for a job: an uploaded log is inspected and calibrated
 ACTIVE = ("waiting", "running")
 
 
@@ -31,17 +31,20 @@ class Job:
     """One run of a command.
 
     Attributes:
-        key: by which the page names it.
-        kind: the command.
-        title: what it is about.
-        arguments: of the command line.
-        folder: where its results go, None for none.
+        key: identifier that the page uses.
+        kind: the command, of `orders.KINDS`.
+        title: name of the log, or number of logs.
+        arguments: arguments of the command line.
+        folder: folder of its results; None without results.
+        extra: further values for the page.
         state: "waiting", "running", "done", "failed" or "cancelled".
-        stage, share: what it is at, and how far that is, 0 to 1.
+        stage, share: present stage, and the share of it that is done, 0 to 1.
         begun, stage_begun, ended: s since 1970; 0 for not yet.
-        code: exit code.
-        said: last lines on standard error that were no progress.
-        result: its JSON.
+        code: exit code; None before the end.
+        messages: last lines on standard error that are not progress.
+        result: the JSON that the command printed.
+        process: the running process.
+        cancelled: whether the job was cancelled.
     """
 
     key: str
@@ -57,15 +60,15 @@ class Job:
     stage_begun: float = 0.0
     ended: float = 0.0
     code: int | None = None
-    said: deque[str] = field(default_factory=lambda: deque(maxlen=_LINES))
+    messages: deque[str] = field(default_factory=lambda: deque(maxlen=_LINES))
     result: Any = None
     process: asyncio.subprocess.Process | None = None
     cancelled: bool = False
 
     def to_dict(self, ahead: int = 0) -> dict[str, Any]:
-        """For the page, without the result."""
+        """Return the job as JSON types for the page, without its result; `ahead` jobs wait before it."""
         spent = time.time() - self.stage_begun
-        left = spent * (1 - self.share) / self.share if self.share > 0.05 and spent > 0.5 else None
+        remaining = spent * (1 - self.share) / self.share if self.share > 0.05 and spent > 0.5 else None
         return {
             "key": self.key,
             "kind": self.kind,
@@ -73,7 +76,7 @@ class Job:
             "state": self.state,
             "stage": self.stage,
             "share": self.share,
-            "left_s": left if self.state == "running" else None,
+            "left_s": remaining if self.state == "running" else None,
             "ahead": ahead,
             "code": self.code,
             "message": self.message,
@@ -83,11 +86,11 @@ class Job:
 
     @property
     def message(self) -> str:
-        """The last line on standard error, without the program's name and the folders of the log."""
-        return self.without_folders(self.said[-1].removeprefix("magyc-gtsam: ")) if self.said else ""
+        """Return the last line on standard error, without the program's name and the folders of the logs."""
+        return self.without_folders(self.messages[-1].removeprefix("magyc-gtsam: ")) if self.messages else ""
 
     def without_folders(self, text: str) -> str:
-        """A text in which each log is called by its name alone, as the page knows it."""
+        """Return the text with each path of a log replaced by the log's name, as the page shows it."""
         for argument in self.arguments:
             if os.sep in argument:
                 text = text.replace(argument, Path(argument).name)
@@ -98,11 +101,11 @@ class Jobs:
     """A queue of jobs.
 
     Args:
-        place: folder in which they run.
-        limits: of number, time and output.
-        changed: called whenever there is something to show.
-        done: called with a job that has ended.
-        at_once: jobs that run at a time.
+        place: folder in which the jobs run.
+        limits: bounds on number, time and output.
+        changed: called when the state of a job changes.
+        done: called with each job that has ended.
+        at_once: number of jobs that run at a time; None for one per core.
     """
 
     def __init__(
@@ -121,13 +124,15 @@ class Jobs:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def start(self, kind: str, title: str, arguments: Sequence[str], folder: Path | None, **extra: Any) -> Job:
-        """Put a job behind the others.
+        """Append a job to the queue and return it.
 
         Raises:
-            MagycError: too many.
+            MagycError: too many jobs wait or run.
         """
         if sum(job.state in ACTIVE for job in self.all.values()) >= self._limits.jobs:
-            raise MagycError(f"{self._limits.jobs} jobs wait or run already; wait for one, or cancel it")
+            raise MagycError(
+                f"at most {self._limits.jobs} jobs can wait or run; wait for one to end or cancel one"
+            )
         job = Job(secrets.token_hex(6), kind, title, tuple(arguments), folder, extra)
         self.all[job.key] = job
         for key in [key for key, each in self.all.items() if each.state not in ACTIVE][: -self._limits.kept]:
@@ -139,20 +144,20 @@ class Jobs:
         return job
 
     def prepare(self) -> None:
-        """Let processes do their imports for the next jobs, while nothing else is to be done."""
+        """Start processes that do their imports for the next jobs, if no job is active."""
         if not any(job.state in ACTIVE for job in self.all.values()):
             task = asyncio.create_task(self._workers.prepare())
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
 
     def listed(self) -> list[dict[str, Any]]:
-        """All jobs, the latest first, with the number of those that wait before them."""
+        """Return all jobs as JSON types, the latest first, with the number of jobs that wait before each."""
         waiting = [key for key, job in self.all.items() if job.state == "waiting"]
         jobs = reversed(self.all.values())
         return [job.to_dict(waiting.index(job.key) + 1 if job.key in waiting else 0) for job in jobs]
 
     def cancel(self, job: Job) -> None:
-        """Ask a job to end, as Ctrl-C does; a second time, or after ten seconds, it is ended."""
+        """Interrupt a job as Ctrl-C does; terminate it at a second call, and kill it after ten seconds."""
         if job.state not in ACTIVE:
             return
         again, job.cancelled = job.cancelled, True
@@ -177,9 +182,9 @@ class Jobs:
                 try:
                     await asyncio.wait_for(self._process(job), self._limits.job_seconds)
                 except asyncio.TimeoutError:
-                    job.said.append(f"stopped after {self._limits.job_seconds:g} s")
+                    job.messages.append(f"stopped after {self._limits.job_seconds:g} s")
                 except OSError as error:
-                    job.said.append(str(error))
+                    job.messages.append(str(error))
                 finally:
                     if job.process is not None:
                         await ended(job.process)
@@ -195,7 +200,7 @@ class Jobs:
 
     async def _process(self, job: Job) -> None:
         job.process = await self._workers.run(job.arguments)
-        if job.cancelled:  # while it was being started
+        if job.cancelled:  # cancelled while the process was starting
             end(job.process)
         assert job.process.stdout is not None
         assert job.process.stderr is not None
@@ -203,23 +208,23 @@ class Jobs:
             _read(job.process.stdout, self._limits.output), self._listen(job, job.process.stderr)
         )
         job.code = await job.process.wait()
-        with contextlib.suppress(ValueError):  # no JSON: it failed, and said why
+        with contextlib.suppress(ValueError):  # no JSON: the job failed and its messages say why
             job.result = json.loads(output)
 
     async def _listen(self, job: Job, stream: asyncio.StreamReader) -> None:
         while True:
             try:
                 line = await stream.readline()
-            except ValueError:  # longer than a line is
+            except ValueError:  # longer than the limit of the stream: not progress
                 continue
             if not line:
                 return
             try:
-                said = json.loads(line)
-                stage, share = str(said["stage"]), float(said["share"])
-            except (ValueError, TypeError, KeyError):
+                progress = json.loads(line)
+                stage, share = str(progress["stage"]), float(progress["share"])
+            except (ValueError, TypeError, KeyError):  # not progress: a message
                 if text := line.decode("utf-8", "replace").strip():
-                    job.said.append(text[:1000])
+                    job.messages.append(text[:1000])
                 continue
             if stage != job.stage:
                 job.stage, job.stage_begun = stage, time.time()

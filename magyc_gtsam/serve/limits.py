@@ -1,4 +1,4 @@
-"""What the server allows at most."""
+"""The limits of the server."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ GIGABYTE = 1 << 30
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds, each against one way to exhaust the machine.
+    """Upper bounds, each of which prevents one way to exhaust the machine.
 
     Attributes:
         upload: bytes of one log; the largest public flight logs have about 1 GB.
-        uploads: logs kept at a time.
+        uploads: number of uploaded logs kept.
         upload_age: s after which an upload is removed.
-        stall: s without a byte after which an upload is given up.
+        stall: s without a byte after which an upload is aborted.
         spare: bytes that stay free on the disk.
-        jobs: waiting and running ones together.
-        kept: finished jobs that are remembered.
-        job_seconds: s after which a job is stopped; an hour at 400 Hz takes `gap` some minutes.
-        output: bytes of JSON that a job may give.
-        connections: at a time, of which one page takes two.
-        sockets: web sockets at a time.
+        jobs: number of waiting and running jobs.
+        kept: number of finished jobs that are remembered.
+        job_seconds: s after which a job is stopped; `gap` takes some minutes for an hour at 400 Hz.
+        output: bytes of JSON that a job may print.
+        connections: number of open connections; a page uses two.
+        sockets: number of open web sockets.
         message: bytes of a message on a web socket; the page sends none.
         body: bytes of a request that is not an upload.
-        history: logs of one history.
+        history: number of logs of one history.
     """
 
     upload: int = 2 * GIGABYTE

@@ -74,7 +74,7 @@ function drawLive({ live: run }) {
   $("#another").hidden = going;
   $("#live-result").hidden = !run.result || !run.latest || !run.latest.calibration || going;
   live.result = run.result;
-  if (run.state === "failed" && live.state !== "failed" && live.state) complain(run.said[run.said.length - 1] || "the live run failed");
+  if (run.state === "failed" && live.state !== "failed" && live.state) complain(run.messages[run.messages.length - 1] || "the live run failed");
   if (run.state !== live.state && live.state && over) refresh();
   live.state = run.state;
   if (!$("#running").hidden) drawRun(run, going);
@@ -92,7 +92,7 @@ function drawRun(run, going) {
   const [title, text, origin] = head.children;
   title.textContent = trusted ? "It may be trusted" : waits ? "Waiting for samples" : "Not yet";
   const weak = now && now.sentence !== "converged" ? now.sentence : "";
-  text.textContent = waits ? (now && now.source.waiting_for) || run.said[0] || "" : trusted ? "More directions make it better still. Freeze when you have enough." : weak;
+  text.textContent = waits ? (now && now.source.waiting_for) || run.messages[0] || "" : trusted ? "More directions make it better still. Freeze when you have enough." : weak;
   const time = now ? `${now.duration < 120 ? `${now.duration.toFixed(0)} s` : `${(now.duration / 60).toFixed(1)} min`} · ` : "";
   origin.textContent = `${going ? "" : "Frozen · "}${time}${now ? `${now.source.name} · ${now.source.sentence}` : run.source}${now && now.left_out ? ` · ${now.left_out} left out` : ""}`;
   for (const section of document.querySelectorAll("#running > section")) section.hidden = !picture || !picture.points.length;

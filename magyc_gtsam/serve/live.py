@@ -1,4 +1,4 @@
-"""The live run: `magyc-gtsam online` in a process of its own, its state in a file that outlives page and server."""
+"""Run `magyc-gtsam online` in its own process, with its state in a file that outlives page and server."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from magyc_gtsam.serve.workers import end, started
 from magyc_gtsam.storage.whole_file import write_text
 
 CALIBRATION, STATE, RUN = "online-calibration.yaml", "online.state", "live.json"
-_PICTURE, _EVERY = 0.4, 5.0  # s between two pictures, and two writings of calibration and state
-_LINE = 1 << 20  # bytes of a line
-_PATIENCE = 15.0  # s in which a run writes its files and ends
+_PICTURE, _EVERY = 0.4, 5.0  # s between two pictures, and between two writes of calibration and state
+_LINE = 1 << 20  # most bytes of a line
+_PATIENCE = 15.0  # s in which an interrupted run writes its files and ends
 
 
 class Live:
-    """At most one run at a time; it begins at once, whatever jobs there are.
+    """The live run, at most one at a time; it starts at once, however many jobs run.
 
     Args:
         place: folder in which it runs.
-        changed: called whenever there is something to show.
+        changed: called when the state changes.
         ended: called with the folder and the last line of a run that has ended.
     """
 
@@ -40,39 +40,39 @@ class Live:
         self.latest: dict[str, Any] | None = None
         self._arguments: tuple[str, ...] = ()
         self._place, self._changed, self._ended = place, changed, ended
-        self._said: deque[str] = deque(maxlen=5)
+        self._messages: deque[str] = deque(maxlen=5)
         self._process: asyncio.subprocess.Process | None = None
         self._task: asyncio.Task[None] | None = None
 
     def snapshot(self) -> dict[str, Any]:
-        """For the page."""
+        """Return the state as JSON types for the page."""
         return {
             "state": self.state,
             "source": self.source,
             "result": None if self.folder is None else self.folder.name,
-            "said": list(self._said),
+            "messages": list(self._messages),
             "latest": self.latest,
         }
 
-    def found(self, folder: Path) -> None:
-        """Take up a run that an earlier server left, without going on with it."""
+    def adopt(self, folder: Path) -> None:
+        """Take over a run that an earlier server left, as frozen."""
         try:
             run = json.loads((folder / RUN).read_text(encoding="utf-8"))
             self.source, self._arguments = str(run["source"]), tuple(map(str, run["arguments"]))
         except (OSError, ValueError, KeyError, TypeError):
-            return  # not ours
+            return  # no run of this server
         self.folder, self.state = folder, "frozen"
 
     async def start(self, folder: Path, source: str, arguments: Sequence[str]) -> None:
-        """Begin a run.
+        """Start a run.
 
         Args:
-            folder: for its files; there.
-            source: of `magyc-gtsam online`.
-            arguments: units and topics.
+            folder: existing folder for its files.
+            source: SOURCE of `magyc-gtsam online`.
+            arguments: options that give units and topics.
 
         Raises:
-            MagycError: there is one already.
+            MagycError: a run is going on.
         """
         self._refuse_two()
         self.folder, self.source, self._arguments = folder, source, tuple(arguments)
@@ -81,22 +81,22 @@ class Live:
         write_text(folder / RUN, json.dumps(run))
         await self._begin()
 
-    async def go_on(self) -> None:
-        """Go on with the run that was frozen, from its state, bit for bit.
+    async def resume(self) -> None:
+        """Resume the frozen run from its state, bit for bit.
 
         Raises:
-            MagycError: there is none, or it runs.
+            MagycError: there is no frozen run, or a run is going on.
         """
         self._refuse_two()
         if self.folder is None or not self.folder.is_dir():
-            raise MagycError("there is no run to go on with; start a new one")
+            raise MagycError("there is no live run to resume; start a new one")
         await self._begin()
 
     async def freeze(self) -> None:
-        """End the run; calibration and state are written."""
+        """End the run, which writes calibration and state."""
         if self._process is None or self._task is None or self._task.done():
             return
-        with contextlib.suppress(ProcessLookupError):
+        with contextlib.suppress(ProcessLookupError):  # it has ended meanwhile
             self._process.send_signal(signal.SIGINT)
         await asyncio.wait([self._task], timeout=_PATIENCE)
         if not self._task.done():
@@ -110,7 +110,7 @@ class Live:
     async def _begin(self) -> None:
         assert self.folder is not None
         self.state = "running"
-        self._said.clear()
+        self._messages.clear()
         arguments = [
             "online",
             self.source,
@@ -124,7 +124,7 @@ class Live:
         try:
             self._process = await started("magyc_gtsam.cli", arguments, self._place, line=_LINE)
         except OSError as error:
-            self._said.append(str(error))
+            self._messages.append(str(error))
             self.state = "failed"
         else:
             self._task = asyncio.create_task(self._follow(self._process, self.folder))
@@ -141,18 +141,18 @@ class Live:
 
     async def _show(self, stream: asyncio.StreamReader) -> None:
         while line := await _line(stream):
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError):  # a line that was cut off
                 self.latest = json.loads(line)
                 self._changed()
 
     async def _listen(self, stream: asyncio.StreamReader) -> None:
         while line := await _line(stream):
-            self._said.append(line.decode("utf-8", "replace").strip().removeprefix("magyc-gtsam: ")[:500])
+            self._messages.append(line.decode("utf-8", "replace").strip().removeprefix("magyc-gtsam: ")[:500])
             self._changed()
 
 
 async def _line(stream: asyncio.StreamReader) -> bytes:
-    """The next line, b"" at the end; one that is too long is a line without content."""
+    """Return the next line, b"" at the end of the stream, or an empty line in place of one that is too long."""
     try:
         return await stream.readline()
     except ValueError:

@@ -1,4 +1,4 @@
-"""From what the page asks to the arguments of the command line; all of it is checked."""
+"""Check what the page requests and turn it into arguments of the command line."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from magyc_gtsam.serve.limits import Limits
 from magyc_gtsam.serve.store import StoredLog
 
 KINDS = ("look", "calibrate", "gap", "compare", "history")
-_TEXTS = ("magnetic_field", "angular_rate")  # topics, messages or columns
+_TEXTS = ("magnetic_field", "angular_rate")  # options that name topics, messages or columns
 _UNITS = {"magnetic_unit": "magnetic_field", "angular_unit": "angular_rate"}
-_LONGEST = 200  # characters of a topic
+_LONGEST = 200  # most characters of a topic
 
 
 @dataclass(frozen=True)
 class Order:
-    """What to run.
+    """A checked request for a job.
 
     Attributes:
-        kind: of KINDS.
-        logs: one, or several for a history.
-        start, end: s of the interval; None for the whole log.
-        reading: options of how the log is read, as on the command line.
+        kind: one of `KINDS`.
+        logs: one log, or several for a history.
+        start, end: limits of the interval, s; None for those of the log.
+        reading: options of the command line on how to read the log.
     """
 
     kind: str
@@ -37,11 +37,11 @@ class Order:
 
     @property
     def title(self) -> str:
-        """What it is about."""
+        """Return the log's name, or the number of logs."""
         return self.logs[0].name if len(self.logs) == 1 else f"{len(self.logs)} logs"
 
     def arguments(self, output: str | None) -> list[str]:
-        """Of `magyc-gtsam`; `output` is the folder of the results."""
+        """Return the arguments of `magyc-gtsam`; `output` is the folder of the results, None for a "look"."""
         interval = [f"--{n}={v!r}" for n, v in (("start", self.start), ("end", self.end)) if v is not None]
         logs = [str(log.path) for log in self.logs]
         if self.kind == "look":
@@ -51,26 +51,26 @@ class Order:
 
 
 def order(asked: Any, logs: Mapping[str, StoredLog], limits: Limits) -> Order:
-    """What the page asked for.
+    """Return the job that the page requested.
 
     Raises:
-        MagycError: something that is not possible, or not there.
+        MagycError: the request is malformed or names a log that does not exist.
     """
     if not isinstance(asked, dict):
-        raise MagycError("an object is expected")
+        raise MagycError("the request must be an object")
     kind, keys = asked.get("kind"), asked.get("logs")
     if kind not in KINDS:
-        raise MagycError(f"kind: none of {', '.join(KINDS)}")
+        raise MagycError(f"kind: must be one of {', '.join(KINDS)}")
     if (
         not isinstance(keys, list)
         or not 0 < len(keys) <= limits.history
         or not all(isinstance(k, str) for k in keys)
     ):
-        raise MagycError(f"logs: 1 to {limits.history} are expected")
+        raise MagycError(f"logs: must be a list of 1 to {limits.history} keys")
     if len(keys) > 1 and kind != "history":
-        raise MagycError("several logs are for a history")
+        raise MagycError(f"logs: only a history takes several, {kind} takes one")
     if absent := [key for key in keys if key not in logs]:
-        raise MagycError(f"{len(absent)} of the logs are not there any more; reload the page")
+        raise MagycError(f"logs: {len(absent)} no longer exist; reload the page")
     start, end = (_seconds(asked, name) for name in ("start", "end"))
     return Order(kind, tuple(logs[key] for key in dict.fromkeys(keys)), start, end, tuple(reading(asked)))
 
@@ -85,25 +85,25 @@ def _seconds(asked: Mapping[str, Any], name: str) -> float | None:
         or not math.isfinite(value)
         or abs(value) > 1e9
     ):
-        raise MagycError(f"{name}: a number of seconds is expected")
+        raise MagycError(f"{name}: must be a finite number of seconds")
     return float(value)
 
 
 def reading(asked: Mapping[str, Any]) -> Sequence[str]:
-    """Options of the command line for `asked["reading"]`: units and topics.
+    """Return the options of the command line for `asked["reading"]`: units and topics.
 
     Raises:
-        MagycError: other options, or values that cannot be one.
+        MagycError: an unknown option or an invalid value.
     """
-    given = asked.get("reading") or {}
-    if not isinstance(given, dict) or not given.keys() <= {*_TEXTS, *_UNITS}:
-        raise MagycError(f"reading: only {', '.join((*_TEXTS, *_UNITS))} can be given")
+    options = asked.get("reading") or {}
+    if not isinstance(options, dict) or not options.keys() <= {*_TEXTS, *_UNITS}:
+        raise MagycError(f"reading: only {', '.join((*_TEXTS, *_UNITS))} can be set")
     result = []
-    for name, value in given.items():
+    for name, value in options.items():
         if value in (None, ""):
             continue
         if not isinstance(value, str) or len(value) > _LONGEST or not value.isprintable():
-            raise MagycError(f"{name}: a short text is expected")
+            raise MagycError(f"{name}: must be printable text of at most {_LONGEST} characters")
         if name in _UNITS:
             factor(_UNITS[name], _number_or_text(value))
         result.append(f"--{name.replace('_', '-')}={value}")

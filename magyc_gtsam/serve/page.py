@@ -1,4 +1,4 @@
-"""The page: one document with everything in it, put together from the parts of the reports and its own."""
+"""The page: one self-contained document, assembled from scripts and styles of the reports and its own."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _SCRIPTS = (
 
 
 def page(host: str) -> tuple[str, str]:
-    """The page, and the content security policy that goes with it: its own script and style, its own server.
+    """Return the page and its content security policy, which allows only its own script, style and server.
 
     Args:
-        host: name and port under which it was asked for, to which its web socket goes.
+        host: host and port of the request, to which the page's web socket connects.
     """
     nonce = secrets.token_urlsafe(16)
     policy = (

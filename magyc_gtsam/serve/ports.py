@@ -1,4 +1,4 @@
-"""Serial ports that a page may name: those that the system lists, and others that are nothing but a serial line."""
+"""The serial ports that a page may name: those that the system lists, and other devices that are serial lines."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _DRIVERS, _PROCESSES = Path("/proc/tty/drivers"), Path("/proc")
 _LINES = (
     "serial",
     "pty:slave",
-)  # kinds of drivers; opening other devices can do anything, such as start a watchdog
-_KIND_FIELD, _MAJOR_FIELD, _MINOR_FIELD = 4, 2, 3  # of a driver's line
-_TERMINAL_FIELD = 4  # of /proc/N/stat, behind the name in brackets: the device that controls the process
+)  # kinds of drivers; opening another device can have side effects, such as starting a watchdog
+_KIND_FIELD, _MAJOR_FIELD, _MINOR_FIELD = 4, 2, 3  # fields of a line of /proc/tty/drivers
+_TERMINAL_FIELD = 4  # field of /proc/N/stat after the name in brackets: the process's controlling terminal
 
 
 def serial_ports() -> list[str]:
-    """The serial ports of this machine; none without pyserial."""
+    """Return the serial ports of this machine; empty without pyserial."""
     try:
         from serial.tools.list_ports import comports
     except ImportError:
@@ -29,13 +29,13 @@ def serial_ports() -> list[str]:
 
 
 def checked_port(asked: object) -> str:
-    """The device behind a port that a page has named.
+    """Return the device behind a port that a page has named.
 
-    One that is not listed, as a pseudo terminal or a link in /dev, must be a serial line by its driver, and nobody's
-    terminal: its keys are not for this server to read.
+    A port that is not listed, such as a pseudo terminal or a link in /dev, must be a serial line by its driver and must
+    not be the terminal of a process, whose key strokes this server must not read.
 
     Raises:
-        MagycError: neither listed nor such a device.
+        MagycError: the port is neither listed nor such a device.
     """
     if isinstance(asked, str) and asked in serial_ports():
         return asked
@@ -44,7 +44,7 @@ def checked_port(asked: object) -> str:
         if _NAME.fullmatch(device) and _is_serial_line(device):
             return device
     raise MagycError(
-        "port: no such serial port here; plug it in and choose it anew, or name a serial device under /dev"
+        "port: no such serial port; plug it in and choose it again, or name a serial device under /dev"
     )
 
 
@@ -64,7 +64,7 @@ def _is_serial_line(device: str) -> bool:
 
 
 def _within(minor: int, span: str) -> bool:
-    """Whether "0-255" or "64" holds a number."""
+    """Return whether a span such as "0-255" or "64" contains a number."""
     first, _, last = span.partition("-")
     return int(first) <= minor <= int(last or first)
 
@@ -73,10 +73,10 @@ def _controls_a_process(device: int) -> bool:
     for name in filter(str.isdecimal, os.listdir(_PROCESSES)):
         try:
             text = (_PROCESSES / name / "stat").read_text(encoding="ascii", errors="replace")
-        except OSError:  # it has ended
+        except OSError:  # the process has ended
             continue
         fields = text.rpartition(")")[2].split()
-        # The kernel packs major and minor as in `new_encode_dev`: minor's low byte, major, minor's rest.
+        # Packed as by the kernel's `new_encode_dev`: low byte of the minor number, major, rest of the minor number.
         packed = os.minor(device) & 0xFF | os.major(device) << 8 | (os.minor(device) & ~0xFF) << 12
         if int(fields[_TERMINAL_FIELD]) == packed:
             return True

@@ -1,4 +1,4 @@
-"""What the page shows of a result: the verdict, the numbers, and what can be copied."""
+"""Collect what the page shows of a result: verdict, numbers and texts to copy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from magyc_gtsam.report import words
 from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.serve.live import CALIBRATION
 
-_SHOWN = {  # files whose text can be copied, in this order, and what they are called
+_SHOWN = {  # files whose text can be copied, in this order, and their labels
     "px4.params": "PX4",
     "ardupilot.param": "ArduPilot",
     "vectornav.txt": "VectorNav",
@@ -21,36 +21,36 @@ _SHOWN = {  # files whose text can be copied, in this order, and what they are c
     CALIBRATION: "calibration.yaml",
 }
 _CALIBRATIONS = ("calibration.yaml", "next.yaml", CALIBRATION)
-_MOST = 200_000  # bytes of a text that is shown
+_MOST = 200_000  # most bytes of a text that is shown
 
 
 def details(folder: Path, converged: bool | None) -> dict[str, Any]:
-    """Numbers and texts of a result, JSON types; `converged` is what the last line of a live run said."""
+    """Return numbers and texts of a result as JSON types; `converged` is from the last line of a live run."""
     files = {
         path.name: path for path in sorted(folder.iterdir()) if path.is_file() and not path.name.startswith(".")
     }
     exports = [
-        {"name": called, "file": name, "text": files[name].read_text(encoding="utf-8", errors="replace")}
-        for name, called in _SHOWN.items()
+        {"name": label, "file": name, "text": files[name].read_text(encoding="utf-8", errors="replace")}
+        for name, label in _SHOWN.items()
         if name in files and files[name].stat().st_size <= _MOST
     ]
-    found: dict[str, Any] = {"files": list(files), "exports": exports, "rows": []}
+    shown: dict[str, Any] = {"files": list(files), "exports": exports, "rows": []}
     path = next((files[name] for name in _CALIBRATIONS if name in files), None)
     if path is not None:
         try:
             calibration = Calibration.load(path)
         except MagycError as problem:
-            return found | {"sentence": str(problem), "trusted": False}
+            return shown | {"sentence": str(problem), "trusted": False}
         verdict = judged(calibration)
         rows = [[name, *values] for name, values in words.parameter_rows(calibration)]
-        if path.name == CALIBRATION and converged:  # no files are beside it, as a run goes on
+        if path.name == CALIBRATION and converged:  # a live run writes no export files
             texts = [(name, text) for name, text, usable in words.exports(calibration) if usable]
             exports[:0] = [{"name": name, "file": "", "text": text} for name, text in texts]
-        found |= {
+        shown |= {
             "rows": rows if verdict.trusted else [],
             "exports": exports if verdict.trusted else [],
             "sentence": verdict.sentence,
             "trusted": verdict.trusted,
             "details": verdict.details,
         }
-    return found
+    return shown

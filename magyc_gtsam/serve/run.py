@@ -1,4 +1,4 @@
-"""Listen, and serve until somebody has enough."""
+"""Run the server until it is interrupted."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def serve(folder: Path, port: int, host: str | None, limits: Limits, ready: Call
     """Serve a folder of logs.
 
     Args:
-        folder: of logs; `results/` is made in it.
-        port: 0 takes one that is free.
-        host: address to listen on; None for this machine alone, without a token.
-        limits: what is allowed at most.
-        ready: called with the address to open, once it can be.
+        folder: folder of logs; `results/` is created in it.
+        port: port to listen on; 0 chooses a free one.
+        host: address to listen on; None for loopback only, without a token.
+        limits: bounds on requests, jobs and uploads.
+        ready: called with the address to open, once the server listens.
 
     Raises:
-        MagycError: the extra is not installed, no such folder, or the address cannot be listened on.
+        MagycError: the extra is not installed, the folder does not exist, or the address cannot be listened on.
     """
     try:
         import uvicorn
@@ -41,7 +41,7 @@ def serve(folder: Path, port: int, host: str | None, limits: Limits, ready: Call
         listening = socket.create_server((host or LOOPBACK, port), family=family, backlog=128)
     except (OSError, OverflowError) as error:
         raise MagycError(
-            f"{host or LOOPBACK}:{port}: cannot be listened on ({error}); name another --port"
+            f"{host or LOOPBACK}:{port}: cannot be listened on ({error}); choose another --port"
         ) from None
     port = listening.getsockname()[1]
     token = None if host is None else secrets.token_urlsafe(24)

@@ -1,4 +1,4 @@
-"""Who may ask for what: hosts, the token, and the origin of what changes something. Stands before all else."""
+"""Access control, checked before every request: host, token, and origin of requests that change something."""
 
 from __future__ import annotations
 
@@ -25,24 +25,23 @@ _HEADERS = {
 
 
 class Guard:
-    """Refuse what does not come from the page itself; put headers on every answer that has none of its own.
+    """Refuse requests that do not come from the page itself, and add security headers to every response.
 
-    - Without a token, only requests to a loopback name are answered: a foreign name that was made to point here
-      (DNS rebinding) is not.
-    - With a token, only who brings it, in the URL once and by a cookie from then on.
-    - What changes something, and the web socket, must come from a page of this server (`Origin`).
+    - Without a token, only requests to a loopback name are answered, which prevents DNS rebinding.
+    - With a token, a request must carry it, in the URL once and in a cookie from then on.
+    - Requests that change something, and the web socket, must come from a page of this server (`Origin`).
 
     Args:
-        application: what is guarded.
-        token: None where the server listens on loopback alone.
-        cookie: name of the cookie, one per server of the machine.
+        application: the guarded application.
+        token: the required token; None if the server listens on loopback only.
+        cookie: name of the cookie, unique to this server on the machine.
     """
 
     def __init__(self, application: ASGIApp, token: str | None, cookie: str) -> None:
         self._application, self._token, self._cookie = application, token, cookie
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """An ASGI application."""
+        """Handle an ASGI connection."""
         if scope["type"] not in ("http", "websocket"):
             await self._application(scope, receive, send)
             return
@@ -66,10 +65,10 @@ class Guard:
         await self._application(scope, receive, with_headers)
 
     def _problem(self, scope: Scope, headers: Headers, by_url: bool) -> str:
-        """Why not; "" where nothing stands against it."""
+        """Return why the request is refused; "" if it is allowed."""
         host = headers.get("host", "")
         if not _HOST.fullmatch(host):
-            return "the Host of this request is no name of a computer"
+            return "the Host header of this request is not a host name"
         name = host.rpartition(":")[0] if host.rpartition(":")[2].isdecimal() else host
         if self._token is None and name not in LOOPBACK:
             return "this server answers to 127.0.0.1 and localhost only"
@@ -81,20 +80,20 @@ class Guard:
             return "this request does not come from the server's own page"
         return ""
 
-    def _is_token(self, given: str) -> bool:
-        return self._token is not None and secrets.compare_digest(given.encode(), self._token.encode())
+    def _is_token(self, text: str) -> bool:
+        return self._token is not None and secrets.compare_digest(text.encode(), self._token.encode())
 
     def _cookie_token(self, headers: Headers) -> str:
         try:
-            found = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
+            cookie = SimpleCookie(headers.get("cookie", "")).get(self._cookie)
         except CookieError:
             return ""
-        return found.value if found is not None else ""
+        return cookie.value if cookie is not None else ""
 
 
 def _query_token(scope: Scope) -> str:
-    found = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
-    return found[0] if len(found) == 1 else ""
+    tokens = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [])
+    return tokens[0] if len(tokens) == 1 else ""
 
 
 async def _refuse(scope: Scope, receive: Receive, send: Send, problem: str) -> None:

@@ -1,4 +1,4 @@
-"""Logs and results on the disk. What comes from outside is looked up in what is there; it never becomes a path."""
+"""Store logs and results on the disk. Names in requests are looked up among existing files, never used as paths."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.serve.limits import Limits
 from magyc_gtsam.storage.whole_file import write_text
 
-RECORD = "serve.json"  # what the server knows of a result
+RECORD = "serve.json"  # the server's record of a result
 _UPLOADS = ".magyc-gtsam-uploads"
 _SUFFIXES = (
     ".mcap", ".csv", ".txt", ".tsv", ".dat", ".log", ".ulg", ".bin", ".bag", ".db3", ".zip", ".tlog", ".bbl", ".bfl",
@@ -34,7 +34,7 @@ _LIVE = "live.json"
 
 
 class Full(MagycError):
-    """There is no room for more."""
+    """The disk, or the number of uploads, is at its limit."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class StoredLog:
     """A log that can be calibrated.
 
     Attributes:
-        key: by which the page names it.
-        name: as it is called.
-        path: where it is.
-        size: bytes.
-        uploaded: whether it was dropped into the page, and can be removed.
+        key: identifier that the page uses.
+        name: file name.
+        path: path of the file.
+        size: size in bytes.
+        uploaded: whether it was uploaded through the page and can be removed.
     """
 
     key: str
@@ -56,12 +56,12 @@ class StoredLog:
     uploaded: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types, without the path."""
+        """Return the log as JSON types, without the path."""
         return {"key": self.key, "name": self.name, "size": self.size, "uploaded": self.uploaded}
 
 
 def safe_name(name: str) -> str:
-    """A file name of letters, digits, `.`, `_` and `-` only, that resembles `name`."""
+    """Return a file name that resembles `name` and has only letters, digits, `.`, `_` and `-`."""
     last = re.split(r"[/\\]", name)[-1]
     kept = re.sub(r"[^A-Za-z0-9._-]+", "_", last).lstrip("._-")
     stem, dot, suffix = kept.rpartition(".")
@@ -69,11 +69,11 @@ def safe_name(name: str) -> str:
 
 
 class Store:
-    """A folder: the logs in it, uploads in a hidden folder of it, and `results/`.
+    """A folder with its logs, uploads in a hidden subfolder, and `results/`.
 
     Args:
-        folder: must exist.
-        limits: of uploads.
+        folder: an existing folder.
+        limits: bounds on uploads.
     """
 
     def __init__(self, folder: Path, limits: Limits) -> None:
@@ -85,9 +85,8 @@ class Store:
         self.remove_old()
 
     def logs(self) -> dict[str, StoredLog]:
-        """Uploads, the latest first, and the logs of the folder by their names."""
-        found = [*self._uploaded(), *self._in_folder()]
-        return {log.key: log for log in found}
+        """Return logs by key: uploads, the latest first, then the logs of the folder by name."""
+        return {log.key: log for log in (*self._uploaded(), *self._in_folder())}
 
     def _in_folder(self) -> list[StoredLog]:
         paths = sorted(
@@ -108,23 +107,21 @@ class Store:
     def _uploaded(self) -> list[StoredLog]:
         if not self._uploads.is_dir():
             return []
-        found = []
+        logs: list[StoredLog] = []
         for place in sorted(self._uploads.iterdir(), key=lambda p: -p.stat().st_mtime):
             files = [] if place in self._arriving else [f for f in place.iterdir() if f.is_file()]
-            found += [
-                StoredLog(f"u{place.name}", file.name, file, file.stat().st_size, True) for file in files[:1]
-            ]
-        return found
+            logs += [StoredLog(f"u{place.name}", file.name, file, file.stat().st_size, True) for file in files[:1]]
+        return logs
 
     @contextmanager
     def arriving(self, name: str, size: int | None) -> Iterator[tuple[str, Path]]:
-        """Key and file of a log that is being uploaded; removed where the block fails.
+        """Yield key and path for a log that is being uploaded; remove it if the block fails.
 
         Raises:
-            Full: too many, or too large for the disk.
+            Full: there are too many uploads, or the log is too large for the disk.
         """
         if len(self._uploaded()) + len(self._arriving) >= self._limits.uploads:
-            raise Full(f"{self._limits.uploads} dropped logs are kept at most; remove one first")
+            raise Full(f"at most {self._limits.uploads} uploaded logs are kept; remove one first")
         self.room_for(size or 0)
         key = secrets.token_hex(8)
         place = self._uploads / key
@@ -139,12 +136,16 @@ class Store:
             self._arriving.discard(place)
 
     def room_for(self, size: int) -> None:
-        """Raises Full where so many bytes would leave too little on the disk."""
+        """Check that `size` more bytes fit on the disk.
+
+        Raises:
+            Full: they would leave less than the spare space.
+        """
         if shutil.disk_usage(self.folder).free < size + self._limits.spare:
-            raise Full("the disk of the server is full")
+            raise Full("the disk of the server is full; remove logs or results")
 
     def remove(self, key: str) -> bool:
-        """Remove an upload; whether there was one."""
+        """Remove an upload and return whether it existed."""
         log = self.logs().get(key)
         if log is None or not log.uploaded:
             return False
@@ -152,7 +153,7 @@ class Store:
         return True
 
     def remove_old(self, age: float | None = None) -> None:
-        """Remove uploads older than `age` s (that of the limits), and what was never complete."""
+        """Remove uploads older than `age` s (default: the limit), complete or not."""
         limit = time.time() - (self._limits.upload_age if age is None else age)
         for place in self._uploads.iterdir() if self._uploads.is_dir() else ():
             if place not in self._arriving and place.stat().st_mtime <= limit:
@@ -161,27 +162,27 @@ class Store:
             self._uploads.rmdir()
 
     def new_result(self, name: str, kind: str) -> Path:
-        """A folder for a result, which does not exist yet."""
+        """Create and return a new folder for a result."""
         stamp = time.strftime("%Y%m%d-%H%M%S")
         stem = safe_name(name).rpartition(".")[0] or safe_name(name)
         base = f"{stem}{'' if kind == 'calibrate' else f'-{kind}'}-{stamp}"
         names = (base if not k else f"{base}-{k + 1}" for k in range(1000))
         path = next(self.results / each for each in names if not (self.results / each).exists())
-        path.mkdir(parents=True)  # nobody else takes it
+        path.mkdir(parents=True)  # at once, so that no other result takes the name
         return path
 
     def keep(self, folder: Path, record: dict[str, Any]) -> None:
-        """Write down what is known of a result."""
+        """Write the server's record of a result, unless its folder is empty."""
         if folder.is_dir() and any(folder.iterdir()):
             write_text(folder / RECORD, json.dumps(record, indent=1, ensure_ascii=False))
 
     def discard_empty(self, folder: Path) -> None:
-        """Remove the folder of a job that left nothing."""
+        """Remove the folder of a job that wrote nothing."""
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
 
-    def found(self) -> dict[str, Path]:
-        """{key: folder} of all results, the latest first."""
+    def result_folders(self) -> dict[str, Path]:
+        """Return {key: folder} of all results, the latest first."""
         if not self.results.is_dir():
             return {}
         folders = [p for p in self.results.iterdir() if p.is_dir() and not p.name.startswith(".")]
@@ -189,7 +190,7 @@ class Store:
         return {p.name: p for p in sorted(folders, key=lambda p: -p.stat().st_mtime)[:_MOST_LISTED]}
 
     def described(self, folder: Path) -> dict[str, Any]:
-        """What is known of a result, without looking into its numbers."""
+        """Return the record of a result as JSON types, without reading its numbers."""
         kind = next((kind for name, kind in _KINDS.items() if (folder / name).exists()), "live")
         try:
             record = json.loads((folder / RECORD).read_text(encoding="utf-8"))

@@ -1,4 +1,4 @@
-"""Processes for jobs, started before there is a job."""
+"""Processes for jobs, started ahead of the jobs so that their imports are done."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ async def started(
     stdin: int = asyncio.subprocess.DEVNULL,
     line: int = 1 << 16,
 ) -> Process:
-    """A module of this package in a process of its own, its progress in lines of at most `line` bytes."""
+    """Run a module of this package in its own process, which prints progress in lines of at most `line` bytes."""
     return await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -41,7 +41,7 @@ class Workers:
 
     Args:
         place: folder in which they run.
-        count: that wait at a time.
+        count: number of processes that wait.
     """
 
     def __init__(self, place: Path, count: int) -> None:
@@ -50,19 +50,19 @@ class Workers:
         self._closed = False
 
     async def prepare(self) -> None:
-        """Let as many wait as should."""
+        """Start processes until `count` of them wait."""
         self._waiting = [process for process in self._waiting if process.returncode is None]
-        with contextlib.suppress(OSError):  # the job that needs one says why
+        with contextlib.suppress(OSError):  # the job that needs a process reports the error
             while not self._closed and len(self._waiting) < self._count:
                 self._waiting.append(await self._started())
         if self._closed:
             await self.close()
 
     async def run(self, arguments: Sequence[str]) -> Process:
-        """A process that runs the command line with these arguments; its output is piped.
+        """Return a process that runs the command line with these arguments; its output is piped.
 
         Raises:
-            OSError: no process can be started.
+            OSError: no process could be started.
         """
         alive = [process for process in self._waiting if process.returncode is None]
         process = alive[0] if alive else await self._started()
@@ -73,7 +73,7 @@ class Workers:
         return process
 
     async def close(self) -> None:
-        """End those that wait, and see that they are gone."""
+        """Kill the waiting processes and wait until they are gone."""
         self._closed = True
         waiting, self._waiting = self._waiting, []
         await asyncio.gather(*map(ended, waiting))
@@ -83,13 +83,13 @@ class Workers:
 
 
 def end(process: Process) -> None:
-    """End a process and those it started, if they are still there."""
+    """Kill a process and its children, if it still runs."""
     if process.returncode is None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # it has ended meanwhile
             os.killpg(process.pid, signal.SIGKILL)
 
 
 async def ended(process: Process) -> None:
-    """End a process, if it is still there, and wait until it is gone and its pipes are closed."""
+    """Kill a process, if it still runs, and wait until it is gone and its pipes are closed."""
     end(process)
     await process.communicate()
