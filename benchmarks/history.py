@@ -15,8 +15,7 @@ import numpy as np
 import magyc_gtsam as mg
 from magyc_gtsam.history import History
 from magyc_gtsam.history.coordinates import shape_of, soft_iron_of
-from magyc_gtsam.history.history import factor_of
-from magyc_gtsam.history.log_factor import compress
+from magyc_gtsam.history.log_factor import compress, factor_of
 from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
 
 

@@ -117,8 +117,7 @@ def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
 def _compress_one(task: _Task) -> Row:
     """A unit of work: one log as its factor."""
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.history.history import factor_of
-    from magyc_gtsam.history.log_factor import LogFactor
+    from magyc_gtsam.history.log_factor import LogFactor, factor_of
 
     name = task.reading.log.name
     try:

@@ -1,4 +1,4 @@
-"""All logs of one instrument at once, given which of them are wrong and where the hard iron jumped.
+"""Solve all logs of one instrument jointly, given which logs are wrong and where the hard iron jumped.
 
 The shape s of the soft iron is shared, each log has its hard iron h_k, and neighbours are joined by a random walk:
 
@@ -17,17 +17,17 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.recording import Array
 
-_BAND = 6  # rows of the band: neighbouring blocks of three
+_BAND = 6  # rows of the band: two neighbouring blocks of three
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What the logs say of (s, h) in the order of time.
+    """The logs' observations of (s, h), in the order of time.
 
     Attributes:
-        mean: (k, 8) s and h µT.
-        information: (k, 8, 8); zeros for a log that says nothing.
-        elapsed: (k − 1,) days between neighbours, or 1 each where the logs have no dates.
+        mean: (k, 8) s and h, µT.
+        information: (k, 8, 8); zeros for a log without information.
+        elapsed: (k − 1,) days between neighbours, or 1 each if the logs have no dates.
     """
 
     mean: Array
@@ -43,10 +43,11 @@ class HistoryPosterior:
     """The joint posterior of s and all h.
 
     Attributes:
-        shape: (5,), its covariance (5, 5).
-        hard_iron: (k, 3) µT, covariances (k, 3, 3), covariances with s (k, 3, 5).
+        shape, shape_covariance: (5,) and (5, 5) of s.
+        hard_iron, covariance: (k, 3) µT and (k, 3, 3) of each h_k.
+        cross: (k, 3, 5) covariance of h_k with s.
         change: (k − 1, 3, 3) covariance of h_{k+1} − h_k.
-        log_likelihood: of the observations under flat priors on s and h_0, but for a constant.
+        log_likelihood: of the observations under flat priors on s and h_0, up to a constant.
     """
 
     shape: Array
@@ -59,7 +60,7 @@ class HistoryPosterior:
 
 
 def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Array, Array, Array]:
-    """Band (6, 3k) lower, border (3k, 5), corner (5, 5) and right-hand side (3k + 5,) of the normal equations."""
+    """Return the normal equations: lower band (6, 3k), border (3k, 5), corner (5, 5), right-hand side (3k + 5,)."""
     k = len(observed)
     information, mean = observed.information, observed.mean
     ties = 1 / step_variance
@@ -81,12 +82,12 @@ def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Arr
 
 
 def solve(observed: Observations, step_variance: Array, *, marginals: bool = True) -> HistoryPosterior:
-    """The posterior at given variances of the steps.
+    """Return the posterior at given variances of the steps.
 
     Args:
-        observed: at least one log that says something.
-        step_variance: (k − 1,) µT², of each step on each axis.
-        marginals: also the covariances; else they are empty.
+        observed: the observations, at least one with information.
+        step_variance: (k − 1,) µT², variance of each step on each axis.
+        marginals: whether to compute the covariances of the hard iron; otherwise they are empty.
     """
     k = len(observed)
     band, border, corner, right = _assembled(observed, step_variance)
@@ -97,9 +98,9 @@ def solve(observed: Observations, step_variance: Array, *, marginals: bool = Tru
     shape = np.linalg.solve(schur, right[3 * k :] - border.T @ solved[:, SHAPE])
     hard_iron = (solved[:, SHAPE] - solved[:, :SHAPE] @ shape).reshape(k, 3)
 
-    left = observed.mean - np.column_stack([np.tile(shape, (k, 1)), hard_iron])
+    residual = observed.mean - np.column_stack([np.tile(shape, (k, 1)), hard_iron])
     step = np.diff(hard_iron, axis=0)
-    cost = float(np.einsum("ki,kij,kj->", left, observed.information, left))
+    cost = float(np.einsum("ki,kij,kj->", residual, observed.information, residual))
     cost += float(np.sum(np.sum(step**2, axis=1) / step_variance))
     log_likelihood = -0.5 * (
         cost
@@ -113,17 +114,19 @@ def solve(observed: Observations, step_variance: Array, *, marginals: bool = Tru
         return HistoryPosterior(
             shape, shape_covariance, hard_iron, empty, np.zeros((0, 3, SHAPE)), empty, log_likelihood
         )
-    own, change = _marginals(band, 1 / step_variance)
+    given_shape, change = _marginals(band, 1 / step_variance)
     on_shape = solved[:, :SHAPE].reshape(k, 3, SHAPE)
     spread = np.einsum("kia,ab,kjb->kij", on_shape, shape_covariance, on_shape)
     moved = np.diff(on_shape, axis=0)
     change = change + np.einsum("kia,ab,kjb->kij", moved, shape_covariance, moved)
     cross = -np.einsum("kia,ab->kib", on_shape, shape_covariance)
-    return HistoryPosterior(shape, shape_covariance, hard_iron, own + spread, cross, change, log_likelihood)
+    return HistoryPosterior(
+        shape, shape_covariance, hard_iron, given_shape + spread, cross, change, log_likelihood
+    )
 
 
 def _marginals(band: Array, ties: Array) -> tuple[Array, Array]:
-    """Covariances of each h (k, 3, 3) at given s, and of the neighbours' differences (k − 1, 3, 3).
+    """Return the covariances of each h (k, 3, 3) at given s, and of the neighbours' differences (k − 1, 3, 3).
 
     Forward elimination D_i = A_i − t²_{i−1} D⁻¹_{i−1}, then backward: Σ_i = D_i⁻¹ + G_i Σ_{i+1} G_iᵀ with
     G_i = t_i D_i⁻¹, which is also the covariance of h_i with h_{i+1} over Σ_{i+1}.
@@ -137,10 +140,10 @@ def _marginals(band: Array, ties: Array) -> tuple[Array, Array]:
     inverse[0] = np.linalg.inv(blocks[0])
     for i in range(1, k):
         inverse[i] = np.linalg.inv(blocks[i] - ties[i - 1] ** 2 * inverse[i - 1])
-    own, change = inverse.copy(), np.zeros((max(k - 1, 0), 3, 3))
+    covariance, change = inverse.copy(), np.zeros((max(k - 1, 0), 3, 3))
     for i in range(k - 2, -1, -1):
         gain = ties[i] * inverse[i]
-        own[i] = inverse[i] + gain @ own[i + 1] @ gain.T
-        joint = gain @ own[i + 1]
-        change[i] = own[i] + own[i + 1] - joint - joint.T
-    return own, change
+        covariance[i] = inverse[i] + gain @ covariance[i + 1] @ gain.T
+        joint = gain @ covariance[i + 1]
+        change[i] = covariance[i] + covariance[i + 1] - joint - joint.T
+    return covariance, change

@@ -1,4 +1,4 @@
-"""Logs that do not go with the rest of their instrument, and in what."""
+"""Find the logs that contradict the others of their instrument."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Contradiction:
     """One log that contradicts the others.
 
     Attributes:
-        index: of the log.
-        name: of the log.
-        sentence: in what, by how much and by how many sigmas.
+        index: index of the log.
+        name: name of the log.
+        sentence: the parameter that differs, by how much and by how many sigmas.
     """
 
     index: int
@@ -38,8 +38,8 @@ class Contradiction:
 def contradictions_of(
     factors: Sequence[LogFactor], groups: Sequence[Sequence[int]], instruments: Sequence[Instrument]
 ) -> tuple[Contradiction, ...]:
-    """Logs without a calibration, logs labelled wrong, and logs that are of no group but their own."""
-    found = [
+    """Return the logs without a calibration, those labelled wrong, and those alone in a group."""
+    contradictions = [
         Contradiction(i, f.name, f"not calibrated: {f.problem}") for i, f in enumerate(factors) if f.mean is None
     ]
     main = instruments[0]
@@ -48,7 +48,7 @@ def contradictions_of(
             i = instrument.order[k]
             if factors[i].mean is not None:
                 off = _largest(factors[i], instrument, int(k))
-                found.append(
+                contradictions.append(
                     Contradiction(i, factors[i].name, f"{off}: left out, as beside iron that is not its own")
                 )
     for group in groups[1:]:
@@ -56,12 +56,12 @@ def contradictions_of(
             near = min(range(len(main.order)), key=lambda k: abs(main.order[k] - group[0]))
             off = _largest(factors[group[0]], main, near)
             sentence = f"{off}: another instrument, or a field that its surroundings disturb"
-            found.append(Contradiction(group[0], factors[group[0]].name, sentence))
-    return tuple(sorted(found, key=lambda each: each.index))
+            contradictions.append(Contradiction(group[0], factors[group[0]].name, sentence))
+    return tuple(sorted(contradictions, key=lambda each: each.index))
 
 
 def _largest(factor: LogFactor, instrument: Instrument, k: int) -> str:
-    """The parameter in which a log is farthest from its instrument, in words."""
+    """Return the parameter in which a log differs most from its instrument, as text."""
     assert factor.mean is not None
     assert factor.covariance is not None
     posterior = instrument.posterior

@@ -1,7 +1,7 @@
-"""Soft iron in coordinates that add: the five numbers of its logarithm's traceless part.
+"""Coordinates s (5,) of the soft iron: the traceless part of its matrix logarithm.
 
-S = exp(Σ s_i E_i) has determinant 1 for every s, so that the scale, which one log cannot know without the strength
-of the field, stays apart, and the covariance of s is regular where that of vech(S) is not.
+S = exp(Σ s_i E_i) has determinant 1 for every s. The scale, which a log can determine only if the field strength is
+known, is thus separate, and the covariance of s is regular where that of vech(S) is not.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ SHAPE = 5
 
 
 def _basis() -> Array:
-    """(5, 3, 3) orthonormal symmetric matrices of trace zero."""
+    """Return (5, 3, 3) orthonormal symmetric matrices of trace zero."""
     root = np.sqrt(0.5)
     basis = np.zeros((SHAPE, 3, 3))
     basis[0] = np.diag([root, -root, 0.0])
@@ -29,21 +29,21 @@ BASIS = _basis()
 
 
 def shape_of(soft_iron: Array) -> tuple[Array, float]:
-    """s (5,), and the logarithm of the scale ∛det S, of a positive definite S (3, 3)."""
+    """Return s (5,) and the logarithm of the scale ∛det S of a positive definite S (3, 3)."""
     value, vector = np.linalg.eigh(soft_iron)
     logarithm = (vector * np.log(value)) @ vector.T
     return np.einsum("kij,ij->k", BASIS, logarithm), float(np.trace(logarithm) / 3)
 
 
 def soft_iron_of(shape: Array, log_scale: float = 0.0) -> Array:
-    """S (3, 3) of s (5,), the inverse of `shape_of`."""
+    """Return S (3, 3) of s (5,), the inverse of `shape_of`."""
     value, vector = np.linalg.eigh(np.einsum("k,kij->ij", shape, BASIS))
     result: Array = (vector * np.exp(value + log_scale)) @ vector.T
     return result
 
 
 def shape_slope(soft_iron: Array) -> Array:
-    """(5, 6) derivative of s by vech(S): d log S = V (Γ ∘ Vᵀ dS V) Vᵀ, Γ the divided differences of log."""
+    """Return the derivative (5, 6) of s by vech(S): d log S = V (Γ ∘ Vᵀ dS V) Vᵀ, Γ the divided differences of log."""
     value, vector = np.linalg.eigh(soft_iron)
     slopes = np.einsum("ai,kab,bj->kij", vector, SYMMETRIC_UNITS, vector) * _divided(value)
     turned = np.einsum("ai,kab,bj->kij", vector, BASIS, vector)
@@ -52,7 +52,7 @@ def shape_slope(soft_iron: Array) -> Array:
 
 
 def soft_iron_slope(shape: Array, log_scale: float = 0.0) -> Array:
-    """(6, 5) derivative of vech(S) by s, the scale held."""
+    """Return the derivative (6, 5) of vech(S) by s at constant scale."""
     soft_iron = soft_iron_of(shape, log_scale)
     value, vector = np.linalg.eigh(soft_iron)
     turned = np.einsum("ai,kab,bj->kij", vector, BASIS, vector) / _divided(value)
@@ -62,7 +62,7 @@ def soft_iron_slope(shape: Array, log_scale: float = 0.0) -> Array:
 
 
 def _divided(value: Array) -> Array:
-    """(3, 3) divided differences of the logarithm at eigenvalues (3,)."""
+    """Return the divided differences (3, 3) of the logarithm at eigenvalues (3,)."""
     difference = value[:, None] - value
     same = np.abs(difference) < 1e-9 * value
     log = np.log(value)

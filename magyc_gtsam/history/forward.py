@@ -1,9 +1,9 @@
-"""One instrument's logs, one after the other: a bank of Kalman filters that no later log runs again.
+"""Filter one instrument's logs in the order of time with a bank of Kalman filters.
 
-Each log walked, jumped, or is wrong. A labelling of the logs, a walk and a scatter make one Kalman filter on (s, h).
-The bank keeps the `KEPT` likeliest labellings, each at every walk and scatter of a grid (a Gaussian sum filter with
-pruning, Alspach and Sorenson 1972, over multiple models, Magill 1965). A step costs the same however many logs came
-before.
+Each log is labelled: the hard iron walked or jumped before it, or the log is wrong. A labelling, a walk and a scatter
+define one Kalman filter on (s, h). The bank keeps the `KEPT` likeliest labellings, each at every walk and scatter of a
+grid (a Gaussian sum filter with pruning, Alspach and Sorenson 1972, over multiple models, Magill 1965). A step takes
+constant time, and earlier logs are never filtered again.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.history.coordinates import SHAPE
+from magyc_gtsam.history.gaussian import log_density
 from magyc_gtsam.history.log_factor import OBSERVED, LogFactor
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
 WALKED, JUMPED, WRONG = 0, 1, 2
 KEPT = 8  # labellings
-WALKS = np.geomspace(0.02, 10.0, 16)  # µT per √day; neighbours differ by half, as sixty logs know it to a tenth
+WALKS = np.geomspace(
+    0.02, 10.0, 16
+)  # µT per √day; neighbours differ by half, while sixty logs determine the walk to a tenth
 SCATTERS = np.array([0.0, 0.002, 0.005, 0.012, 0.03])  # relative
 _CELLS = len(WALKS) * len(SCATTERS)
 WALK_OF_CELL, SCATTER_OF_CELL = np.repeat(WALKS, len(SCATTERS)), np.tile(SCATTERS, len(WALKS))
@@ -33,14 +36,14 @@ _ON_IRON = np.eye(OBSERVED) - _ON_SHAPE
 
 @dataclass(frozen=True, eq=False)
 class Bank:
-    """The filters after some logs.
+    """The bank of filters after a number of logs.
 
     Attributes:
         order: indices of the logs in the history, in the order of time.
         dated: whether elapsed time is in days.
         label: (k, logs) WALKED, JUMPED (before this log) or WRONG, the likeliest labelling first.
-        weight: (k, cells) logarithm of the posterior probability but for a constant.
-        mean, covariance: (k, cells, 8), (k, cells, 8, 8) of s and h µT after the last log.
+        weight: (k, cells) logarithm of the posterior probability up to a constant.
+        mean, covariance: (k, cells, 8), (k, cells, 8, 8) of s and h, µT, after the last log.
     """
 
     order: tuple[int, ...]
@@ -52,13 +55,13 @@ class Bank:
 
     @property
     def share(self) -> Array:
-        """(k, cells) posterior probabilities."""
+        """Return the posterior probabilities (k, cells)."""
         share = np.exp(self.weight - self.weight.max())
         result: Array = share / share.sum()
         return result
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types; numbers bit for bit."""
+        """Return the bank as JSON types, numbers bit for bit."""
         rows, columns = np.triu_indices(OBSERVED)
         return {
             "order": list(self.order),
@@ -71,10 +74,10 @@ class Bank:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], logs: int) -> Bank:
-        """The inverse of `to_dict`, for a history of so many logs.
+        """Return the bank that `to_dict` described, for a history of `logs` logs.
 
         Raises:
-            MagycError: something is missing or of a wrong shape.
+            MagycError: a value is missing or has a wrong shape.
         """
         try:
             order = tuple(int(each) for each in data["order"])
@@ -100,7 +103,7 @@ class Bank:
 
 
 def empty_bank(dated: bool, model: HistoryModel) -> Bank:
-    """Before the first log."""
+    """Return the bank before the first log."""
     weight = -0.5 * (np.log(WALK_OF_CELL / model.walk) / model.walk_spread) ** 2
     scattered = model.scattered / (len(SCATTERS) - 1)
     weight = weight + np.log(np.where(SCATTER_OF_CELL == 0, 1 - model.scattered, scattered))
@@ -116,7 +119,7 @@ def empty_bank(dated: bool, model: HistoryModel) -> Bank:
 
 
 def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: HistoryModel) -> Bank:
-    """With one more log, `elapsed` after the last one (days, or logs where there are no dates)."""
+    """Return the bank after one more log, `elapsed` days (1 without dates) after the last one."""
     order = (*bank.order, index)
     walked = (
         bank.covariance + (WALK_OF_CELL**2 * elapsed)[:, None, None] * _ON_IRON if bank.order else bank.covariance
@@ -125,15 +128,15 @@ def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: Hi
         label = np.hstack([bank.label, np.full((len(bank.label), 1), WALKED, dtype=np.int8)])
         return Bank(order, bank.dated, label, bank.weight, bank.mean, walked)
     noise = factor.covariance[:OBSERVED, :OBSERVED] + (SCATTER_OF_CELL**2)[:, None, None] * _ON_SHAPE
-    off = factor.mean[:OBSERVED] - bank.mean
+    innovation = factor.mean[:OBSERVED] - bank.mean
     spoilt = model.wrong_shape**2 * _ON_SHAPE + model.wrong_hard_iron**2 * _ON_IRON
     prior = np.log([1 - model.jump_share - model.wrong_share, model.jump_share, model.wrong_share])
     branches = [
-        (WALKED, *_updated(bank.mean, walked, off, noise)),
-        (WRONG, bank.mean, walked, _log_density(off, walked + noise + spoilt)),
+        (WALKED, *_updated(bank.mean, walked, innovation, noise)),
+        (WRONG, bank.mean, walked, log_density(innovation, walked + noise + spoilt)),
     ]
     if bank.order:
-        branches.insert(1, (JUMPED, *_updated(bank.mean, walked + model.jump**2 * _ON_IRON, off, noise)))
+        branches.insert(1, (JUMPED, *_updated(bank.mean, walked + model.jump**2 * _ON_IRON, innovation, noise)))
     labels = [np.hstack([bank.label, np.full((len(bank.label), 1), each, dtype=np.int8)]) for each, *_ in branches]
     every = np.concatenate([bank.weight + density + prior[each] for each, _, _, density in branches])
     best = np.argsort(-np.logaddexp.reduce(every, axis=1), kind="stable")[:KEPT]
@@ -147,22 +150,13 @@ def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: Hi
     )
 
 
-def _updated(mean: Array, spread: Array, off: Array, noise: Array) -> tuple[Array, Array, Array]:
-    """Kalman update of all filters by one reading of the whole state: means, covariances, log-likelihoods."""
+def _updated(mean: Array, spread: Array, innovation: Array, noise: Array) -> tuple[Array, Array, Array]:
+    """Update all filters by one reading of the whole state; return means, covariances and log-likelihoods."""
     total = spread + noise
     gain = np.linalg.solve(total, spread).swapaxes(-1, -2)  # P (P + R)⁻¹
-    after = gain @ noise  # P (P + R)⁻¹ R: nothing cancels
-    density = _log_density(off, total)
-    return mean + np.einsum("...ij,...j->...i", gain, off), 0.5 * (after + after.swapaxes(-1, -2)), density
-
-
-def _log_density(off: Array, covariance: Array) -> Array:
-    """Of N(0, covariance) at `off`, stacked."""
-    root = np.linalg.cholesky(covariance)
-    white = np.linalg.solve(root, off[..., None])[..., 0]
-    half = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
-    result: Array = -0.5 * (white**2).sum(axis=-1) - half - 0.5 * off.shape[-1] * np.log(2 * np.pi)
-    return result
+    after = gain @ noise  # P (P + R)⁻¹ R, without cancellation
+    density = log_density(innovation, total)
+    return mean + np.einsum("...ij,...j->...i", gain, innovation), 0.5 * (after + after.swapaxes(-1, -2)), density
 
 
 def _packed(values: Array) -> str:

@@ -1,7 +1,7 @@
-"""The history as a GTSAM graph, for whoever joins it to a graph of their own; needs GTSAM.
+"""The history as a GTSAM graph, to be joined to other graphs; needs GTSAM.
 
-Variables: the soft iron's shape `s` (5-vector) and each log's hard iron `h_k` (3-vector, µT). Factors: one for each
-log, which is what is left of its chain of field directions after elimination, and a random walk between neighbours.
+Variables: the soft iron's shape `s` (5-vector) and each log's hard iron `h_k` (3-vector, µT). Factors: one per log,
+which remains of its field chain after elimination, and a random walk between neighbours.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ SHAPE_KEY = gtsam.symbol("s", 0)
 
 
 def history_graph(observed: Observations, step_variance: Array) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """The graph of `chain.solve`, and a start.
+    """Return the graph that `chain.solve` solves, and initial values.
 
     Args:
-        observed: what the logs say.
-        step_variance: (k − 1,) µT², of each step of the hard iron on each axis.
+        observed: the logs' observations.
+        step_variance: (k − 1,) µT², variance of each step of the hard iron on each axis.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     values.insert(SHAPE_KEY, np.zeros(SHAPE))
@@ -41,7 +41,7 @@ def history_graph(observed: Observations, step_variance: Array) -> tuple[gtsam.N
 
 
 def hard_iron_key(k: int) -> int:
-    """Of the k-th log's hard iron."""
+    """Return the key of the k-th log's hard iron."""
     return int(gtsam.symbol("h", k))
 
 

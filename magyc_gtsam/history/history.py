@@ -1,10 +1,10 @@
-"""`calibrate_many`: one instrument over many logs; what stays, what moved, and when."""
+"""`History`: the joint solution of many logs of one instrument, which can be extended, saved and loaded."""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -13,37 +13,34 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
 from magyc_gtsam.history.forward import JUMPED, Bank
 from magyc_gtsam.history.grouping import Grouping
 from magyc_gtsam.history.instrument import Instrument, solve_instrument
-from magyc_gtsam.history.log_factor import MICROTESLA, LogFactor, compress, date_of
+from magyc_gtsam.history.log_factor import MICROTESLA, LogFactor, factor_of
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
-from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.storage.mapping import parse_json, parse_yaml
 from magyc_gtsam.storage.whole_file import write_text
 
 _FORMAT = "magyc-gtsam history 2"
-_FIRST_FORMAT = "magyc-gtsam history 1"  # without groups and filters, which are made anew
-_WORTH_KEEPING = 10  # logs; a filter over fewer is as soon run again
+_FIRST_FORMAT = "magyc-gtsam history 1"  # without groups and filters, which are computed again
+_WORTH_KEEPING = 10  # logs; filtering fewer again takes no longer than reading the filter
 _LIST = ",\n"
-Progress = Callable[[float], None]
 
 
 class History:
-    """What many logs say of one instrument. Made by `calibrate_many` or `History.load`.
+    """The joint solution of many logs of one instrument. Created by `calibrate_many` or `History.load`.
 
-    Indices are those of the logs in the order given. Where all logs know their date, the random walk runs in days;
-    else one log follows the other at equal distances.
+    Indices count the logs in the order given. If all logs have a date, the random walk runs in days; otherwise the logs
+    are equally spaced.
 
     Attributes:
-        factors: each log's information, compressed.
-        model: what is assumed between the logs.
-        options: of `calibrate`, for logs that are added.
+        factors: the compressed information of each log.
+        model: assumptions about the instrument between the logs.
+        options: options of `calibrate` for logs that are added.
     """
 
     def __init__(
@@ -55,7 +52,7 @@ class History:
         groups: Sequence[Sequence[int]] | None = None,
         banks: Sequence[Bank] = (),
     ) -> None:
-        """From compressed logs; groups and filters of an earlier history go on where they were."""
+        """Solve compressed logs, continuing the groups and filters of an earlier history, if given."""
         self.model = model or HistoryModel()
         self.options = dict(options or {})
         self.factors = tuple(factors)
@@ -63,25 +60,23 @@ class History:
         self._banks = tuple(banks)
         if not self.groups:
             listed = "; ".join(f"{factor.name}: {factor.problem}" for factor in factors[:3])
-            raise MagycError(
-                f"history: none of the {len(factors)} logs has a calibration to be trusted ({listed})"
-            )
+            raise MagycError(f"history: none of the {len(factors)} logs has a trusted calibration ({listed})")
 
     def __len__(self) -> int:
         return len(self.factors)
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of logs that can be of one instrument, the largest group first.
+        """Return the indices of logs that can be of one instrument, the largest group first.
 
-        A log whose calibration must not be trusted is in none.
+        A log without a trusted calibration is in no group.
         """
         return self._grouping.groups
 
     @cached_property
     def _instruments(self) -> tuple[Instrument, ...]:
-        """One for each group; logs without a calibration are with the largest, which says what it was there."""
-        lost = [i for i, factor in enumerate(self.factors) if factor.mean is None]
+        """Return one instrument per group; logs without a calibration count as logs of the largest group."""
+        uncalibrated = [i for i, factor in enumerate(self.factors) if factor.mean is None]
         dated = all(factor.time is not None for factor in self.factors)
 
         def when(i: int) -> float:
@@ -89,14 +84,14 @@ class History:
             return float(time) if dated and time is not None else float(i)
 
         members = [list(group) for group in self.groups]
-        members[0] += lost
+        members[0] += uncalibrated
         return tuple(
             solve_instrument(self.factors, sorted(group, key=when), self.model, dated=dated, known=self._banks)
             for group in members
         )
 
     def _of(self, values: Callable[[Instrument], Array]) -> Array:
-        """One row for each log from the instruments' rows."""
+        """Return one row per log from the rows of the instruments."""
         result: Array | None = None
         for instrument in self._instruments:
             rows = values(instrument)
@@ -108,43 +103,43 @@ class History:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the logs."""
+        """Return the names of the logs."""
         return tuple(factor.name for factor in self.factors)
 
     @property
     def hard_iron(self) -> Array:
-        """(k, 3) T at each log, by all logs of its instrument; a wrong log's by its neighbours."""
+        """Return the hard iron (k, 3) T at each log, from all logs of its instrument; for a wrong log, without it."""
         return self._of(lambda instrument: instrument.posterior.hard_iron) * MICROTESLA
 
     @property
     def hard_iron_covariance(self) -> Array:
-        """(k, 3, 3) T² of `hard_iron`."""
+        """Return the covariance (k, 3, 3) T² of `hard_iron`."""
         return self._of(lambda instrument: instrument.posterior.covariance) * MICROTESLA**2
 
     @property
     def jumps(self) -> list[tuple[int, Array, Array]]:
-        """(index of the first log after it, size (3,) T, sigma (3,) T) of each jump of the hard iron."""
-        found = []
+        """Return (index of the first log after it, size (3,) T, sigma (3,) T) of each jump of the hard iron."""
+        jumps = []
         for instrument in self._instruments:
             size = np.diff(instrument.posterior.hard_iron, axis=0) * MICROTESLA
             for k in np.flatnonzero(instrument.label == JUMPED):
                 sigma = np.sqrt(np.diag(instrument.posterior.change[k - 1])) * MICROTESLA
-                found.append((instrument.order[k], size[k - 1], sigma))
-        return sorted(found, key=lambda jump: jump[0])
+                jumps.append((instrument.order[k], size[k - 1], sigma))
+        return sorted(jumps, key=lambda jump: jump[0])
 
     @property
     def walk(self) -> float:
-        """T per √day (per √log without dates), of the largest group's hard iron."""
+        """Return the random walk of the largest group's hard iron, T per √day (per √log without dates)."""
         return self._instruments[0].walk * MICROTESLA
 
     @cached_property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """Logs that do not go with the rest, and in what."""
+        """Return the logs that contradict the others, and in which parameter."""
         return contradictions_of(self.factors, self.groups, self._instruments)
 
     @cached_property
     def calibrations(self) -> tuple[Calibration, ...]:
-        """One for each log, with what all logs of its instrument know; one that says nothing has its neighbours'."""
+        """Return one calibration per log from all logs of its instrument."""
         result: dict[int, Calibration] = {}
         for instrument in self._instruments:
             for k, i in enumerate(instrument.order):
@@ -153,15 +148,15 @@ class History:
 
     @cached_property
     def next(self) -> Calibration:
-        """The calibration to load for the next log of the largest group; its covariance holds the walk up to it."""
+        """Return the calibration for the next log of the largest group; its covariance includes the walk until then."""
         return next_calibration(self.factors, self._instruments[0], self.model)
 
     def add(self, recording: Recording, *, time: float | None = None) -> History:
-        """Take one more log; the others are not read again, and the result is that of all at once.
+        """Add one more log without reading the others again; the result equals that of all logs at once.
 
         Args:
-            recording: the log.
-            time: s since 1970; None takes it from the recording, where that knows the date.
+            recording: the log to add.
+            time: s since 1970; None takes it from the recording, if that has a date.
 
         Returns:
             This history.
@@ -169,7 +164,7 @@ class History:
         return self.extend([factor_of(recording, time, self.options)])
 
     def extend(self, factors: Sequence[LogFactor]) -> History:
-        """As `add`, for logs that are compressed already."""
+        """Add logs that are already compressed, and return this history."""
         self._banks = self._filters
         self.factors = (*self.factors, *factors)
         self._grouping.add(factors)
@@ -179,11 +174,11 @@ class History:
 
     @property
     def _filters(self) -> tuple[Bank, ...]:
-        """Of all instruments, to go on from."""
+        """Return the filters of all instruments, which `extend` and `load` continue."""
         return tuple(instrument.bank for instrument in self._instruments)
 
     def to_dict(self) -> dict[str, Any]:
-        """All that is needed to go on, JSON types."""
+        """Return everything needed to restore the history, as JSON types."""
         return {
             "format": _FORMAT,
             "options": self.options,
@@ -194,7 +189,7 @@ class History:
         }
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write YAML, in its form that is JSON and is read fast, bit for bit, replacing the file in one step."""
+        """Write the history bit for bit as JSON, which is valid YAML and read fast, replacing the file atomically."""
         lines = [
             f"{json.dumps(name)}: "
             + (f"[\n{_LIST.join(map(_dumped, value))}\n]" if isinstance(value, list) else _dumped(value))
@@ -204,10 +199,10 @@ class History:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> History:
-        """Read what `save` wrote.
+        """Read a history that `save` wrote.
 
         Raises:
-            MagycError: no such file, or not a history.
+            MagycError: the file does not exist, cannot be read or is not a history.
         """
         path = Path(path)
         try:
@@ -219,7 +214,7 @@ class History:
         except (MagycError, UnicodeDecodeError) as error:
             raise MagycError(f"{path}: {error}") from None
         if not isinstance(data, dict) or data.get("format") not in (_FORMAT, _FIRST_FORMAT):
-            raise MagycError(f"{path}: not a history (its format should be {_FORMAT!r})")
+            raise MagycError(f"{path}: not a history (format must be {_FORMAT!r})")
         try:
             model = HistoryModel(**data["model"])
             logs = [LogFactor.from_dict(log) for log in data["logs"]]
@@ -236,68 +231,5 @@ def _dumped(value: Any) -> str:
 
 
 def _parsed(text: str) -> Any:
-    """JSON is read far faster; the first format was YAML in its other form."""
+    """Parse JSON, which is read faster, or YAML, in which the first format was written."""
     return parse_json(text) if text.startswith("{") else parse_yaml(text)
-
-
-@one_thread
-def calibrate_many(
-    recordings: Iterable[Recording],
-    *,
-    times: Sequence[float] | None = None,
-    model: HistoryModel | None = None,
-    progress: Progress | None = None,
-    **options: Any,
-) -> History:
-    """Calibrate all logs of an instrument together.
-
-    Args:
-        recordings: the logs; of those that `read_many` gives one at a time is in memory.
-        times: s since 1970 of each log; None takes them from the recordings, where these know the date.
-        model: what is assumed between logs.
-        progress: called with the share done, 0 to 1.
-        options: of `calibrate`, for every log.
-
-    Raises:
-        MagycError: no log, times that do not fit, or no log with a calibration to be trusted.
-    """
-    if isinstance(recordings, str | os.PathLike):
-        raise MagycError(
-            f"calibrate_many: {os.fspath(recordings)!r} is a path; give mg.read_many({os.fspath(recordings)!r})"
-        )
-    logs = recordings if isinstance(recordings, Sequence) else list(recordings)
-    if not len(logs):
-        raise MagycError("calibrate_many: no recordings")
-    if times is not None and len(times) != len(logs):
-        raise MagycError(f"times: {len(times)} for {len(logs)} recordings; give one for each")
-    factors = []
-    for i in range(len(logs)):
-        factors.append(_read_factor(logs, i, None if times is None else float(times[i]), options))
-        if progress is not None:
-            progress((i + 1) / len(logs))
-    return History(factors, model=model, options=options)
-
-
-def _read_factor(logs: Sequence[Recording], i: int, time: float | None, options: dict[str, Any]) -> LogFactor:
-    """Of one log, which may be read here; one that cannot be read leaves its reason."""
-    try:
-        recording = logs[i]
-    except MagycError as problem:
-        return LogFactor(f"log {i + 1}", time, None, None, problem=str(problem))
-    return factor_of(recording, time, options)
-
-
-def factor_of(recording: Recording, time: float | None, options: dict[str, Any]) -> LogFactor:
-    """Calibrate a log and compress it.
-
-    Args:
-        recording: the log.
-        time: s since 1970; None takes it from the recording.
-        options: of `calibrate`.
-    """
-    when = date_of(recording) if time is None else time
-    try:
-        calibration = calibrate(recording, **options)
-    except MagycError as problem:
-        return LogFactor(recording.name, when, None, None, problem=str(problem))
-    return compress(calibration, recording.name, when)

@@ -1,7 +1,7 @@
-"""One instrument's logs solved together: the forward pass (`forward`) says what happened, then all logs what was when.
+"""Solve one instrument's logs: the forward pass (`forward`) labels them, then all logs are smoothed together.
 
-The posterior is averaged over the walk's deviation, so that a history of few logs, which hardly knows it, is as
-uncertain as it should be.
+The posterior is averaged over the walk's deviation, so that its covariance includes the uncertainty of the walk, which
+is large in a history of few logs.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from magyc_gtsam.history.log_factor import OBSERVED, LogFactor
 from magyc_gtsam.history.model import DAY, HistoryModel
 from magyc_gtsam.recording import Array
 
-_NEGLIGIBLE = 1e-3  # weight of a walk that is left out of the average
-_LEAST_ELAPSED = 1e-3  # days between neighbours, so that two logs of one minute are not one
+_NEGLIGIBLE = 1e-3  # weight below which a walk is left out of the average
+_LEAST_ELAPSED = 1e-3  # days between neighbours, so that logs of the same minute may still differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +38,9 @@ class Instrument:
     """The solution of one instrument's logs.
 
     Attributes:
-        logs: in the order of time.
-        bank: the filters after the last of them.
-        model: what is assumed between the logs.
+        logs: the logs in the order of time.
+        bank: the filters after the last log.
+        model: assumptions about the instrument between the logs.
     """
 
     logs: tuple[LogFactor, ...]
@@ -49,29 +49,29 @@ class Instrument:
 
     @property
     def order(self) -> tuple[int, ...]:
-        """Indices of the logs in the history."""
+        """Return the indices of the logs in the history."""
         return self.bank.order
 
     @property
     def label(self) -> np.ndarray:
-        """(k,) of each log: WALKED, JUMPED (before it) or WRONG, by the likeliest labelling."""
+        """Return the likeliest label (k,) of each log: WALKED, JUMPED (before it) or WRONG."""
         return np.asarray(self.bank.label[0])
 
     @property
     def walk(self) -> float:
-        """µT per √day, the posterior's median."""
+        """Return the posterior median of the walk, µT per √day."""
         share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=1)
         return float(WALKS[np.searchsorted(np.cumsum(share), 0.5)])
 
     @property
     def scatter(self) -> float:
-        """Relative, by which soft irons differ from log to log beyond their sigmas; the likeliest."""
+        """Return the likeliest relative scatter of soft irons between logs beyond their sigmas."""
         share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=0)
         return float(SCATTERS[np.argmax(share)])
 
     @cached_property
     def ahead(self) -> tuple[Array, Array]:
-        """Mean (8,) and covariance (8, 8) of s and h µT at the log to come, after a median interval without a jump."""
+        """Return mean (8,) and covariance (8, 8) of s and h, µT, a median interval after the last log, without jump."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
         interval = float(np.median(elapsed)) if len(elapsed) else 1.0
         share = self.bank.share
@@ -86,7 +86,7 @@ class Instrument:
 
     @cached_property
     def posterior(self) -> HistoryPosterior:
-        """By all logs, at the likeliest labelling and scatter, averaged over the walk."""
+        """Return the posterior from all logs at the likeliest labelling and scatter, averaged over the walk."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
         observed = _observations(self.logs, elapsed, self.scatter, self.label != WRONG)
         weight = self.bank.weight[0][self.scatter == SCATTER_OF_CELL]
@@ -105,14 +105,14 @@ def solve_instrument(
     dated: bool,
     known: Sequence[Bank] = (),
 ) -> Instrument:
-    """Solve the logs `order` of `factors`, which are in the order of time.
+    """Solve the logs `order` of `factors`.
 
     Args:
-        factors: of the history.
-        order: at least one of them has a calibration.
-        model: what is assumed.
-        dated: whether all logs of the history know their date.
-        known: filters of earlier times, of which the one that saw the most of these logs goes on.
+        factors: the factors of the history.
+        order: indices of the logs in the order of time, at least one with a calibration.
+        model: assumptions about the instrument between the logs.
+        dated: whether all logs of the history have a date.
+        known: earlier filters; the one that has filtered the most of these logs is continued.
     """
     order = tuple(order)
     fitting = [bank for bank in known if bank.dated == dated and bank.order == order[: len(bank.order)]]
@@ -124,26 +124,26 @@ def solve_instrument(
 
 
 def elapsed_of(logs: Sequence[LogFactor], dated: bool) -> Array:
-    """(k − 1,) days between neighbours, or 1 each."""
+    """Return the days (k − 1,) between neighbours, or 1 each without dates."""
     if not dated:
         return np.ones(len(logs) - 1)
     return np.maximum(np.diff(np.array([log.time for log in logs], dtype=np.float64)) / DAY, _LEAST_ELAPSED)
 
 
 def _observations(logs: Sequence[LogFactor], elapsed: Array, scatter: float, kept: np.ndarray) -> Observations:
-    """(s, h) of each log, their biases marginalised out, the scatter added; logs that are not kept say nothing."""
+    """Return (s, h) of each log with biases marginalised and the scatter added; logs not kept have no information."""
     mean, information = np.zeros((len(logs), OBSERVED)), np.zeros((len(logs), OBSERVED, OBSERVED))
-    says = np.array([log.mean is not None for log in logs]) & kept
-    used = [log for log, said in zip(logs, says, strict=True) if said]
-    mean[says] = np.array([log.mean[:OBSERVED] for log in used if log.mean is not None])
-    own = [log.covariance[:OBSERVED, :OBSERVED] for log in used if log.covariance is not None]
+    informative = np.array([log.mean is not None for log in logs]) & kept
+    used = [log for log, is_used in zip(logs, informative, strict=True) if is_used]
+    mean[informative] = np.array([log.mean[:OBSERVED] for log in used if log.mean is not None])
+    covariances = [log.covariance[:OBSERVED, :OBSERVED] for log in used if log.covariance is not None]
     added = np.diag(np.r_[np.full(SHAPE, scatter**2), np.zeros(3)])
-    information[says] = np.linalg.inv(np.array(own) + added)
+    information[informative] = np.linalg.inv(np.array(covariances) + added)
     return Observations(mean, information, elapsed)
 
 
 def _averaged(each: Sequence[HistoryPosterior], share: Array) -> HistoryPosterior:
-    """The mixture's mean and covariance."""
+    """Return mean and covariance of the mixture of posteriors."""
     shape = np.einsum("n,ni->i", share, [p.shape for p in each])
     hard_iron = np.einsum("n,nki->ki", share, [p.hard_iron for p in each])
     off_shape = np.array([p.shape for p in each]) - shape

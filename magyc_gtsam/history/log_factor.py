@@ -1,8 +1,8 @@
-"""One log, eliminated: all that it says of the instrument, as one Gaussian factor.
+"""The information of one log on the instrument, compressed to one Gaussian factor.
 
-The factor stands on (s, h, b): the soft iron's shape (`coordinates`), the hard iron in µT and the gyroscope bias in
-mrad/s. The delay is nearly independent of them (it changes no sigma of soft or hard iron by more than 1 %) and stands
-beside. The noise, the directions of the field and the robust weights are eliminated: a log is never read again.
+The factor is on (s, h, b): the soft iron's shape (`coordinates`), the hard iron in µT and the gyroscope bias in mrad/s.
+The delay is nearly independent of them (it changes no sigma of soft or hard iron by more than 1 %) and is kept
+separately. Noise levels, field directions and robust weights are eliminated, so that a log is never read again.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import clauses
@@ -32,25 +33,25 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "misalignment": (3,),
     "misalignment_covariance": (3, 3),
 }
-_UNKNOWN_BIAS = 1e3  # mrad/s, deviation of a bias that the method does not estimate
-_EPOCH = re.compile(r"time 0 is .*?(\d+\.\d{9}) s")  # a note of the reader
-_CALENDAR = 1e8  # s since 1970; a clock that shows less counts from its own start
+_UNKNOWN_BIAS = 1e3  # mrad/s, standard deviation of a bias that the method does not estimate
+_EPOCH = re.compile(r"time 0 is .*?(\d+\.\d{9}) s")  # as the readers write it into a recording's notes
+_CALENDAR = 1e8  # s since 1970; a clock below this does not show the date
 
 
 @dataclass(frozen=True, eq=False)
 class LogFactor:
-    """A log's information on the instrument.
+    """The information of one log on the instrument.
 
     Attributes:
-        name: the log's.
-        time: s since 1970 of its middle; None where its clock does not know the date.
-        mean: (11,) s, h µT, b mrad/s; None where there is no calibration to be trusted.
-        covariance: (11, 11).
-        delay, delay_sigma: s; the sigma is None where the delay was not estimated.
-        misalignment, misalignment_covariance: (3,) rad, (3, 3); None where the log did not show one.
-        log_scale: logarithm of the instrument's own scale; None where the field's strength was not given.
-        field_strength: T, as the log shows or was told it.
-        problem: why the log says nothing of the instrument; "" where it does.
+        name: name of the log.
+        time: s since 1970 of its middle; None if its clock does not show the date.
+        mean: (11,) s, h µT, b mrad/s; None without a trusted calibration.
+        covariance: (11, 11) of `mean`.
+        delay, delay_sigma: s; the sigma is None if the delay was not estimated.
+        misalignment, misalignment_covariance: (3,) rad, (3, 3); None if the log did not show one.
+        log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
+        field_strength: field strength, T, estimated or given.
+        problem: why the log has no information; "" if it has.
     """
 
     name: str
@@ -66,16 +67,16 @@ class LogFactor:
     problem: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types."""
+        """Return the factor as JSON types."""
         arrays = {name: getattr(self, name) for name in _SHAPES}
         return asdict(self) | {name: None if value is None else value.tolist() for name, value in arrays.items()}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> LogFactor:
-        """The inverse of `to_dict`.
+        """Return the factor that `to_dict` described.
 
         Raises:
-            MagycError: something is missing or of a wrong shape.
+            MagycError: a value is missing or has a wrong shape.
         """
         try:
             values = dict(data)
@@ -94,8 +95,24 @@ class LogFactor:
         return factor
 
 
+def factor_of(recording: Recording, time: float | None, options: dict[str, Any]) -> LogFactor:
+    """Calibrate a log and compress it; a log that cannot be calibrated keeps the reason.
+
+    Args:
+        recording: the log.
+        time: s since 1970; None takes it from the recording.
+        options: options of `calibrate`.
+    """
+    when = date_of(recording) if time is None else time
+    try:
+        calibration = calibrate(recording, **options)
+    except MagycError as problem:
+        return LogFactor(recording.name, when, None, None, problem=str(problem))
+    return compress(calibration, recording.name, when)
+
+
 def compress(calibration: Calibration, name: str, time: float | None) -> LogFactor:
-    """The factor of one log's calibration; one that must not be trusted leaves its reason only.
+    """Return the factor of one log's calibration, or only the reason if it is not trusted.
 
     Raises:
         MagycError: the method states no covariance.
@@ -105,7 +122,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
         return LogFactor(name, time, None, None, problem=cause)
     if calibration.covariance is None:
         raise MagycError(
-            f"method {calibration.method!r} states no covariance, so that logs cannot be weighed; use 'smoother'"
+            f"method {calibration.method!r} states no covariance, which a history needs; use 'smoother'"
         )
     shape, log_scale = shape_of(calibration.soft_iron)
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
@@ -120,7 +137,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
     slope[SHAPE:, 6:] = np.diag(1 / units)
     covariance[:known, :known] = slope @ calibration.covariance @ slope.T
     covariance[known:, known:] = np.eye(SIZE - known) * _UNKNOWN_BIAS**2
-    given = calibration.configuration.get("field_strength") is not None
+    strength_given = calibration.configuration.get("field_strength") is not None
     skew = next((term for term in calibration.terms if term.name == "misalignment"), None)
     return LogFactor(
         name,
@@ -131,7 +148,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
         delay_sigma=calibration.delay_sigma,
         misalignment=None if skew is None else skew.value,
         misalignment_covariance=None if skew is None else skew.covariance,
-        log_scale=log_scale if given else None,
+        log_scale=log_scale if strength_given else None,
         field_strength=calibration.field_strength,
     )
 
@@ -147,7 +164,7 @@ def calibration_of(
     message: str,
     diagnostics: Mapping[str, Any],
 ) -> Calibration:
-    """A `Calibration` of (s, h, b) and their covariance; the inverse of `compress`."""
+    """Return the `Calibration` of (s, h, b) and their covariance; the inverse of `compress`."""
     slope = np.zeros((12, SIZE))
     slope[:6, :SHAPE] = soft_iron_slope(mean[:SHAPE], log_scale)
     slope[6:9, HARD_IRON] = np.eye(3) * MICROTESLA
@@ -168,11 +185,11 @@ def calibration_of(
 
 
 def date_of(recording: Recording) -> float | None:
-    """s since 1970 in the middle of a recording; None where its clock does not know the date."""
+    """Return the middle of a recording in s since 1970; None if its clock does not show the date."""
     middle = 0.5 * float(recording.time[0] + recording.time[-1])
     for note in recording.notes:
-        found = _EPOCH.search(note)
-        if found:
-            middle += float(found[1])
+        epoch = _EPOCH.search(note)
+        if epoch:
+            middle += float(epoch[1])
             break
     return middle if middle > _CALENDAR else None

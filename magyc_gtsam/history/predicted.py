@@ -1,4 +1,4 @@
-"""Calibrations out of a solved instrument: of each log, and of the log to come."""
+"""Derive calibrations from a solved instrument, for each of its logs and for the next log."""
 
 from __future__ import annotations
 
@@ -18,44 +18,41 @@ from magyc_gtsam.recording import Array
 
 
 def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int) -> Calibration:
-    """Of the k-th log of an instrument: s and h of all logs, and what they say of its bias."""
+    """Return the calibration of the k-th log, with s and h from all logs and the bias conditioned on them."""
     factor = factors[instrument.order[k]]
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     mean[:OBSERVED], covariance[:OBSERVED, :OBSERVED] = _shape_and_iron(instrument, k)
-    said = factor.mean is not None and factor.covariance is not None and instrument.label[k] != WRONG
-    if said:
-        assert factor.mean is not None
-        assert factor.covariance is not None
-        own = factor.covariance
-        gain = own[GYRO_BIAS, :OBSERVED] @ np.linalg.inv(own[:OBSERVED, :OBSERVED])
-        both = covariance[:OBSERVED, :OBSERVED]
+    if factor.mean is not None and factor.covariance is not None and instrument.label[k] != WRONG:
+        alone = factor.covariance
+        gain = alone[GYRO_BIAS, :OBSERVED] @ np.linalg.inv(alone[:OBSERVED, :OBSERVED])
+        joint = covariance[:OBSERVED, :OBSERVED]
         mean[GYRO_BIAS] = factor.mean[GYRO_BIAS] + gain @ (mean[:OBSERVED] - factor.mean[:OBSERVED])
-        covariance[GYRO_BIAS, :OBSERVED] = gain @ both
+        covariance[GYRO_BIAS, :OBSERVED] = gain @ joint
         covariance[:OBSERVED, GYRO_BIAS] = covariance[GYRO_BIAS, :OBSERVED].T
-        left = own[GYRO_BIAS, GYRO_BIAS] - gain @ own[:OBSERVED, GYRO_BIAS]
-        covariance[GYRO_BIAS, GYRO_BIAS] = left + gain @ both @ gain.T
-        message = f"with {_said(factors, instrument) - 1} other logs of the instrument"
+        conditional = alone[GYRO_BIAS, GYRO_BIAS] - gain @ alone[:OBSERVED, GYRO_BIAS]
+        covariance[GYRO_BIAS, GYRO_BIAS] = conditional + gain @ joint @ gain.T
+        message = f"with {_logs_used(factors, instrument) - 1} other logs of the instrument"
     else:
         mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, 0.0)
         reason = factor.problem or "its readings contradict the other logs"
-        message = f"by the other logs of the instrument alone; this one says nothing ({reason})"
+        message = f"from the other logs of the instrument alone, this one is not used ({reason})"
     return _calibration(factors, instrument, mean, covariance, message, factor.field_strength)
 
 
 def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model: HistoryModel) -> Calibration:
-    """Of the log to come: the last hard iron, its covariance widened by the walk up to it; jumps are not in it."""
+    """Return the calibration for the next log: the last hard iron, its covariance widened by the walk, not by jumps."""
     mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
     mean[:OBSERVED], covariance[:OBSERVED, :OBSERVED] = instrument.ahead
     mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, model.bias_scatter)
     strength = next(
         (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
     )
-    message = f"predicted by {_said(factors, instrument)} logs; it holds unless the hard iron jumps"
+    message = f"predicted from {_logs_used(factors, instrument)} logs; it holds unless the hard iron jumps"
     return _calibration(factors, instrument, mean, covariance, message, strength)
 
 
-def _said(factors: Sequence[LogFactor], instrument: Instrument) -> int:
-    """Logs of the instrument that say anything of it."""
+def _logs_used(factors: Sequence[LogFactor], instrument: Instrument) -> int:
+    """Return the number of logs used for the instrument."""
     wrong = instrument.label == WRONG
     return sum(factors[i].mean is not None and not bad for i, bad in zip(instrument.order, wrong, strict=True))
 
@@ -71,10 +68,10 @@ def _shape_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
 
 
 def _bias(factors: Sequence[LogFactor], instrument: Instrument, scatter: float) -> tuple[Array, Array]:
-    """Mean of the logs' biases and its deviation from log to log, with `scatter` mrad/s at least."""
-    own = [factors[i] for k, i in enumerate(instrument.order) if instrument.label[k] != WRONG]
-    rows = np.array([factor.mean[GYRO_BIAS] for factor in own if factor.mean is not None])
-    known = [factor.covariance[GYRO_BIAS, GYRO_BIAS] for factor in own if factor.covariance is not None]
+    """Return mean (3,) and covariance (3, 3) of the logs' biases, with a scatter of at least `scatter` mrad/s."""
+    used = [factors[i] for k, i in enumerate(instrument.order) if instrument.label[k] != WRONG]
+    rows = np.array([factor.mean[GYRO_BIAS] for factor in used if factor.mean is not None])
+    known = [factor.covariance[GYRO_BIAS, GYRO_BIAS] for factor in used if factor.covariance is not None]
     variance = np.mean(np.diagonal(known, axis1=1, axis2=2), axis=0) / len(rows) + scatter**2
     if len(rows) > 2:
         variance = np.maximum(variance, rows.var(axis=0, ddof=1) * (1 + 1 / len(rows)))
@@ -109,7 +106,7 @@ def _calibration(
 
 
 def _misalignment(logs: Sequence[LogFactor]) -> tuple[Term, ...]:
-    """The weighted mean of the logs that show one, its covariance widened where they scatter by more than their own."""
+    """Return the weighted mean misalignment, its covariance widened where the logs scatter beyond their sigmas."""
     rows = [log.misalignment for log in logs if log.misalignment is not None]
     if not rows:
         return ()
@@ -123,7 +120,7 @@ def _misalignment(logs: Sequence[LogFactor]) -> tuple[Term, ...]:
 
 
 def _delay(logs: Sequence[LogFactor]) -> tuple[float, float | None]:
-    """The logs' weighted mean, its sigma widened where they scatter by more than their own."""
+    """Return the weighted mean delay and its sigma, widened where the logs scatter beyond their sigmas."""
     rows = np.array([(log.delay, log.delay_sigma) for log in logs if log.mean is not None and log.delay_sigma])
     if not len(rows):
         fixed = [log.delay for log in logs if log.mean is not None]

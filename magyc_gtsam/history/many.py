@@ -1,0 +1,63 @@
+"""`calibrate_many`: calibrate all logs of one instrument together."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.history.history import History
+from magyc_gtsam.history.log_factor import LogFactor, factor_of
+from magyc_gtsam.history.model import HistoryModel
+from magyc_gtsam.one_thread import one_thread
+from magyc_gtsam.recording import Recording
+
+Progress = Callable[[float], None]
+
+
+@one_thread
+def calibrate_many(
+    recordings: Iterable[Recording],
+    *,
+    times: Sequence[float] | None = None,
+    model: HistoryModel | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> History:
+    """Calibrate all logs of one instrument together.
+
+    Args:
+        recordings: the logs; those of `read_many` are in memory one at a time.
+        times: s since 1970 of each log; None takes them from the recordings, if these have a date.
+        model: assumptions about the instrument between the logs; None for the defaults.
+        progress: called with the share done, 0 to 1.
+        options: options of `calibrate` for every log.
+
+    Raises:
+        MagycError: there are no logs, the number of times differs, or no log has a trusted calibration.
+    """
+    if isinstance(recordings, str | os.PathLike):
+        raise MagycError(
+            f"calibrate_many: {os.fspath(recordings)!r} is a path; pass mg.read_many({os.fspath(recordings)!r})"
+        )
+    logs = recordings if isinstance(recordings, Sequence) else list(recordings)
+    if not len(logs):
+        raise MagycError("calibrate_many: there are no recordings; pass at least one")
+    if times is not None and len(times) != len(logs):
+        raise MagycError(f"times: {len(times)} for {len(logs)} recordings; pass one for each")
+    factors = []
+    for i in range(len(logs)):
+        factors.append(_read_factor(logs, i, None if times is None else float(times[i]), options))
+        if progress is not None:
+            progress((i + 1) / len(logs))
+    return History(factors, model=model, options=options)
+
+
+def _read_factor(logs: Sequence[Recording], i: int, time: float | None, options: dict[str, Any]) -> LogFactor:
+    """Return the factor of one log, which is read here, or the reason why it cannot be read."""
+    try:
+        recording = logs[i]
+    except MagycError as problem:
+        return LogFactor(f"log {i + 1}", time, None, None, problem=str(problem))
+    return factor_of(recording, time, options)
