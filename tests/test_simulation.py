@@ -179,8 +179,8 @@ def test_disturb_leaves_held_rows_held():
         ({"motion": "wide", "effects": (("tone", 0.0),)}, ["factor 0", "'tone'"]),
         ({"motion": "wide", "effects": ("tone", "tone")}, ["'tone'", "twice"]),
         ({"motion": "wide", "channels": ("pressure",)}, ["'pressure'", "depth"]),
-        ({"motion": "wide", "duration": 0.2}, ["0.2 s at 10 Hz gives 2 samples", "at least 3"]),
-        ({"motion": "wide", "duration": float("inf")}, ["duration inf s", "at most 20,000,000"]),
+        ({"motion": "wide", "duration": 0.2}, ["0.2 s at 10 Hz give 2 samples", "at least 3"]),
+        ({"motion": "wide", "duration": float("inf")}, ["inf s", "at most 20,000,000"]),
         ({"motion": "wide", "rate": 1e12}, ["1e+12 Hz", "at most 20,000,000"]),
     ],
 )

@@ -1,6 +1,6 @@
-"""Simulated recordings with their truth, and the effects that the sensor model does not have.
+"""Simulate recordings with their truth, including effects beyond the sensor model.
 
-The diagnosing code (`magyc_gtsam.gap`) must not import this package: it would read the answers.
+The diagnosing code (`magyc_gtsam.gap`) must not import this package, which holds the truth it is tested against.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What goes on around the sensors: thruster current, temperature, depth, position, acceleration."""
+"""Simulate the surroundings of the sensors: thruster current, temperature, depth, position, acceleration."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _THERMOCLINE = (14.0, 6.0, 25.0, 6.0)  # °C above it, °C below it, its depth a
 
 @dataclass(frozen=True, eq=False)
 class Environment:
-    """The truth of the channels, on the grid of a scene.
+    """The true values of the channels, on the grid of a scene.
 
     Attributes:
-        current: (n,) A, of the thrusters' supply.
-        temperature: (n,) °C, of the electronics.
+        current: (n,) A, supply current of the thrusters.
+        temperature: (n,) °C, temperature of the electronics.
         position: (n, 3) m, north, east, down.
-        acceleration: (n, 3) m/s², of the vehicle in the world frame, without gravity.
+        acceleration: (n, 3) m/s², acceleration of the vehicle in the world frame, without gravity.
     """
 
     current: Array
@@ -34,17 +34,17 @@ class Environment:
 
     @property
     def depth(self) -> Array:
-        """(n,) m."""
+        """Return the depth (n,), m."""
         return np.asarray(self.position[:, 2])
 
 
 def surroundings(time: Array, yaw_rate: Array, seed: int) -> Environment:
-    """Surroundings drawn by `seed`, the same whatever effects there are.
+    """Return random surroundings, which do not depend on the simulated effects.
 
     Args:
-        time: (n,) s, evenly spaced to within what the lags notice.
-        yaw_rate: (n,) rad/s; turning takes some current.
-        seed: of all that is drawn.
+        time: (n,) s, evenly spaced to well within the time constants of the lags.
+        yaw_rate: (n,) rad/s; turning draws some current.
+        seed: seed of the random numbers.
     """
 
     def stream(name: str) -> np.random.Generator:
@@ -59,7 +59,7 @@ def surroundings(time: Array, yaw_rate: Array, seed: int) -> Environment:
 
 
 def measured(environment: Environment, name: str, rows: np.ndarray, seed: int) -> Array:
-    """A channel as it is logged: with noise, a lag or a resolution of its own."""
+    """Return a channel as it is logged, with its own noise and resolution."""
     random = np.random.default_rng([seed, crc32(b"measured " + name.encode())])
     if name == "current":
         reading = 1.02 * environment.current[rows] + 0.05 * random.standard_normal(len(rows))
@@ -74,7 +74,7 @@ def measured(environment: Environment, name: str, rows: np.ndarray, seed: int) -
 
 
 def _current(time: Array, yaw_rate: Array, random: np.random.Generator) -> Array:
-    """Throttle steps with spin-up and inrush, load that breathes with the sea, ripple of the chopper."""
+    """Return a current of throttle steps with spin-up and inrush, load from the waves, and ripple of the controller."""
     level = np.zeros(len(time))
     at = time[0]
     while at < time[-1]:
@@ -92,7 +92,7 @@ def _current(time: Array, yaw_rate: Array, random: np.random.Generator) -> Array
 
 
 def _temperature(time: Array, depth: Array, random: np.random.Generator) -> Array:
-    """Water by depth, seen through a housing, and electronics that warm up."""
+    """Return the temperature from water by depth, delayed by the housing, and the electronics' own warming."""
     above, below, at, width = _THERMOCLINE
     water = below + (above - below) * 0.5 * (1 - np.tanh((depth - at) / width))
     inside = _low_pass(water, time, 60.0)
@@ -101,7 +101,7 @@ def _temperature(time: Array, depth: Array, random: np.random.Generator) -> Arra
 
 
 def _position(time: Array, random: np.random.Generator) -> Array:
-    """Legs of a minute or two at 0.8 m/s that yo-yo between 3 and 60 m."""
+    """Return a position on legs of one to two minutes at 0.8 m/s, at depths between 3 and 60 m."""
     span = float(time[-1] - time[0])
     knots = time[0] + np.concatenate([[0.0], np.cumsum(random.uniform(50, 110, int(span / 50) + 3))])
     course = np.cumsum(random.normal(0, 0.9, len(knots))) + random.uniform(0, 2 * np.pi)
@@ -113,7 +113,7 @@ def _position(time: Array, random: np.random.Generator) -> Array:
 
 
 def _swell(time: Array, random: np.random.Generator) -> Array:
-    """(n, 3) m/s²: three waves on each axis."""
+    """Return the acceleration (n, 3) m/s² of three waves on each axis."""
     frequency = 2 * np.pi * random.uniform(0.08, 0.3, (3, 3))
     phase = random.uniform(-np.pi, np.pi, (3, 3))
     amplitude = random.uniform(0.05, 0.25, (3, 3))

@@ -1,4 +1,4 @@
-"""Effects at known strength on a real recording, in which they are not."""
+"""Inject effects of known strength into a real recording."""
 
 from __future__ import annotations
 
@@ -25,28 +25,31 @@ def inject(
     seed: int = 0,
     channels: Sequence[str] = (),
 ) -> tuple[Recording, tuple[Applied, ...]]:
-    """A recording as it would have been with these effects.
+    """Return the recording as it would have been with the effects, and the effects applied.
 
     Args:
-        recording: with a gyroscope; its samples keep their stamps.
-        calibration: of it, which says what of the measured field is iron and what is Earth.
+        recording: a recording with a gyroscope; its samples keep their stamps.
+        calibration: calibration of the recording, which separates the Earth's field from the iron's.
         effects, seed: as in `simulate`.
-        channels: simulated surroundings to record beside; "current", "temperature", "depth", "position".
+        channels: simulated channels to add: "current", "temperature", "depth", "position".
 
     Raises:
-        MagycError: an effect needs the attitude and the recording has none (or not everywhere).
+        MagycError: there is no gyroscope or no calibration of its bias, or an effect needs an attitude at every row and
+            the recording has none.
     """
     wanted = chosen(effects, seed)
     if recording.angular_rate is None or calibration.gyro_bias is None:
-        raise MagycError("effects are put into recordings with a gyroscope and a calibration of its bias")
+        raise MagycError(
+            "effects can only be injected into a recording with a gyroscope and a calibration of its bias"
+        )
     attitude = None
     if recording.attitude is not None and np.isfinite(recording.attitude).all():
         attitude = Slerp(recording.time, Rotation.from_quat(recording.attitude))
     lacking = [w.name for w in wanted if attitude is None and (w.effect.attitude or w.effect.stage is Stage.WORLD)]
     if lacking:
-        raise MagycError(f"effects: {', '.join(lacking)} needs the attitude at every row of {recording.name!r}")
+        raise MagycError(f"effects: {', '.join(lacking)} needs an attitude at every row of {recording.name!r}")
 
-    # The physics goes on between the samples: on a grid, of which only the changes are put into them.
+    # The effects act continuously, so they are simulated on a finer grid and their changes added to the samples.
     when, reading = recording.magnetometer
     turned, rates = recording.gyroscope
     grid = _grid(recording, min(float(np.median(np.diff(t))) for t in (when, turned)) / _FINER)
@@ -82,7 +85,7 @@ def inject(
 
 
 def _grid(recording: Recording, step: float) -> Array:
-    """Evenly from the first row to the last, by about `step` s."""
+    """Return evenly spaced times from the first row to the last, about `step` s apart."""
     return np.linspace(recording.time[0], recording.time[-1], 1 + int(np.ceil(recording.duration / step)))
 
 

@@ -1,7 +1,7 @@
-"""Motions of a vehicle: Euler angles and their analytic derivatives, drawn at random.
+"""Random motions of a vehicle: Euler angles and their analytic derivatives.
 
-The world frame is north-east-down, the attitude turns sensor→world. "wide", "moderate", "low" and "tiny" are
-those of the MAGYC paper (section V).
+The world frame is north-east-down, and the attitude rotates from sensor to world. The motions "wide", "moderate", "low"
+and "tiny" are those of the MAGYC paper (section V).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Motion = Callable[[np.random.Generator], Path]
 
 
 def kinematics(angle: Array, derivative: Array) -> tuple[Rotation, Array]:
-    """Attitude sensor→world and angular rate in the sensor frame (N, 3) from Euler angles and their rates."""
+    """Return the attitude sensor→world and the angular rate (N, 3) in the sensor frame from Euler angles and rates."""
     roll, pitch, _ = angle.T
     roll_rate, pitch_rate, heading_rate = derivative.T
     angular_rate = np.stack(
@@ -39,7 +39,7 @@ def kinematics(angle: Array, derivative: Array) -> tuple[Rotation, Array]:
 
 
 def sinusoids(amplitude: Sequence[float]) -> Motion:
-    """angle = A sin(w/A t + φ), so that w is the largest rate of each axis; (3,) roll, pitch, heading in degrees."""
+    """Return the motion A sin(w/A t + φ) of each angle, with largest rate w; `amplitude` (3,) in degrees."""
 
     def draw(random: np.random.Generator) -> Path:
         largest = np.deg2rad(amplitude)
@@ -55,7 +55,7 @@ def sinusoids(amplitude: Sequence[float]) -> Motion:
     return draw
 
 
-# Of "multi", per angle: amplitudes in degrees of its waves, and the range of their periods in seconds.
+# Motion "multi", per angle: amplitudes of its waves in degrees, and the ranges of their periods in s.
 _WAVES = {
     "roll": ((7.0, 4.0, 1.5), ((9, 14), (5, 8), (3, 4))),
     "pitch": ((18.0, 8.0, 2.0), ((40, 70), (15, 25), (4, 7))),
@@ -64,7 +64,7 @@ _WAVES = {
 
 
 def _multi(random: np.random.Generator) -> Path:
-    """Three waves per angle whose frequencies share no common multiple: a vehicle that turns in a swell."""
+    """Return a path with three waves of random period per angle, as of a vehicle that turns in a swell."""
     amplitude = np.deg2rad([waves for waves, _ in _WAVES.values()])  # (3, waves)
     period = np.array([random.uniform(*np.transpose(ranges)) for _, ranges in _WAVES.values()])
     frequency = 2 * np.pi / period
@@ -78,8 +78,11 @@ def _multi(random: np.random.Generator) -> Path:
 
 
 def _level(roll: float, pitch: float, turn_rate: tuple[float, float]) -> Motion:
-    """A vehicle that cannot tilt: it turns to and fro by 360° at a largest rate in rad/s, and rolls and pitches with
-    the waves, by so many degrees."""
+    """Return the motion of a vehicle that cannot tilt.
+
+    It turns to and fro by 360° at a largest rate from the range `turn_rate`, rad/s, and rolls and pitches with the
+    waves by `roll` and `pitch` degrees.
+    """
 
     def draw(random: np.random.Generator) -> Path:
         amplitude = np.deg2rad([roll, pitch, 360.0])
@@ -97,7 +100,7 @@ def _level(roll: float, pitch: float, turn_rate: tuple[float, float]) -> Motion:
 
 
 def _waypoints(draw_points: Callable[[np.random.Generator], tuple[Array, Array]]) -> Motion:
-    """A smooth path through waypoints (time, angles in degrees) with a little swell on top."""
+    """Return a smooth motion through waypoints (time, angles in degrees), with a small swell added."""
 
     def draw(random: np.random.Generator) -> Path:
         path = PchipInterpolator(*draw_points(random), extrapolate=True)
@@ -117,31 +120,31 @@ def _waypoints(draw_points: Callable[[np.random.Generator], tuple[Array, Array]]
 
 
 def _dive(random: np.random.Generator) -> tuple[Array, Array]:
-    """Full turns one way and the other, each at another roll and pitch; a turn takes some 40 s."""
+    """Return waypoints of full turns in alternating directions, each at another tilt, of some 40 s each."""
     tilts = [(0, 0), (0, 20), (0, -20), (12, 0), (-12, 0), (0, 35), (0, -35)]
     time, points = [0.0], [(0.0, 0.0, 0.0)]
-    heading, way = 0.0, 1
-    for roll, pitch in tilts * 250:  # twenty and more hours of it; `duration` says where to stop
+    heading, direction = 0.0, 1
+    for roll, pitch in tilts * 250:  # more than twenty hours; the caller's duration ends it
         time.append(time[-1] + random.uniform(6, 10))
         points.append((roll, pitch, heading))
-        heading += 360 * way
-        way = -way
+        heading += 360 * direction
+        direction = -direction
         time.append(time[-1] + random.uniform(35, 45))
         points.append((roll, pitch, heading))
     return np.array(time), np.array(points)
 
 
 def _survey(random: np.random.Generator) -> tuple[Array, Array]:
-    """Legs of 90 s joined by half turns of 20 s, right and left in turn."""
+    """Return waypoints of legs of 90 s joined by half turns of 20 s, alternately right and left."""
     time, points = [0.0], [(0.0, 0.0, 30.0)]
-    way = 1
+    direction = 1
     for _ in range(700):
         _, _, heading = points[-1]
         time.append(time[-1] + random.uniform(80, 100))
         points.append((random.normal(0, 1), random.normal(-2, 1), heading))
         time.append(time[-1] + 20.0)
-        points.append((random.normal(0, 1), random.normal(-2, 1), heading + 180 * way))
-        way = -way
+        points.append((random.normal(0, 1), random.normal(-2, 1), heading + 180 * direction))
+        direction = -direction
     return np.array(time), np.array(points)
 
 

@@ -1,4 +1,4 @@
-"""What effects act on: the scene, and the stages from the world's field to the logged rows."""
+"""The scene on which effects act, and the stages from the world's field to the logged rows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MILLIGAUSS = 1e-7  # T
 
 
 class Stage(Enum):
-    """Where an effect acts, and on what; in the order of the signal's way."""
+    """The stages at which effects act, in the order of the signal path, with the quantity at each stage."""
 
     WORLD = "field in the world frame, (n, 3) T"
     BODY = "true field at the sensor, (n, 3) T"
@@ -34,15 +34,15 @@ class Stage(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Truth about vehicle and surroundings, on a grid finer than the rows of the log.
+    """True state of vehicle and surroundings, on a grid finer than the rows of the log.
 
     Attributes:
         time: (n,) s.
-        attitude: n rotations sensor→world; None where nobody knows (a real recording).
+        attitude: n rotations sensor→world; None where it is unknown, as in some real recordings.
         angular_rate: (n, 3) rad/s, sensor frame.
         field: (3,) T, world.
         rows: (rows,) index of each logged row on the grid.
-        seed: of the surroundings.
+        seed: seed of the surroundings.
     """
 
     time: Array
@@ -54,17 +54,17 @@ class Scene:
 
     @cached_property
     def environment(self) -> Environment:
-        """What the channels measure."""
+        """Return the surroundings that the channels measure."""
         return surroundings(self.time, self.angular_rate[:, 2], self.seed)
 
     @property
     def step(self) -> float:
-        """s between grid points."""
+        """Return the interval between grid points, s."""
         return float(np.median(np.diff(self.time)))
 
     @property
     def row_time(self) -> Array:
-        """(rows,) s."""
+        """Return the times (rows,) of the logged rows, s."""
         return self.time[self.rows]
 
 
@@ -73,13 +73,13 @@ Apply = Callable[[Any, Scene, float, np.random.Generator], tuple[Any, dict[str, 
 
 @dataclass(frozen=True)
 class SimulatedEffect:
-    """One effect: `apply(value, scene, size, random)` gives the changed value and what was drawn.
+    """One effect: `apply(value, scene, size, random)` returns the changed value and the random parameters drawn.
 
     Attributes:
-        stage: where it acts.
+        stage: the stage at which it acts.
         apply: the physics; `size` is in the unit of its published strength.
-        needs: channels without which nobody could find it.
-        attitude: whether the physics needs to know the attitude.
+        needs: channels required to find the effect.
+        attitude: whether the physics needs the attitude.
     """
 
     stage: Stage
@@ -90,7 +90,7 @@ class SimulatedEffect:
 
 @dataclass(frozen=True)
 class Applied:
-    """An effect as it was applied: its size in `unit`, and what was drawn (directions, times, …)."""
+    """An effect as applied: its size in `unit`, and the random parameters drawn (directions, times, …)."""
 
     name: str
     factor: float
@@ -101,7 +101,7 @@ class Applied:
 
 @dataclass(frozen=True)
 class Chosen:
-    """An effect with its name and strength, and its own stream of random numbers."""
+    """A requested effect with its name, strength and own stream of random numbers."""
 
     name: str
     effect: SimulatedEffect
@@ -111,14 +111,14 @@ class Chosen:
     seed: int
 
     def apply(self, value: Any, scene: Scene) -> tuple[Any, Applied]:
-        """The value with the effect, and the truth about it."""
+        """Return the value with the effect, and the effect as applied."""
         random = np.random.default_rng([self.seed, crc32(self.name.encode())])
         changed, drawn = self.effect.apply(value, scene, self.size, random)
         return changed, Applied(self.name, self.factor, self.size, self.unit, drawn)
 
 
 class Chain:
-    """The chosen effects, applied stage by stage; `applied` collects the truth."""
+    """The requested effects, applied stage by stage; `applied` records each as applied."""
 
     def __init__(self, chosen: Sequence[Chosen], scene: Scene) -> None:
         self.scene = scene
@@ -126,7 +126,7 @@ class Chain:
         self._chosen = list(chosen)
 
     def pass_through(self, stage: Stage, value: Any) -> Any:
-        """`value` after all effects of a stage, in the order in which they were asked for."""
+        """Return `value` after all effects of a stage, applied in the requested order."""
         for chosen in self._chosen:
             if chosen.effect.stage is stage:
                 value, applied = chosen.apply(value, self.scene)
@@ -135,18 +135,18 @@ class Chain:
 
 
 def direction(random: np.random.Generator) -> Array:
-    """(3,) unit vector, all directions alike."""
+    """Return a unit vector (3,) with uniformly distributed direction."""
     vector = random.standard_normal(3)
     return np.asarray(vector / np.linalg.norm(vector))
 
 
 def standardised(value: Array) -> Array:
-    """`value` (n,) about its mean, in units of its own deviation."""
+    """Return `value` (n,) minus its mean, divided by its standard deviation."""
     return np.asarray((value - value.mean()) / max(float(value.std()), 1e-300))
 
 
 def lagged(value: Array, step: float, constant: float) -> Array:
-    """First-order lag of `value` (n, ...), whose mean delay is exactly `constant` s; starts settled."""
+    """Return `value` (n, ...) after a first-order lag with a mean delay of `constant` s, starting settled."""
     from scipy.signal import lfilter
 
     pole = (constant / step) / (1 + constant / step)

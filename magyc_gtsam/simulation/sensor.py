@@ -1,7 +1,7 @@
-"""`simulate`: the field and sensors of the MAGYC paper (section V) on a vehicle that moves, effects included.
+"""Simulate the field and sensors of the MAGYC paper (section V) on a moving vehicle, with additional effects.
 
-All values are those AT their time stamps: the body rates come from the analytic derivative of the Euler
-angles, not from differences.
+All values are exact at their time stamps: the body rates come from the analytic derivative of the Euler angles, not
+from differences.
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ FIELD = np.array([227.207, 51.796, 411.731]) * MILLIGAUSS
 SOFT_IRON = np.array([[1.10, 0.10, 0.04], [0.10, 0.88, 0.02], [0.04, 0.02, 1.22]])
 HARD_IRON = np.array([20.0, 120.0, 90.0]) * MILLIGAUSS
 GYRO_BIAS = np.array([4.0, -5.0, 2.0]) * 1e-3
-_GRID = 100.0  # Hz, at least, on which effects with a memory of their own are computed
+_GRID = 100.0  # Hz, lowest rate at which effects with memory are computed
 _ACCELEROMETER_NOISE = 0.03  # m/s²
-_MOST_SAMPLES = 20_000_000  # some gigabytes
+_MOST_SAMPLES = 20_000_000  # more would take several gigabytes
 
 
 @dataclass(frozen=True, eq=False)
 class Simulation:
-    """What `simulate` returns: `recording` as the instrument would log it, and the `truth` behind it.
+    """The result of `simulate`.
 
-    `field` (3,) T is the world's field, north, east, down; `effects` are those that were applied, with
-    their sizes and what was drawn.
+    Attributes:
+        recording: the recording as the instrument would log it.
+        truth: the true calibration.
+        field: (3,) T, the world's field, north, east, down.
+        effects: the effects as applied, with their sizes and random parameters.
     """
 
     recording: Recording
@@ -64,38 +67,37 @@ def simulate(
     """Simulate an instrument on a vehicle.
 
     Args:
-        motion: "wide", "moderate", "low", "tiny" (sinusoids of the paper with random rates and
-            phases), "level" and "ship" (a vehicle that cannot tilt, turning at 0.2 to 0.4 or at 0.03 rad/s),
-            "multi" (several frequencies on every angle), "dive" (a calibration dive: turns at
-            several roll and pitch attitudes) or "survey" (lawn-mower legs, nearly level). Three numbers are the
-            amplitudes of roll, pitch and heading in degrees, moved as "wide" is.
-        duration, rate: s and Hz; duration·rate samples.
-        seed: of motion, noise, surroundings and effects.
-        effects: beyond the sensor model: names of `simulation.effects.STRENGTHS`, or (name, factor) with a
+        motion: "wide", "moderate", "low", "tiny" (sinusoids of the paper with random rates and phases), "level" and
+            "ship" (a vehicle that cannot tilt, turning at 0.2 to 0.4 or at 0.03 rad/s), "multi" (several frequencies on
+            every angle), "dive" (a calibration dive: turns at several tilts) or "survey" (lawn-mower legs, nearly
+            level). Three numbers are the amplitudes of roll, pitch and heading in degrees of a motion like "wide".
+        duration, rate: s and Hz; the simulation has duration·rate samples.
+        seed: seed of motion, noise, surroundings and effects.
+        effects: effects beyond the sensor model: names from `simulation.effects.STRENGTHS`, or (name, factor) with a
             factor on the published strength.
         field: (3,) T, world (north, east, down).
         soft_iron, hard_iron, gyro_bias: (3, 3), (3,) T, (3,) rad/s: m = soft_iron u + hard_iron.
         magnetometer_noise, gyroscope_noise: standard deviation per sample and axis, T and rad/s.
         delay: s by which the magnetometer lags the gyroscope.
-        channels: to record beside: "current" A, "temperature" °C, "depth" m, "position" (n, 3) m. Default:
-            those that the effects need. With any of these the accelerometer feels the sea and has noise.
-        effects_seed: of the effects' own directions, shapes and times, so that several logs can be of one instrument;
-            None takes `seed`.
+        channels: channels to record: "current" A, "temperature" °C, "depth" m, "position" (n, 3) m; None for those that
+            the effects need. With any channel or effect the accelerometer measures the waves and has noise.
+        effects_seed: seed of the effects' directions, shapes and times, so that several logs can share an instrument;
+            None for `seed`.
 
     Returns:
-        The recording, with attitude and acceleration, and the truth (soft iron with det 1; its scale
-        moved into `field_strength`).
+        The recording, with attitude and acceleration, and the truth (soft iron with det 1, its scale moved into
+        `field_strength`).
 
     Raises:
-        MagycError: unknown motion, effect or channel, or too few samples.
+        MagycError: unknown motion, effect or channel, or too few or too many samples.
     """
     path, called = _path(motion)
     wanted = chosen(effects, seed if effects_seed is None else effects_seed)
     recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])
     if not 2.5 < duration * rate <= _MOST_SAMPLES:
         raise MagycError(
-            f"duration {duration:g} s at {rate:g} Hz gives {duration * rate:.0f} samples, at least 3 are needed and "
-            f"at most {_MOST_SAMPLES:,} are simulated"
+            f"duration, rate: {duration:g} s at {rate:g} Hz give {duration * rate:.0f} samples, must be at least 3 and "
+            f"at most {_MOST_SAMPLES:,}"
         )
     samples = round(duration * rate)
     random = np.random.default_rng(seed)
@@ -146,19 +148,21 @@ def simulate(
 
 
 def _path(motion: str | tuple[float, float, float]) -> tuple[Motion, str]:
-    """The motion, and what it is called."""
+    """Return the motion and its name."""
     if isinstance(motion, str):
         if motion not in MOTIONS:
             raise MagycError(f"motion: {motion!r} is not one of {', '.join(MOTIONS)}")
         return MOTIONS[motion], motion
     amplitude = np.asarray(motion, dtype=float)
     if amplitude.shape != (3,) or not ((amplitude > 0) & (amplitude <= 360)).all():
-        raise MagycError(f"motion: {motion!r}; amplitudes of roll, pitch and heading are over 0 to 360 degrees")
+        raise MagycError(
+            f"motion: amplitudes of roll, pitch and heading must be above 0 and at most 360 degrees, got {motion!r}"
+        )
     return sinusoids(motion), " ".join(f"{each:g}°" for each in motion)
 
 
-def _channels(asked: Sequence[str] | None, needed: Sequence[str]) -> tuple[str, ...]:
-    names = needed if asked is None else asked
+def _channels(requested: Sequence[str] | None, needed: Sequence[str]) -> tuple[str, ...]:
+    names = needed if requested is None else requested
     unknown = sorted(set(names) - {*CHANNELS, "acceleration"})
     if unknown:
         raise MagycError(f"channels: {unknown[0]!r} is not one of {', '.join(CHANNELS)}")
@@ -166,7 +170,7 @@ def _channels(asked: Sequence[str] | None, needed: Sequence[str]) -> tuple[str, 
 
 
 def _acceleration(scene: Scene, seed: int, dynamic: bool) -> Array:
-    """(rows, 3) m/s²: specific force at the logged rows."""
+    """Return the specific force (rows, 3) m/s² at the logged rows."""
     assert scene.attitude is not None
     attitude = scene.attitude[scene.rows]
     if not dynamic:
