@@ -181,7 +181,7 @@ def test_no_step_that_lowers_the_error_is_not_called_converged():
     runner = Incremental()
     result = runner.update([wrong], values(x=[0.5, 1.0]), steps=50)
     assert result.status is Status.STALLED
-    assert "are to be won" in result.message
+    assert "is predicted" in result.message
     assert result.updated
 
 

@@ -22,7 +22,7 @@ from magyc_gtsam.online.coverage import coverage
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
-from magyc_gtsam.runners.incremental import Method
+from magyc_gtsam.runners.isam import Method
 
 _WAITING = 60.0  # s, samples of one sensor kept while the other is silent
 _VISITED = 512  # samples remembered of the whole mission

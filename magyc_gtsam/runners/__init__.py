@@ -1,5 +1,4 @@
-"""Runners: optimise any graph, all at once or as it grows. Names are imported at first use; all but `Status` need
-GTSAM."""
+"""Runners: optimise any GTSAM graph in batch or incrementally; names are imported at first use."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from magyc_gtsam.runners.status import Status
 _PUBLIC = {
     "BatchResult": "batch",
     "Incremental": "incremental",
-    "IncrementalResult": "incremental",
+    "IncrementalResult": "convergence",
     "optimize": "batch",
 }
 

@@ -1,9 +1,8 @@
-"""Batch optimisation of any GTSAM graph, with a result that says why it stopped and whether to trust it.
+"""Batch optimisation of any GTSAM graph, with a result that states why it stopped and whether it converged.
 
-GTSAM's own `optimize()` holds the interpreter for its whole run, returns the initial values when a
-residual is NaN, counts a step that could not be made as convergence, and with Levenberg–Marquardt does
-not notice a variable that nothing determines. Here the iterations are driven one by one and the end is
-checked.
+GTSAM's own `optimize()` blocks the interpreter for its whole run, returns the initial values when a residual is NaN,
+counts a failed step as convergence, and with Levenberg–Marquardt does not notice an undetermined variable. This module
+runs the iterations one by one and checks the final state.
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ _OPTIMIZERS = {
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """What `optimize` returns.
+    """The result of `optimize`.
 
     Attributes:
-        values: those of the lowest error seen; the initial ones where there was none.
-        status: why it ended.
-        message: the same in words, with the numbers behind it and a remedy.
-        iterations: how many were made.
+        values: values of the lowest error; the initial ones if no iteration lowered it.
+        status: why the optimisation ended.
+        message: the status as a sentence, with its numbers and a remedy.
+        iterations: number of iterations.
         errors: GTSAM's error, half the sum of squared whitened residuals, at the start and after each
             iteration.
     """
@@ -51,7 +50,7 @@ class BatchResult:
 
     @property
     def converged(self) -> bool:
-        """Whether the stopping rule was met at a minimum that the data determine."""
+        """Return whether the stopping rule was met at a minimum that the data determine."""
         return self.status is Status.CONVERGED
 
 
@@ -66,22 +65,22 @@ def optimize(
     progress: Progress | None = None,
     names: Mapping[int, str] | None = None,
 ) -> BatchResult:
-    """Minimise a graph's error.
+    """Minimise the error of a graph.
 
     Args:
         graph, initial: the problem; `initial` holds every key of the graph and is not changed.
-        method: "lm" (Levenberg–Marquardt), "dogleg" (Powell's, the trust region of RISE) or
-            "gauss-newton". Dogleg gives up at a step of 1e-5: bring variables to a scale near 1.
-        relative_tolerance, absolute_tolerance: it ends when an iteration lowers the error by less than
-            either, as a share of the error or as such.
-        max_iterations: limit.
-        progress: called with (iteration, error) after each iteration; raising KeyboardInterrupt in it, as
-            Ctrl-C does, ends the run with the best values.
-        names: what to call keys in messages.
+        method: "lm" (Levenberg–Marquardt), "dogleg" (Powell's, the trust region of RISE) or "gauss-newton". Dogleg
+            stops at a step of 1e-5, so variables should be scaled to about 1.
+        relative_tolerance, absolute_tolerance: the optimisation ends when an iteration lowers the error by less than
+            this share of the error or this amount, whichever is larger.
+        max_iterations: largest number of iterations.
+        progress: called with (iteration, error) after each iteration; a KeyboardInterrupt raised in it, as by Ctrl-C,
+            ends the optimisation with the best values.
+        names: names of keys for messages.
 
     Raises:
-        MagycError: unknown method, keys without initial values, or a factor whose error function has
-            a wrong shape. Numerical trouble is no exception but a status.
+        MagycError: the method is unknown, keys have no initial value, or a factor's error function returns a wrong
+            shape. Numerical failures are reported by the status, not by an exception.
     """
     if method not in _OPTIMIZERS:
         raise MagycError(f"optimizer {method!r} unknown; there are {', '.join(_OPTIMIZERS)}")
@@ -105,7 +104,7 @@ def optimize(
             return result(Status.FAILED, f"the error is {errors[0]} at the initial values")
         optimizer_type, parameters_type = _OPTIMIZERS[method]
         parameters = parameters_type()
-        # Levenberg–Marquardt ends its search for a damping by them too, early by default.
+        # Levenberg–Marquardt also ends its search for a damping by these tolerances, too early by default.
         parameters.setRelativeErrorTol(relative_tolerance)
         parameters.setAbsoluteErrorTol(absolute_tolerance)
         optimizer = optimizer_type(graph, initial, parameters)
@@ -125,13 +124,13 @@ def optimize(
                 best = gtsam.Values(optimizer.values())  # a copy: the next iteration frees the original
             if progress is not None:
                 progress(len(errors) - 1, errors[-1])
-        # A minimum, or merely no step? The full Gauss–Newton step knows; solving for it also finds
-        # variables that nothing determines, which damping hides.
-        promised = predicted_decrease(graph, best)
-        if decrease <= 0 and promised > tolerance():
+        # The full Gauss–Newton step distinguishes a minimum from a failed step; solving for it also finds
+        # undetermined variables, which damping hides.
+        predicted = predicted_decrease(graph, best)
+        if decrease <= 0 and predicted > tolerance():
             return result(
                 Status.STALLED,
-                f"{_obstacle(optimizer)}, though {promised:.2g} of {min(errors):.3g} are to be won",
+                f"{_obstacle(optimizer)}, although a fall by {predicted:.2g} from {min(errors):.3g} is predicted",
             )
         return result(Status.CONVERGED, f"converged in {len(errors) - 1} iterations{_last(errors)}")
     except KeyboardInterrupt:
@@ -151,18 +150,18 @@ def optimize(
 
 
 def undetermined(problem: RuntimeError) -> int | None:
-    """The key that GTSAM could not eliminate; None where the error is another."""
+    """Return the key that GTSAM could not eliminate; None for any other error."""
     key = re.search(r"Indeterminate linear system.*?(\d+)", str(problem), re.DOTALL)
     return None if key is None else int(key[1])
 
 
 def called(key: int, names: Mapping[int, str] | None) -> str:
-    """A key's name in messages: the caller's, or GTSAM's."""
+    """Return a key's name for messages: the caller's name, or GTSAM's."""
     return (names or {}).get(key) or str(gtsam.DefaultKeyFormatter(key))
 
 
 def predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
-    """By how much the full Gauss–Newton step would lower the error if the graph were linear."""
+    """Return by how much the full Gauss–Newton step would lower the error of the linearised graph."""
     linear = graph.linearize(values)
     step = linear.optimize()
     return float(linear.error(values.zeroVectors()) - linear.error(step))
@@ -179,4 +178,4 @@ def _obstacle(optimizer: Any) -> str:
 def _last(errors: list[float]) -> str:
     if len(errors) < 2:
         return ""
-    return f": the last changed the error by {errors[-1] - errors[-2]:.1g} to {errors[-1]:.6g}"
+    return f"; the last one changed the error by {errors[-1] - errors[-2]:.1g} to {errors[-1]:.6g}"

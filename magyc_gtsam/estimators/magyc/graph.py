@@ -20,7 +20,9 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import CompressedGyroDerivative, gyro_derivative_factor
 from magyc_gtsam.recording import Array
-from magyc_gtsam.runners.incremental import Incremental, IncrementalResult, Method
+from magyc_gtsam.runners.convergence import IncrementalResult
+from magyc_gtsam.runners.incremental import Incremental
+from magyc_gtsam.runners.isam import Method
 from magyc_gtsam.runners.status import Status
 
 _RENEWED = 64  # windows after which iSAM2 begins anew at its estimate, so that its state is these windows at most

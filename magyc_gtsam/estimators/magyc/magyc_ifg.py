@@ -18,7 +18,7 @@ from magyc_gtsam.estimators.magyc.state import Prior, calibration_of
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
 from magyc_gtsam.recording import Array, Recording
-from magyc_gtsam.runners.incremental import Method
+from magyc_gtsam.runners.isam import Method
 from magyc_gtsam.runners.status import Status
 
 
