@@ -128,7 +128,7 @@ def judged_gap(gap: Gap, validation: Validation | None = None, unjudged: str = "
         contradiction = "The result could not be judged on the other log", Doubt(unjudged, "give another log"), ""
     if gap.doubt is not None:
         doubts = [] if contradiction is None else [f"{contradiction[0]}: {contradiction[1].cause}"]
-        # Of a gap that is closed it is the calibration that is in doubt, not what was found.
+        # If the gap is closed, the doubt is about the calibration, not about the effects found.
         called = "" if closed(gap) else title(gap)
         return _refused(called, gap.doubt, (*doubts, title(gap), *whole, noise))
     if contradiction is not None:
