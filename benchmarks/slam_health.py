@@ -1,7 +1,8 @@
 """Wrong starts, disturbances, steps and a wrong mounting in an iSAM2 graph: what the magnetometer costs and says.
 
     python benchmarks/slam_health.py starts            # headings 0 to 180 degrees off, native, Python, without
-    python benchmarks/slam_health.py words             # what is named, and when; and how long clean drives stay clean
+    python benchmarks/slam_health.py words             # what is named, and when
+    python benchmarks/slam_health.py clean             # how many clean drives raise an alarm
 
 A dive of an odometry–inertial graph with a position fix every 10 s and a block of 40 samples every 2 s.
 """
@@ -139,8 +140,8 @@ def starts(seeds: range, step: int) -> None:
     print(f"band of the NEES {9 - band:.2f} to {9 + band:.2f}")
 
 
-def words(seeds: range, minutes: float) -> None:
-    """Print what is named and when, and false alarms of clean drives."""
+def words(seeds: range) -> None:
+    """Print what is named and when."""
     begin = 75.0
     for kind in ("disturbance of 15 s", "step of 5 µT", "mounting of 3°, held", "mounting of 3°, a variable"):
         first, last = [], Counter()
@@ -174,12 +175,20 @@ def words(seeds: range, minutes: float) -> None:
             f"{np.nanmax(named) if np.isfinite(named).any() else np.nan:.0f} s); last words {dict(last)}",
             flush=True,
         )
-    alarms, total = 0, 0.0
-    for seed in seeds:
-        drive = Drive(300 + seed, duration=60 * minutes + 0.05).run()
-        alarms += any(health.word in ("suspect", "inconsistent") for health in drive.words)
-        total += minutes / 60
-    print(f"clean: {alarms} of {len(seeds)} drives with an alarm, {total:.1f} h in all", flush=True)
+
+
+def clean(seeds: range, minutes: float) -> None:
+    """Print false alarms of clean drives, drive by drive."""
+    alarms = 0
+    for count, seed in enumerate(seeds, 1):
+        drive = Drive(seed, duration=60 * minutes + 0.05).run()
+        said = [health for health in drive.words if health.word in ("suspect", "inconsistent")]
+        alarms += bool(said)
+        print(
+            f"seed {seed}: {said[0] if said else drive.words[-1]}, NEES {drive.nees:.1f}; {alarms} of {count} drives "
+            f"with an alarm, {count * minutes / 60:.1f} h",
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -191,6 +200,8 @@ def main() -> None:
     option.add_argument("--step", type=int, default=30)
     option = commands.add_parser("words")
     option.add_argument("--seeds", type=int, default=20)
+    option = commands.add_parser("clean")
+    option.add_argument("--seeds", type=int, default=20)
     option.add_argument("--minutes", type=float, default=30.0, help="of each clean drive")
     for option in commands.choices.values():
         option.add_argument("--first", type=int, default=0, help="first seed")
@@ -198,8 +209,10 @@ def main() -> None:
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     if arguments.command == "starts":
         starts(seeds, arguments.step)
+    elif arguments.command == "words":
+        words(seeds)
     else:
-        words(seeds, arguments.minutes)
+        clean(seeds, arguments.minutes)
 
 
 if __name__ == "__main__":

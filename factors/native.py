@@ -143,7 +143,7 @@ class NativeFactors:
             examiner.restart()
         if admission.leaving:
             self._delivered = [each for each in self._delivered if each not in admission.leaving]
-        renewed = self._renew(self._staleness.due(self._delivered), view)
+        renewed = self._renew(self._staleness.due(self._delivered, len(entering)), view)
         remove += [each.slot for each in admission.leaving + renewed] + admission.remove
         for each in entering:
             self._make(each, view)
@@ -156,7 +156,8 @@ class NativeFactors:
                 pushed.push_back(admission.pull)
             for each in placed:
                 pushed.push_back(each.native)
-        result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove)
+        last = _eliminated_last(new.others, entering, renewed)
+        result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove, last)
         if pushed is not new.others:
             self._place(solver, placed, new_slots(solver, result), pushed.size() - len(placed))
         if examiner is not None and entering and self._entrance.entered:
@@ -236,7 +237,7 @@ class NativeFactors:
     def _pending(self) -> bool:
         """Whether there is something to do in an update that brings no block."""
         over = self._examiner is not None and bool(self._examiner.monitor.over)
-        return over or self._staleness.unsettled or self._entrance.defers
+        return over or self._staleness.pending or self._entrance.defers
 
     def _forget(self, view: View) -> None:
         """Drop what stands on keys that have left a fixed-lag smoother."""
@@ -313,3 +314,25 @@ class NativeFactors:
             details.width = width
         if width == 1.0:  # those before need no more care
             del self._robust[:-_RECENT_KERNELS]
+
+
+def _eliminated_last(
+    others: gtsam.NonlinearFactorGraph, entering: list[Delivered], renewed: list[Delivered]
+) -> list[set[int]]:
+    """Groups of keys that iSAM2 eliminates last; empty where its own choice is better.
+
+    By itself it puts the keys of all new factors last, so that a calibration shares a clique with poses. Each time that
+    these move, all poses of that calibration are then solved for again. Eliminated before the newest poses, soft and
+    hard iron have a clique of their own. Where older blocks are renewed its own choice shortens the way to them.
+    """
+    placed = entering + renewed
+    newest = set(others.keyVector()) if placed else set()
+    if not all(each.details is not None and each.details.attitude_key in newest for each in placed):
+        return []
+    calibrations = {
+        key
+        for each in entering
+        if each.details
+        for key in (each.details.soft_iron_key, each.details.hard_iron_key)
+    }
+    return [calibrations, newest - calibrations] if placed else []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import gtsam
@@ -86,10 +86,23 @@ def update_solver(
     values: gtsam.Values,
     timestamps: Mapping[int, float] | None,
     remove: Sequence[int],
+    last: Sequence[Collection[int]] = (),
 ) -> Any:
-    """Update; the solver's result."""
+    """Update; the solver's result.
+
+    Args:
+        solver, graph, values, timestamps: as in `NativeFactors.update`.
+        remove: slots of factors that leave.
+        last: groups of keys that iSAM2 eliminates after all others, in this order; none leaves the order to it.
+    """
     if isinstance(solver, gtsam.ISAM2):
-        return solver.update(graph, values, list(remove)) if remove else solver.update(graph, values)
+        if not last:
+            return solver.update(graph, values, list(remove)) if remove else solver.update(graph, values)
+        groups = gtsam.KeyGroupMap()
+        for group, keys in enumerate(last, 1):
+            for key in keys:
+                groups.insert2(key, group)
+        return solver.update(graph, values, list(remove), groups)
     _check_solver(solver)
     stamps: Any = dict(timestamps or {})
     if missing := [key for key in list(values.keys()) if key not in stamps]:

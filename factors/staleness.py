@@ -12,9 +12,10 @@ _UNSETTLED = 1.0  # standard deviations
 class Staleness:
     """Looks at the last quadratics with each block, at all now and then, and at every update until they are settled.
 
-    Between blocks little moves old attitudes and the calibration. Where a quadratic was stale by more than a standard
-    deviation, the last ones are looked at in each update until none is; all are, each time that their number has
-    grown by a factor.
+    A quadratic is made where its attitude is predicted, before the update that it enters by; so it is looked at in the
+    next one, where its variables are still at the root of iSAM2's tree and renewing it costs little. Later only blocks
+    move old attitudes and the calibration much. Where a quadratic was stale by more than a standard deviation, the last
+    ones are looked at in each update until none is; all are, each time that their number has grown by a factor.
 
     Args:
         recent: number of quadratics that count as the last ones.
@@ -22,14 +23,24 @@ class Staleness:
 
     Attributes:
         unsettled: whether a quadratic was stale by more than a standard deviation when they were looked at last.
+        entered: number of quadratics that entered in the last update.
     """
 
     def __init__(self, recent: int, growth: float) -> None:
         self.recent, self.growth, self.unsettled = recent, growth, False
+        self.entered = 0
         self._next = 2.0
 
-    def due(self, delivered: list[Delivered]) -> list[Delivered]:
-        """Those to look at, of all that are delivered, oldest first."""
+    @property
+    def pending(self) -> bool:
+        """Whether to look at some in an update that brings no block."""
+        return self.unsettled or self.entered > 0
+
+    def due(self, delivered: list[Delivered], entering: int) -> list[Delivered]:
+        """Those to look at in an update by which `entering` more enter, of all that are delivered, oldest first."""
+        newest, self.entered = self.entered, entering
+        if newest and not (entering or self.unsettled):
+            return delivered[-newest:]
         if len(delivered) < self._next:
             return delivered[-self.recent :]
         self._next = self.growth * len(delivered)

@@ -236,14 +236,18 @@ def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(o
 
 def test_quadratics_are_looked_at_until_they_are_settled():
     staleness, all_of_them = Staleness(2, 2.0), list(range(9))
-    assert staleness.due(all_of_them[:1]) == [0]
-    assert staleness.due(all_of_them[:3]) == [0, 1, 2]  # all: from two on, then each time that they have doubled
-    assert staleness.due(all_of_them[:5]) == [3, 4]
-    assert staleness.due(all_of_them[:6]) == [0, 1, 2, 3, 4, 5]
+    assert staleness.due(all_of_them[:1], 1) == [0]
+    assert staleness.due(all_of_them[:3], 1) == [0, 1, 2]  # all: from two on, then each time that they have doubled
+    assert staleness.due(all_of_them[:5], 1) == [3, 4]
+    assert staleness.due(all_of_them[:6], 2) == [0, 1, 2, 3, 4, 5]
+    assert staleness.pending
+    assert staleness.due(all_of_them[:8], 0) == [6, 7]  # what has just entered
+    assert not staleness.pending
     staleness.found([0.2, 3.0])
-    assert staleness.unsettled
+    assert staleness.pending
+    assert staleness.due(all_of_them[:8], 0) == [6, 7]
     staleness.found([0.2, 0.9])
-    assert not staleness.unsettled
+    assert not staleness.pending
 
 
 def test_a_kernel_is_as_wide_as_the_blocks_misfit():
