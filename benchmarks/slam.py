@@ -132,7 +132,7 @@ class Run:
             samples = block(vehicle, k, self.layout.block, 2, bias.gyroscope())
             keys = (X(k), A(self.node), H(self.node))
             options = {"field": vehicle.field, "gyroscope_noise": GYROSCOPE, "field_unit": UNIT}
-            graph.push_back(keyframe_field_factor(*keys, samples, SIGMA, **options))
+            graph.push_back(keyframe_field_factor(*keys, samples, SIGMA, gyro_bias_key=B(k), **options))
 
 
 def isam2(wildfire: float) -> gtsam.ISAM2:

@@ -76,7 +76,7 @@ class Drive:
                 recording.time[k * 20],
                 bias=bias.gyroscope(),
             )
-            keys = {"held_bias_key": B(k - 1)} | ({} if self.mounting is None else {"mounting_key": M(0)})
+            keys = {"gyro_bias_key": B(k)} | ({} if self.mounting is None else {"mounting_key": M(0)})
             graph.push_back(
                 keyframe_field_factor(
                     X(k), A(0), H(0), block, 1e-6, field=vehicle.field, field_unit=UNIT, **keys, **self.options

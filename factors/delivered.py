@@ -22,9 +22,10 @@ class _Place:
     """Where a quadratic was made, or was found fresh.
 
     Attributes:
-        rotation, soft_iron, bias: (3, 3), (6,), (3,) rad/s, attitude, soft iron and held bias there.
+        rotation, soft_iron, bias: (3, 3), (6,), (3,) rad/s, attitude, soft iron and bias there.
         shift: by how many standard deviations it was stale there.
-        angle, iron: rad and 1, at least as far as this is from where the quadratic was made.
+        angle, iron: rad and 1, at least as far as this is from where the quadratic was made, the attitude with what
+            the bias turns the samples by.
     """
 
     rotation: Array
@@ -35,10 +36,12 @@ class _Place:
     iron: float = 0.0
 
     def moved(self, point: gtsam.Values, details: BlockDetails) -> tuple[float, float]:
-        """How far the attitude (rad) and the soft iron are from here."""
+        """How far the attitude (rad), with what the bias turns the samples by, and the soft iron are from here."""
         turned = rotation_of(point, details.attitude_key) - self.rotation
         soft_iron = point.atVector(details.soft_iron_key) - self.soft_iron
-        return math.sqrt(0.5 * float(np.vdot(turned, turned))), math.sqrt(float(np.vdot(soft_iron, soft_iron)))
+        angle = math.sqrt(0.5 * float(np.vdot(turned, turned)))
+        angle += details.lever * math.dist(_bias_of(point, details), self.bias)
+        return angle, math.sqrt(float(np.vdot(soft_iron, soft_iron)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,16 +92,8 @@ class Delivered:
     def make(self, view: View) -> None:
         """The quadratic at the present estimate."""
         point = view.values(self.factor.keys())
-        self.hold(view)
         self._make(self.factor.linearize(point), point)
         self.place = _place_of(self.details, point)
-
-    def hold(self, view: View) -> None:
-        """Hold the block at the present estimate of its bias, where it follows one."""
-        details = self.details
-        if details is not None and details.held_bias_key is not None and view.exists(details.held_bias_key):
-            key = details.held_bias_key
-            details.held_bias = choose("held bias", gyro_bias, values := view.values([key]), key)(values, key)[0]
 
     def _make(self, linear: gtsam.GaussianFactor, point: gtsam.Values) -> None:
         self.native = gtsam.LinearContainerFactor(_square_root(linear), point)
@@ -117,14 +112,12 @@ class Delivered:
         """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was."""
         point = view.values(self.factor.keys())
         place, details = self.place, self.details
-        self.hold(view)
         angle = iron = 0.0
         if place is not None and details is not None and details.width == 1.0:
-            # The residual is bilinear in attitude and calibration: what a quadratic lacks is at most of second order in
-            # how far these are from where it was made, and so is what it lacks more than where it was looked at last.
+            # The residual is linear in soft iron, attitude (to first order) and bias each: what a quadratic lacks is of
+            # second order in how far these are from where it was made, and so is what it lacks beyond the last look.
             angle, iron = place.moved(point, details)
             lost = angle * (place.angle + 0.5 * angle + place.iron + iron) + iron * place.angle  # of the field
-            lost += details.lever * math.dist(details.held_bias, place.bias)
             shift = place.shift + lost * details.field_over_noise
             if shift < tolerance:
                 return shift
@@ -186,11 +179,23 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
 
 
 def _place_of(details: BlockDetails | None, point: gtsam.Values) -> _Place | None:
-    """Attitude and soft iron of a block whose residual these and the hard iron decide alone."""
+    """Attitude, soft iron and bias of a block whose residual these and the hard iron decide alone."""
     if details is None or details.field is None or details.on_direction or details.more_keys:
         return None
     attitude, soft_iron = rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key)
-    return _Place(attitude, soft_iron, details.held_bias)
+    return _Place(attitude, soft_iron, _bias_of(point, details))
+
+
+def _bias_of(point: gtsam.Values, details: BlockDetails) -> Array:
+    """(3,) rad/s, the bias at which a block stands."""
+    key = details.gyro_bias_key
+    if key is None:
+        return details.block.bias
+    try:
+        bias: Array = point.atConstantBias(key).gyroscope()  # the usual case
+        return bias
+    except RuntimeError:
+        return choose("bias", gyro_bias, point, key)(point, key)[0]
 
 
 def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:

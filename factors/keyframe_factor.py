@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from dataclasses import field as field_of
 from functools import cached_property
 
 import gtsam
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike
 from magyc_gtsam.factors.chain.rotations import skew
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.factors.guard import Residual, custom_factor, factor_details, standard_deviation
+from magyc_gtsam.factors.guard import Residual, custom_factor, standard_deviation
 from magyc_gtsam.factors.kernels import robustify, tuning_constant
 from magyc_gtsam.factors.keyframe_field import KeyframeField
 from magyc_gtsam.factors.pose import MICROTESLA, given_keys, known_field
@@ -40,15 +39,14 @@ class BlockDetails:
         field: (3,) T, or a strength; None where it is a variable.
         field_unit: T per unit of the keys.
         robust: the kernel's name.
-        more_keys: whether it stands on more than attitude, soft and hard iron.
+        gyro_bias_key: as given.
+        more_keys: whether it stands on more than attitude, soft and hard iron and the bias.
         width: factor of the kernel's tuning constant, at least 1: a kernel starts wide and narrows as the graph
             settles (`NativeFactors`, `runners.Incremental`).
         misfit: median whitened norm of the samples at the last evaluation, 1 where the model fits; NaN before, and
             where there is no kernel.
         freed: makes the same factor with its mounting as the variable of a key; None where the mounting is one
             already, or where the attitude key holds a direction.
-        held_bias_key: key of the bias at which the block is held; None holds it where it was integrated.
-        held_bias: (3,) rad/s, where it is held at present.
         on_mounting: (rows, 3) whitened Jacobian on the mounting that is held, at the last linearisation; None before,
             and where `freed` is.
     """
@@ -64,13 +62,12 @@ class BlockDetails:
     field: Array | None
     field_unit: float
     robust: str | None
+    gyro_bias_key: int | None
     more_keys: bool
     width: float = 1.0
     misfit: float = float("nan")
     freed: Callable[[int], gtsam.CustomFactor] | None = None
     on_mounting: Array | None = None
-    held_bias_key: int | None = None
-    held_bias: Array = field_of(default_factory=lambda: np.zeros(3))
 
     @cached_property
     def field_over_noise(self) -> float:
@@ -101,7 +98,6 @@ def keyframe_field_factor(
     field_key: int | None = None,
     mounting_key: int | None = None,
     delay_key: int | None = None,
-    held_bias_key: int | None = None,
     gyroscope_noise: float = 0.0,
     robust: str | None = None,
     tuning: float | None = None,
@@ -121,8 +117,6 @@ def keyframe_field_factor(
         field_key: f as a variable, 3-vector or `Point3`, `field_unit`.
         mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`); without it the block's own is held.
         delay_key: τ as a variable, s, double or 1-vector (`delay_prior`); without it the block's own is held.
-        held_bias_key: b that the block follows without sharing it: `NativeFactors` moves the block to its estimate
-            each time that it makes the block's quadratic; not together with `gyro_bias_key`.
         gyroscope_noise: rad/s per sample and axis, which widens `noise` by what it adds inside the block.
         robust: name of a kernel that weighs every sample by itself; the samples are then not compressed.
         tuning: of the kernel; default 95 % efficiency.
@@ -148,8 +142,6 @@ def keyframe_field_factor(
     extra = given_keys(
         (gyro_bias_key, gyro_bias), (field_key, vector(3)), (mounting_key, mounting), (delay_key, scalar)
     )
-    if gyro_bias_key is not None and held_bias_key is not None:
-        raise MagycError(f"{name}: the bias is either shared, `gyro_bias_key`, or held, `held_bias_key`; got both")
     late = delay_key is not None
     whole = block if late else block.without_delay()
     rows = whole if robust is not None else block.compressed(delay=late)
@@ -157,19 +149,17 @@ def keyframe_field_factor(
     details = BlockDetails(
         attitude_key, soft_iron_key, hard_iron_key, field_key, rows,
         np.tensordot(share, rows.design[:, :, :3], 1), share @ rows.field, whole_sigma,
-        None if known is None else known * field_unit, field_unit, robust, bool(extra),
-        held_bias_key=held_bias_key, held_bias=block.bias,
+        None if known is None else known * field_unit, field_unit, robust, gyro_bias_key,
+        len(extra) > (gyro_bias_key is not None),
     )  # fmt: skip
     if mounting_key is None and not details.on_direction:
 
         def freed(key: int) -> gtsam.CustomFactor:
-            made = keyframe_field_factor(
+            return keyframe_field_factor(
                 attitude_key, soft_iron_key, hard_iron_key, rows, noise, gyro_bias_key=gyro_bias_key, field=field,
                 field_key=field_key, mounting_key=key, delay_key=delay_key, gyroscope_noise=gyroscope_noise,
                 robust=robust, tuning=tuning, field_unit=field_unit,
             )  # fmt: skip
-            factor_details(made).held_bias = details.held_bias
-            return made
 
         details.freed = freed
     mounted = rows.body_R_sensor
@@ -178,7 +168,7 @@ def keyframe_field_factor(
     def error(first: Array, a: Array, h: Array, *rest: Array) -> Residual:
         *more, want = rest
         found: dict[int | None, Array] = dict(zip(optional, more, strict=True))
-        b = details.held_bias if gyro_bias_key is None else found[gyro_bias_key]
+        b = rows.bias if gyro_bias_key is None else found[gyro_bias_key]
         tau = float(found[delay_key][0]) if late else None
         f = found[field_key] if known is None else known
         rotation = None

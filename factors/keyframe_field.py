@@ -204,7 +204,7 @@ def _about(
     turn = (back @ track.matrices[:, at].reshape(3, -1)).reshape(3, 3, -1)
     lever = (back @ (track.lever[:, at] - track.lever[:, here, None]).reshape(3, -1)).reshape(3, 3, -1)
     # The share of samples that lie beyond each step, seen from the keyframe.
-    beyond = np.searchsorted(np.sort(at), np.arange(1, len(stamps)), side="left") / len(when)
+    beyond = np.cumsum(np.bincount(at, minlength=len(stamps)))[:-1] / len(when)
     beyond[here:] = 1.0 - beyond[here:]
     spread = float((time[-1] - time[0]) / (len(time) - 1) * (track.step @ (beyond * beyond)))
     return turn, lever, track.angular_rate[at] - bias, spread

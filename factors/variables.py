@@ -70,8 +70,8 @@ direction: Variable = MappingProxyType({"Unit3": _at_unit})
 
 gyro_bias: Variable = MappingProxyType(
     {
-        "Point3 or 3-vector": lambda values, key: (values.atPoint3(key), None),
         "ConstantBias": lambda values, key: (values.atConstantBias(key).gyroscope(), _GYROSCOPE_PART),
+        "Point3 or 3-vector": lambda values, key: (values.atPoint3(key), None),
     }
 )
 """The gyroscope bias (3,) rad/s."""

@@ -10,9 +10,9 @@ from magyc_gtsam.gap import term_factor
 ORDER = (
     *("attitude_key", "direction_key", "first_direction_key", "second_direction_key", "first_key", "second_key"),
     *("soft_iron_key", "scale_key", "hard_iron_key", "gyro_bias_key", "value_key"),
-    *("field_key", "mounting_key", "delay_key", "held_bias_key"),
+    *("field_key", "mounting_key", "delay_key"),
 )
-OPTIONAL = ("gyro_bias_key", "field_key", "mounting_key", "delay_key", "held_bias_key")
+OPTIONAL = ("gyro_bias_key", "field_key", "mounting_key", "delay_key")
 OTHERS = {"custom_factor": "a user's own", "native_factor": "of another factor"}
 
 

@@ -1,12 +1,21 @@
 """The parts that `NativeFactors` is made of, each against its definition."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 from gtsam.symbol_shorthand import A, H, X
 from scipy.spatial.transform import Rotation
 
-from magyc_gtsam.factors import GyroscopeTrack, HealthLimits, KeyframeField, MagycError, keyframe_field_factor
+from magyc_gtsam.factors import (
+    GyroscopeTrack,
+    HealthLimits,
+    KeyframeField,
+    MagycError,
+    keyframe_field_factor,
+    unvech,
+)
 from magyc_gtsam.factors.alignment import AlignmentLimits, CoarseAlignment, HeadingVerdict
 from magyc_gtsam.factors.chain.heading_profile import block_rows, heading_profile, in_world
 from magyc_gtsam.factors.delivered import sorted_factors
@@ -130,33 +139,37 @@ def test_evidence_above_its_bound_is_as_rare_as_the_bound_says():
     assert above <= 20  # 10 of 100, 99.9 % of a binomial
 
 
-def test_a_held_bias_is_the_shared_one_at_its_value():
-    random, time = np.random.default_rng(8), np.arange(0, 1, 0.01)
-    block = KeyframeField.from_samples(
-        (time, 3e-5 * random.normal(size=(100, 3))), (time, 0.3 * random.normal(size=(100, 3))), 0.5
-    )
-    made = [
-        keyframe_field_factor(1, 2, 3, block, 1e-6, field=FIELD * 1e-6, **{name: 4})
-        for name in ("held_bias_key", "gyro_bias_key")
-    ]
-    point = gtsam.Values()
-    point.insert(1, gtsam.Rot3.Expmap(random.normal(size=3)))
-    point.insert(2, np.r_[1.1, 0.02, -0.03, 0.9, 0.01, 1.05])
-    point.insert(3, gtsam.Point3(5, -3, 2))
-    point.insert(4, gtsam.imuBias.ConstantBias(np.zeros(3), np.array([0.02, -0.01, 0.03])))
-    assert list(made[0].keys()) == [1, 2, 3]
-    graph = gtsam.NonlinearFactorGraph()
-    graph.push_back(made[0])
-    (delivered,) = sorted_factors(graph).fresh
-    before = made[0].error(point)
-    delivered.make(View(point))
-    assert made[0].error(point) == pytest.approx(made[1].error(point), rel=1e-12)
-    assert abs(made[0].error(point) - before) > 1.0
-    assert delivered.renew(View(point), 0.05) < 0.05
-    point.update(4, gtsam.imuBias.ConstantBias(np.zeros(3), np.array([0.021, -0.01, 0.03])))
-    assert delivered.renew(View(point), 0.05) > 0.05  # a milliradian per second
-    with pytest.raises(MagycError, match="either shared"):
-        keyframe_field_factor(1, 2, 3, block, 1e-6, field=FIELD * 1e-6, gyro_bias_key=4, held_bias_key=4)
+@pytest.mark.parametrize("scale", [1e-3, 1e-2])
+def test_a_quadratic_is_no_staler_than_what_has_moved_allows(scale):
+    """The bound by which a block is not linearised again, where the estimate has come to fit it."""
+    random, time = np.random.default_rng(8), np.arange(0, 2, 0.01)
+    for _ in range(10):
+        rate = 0.5 * random.normal(size=3) + 0.1 * random.normal(size=(200, 3))
+        bias, rotation = 0.01 * random.normal(size=3), gtsam.Rot3.Expmap(random.normal(size=3))
+        soft_iron, hard_iron = np.r_[1.1, 0.02, -0.03, 0.9, 0.01, 1.05], np.array([5.0, -3, 2])
+        bare = KeyframeField.from_samples((time, np.full((200, 3), 1e-9)), (time, rate), 1.98).without_delay()
+        seen, _ = bare.error(1e-6, rotation.matrix().T @ FIELD, unvech(soft_iron), hard_iron, bias)
+        block = replace(bare, field=1e-6 * (seen + random.normal(size=seen.shape)))
+        graph, fitting = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        graph.push_back(keyframe_field_factor(1, 2, 3, block, 1e-6, field=FIELD * 1e-6, gyro_bias_key=4))
+        fitting.insert(1, rotation)
+        fitting.insert(2, soft_iron)
+        fitting.insert(3, hard_iron)
+        fitting.insert(4, gtsam.imuBias.ConstantBias(np.zeros(3), bias))
+        (delivered,) = sorted_factors(graph).fresh
+        step = gtsam.VectorValues()
+        for key, size in ((1, 3), (2, 6), (3, 3), (4, 6)):
+            step.insert(key, scale * random.normal(size=size))
+        delivered.make(View(fitting.retract(step)))
+        exact, stale = (
+            each.linearize(fitting).augmentedInformation() for each in (delivered.factor, delivered.native)
+        )
+        information = np.diag(exact)[:-1]
+        seen = information > 0
+        true = np.abs(exact[:-1, -1] - stale[:-1, -1])[seen] / np.sqrt(information[seen])
+        bound = delivered.renew(View(fitting), tolerance=np.inf)
+        assert true.max() < max(bound, 0.05)  # below the tolerance the samples' noise is the larger part
+        assert bound < 100 * true.max()
 
 
 @pytest.mark.parametrize("options", [{}, {"delay_key": 5}, {"gyro_bias_key": 4}, {"robust": "cauchy"}])
@@ -237,16 +250,21 @@ def test_two_blocks_say_that_a_heading_is_wrong_before_they_say_which_is_right(o
 def test_quadratics_are_looked_at_until_they_are_settled():
     staleness, all_of_them = Staleness(2, 2.0), list(range(9))
     assert staleness.due(all_of_them[:1], 1) == [0]
-    assert staleness.due(all_of_them[:3], 1) == [0, 1, 2]  # all: from two on, then each time that they have doubled
+    assert staleness.due(all_of_them[:3], 1) == [
+        0,
+        1,
+        2,
+    ]  # all: from two on, then each time that they have doubled
     assert staleness.due(all_of_them[:5], 1) == [3, 4]
     assert staleness.due(all_of_them[:6], 2) == [0, 1, 2, 3, 4, 5]
     assert staleness.pending
     assert staleness.due(all_of_them[:8], 0) == [6, 7]  # what has just entered
     assert not staleness.pending
-    staleness.found([0.2, 3.0])
-    assert staleness.pending
-    assert staleness.due(all_of_them[:8], 0) == [6, 7]
-    staleness.found([0.2, 0.9])
+    staleness.found([3.0, 0.2, 0.4, 0.1])
+    assert staleness.due(all_of_them[:8], 1) == [4, 5, 6, 7]  # from the one that was stale
+    staleness.found([0.2, 3.0, 0.1, 0.1])
+    assert staleness.due(all_of_them, 0) == [5, 6, 7, 8]  # with what entered since
+    staleness.found([0.2, 0.9, 0.1, 0.1])
     assert not staleness.pending
 
 

@@ -201,7 +201,8 @@ class Incremental:
             new: the new variables, which `values` already holds.
             lost: whether factors were removed, so that variables may have gone.
         """
-        keys = list(result.getMarkedKeys())
+        marked = result.getMarkedKeys()
+        keys = list(itertools.islice(marked, len(marked)))  # its end is a C++ exception, dearer than the keys
         if lost:
             keys = [key for key in keys if self._isam.valueExists(key)]
         after, replaced = self._isam.calculateEstimate(keys), self._values.extract(keys)
