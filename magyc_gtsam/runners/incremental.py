@@ -7,6 +7,7 @@ keep the handles under which they were added, whatever iSAM2 does.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any
