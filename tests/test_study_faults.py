@@ -11,6 +11,7 @@ from pyarrow import parquet
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
+from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import GYRO_BIAS, HARD_IRON, SOFT_IRON
 from magyc_gtsam.study.faults import running
@@ -69,6 +70,26 @@ def test_right_wrong_and_refused() -> None:
     wrong = score(result(HARD_IRON, 1e-8, tilted))
     assert wrong.outcome == "wrong and trusted"
     assert wrong.heading == pytest.approx(np.degrees(0.05), rel=0.1)
+
+
+def test_terms_count_as_they_stand_at_the_end() -> None:
+    """A step that was named, before which the hard iron was another one, beside a delay and scales of the gyroscope."""
+    step = np.array([4e-6, -2e-6, 1e-6])
+    others = (Term("timing", [0.03], [[1e-6]]), Term("gyro-scale", np.full(6, 0.01), 1e-6 * np.eye(6)))
+
+    def named(size: np.ndarray, sigma: float) -> mg.Calibration:
+        terms = (Term("hard-iron-step", size, sigma**2 * np.eye(3), {"time": 300.0}), *others)
+        return replace(result(HARD_IRON - step, 1e-7), terms=terms)
+
+    right = score(named(step, 1e-7), end=600.0)
+    assert right.outcome == "right and trusted"
+    assert right.hard_iron < 1e-12
+    assert right.heading < 1e-6
+    assert score(named(step, 1e-7), end=200.0).outcome == "wrong and trusted"
+    assert score(named(0.5 * step, 1e-7), end=600.0).outcome == "wrong and trusted"
+    off = score(named(0.5 * step, 2e-6), end=600.0)
+    assert off.outcome == "right and trusted"  # within the step's own sigma
+    assert off.hard_iron_sigmas == pytest.approx(2e-6 / np.hypot(1e-7, 2e-6))
 
 
 def test_the_stated_heading_is_that_of_a_draw() -> None:

@@ -14,8 +14,8 @@ from magyc_gtsam.engine import DIED, Progress, Row, run_many, write_rows
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.study.faults.catalogue import FAULTS
-from magyc_gtsam.study.faults.scoring import OUTCOMES, FaultScore, crashed, refused, score
-from magyc_gtsam.study.faults.signals import record
+from magyc_gtsam.study.faults.scoring import OUTCOMES, FaultScore, crashed, score
+from magyc_gtsam.study.faults.signals import LoggedSamples, record
 
 Method = Callable[[Recording], Calibration | None]
 STRENGTHS = ("weak", "strong")
@@ -134,12 +134,18 @@ def work(job: CaseByMethod) -> Row:
     case, fault = job.case, FAULTS[job.case.fault]
     log = record(case.motion, case.seed, fault, getattr(fault, case.strength), case.fault)
     try:
-        result = score(job.method(log.recording(case.name)), body_R_sensor=log.body_R_sensor)
-    except MagycError as problem:
-        result = refused(str(problem))
+        result = score(*_calibrated(job, log), log.body_R_sensor, float(log.field_time[-1]))
     except Exception as error:  # noqa: BLE001 - counted, and the study ends with exit code 1
         result = crashed(error)
     return job.row(result)
+
+
+def _calibrated(job: CaseByMethod, log: LoggedSamples) -> tuple[Calibration | None, str]:
+    """By the job's method; None, and why, where it refuses the log."""
+    try:
+        return job.method(log.recording(job.case.name)), ""
+    except MagycError as problem:
+        return None, str(problem)
 
 
 def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,12 +10,14 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.level_turn import Askew, LevelTurn
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation import FIELD, HARD_IRON, SOFT_IRON
+from magyc_gtsam.simulation import FIELD, GYRO_BIAS, HARD_IRON, SOFT_IRON
 
 SIGMAS = 3.0  # stated ones, beyond which an error is wrong
 HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
 HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
+_APART = 1e-3  # s between readings at rest, in which nothing happens
+_LEAST = 1e-9  # of a term's value, by which its slope is found where it has no sigma
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
 
 
@@ -52,13 +54,24 @@ def crashed(error: Exception) -> FaultScore:
     return FaultScore("crashed", np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
 
 
-def score(calibration: Calibration | None, message: str = "", body_R_sensor: Array = _ALIGNED) -> FaultScore:
-    """A calibration beside the truth of `signals.record`; the heading is that of the body's axes."""
+def score(
+    calibration: Calibration | None, message: str = "", body_R_sensor: Array = _ALIGNED, end: float = 0.0
+) -> FaultScore:
+    """A calibration with its terms beside the truth of `signals.record` at the end of the log.
+
+    Args:
+        calibration: the result.
+        message: why there is none.
+        body_R_sensor: the heading is that of the body's axes.
+        end: s, when the log ends.
+    """
     if calibration is None or calibration.covariance is None:
         return refused(message or "no calibration with a covariance")
-    off = np.abs(calibration.hard_iron - HARD_IRON)
-    sigma = np.sqrt(np.diag(calibration.covariance)[6:9])
-    heading, heading_sigma = _heading(calibration, body_R_sensor)
+    off = np.abs(_left(calibration, end))
+    covariance = calibration.covariance.copy()
+    covariance[6:9, 6:9] += _of_terms(calibration, end)
+    sigma = np.sqrt(np.diag(covariance)[6:9])
+    heading, heading_sigma = _heading(calibration, covariance, body_R_sensor, end)
     iron_wrong = bool(((off > SIGMAS * sigma) & (off > HARD_IRON_MATTERS)).any())
     heading_wrong = bool(((heading > SIGMAS * heading_sigma) & (heading > HEADING_MATTERS)).any())
     outcome = "refused"
@@ -74,14 +87,42 @@ def score(calibration: Calibration | None, message: str = "", body_R_sensor: Arr
     )
 
 
-def _heading(calibration: Calibration, body_R_sensor: Array) -> tuple[Array, Array]:
+def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
+    """(n, 3) T, readings (n, 3) as calibrated when the log ends, one after the other, of an instrument at rest."""
+    at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name != "timing"))
+    time = end + _APART * np.arange(len(readings))
+    return at_rest.corrected(readings, time=time, angular_rate=np.tile(GYRO_BIAS, (len(readings), 1)))
+
+
+def _left(calibration: Calibration, end: float) -> Array:
+    """(3,) T, what is left of the true hard iron: its error, and that of terms which then add to it, such as a step."""
+    left: Array = calibration.soft_iron @ _standing(calibration, HARD_IRON[None], end)[0]
+    return left
+
+
+def _of_terms(calibration: Calibration, end: float) -> Array:
+    """(3, 3) T², covariance of `_left` by that of the terms, which adds to the hard iron's."""
+    covariance, left = np.zeros((3, 3)), _left(calibration, end)
+    for i, term in enumerate(calibration.terms):
+        if term.side != "magnetometer":
+            continue
+        slope = np.zeros((3, len(term.value)))
+        for k, step in enumerate(np.diag(np.maximum(term.sigma, _LEAST))):
+            moved = replace(term, value=term.value + step)
+            terms = (*calibration.terms[:i], moved, *calibration.terms[i + 1 :])
+            slope[:, k] = (_left(replace(calibration, terms=terms), end) - left) / step[k]
+        covariance += slope @ term.covariance @ slope.T
+    return covariance
+
+
+def _heading(calibration: Calibration, covariance: Array, body_R_sensor: Array, end: float) -> tuple[Array, Array]:
     """(n,) deg, error of the calibrated heading over a level turn, and its stated sigma."""
     heading = np.arange(0.0, 360.0, 10.0)
     angle = np.deg2rad(heading)
     north, east, down = FIELD  # level: a turn about the body's z
     forward, right = north * np.cos(angle) + east * np.sin(angle), -north * np.sin(angle) + east * np.cos(angle)
     body = np.column_stack([forward, right, np.full_like(angle, down)])
-    field = calibration.apply(body @ body_R_sensor @ SOFT_IRON.T + HARD_IRON)
+    field = _standing(calibration, body @ body_R_sensor @ SOFT_IRON.T + HARD_IRON, end)
     angle = np.arctan2(body[:, 1], body[:, 0])  # of the horizontal field in body axes
     error = np.arctan2(field[:, 1], field[:, 0]) - angle
     error = np.abs(np.rad2deg(np.angle(np.exp(1j * error))))
@@ -90,6 +131,5 @@ def _heading(calibration: Calibration, body_R_sensor: Array) -> tuple[Array, Arr
         float(np.degrees(np.arctan2(down, np.hypot(north, east)))),
     )
     turn = LevelTurn(np.degrees(angle), scale * body, np.eye(3)[0], np.eye(3)[1], dip, "the body's z axis")
-    assert calibration.covariance is not None
-    stated = turn.systematic(calibration.covariance, calibration.soft_iron, Askew.of(calibration))
+    stated = turn.systematic(covariance, calibration.soft_iron, Askew.of(calibration))
     return error, np.maximum(stated, 1e-6)
