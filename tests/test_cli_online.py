@@ -330,7 +330,7 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
         (("{log}", "--option", "turbo=1"), "has no option 'turbo'"),
         (("{log}", "--magnetic-field", "/compass", "--idle", "0"), "no topic of magnetic_field (/compass) yet"),
         (("{log}", "--gyroscope-axes", "x,x,z"), "does not name x, y and z once each"),
-        (("{log}", "--magnetic-unit", "gauss", "--magnetic-unit", "furlong"), "'furlong' is not known"),
+        (("{log}", "--magnetic-unit", "gauss", "--magnetic-unit", "furlong"), "'furlong' is unknown"),
         (("{log}", "--state", "."), ""),
         (("{log}", "--field-strength", "0"), "field_strength: 0 T is no field of the Earth"),
         (("{log}", "--option", "field_strength=strong"), "field_strength: 'strong' is no number"),

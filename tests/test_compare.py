@@ -449,7 +449,7 @@ def test_command_on_raw_counts(here: Callable[..., tuple[int, str, str]]) -> Non
     data = json.loads(output)
     assert data["magnetic_field_unit"] == "counts"
     assert data["outcomes"][2]["status"] == "not possible"
-    assert "magnetic_field was read in counts, as asked" in data["notes"]
+    assert "magnetic_field was read in counts, as requested" in data["notes"]
     code, _, error = here("calibrate", *read)
     assert code == 2
     assert "--magnetic-unit counts: a calibration needs the field in tesla" in error

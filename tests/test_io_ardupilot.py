@@ -252,7 +252,7 @@ def test_damage_costs_itself(tmp_path: Path) -> None:
     assert len(good.magnetometer.value) - len(bad.magnetometer.value) == 1
     kept = np.isin(np.round(good.time * 1e6), np.round(bad.magnetometer.time * 1e6))
     np.testing.assert_array_equal(good.magnetic_field[kept], bad.magnetometer.value)
-    assert any("27 bytes are no messages" in n for n in bad.notes)
+    assert any("27 bytes belong to no message" in n for n in bad.notes)
     assert any("1 messages have impossible times" in n for n in bad.notes)
 
 

@@ -104,7 +104,7 @@ def test_a_log_becomes_a_recording_and_a_calibration(simulated: mg.Simulation, t
 def test_what_is_wrong_with_a_log_is_said(simulated: mg.Simulation, tmp_path: Path) -> None:
     path, rows = tmp_path / "log.bbl", table(simulated)[:400]
     path.write_bytes(written(NAMES, rows))
-    with pytest.raises(MagycError, match="counts of the compass chip; say how many tesla"):
+    with pytest.raises(MagycError, match="counts of the compass chip; give the tesla per count"):
         read(path)
     assert read(path, magnetic_unit="counts").magnetic_field_unit == "counts"
     with pytest.raises(MagycError, match="log 3|log_index: 3"):
@@ -124,7 +124,7 @@ def test_what_is_wrong_with_a_log_is_said(simulated: mg.Simulation, tmp_path: Pa
     with pytest.raises(MagycError, match=r"log\.bbl: "):
         read(path, magnetic_unit=COUNT)
     path.write_bytes(b"no blackbox at all\0")
-    with pytest.raises(MagycError, match="does not begin like one"):
+    with pytest.raises(MagycError, match="the content is not that of a"):
         read(path)
 
 

@@ -77,7 +77,7 @@ def test_a_chunk_that_announces_more_than_is_granted(tmp_path: Path, compression
     at = data.index(b"size=", place, start) + len(b"size=")
     data[at : at + 4] = b"\xff\xff\xff\xff"
     path.write_bytes(data)
-    with pytest.raises(MagycError, match="asks for 4294967295 bytes"):
+    with pytest.raises(MagycError, match="declares 4294967295 bytes"):
         read(path)
 
 

@@ -329,7 +329,7 @@ def test_what_is_kept_is_bounded_by_the_size_of_the_file(
 def test_records_that_no_chunk_holds(log: Path) -> None:
     """Nine zero bytes are a record; a hundred million of them pack to some kB."""
     back = read(_with(log, _packed(bytes(9) * 200_000)))
-    assert any("records that are no messages" in note for note in back.notes)
+    assert any("records that are not messages" in note for note in back.notes)
 
 
 def test_messages_of_many_channels_are_split_in_one_pass(log: Path) -> None:
@@ -351,7 +351,7 @@ def test_messages_of_very_many_layouts_are_no_channel(log: Path) -> None:
     assert few.channels["texts"][20] == 1.0
     many = read(_with(log, topic + _messages(50, [message(k % 40, k // 40) for k in range(1600)])))
     assert "texts" not in many.channels
-    assert any("more than 1000 layouts" in note for note in many.notes)
+    assert any("more than 1000 different lengths" in note for note in many.notes)
 
 
 @pytest.mark.parametrize("array", ["", "[2000000000]"])

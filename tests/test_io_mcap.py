@@ -243,7 +243,7 @@ def test_without_index_or_chunks(log: Path, tmp_path: Path) -> None:
 
 def test_not_an_mcap_file(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"\x00\x01 nothing of the kind")
-    with pytest.raises(MagycError, match="does not begin like one"):
+    with pytest.raises(MagycError, match="the content is not that of a"):
         read(tmp_path / "a.mcap")
     (tmp_path / "b.mcap").write_bytes(b"\x89MCAP0\r\n")
     with pytest.raises(MagycError, match=r"not an MCAP file|no message"):
@@ -268,7 +268,7 @@ def test_two_magnetometers_are_listed(log: Path, tmp_path: Path) -> None:
     assert len(read(two, magnetic_field="imu/mag").magnetometer.value) == 67
     with pytest.raises(MagycError, match=r"no topic '/mag'; the file has /imu/mag"):
         read(two, magnetic_field="/mag")
-    with pytest.raises(MagycError, match="is of type sensor_msgs/msg/Imu; one of sensor_msgs/MagneticField"):
+    with pytest.raises(MagycError, match="must be of type sensor_msgs/MagneticField .* got sensor_msgs/msg/Imu"):
         read(two, magnetic_field="/imu/data_raw")
     described = info(two)
     assert not described.readable
@@ -296,9 +296,9 @@ def test_units_are_named_and_converted_only_when_asked(tmp_path: Path) -> None:
     assert any("read in gauss" in n for n in back.notes)
     degrees = read(tmp_path / "si.mcap", angular_unit="deg/s", acceleration_unit="g")
     np.testing.assert_allclose(degrees.gyroscope.value, np.radians(source.gyroscope.value), rtol=1e-15)
-    with pytest.raises(MagycError, match="'parsec' is not known; known are T, mT, uT"):
+    with pytest.raises(MagycError, match="'parsec' is unknown; there are T, mT, uT"):
         read(gauss, magnetic_unit="parsec")
-    with pytest.raises(MagycError, match="option 'rate' means nothing"):
+    with pytest.raises(MagycError, match="option 'rate' does not apply"):
         read(gauss, rate=10)
 
 
@@ -333,8 +333,8 @@ def test_no_estimate(log: Path, tmp_path: Path) -> None:
     back = read(alter(log, tmp_path / "a.mcap", without_gyroscope))
     assert back.angular_rate is None
     assert back.acceleration is not None
-    assert any("says that it has no angular_rate" in n for n in back.notes)
-    with pytest.raises(MagycError, match="says that it has no attitude"):
+    assert any("declares that it has no angular_rate" in n for n in back.notes)
+    with pytest.raises(MagycError, match="declares that it has no attitude"):
         read(log, attitude="/imu/data_raw")
 
 
@@ -351,7 +351,7 @@ def test_repeated_messages(log: Path, tmp_path: Path) -> None:
             else [(topic, at, data)]
         )
 
-    with pytest.raises(MagycError, match=r"/imu/mag: 67 stamps come twice with different values"):
+    with pytest.raises(MagycError, match=r"/imu/mag: 67 stamps occur twice with different values"):
         read(alter(log, tmp_path / "b.mcap", conflict))
 
 
@@ -368,7 +368,7 @@ def test_interleaved_messages_are_sorted(log: Path, tmp_path: Path) -> None:
 
     back = read(alter(log, tmp_path / "a.mcap", swap))
     assert_same(read(log), back)
-    assert any("7 samples stood out of order" in n for n in back.notes)
+    assert any("7 samples were out of order" in n for n in back.notes)
 
 
 def test_clock_that_goes_back(log: Path, tmp_path: Path) -> None:
@@ -477,7 +477,7 @@ def test_channels_of_any_message(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.channels["battery.current"], np.arange(n))
     np.testing.assert_array_equal(back.channels["depth"], np.arange(n) / 8)
     assert any("/remark (std_msgs/msg/String): holds no number" in note for note in back.notes)
-    assert any("/camera" in note and "too large" in note for note in back.notes)
+    assert any("/camera" in note and "at most 2048 bytes" in note for note in back.notes)
     np.testing.assert_array_equal(back.magnetic_field, recording.magnetic_field)
     np.testing.assert_array_equal(back.angular_rate, recording.angular_rate)
     assert back.attitude is None  # an Imu's orientation is its own filter's, and used only when named

@@ -1,4 +1,4 @@
-"""Logs in: one `read` for ROS 2 and ROS 1 messages in MCAP and bags, text tables, autopilots' and phones' logs."""
+"""Readers of logs behind one `read`: ROS 2 and ROS 1 messages in MCAP and bags, text tables, autopilots and phones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LogInfo", "Source", "info", "read", "same_format", "write_mcap"]
 
-# What a file begins with says more than its name; the name decides where the beginning says nothing.
+# The first bytes of a file decide its format; its suffix decides only if these are unknown.
 _MAGIC = {
     b"\x89MCAP0\r\n": "mcap_log",
     b"ULog\x01\x12\x35": "ulog",
@@ -66,26 +66,25 @@ def read(
     progress: Callable[[float], None] | None = None,
     **options: Any,
 ) -> Recording:
-    """A `Recording` from a log. Time 0 is the log's first row; the notes say what had to be done.
+    """Read a log into a `Recording`. Time 0 is the log's first row; the notes list conversions and omissions.
 
     Args:
         path: MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag or .db3, MAVLink .tlog, Blackbox
             (Betaflight, INAV), or the .zip of a phone app.
-        magnetic_field, angular_rate, acceleration, attitude: the topic (MCAP), the columns or the beginning
-            they share (text), or the message (PX4, ArduPilot) of each sensor; not needed where one only
-            could be meant.
-        magnetic_unit: what the log's magnetometer is in, where that is not tesla or the header does not say:
-            "T", "mT", "uT", "nT", "gauss", "mgauss", tesla per count, or "counts" where that is not known.
-        angular_unit: likewise, "rad/s", "deg/s", "mrad/s".
-        acceleration_unit: likewise, "m/s^2", "g".
-        start, end: s since the first row.
+        magnetic_field, angular_rate, acceleration, attitude: the topic (MCAP), the columns or their common prefix
+            (text), or the message (PX4, ArduPilot) of each sensor; needed only if several match.
+        magnetic_unit: unit of the magnetometer, if it is neither tesla nor named in the header: "T", "mT", "uT",
+            "nT", "gauss", "mgauss", a number of tesla per count, or "counts" if that is unknown.
+        angular_unit: unit of the gyroscope, in the same way: "rad/s", "deg/s", "mrad/s".
+        acceleration_unit: unit of the accelerometer, in the same way: "m/s^2", "g".
+        start, end: interval to keep, s since the first row.
         stamps: "header" (of the sensor) or "log" (of the recorder; MCAP only).
-        channels: which of the other numbers in the log to read; None for all (MCAP, text) or the usual ones.
+        channels: names of other data to read; None for all (MCAP, text) or the usual ones (other formats).
         progress: called with the fraction done, 0 to 1.
-        options: of one format only: `time`, `time_unit`, `rate`, `columns` of text tables, `log` of Blackbox.
+        options: options of one format: `time`, `time_unit`, `rate`, `columns` of text tables, `log` of Blackbox.
 
     Raises:
-        MagycError: no such file, not a log, or nothing that makes a recording; the message says what to do.
+        MagycError: the file does not exist, is not a log, or does not hold a recording; the message has the remedy.
     """
     request = Request(
         sensors={
@@ -111,48 +110,48 @@ def read(
 
 
 def info(path: str | PathLike[str], **arguments: Any) -> LogInfo:
-    """What a log holds, and whether `read` makes a recording of it; nothing is calibrated.
+    """Describe the contents of a log, and whether `read` can make a recording of it.
 
     Args:
-        path: of the log.
-        arguments: of `read`.
+        path: the log.
+        arguments: arguments of `read`.
 
     Raises:
-        MagycError: no such file, or not a log.
+        MagycError: the file does not exist or is not a log.
     """
     return info_and_recording(path, **arguments)[0]
 
 
 def info_and_recording(path: str | PathLike[str], **arguments: Any) -> tuple[LogInfo, Recording | None]:
-    """As `info`, with the recording where there is one."""
+    """Return the result of `info` and the recording; None if `read` cannot make one."""
     described: LogInfo = _reader(Path(path)).info(Path(path))
     try:
         recording = read(path, **arguments)
     except MagycError as error:
         return replace(described, problem=str(error)), None
     notes = tuple(n for n in recording.notes if n not in described.warnings)
-    way = None if recording.angular_rate is None else turned(*recording.gyroscope)
-    return replace(described, warnings=(*described.warnings, *notes), turned=way), recording
+    path_length = None if recording.angular_rate is None else turned(*recording.gyroscope)
+    return replace(described, warnings=(*described.warnings, *notes), turned=path_length), recording
 
 
 def same_format(one: str | PathLike[str], other: str | PathLike[str]) -> bool:
-    """Whether two logs are of one format, so that the options of one can hold for the other.
+    """Return whether two logs have the same format, so that the options of one apply to the other.
 
     Raises:
-        MagycError: no such file, or not a log.
+        MagycError: a file does not exist or is not a log.
     """
     return _reader(Path(one)) is _reader(Path(other))
 
 
 def _reader(path: Path) -> ModuleType:
-    """The module that reads this file."""
+    """Return the module that reads a file."""
     if path.is_dir():
         inside = sorted(path.glob("*.mcap"))
         hint = f"; read its {inside[0].name}" if inside else ""
-        raise MagycError(f"{path}: is a directory, a file is expected{hint}")
+        raise MagycError(f"{path}: expected a file, got a directory{hint}")
     try:
-        if path.exists() and not path.is_file():  # which is read more than once, and at any place
-            raise MagycError(f"{path}: is a pipe or a device, a file is expected; write it to one first")
+        if path.exists() and not path.is_file():  # readers seek, and read some parts twice
+            raise MagycError(f"{path}: expected a file, got a pipe or a device; write its data to a file first")
         with open(path, "rb") as file:
             head = file.read(512)
     except OSError as error:
@@ -164,7 +163,7 @@ def _reader(path: Path) -> ModuleType:
     if name is None or (by_content is None and name == "csv_log" and b"\0" in head):
         raise MagycError(f"{path}: not a format that can be read ({_KNOWN})")
     if by_content is None and name not in _WITHOUT_MAGIC:
-        raise MagycError(f"{path}: is called {path.suffix} but does not begin like one; is the file damaged?")
+        raise MagycError(f"{path}: the content is not that of a {path.suffix} file; is it damaged?")
     return importlib.import_module(f"magyc_gtsam.io.{name}")
 
 

@@ -1,8 +1,8 @@
-"""What ArduPilot had applied to a compass when it logged it, and how to undo it.
+"""Undo the compass correction that ArduPilot applies before it logs the field.
 
 ArduPilot logs M · scale · (raw + offset) + motor, milligauss in the vehicle's frame: M from COMPASS_DIA and
-COMPASS_ODI, the scale from COMPASS_SCALE, motor from the current or throttle. Before per-motor compensation
-(2018) it was M · (raw + offset + motor). Offset and motor are logged with every sample, cut to integers.
+COMPASS_ODI, scale from COMPASS_SCALE, motor from the current or throttle. Before compensation per motor (2018) it
+logged M · (raw + offset + motor). Offset and motor are logged with every sample, truncated to integers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 Array = NDArray[np.float64]
 
-_SCALES = (1 / 1.5, 1.5)  # ArduPilot ignores a scale outside
+_SCALES = (1 / 1.5, 1.5)  # ArduPilot ignores a scale outside this range
 
 
 def undo(
@@ -27,18 +27,18 @@ def undo(
     parameters: Sequence[dict[str, float]],
     instance: int,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Raw field (n, 3) in milligauss, and notes on what was undone.
+    """Return the raw field (n, 3) in milligauss, and notes on the correction.
 
     Args:
         logged: (n, 3) milligauss, corrected.
         offset: (n, 3) milligauss, as logged with each sample.
-        motor: (n, 3) milligauss, likewise.
-        which: (n,) index of the set of parameters that was in force.
-        parameters: the sets.
-        instance: of the compass in the log.
+        motor: (n, 3) milligauss, as logged with each sample.
+        which: (n,) index of the set of parameters in force.
+        parameters: the sets of parameters.
+        instance: number of the compass in the log.
 
     Raises:
-        MagycError: the log has no compass parameters, or a correction in an order that cannot be known.
+        MagycError: the log has no compass parameters, or the order of its corrections is unknown.
     """
     if not any(name.startswith("COMPASS_") for name in parameters[-1]):
         raise MagycError(
@@ -54,7 +54,7 @@ def undo(
         suffix = _suffix(current, instance)
         matrix, scale = _matrix(current, suffix), _scale(current, suffix)
         exact = np.array([current.get(f"COMPASS_OFS{suffix}_{axis}", np.nan) for axis in "XYZ"])
-        # The parameter has the digits that the sample lost, unless the offset was being learned in flight.
+        # The parameter has the digits that were truncated, unless ArduPilot learned the offset in flight.
         fits = (np.abs(exact - offset[rows]) < 1).all(axis=1)
         coarse += int((~fits).sum())
         added = np.where(fits[:, None], exact, offset[rows])
@@ -63,7 +63,7 @@ def undo(
         elif motor[rows].any() and not np.array_equal(matrix, np.eye(3)):
             raise MagycError(
                 f"COMPASS_DIA{suffix}, COMPASS_ODI{suffix} and a motor correction were applied in an order "
-                "that depends on the firmware's version, and cannot be undone; use a log without the latter"
+                "that depends on the firmware's version, and cannot be undone; use a log without motor correction"
             )
         else:
             field = np.linalg.solve(matrix, logged[rows].T).T - motor[rows]
@@ -85,24 +85,28 @@ def undo(
 
 
 def _suffix(parameters: dict[str, float], instance: int) -> str:
-    """What the names of the parameters end in: the log counts by priority, the parameters by driver."""
+    """Return the suffix of a compass's parameter names; the log counts by priority, the parameters by driver."""
     device = parameters.get(f"COMPASS_PRIO{instance + 1}_ID", 0)
     drivers = [i for i in range(3) if device and parameters.get(f"COMPASS_DEV_ID{_number(i)}") == device]
     return _number(drivers[0] if drivers else instance)
 
 
 def _number(index: int) -> str:
+    """Return the suffix of the parameters of a driver: "" for the first, "2", "3"."""
     return str(index + 1) if index else ""
 
 
 def _matrix(parameters: dict[str, float], suffix: str) -> Array:
+    """Return the matrix (3, 3) of COMPASS_DIA and COMPASS_ODI."""
     dx, dy, dz = (parameters.get(f"COMPASS_DIA{suffix}_{axis}", 0.0) for axis in "XYZ")
     ox, oy, oz = (parameters.get(f"COMPASS_ODI{suffix}_{axis}", 0.0) for axis in "XYZ")
     if dx == dy == dz == 0:
-        return np.eye(3)  # ArduPilot takes it for "never calibrated"
+        return np.eye(3)  # ArduPilot treats it as never calibrated
     matrix = np.array([[dx, ox, oy], [ox, dy, oz], [oy, oz, dz]])
     if abs(np.linalg.det(matrix)) < 1e-6:
-        raise MagycError(f"COMPASS_DIA{suffix}, COMPASS_ODI{suffix}: not invertible, so it cannot be undone")
+        raise MagycError(
+            f"COMPASS_DIA{suffix}, COMPASS_ODI{suffix}: the matrix is singular, so the correction cannot be undone"
+        )
     return matrix
 
 

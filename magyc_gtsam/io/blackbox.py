@@ -1,4 +1,4 @@
-"""Read Blackbox logs of Betaflight and INAV (.bbl, .bfl, .txt): the sensors as the firmware logged them."""
+"""Reader of Blackbox logs of Betaflight and INAV (.bbl, .bfl, .txt)."""
 
 from __future__ import annotations
 
@@ -19,16 +19,24 @@ from magyc_gtsam.recording import Array, Recording
 
 _GRAVITY = 9.80665  # m/s²
 _FIELDS = {"magnetic_field": ("magADC",), "angular_rate": ("gyroADC",), "acceleration": ("accSmooth", "accADC")}
-_HIGH_RESOLUTION = 10.0  # Betaflight's, of gyroscope and accelerometer
+_HIGH_RESOLUTION = 10.0  # factor of Betaflight's high resolution, of gyroscope and accelerometer
 _UNKNOWN_UNIT = (
-    "magADC is logged in counts of the compass chip; say how many tesla one is (magnetic_unit=1e-7, say, "
-    "where 1000 counts are a gauss), or magnetic_unit='counts' for a method that needs the magnetometer alone"
+    "magADC is logged in counts of the compass chip; give the tesla per count (magnetic_unit=1e-7 if 1000 counts are "
+    "a gauss), or magnetic_unit='counts' for a method that needs only the magnetometer"
 )
 
 
 @dataclass(frozen=True)
 class _Flight:
-    """One of the logs in a file: its headers, µs (n,), by sensor (n, 3) as logged, how many logs, whether it ends."""
+    """One log of a file.
+
+    Attributes:
+        headers: the header lines.
+        time: (n,) µs.
+        sensors: {sensor: (n, 3)} as logged.
+        count: number of logs in the file.
+        whole: whether the log has an end.
+    """
 
     headers: Mapping[str, Any]
     time: Array
@@ -38,17 +46,19 @@ class _Flight:
 
 
 def read(path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of a Blackbox log; the option `log` says which of several in a file, from 1.
+    """Read a Blackbox log; see `magyc_gtsam.io.read`. The option `log` selects one of several in a file, from 1.
 
     Raises:
         MagycError: orangebox is not installed, the log is damaged, or no magnetometer was logged.
     """
     request.only("Blackbox", "log")
     if request.stamps == "log":
-        raise MagycError("stamps='log': a Blackbox log has the flight controller's clock only")
+        raise MagycError(
+            "stamps='log': a Blackbox log has only the flight controller's clock; leave the option out"
+        )
     wanted = request.options.get("log", 1)
     if not isinstance(wanted, int) or wanted < 1:
-        raise MagycError(f"log: {wanted!r}, a number from 1 is expected")
+        raise MagycError(f"log: must be a whole number from 1, got {wanted!r}")
     flight = _flight(path, wanted)
     if "magnetic_field" not in flight.sensors:
         raise MagycError(
@@ -56,24 +66,24 @@ def read(path: Path, request: Request) -> Recording:
         )
     if request.units.get("magnetic_field") is None:
         raise MagycError(f"{path}: {_UNKNOWN_UNIT}")
-    notes = ["magADC is what the firmware made of the reading with its own compass calibration and alignment"]
+    notes = ["magADC includes the firmware's compass calibration and alignment"]
     if flight.count > 1:
         notes.append(f"the file holds {flight.count} logs, this is number {wanted} (log=)")
     if not flight.whole:
-        notes.append(f"the log is cut off; {len(flight.time)} frames could be read")
+        notes.append(f"the log is cut off; {len(flight.time)} frames were read")
     stamp = np.round(flight.time * 1000).astype(np.int64)
     sensors = {}
     for sensor, value in flight.sensors.items():
-        scale, said = request.scale(sensor, _scale(sensor, flight.headers, path))
-        notes.extend(said)
-        # The compass is slower than the log, which repeats it until it is new.
+        scale, unit_notes = request.scale(sensor, _scale(sensor, flight.headers, path))
+        notes.extend(unit_notes)
+        # The compass is slower than the log, which repeats the last reading.
         new = np.r_[True, (np.diff(value, axis=0) != 0).any(axis=1)] if sensor == "magnetic_field" else slice(None)
         sensors[sensor] = Stream(_FIELDS[sensor][0], stamp[new], value[new] * scale)
     return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes))
 
 
 def info(path: Path) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of a Blackbox log; `problem` is left to the caller."""
+    """Describe a Blackbox log; see `magyc_gtsam.io.info`, which sets `problem`."""
     flight = _flight(path, 1)
     span = (0.0, float(flight.time[-1] - flight.time[0]) / 1e6)
     firmware = str(flight.headers.get("Firmware revision", flight.headers.get("Firmware type", "")))
@@ -85,7 +95,7 @@ def info(path: Path) -> LogInfo:
 
 
 def _scale(sensor: str, headers: Mapping[str, Any], path: Path) -> float:
-    """To SI: deg/s by gyro_scale, and g by acc_1G; the magnetometer's is the caller's."""
+    """Return the factor to SI units by gyro_scale and acc_1G of the header; 1 for the magnetometer."""
     fine = _HIGH_RESOLUTION if headers.get("blackbox_high_resolution") == 1 else 1.0
     if sensor == "angular_rate":
         logged = headers.get("gyro_scale", "0x3f800000")
@@ -102,12 +112,19 @@ def _scale(sensor: str, headers: Mapping[str, Any], path: Path) -> float:
     if sensor == "acceleration":
         one = headers.get("acc_1G", 0)
         if not isinstance(one, int | float) or one <= 0:
-            raise MagycError(f"{path}: acc_1G {one!r} in the header is no number of counts per g")
+            raise MagycError(
+                f"{path}: acc_1G in the header must be a positive number of counts per g, got {one!r}"
+            )
         return _GRAVITY / one
     return 1.0
 
 
 def _flight(path: Path, wanted: int) -> _Flight:
+    """Load log number `wanted` of a file.
+
+    Raises:
+        MagycError: orangebox is not installed, or the log cannot be read or is empty.
+    """
     try:
         from orangebox import Parser
     except ImportError:
@@ -123,16 +140,15 @@ def _flight(path: Path, wanted: int) -> _Flight:
         whole = True
         try:
             rows.extend([frame.data[i] for i in columns] for frame in parser.frames())
-        except (RuntimeError, IndexError):  # the power was cut: the log has no end, and what was read is good
+        except (RuntimeError, IndexError):  # power was cut: the log has no end, but the frames so far are valid
             whole = False
         table = np.array(rows, dtype=np.float64).reshape(-1, len(columns))
         headers, count = dict(parser.headers), parser.reader.log_count
-    except Exception as error:  # what the library raises at damaged bytes depends on the bytes
-        raise MagycError(f"{path}: not a Blackbox log that can be read ({shortened(error)})") from error
+    except Exception as error:  # the exceptions of orangebox on damaged bytes have no common class
+        raise MagycError(f"{path}: the Blackbox log cannot be read ({shortened(error)})") from error
     table = table[np.isfinite(table).all(axis=1)]
-    table = table[
-        np.diff(np.maximum.accumulate(table[:, 0]), prepend=-np.inf) > 0
-    ]  # damaged frames go back in time
+    ascending = np.diff(np.maximum.accumulate(table[:, 0]), prepend=-np.inf) > 0
+    table = table[ascending]  # damaged frames go back in time
     if not len(table):
         raise MagycError(f"{path}: log {wanted} of {count} holds no frame")
     sensors = {sensor: table[:, 1 + 3 * k : 4 + 3 * k] for k, sensor in enumerate(places)}
@@ -140,6 +156,7 @@ def _flight(path: Path, wanted: int) -> _Flight:
 
 
 def _places(names: list[str], sensor: str) -> list[int] | None:
+    """Return the places of a sensor's three fields; None if the log has none."""
     for field in _FIELDS[sensor]:
         axes = [f"{field}[{axis}]" for axis in range(3)]
         if set(axes) <= set(names):

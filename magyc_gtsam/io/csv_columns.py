@@ -1,4 +1,4 @@
-"""Which columns of a text file are time, magnetometer, gyroscope and accelerometer, and in what unit."""
+"""Recognition of the time and sensor columns of a text table, and of their units, by the header."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from magyc_gtsam.foreign_text import listed, shortened
 from magyc_gtsam.io.request import Selection
 from magyc_gtsam.io.units import lookup
 
-# Words for a sensor, after lower-casing; a single letter counts only where nothing stands before it.
+# Names of a sensor in lower case: words that may follow other text, and letters that may not.
 _WORDS = {
     "magnetic_field": (r"mag(?:netic|netometer|netom)?(?:[ _.]?field)?", r"m"),
     "angular_rate": (r"gyro(?:scope)?|gyr|ang(?:ular)?[ _.]?(?:rate|vel(?:ocity)?)|omega", r"[gw]"),
@@ -22,14 +22,21 @@ _WORDS = {
 }
 _TIME = re.compile(r"^%?(?:time[ _.]?stamp|stamp|time|t|sec(?:ond)?s?)$")
 _QUATERNION = re.compile(r"^(.*?)(?:q|quat|quaternion|orientation)[ _.]?([xyzw])$")
-_LONGEST_NAME = 200  # characters; a longer one is of no sensor, and is not looked through for a unit
+_LONGEST_NAME = 200  # characters; a longer name is not searched for a sensor and a unit
 _MOST_COLUMNS = 10_000  # of a table
 _BRACKETS = re.compile(r"^(.*?)\s*[(\[]\s*([^)\]]*?)\s*[)\]]\s*$")
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the file: its place, its name as written and without the unit, and the unit as written."""
+    """A column of the file.
+
+    Attributes:
+        index: place in the line, from 0.
+        written: name as written.
+        name: name in lower case, without the unit.
+        unit: unit as written; None without one.
+    """
 
     index: int
     written: str
@@ -39,14 +46,14 @@ class Column:
 
 @dataclass(frozen=True)
 class SensorColumns:
-    """The columns of a sensor in the order x, y, z (attitude x, y, z, w), and what they have in common."""
+    """The columns of a sensor in the order x, y, z (attitude: x, y, z, w), and the label of the set."""
 
     label: str
     columns: tuple[Column, ...]
 
     @property
     def unit(self) -> str | None:
-        """The unit that the header names.
+        """The unit that the header names; None if it names none.
 
         Raises:
             MagycError: the columns name different units.
@@ -58,13 +65,13 @@ class SensorColumns:
 
 
 def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:
-    """Names and units, from "Gyroscope X (deg/s)", "mag_x [uT]", "magnetic_field_x_T", "timestamp_ns", ...
+    """Split names such as "Gyroscope X (deg/s)", "mag_x [uT]", "magnetic_field_x_T", "timestamp_ns" into name and unit.
 
     Raises:
-        MagycError: more columns than a log has.
+        MagycError: more than 10,000 columns.
     """
     if len(fields) > _MOST_COLUMNS:
-        raise MagycError(f"{len(fields)} columns in the header, at most {_MOST_COLUMNS} are read; is it a log?")
+        raise MagycError(f"header: at most {_MOST_COLUMNS} columns are read, got {len(fields)}; is it a log?")
     columns = []
     for index, raw in enumerate(fields):
         written = raw.strip().strip('"').strip()
@@ -85,30 +92,29 @@ def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:
 
 
 def find_time(columns: Sequence[Column], named: str | None) -> Column | None:
-    """The column of time stamps; None where there is none.
+    """Return the column of time stamps: the one with the name `named`, else the only candidate; None without any.
 
     Raises:
-        MagycError: the column that the caller named does not exist, or several could be meant.
+        MagycError: there is no column `named`, or there are several candidates.
     """
     if named is not None:
         return _named(columns, named)
-    found = [c for c in columns if _TIME.match(c.name) or re.match(r"^time(?:us|ms)$", c.name)]
-    if len(found) > 1:
-        raise MagycError(f"time: columns {_listed(found)} could be meant; name one (time=)")
-    return found[0] if found else None
+    candidates = [c for c in columns if _TIME.match(c.name) or re.match(r"^time(?:us|ms)$", c.name)]
+    if len(candidates) > 1:
+        raise MagycError(f"time: columns {_listed(candidates)} could be meant; name one (time=)")
+    return candidates[0] if candidates else None
 
 
 def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) -> SensorColumns | None:
-    """The three columns of a sensor (four of the attitude); None where there are none.
+    """Return the three columns of a sensor (four of the attitude); None if there are none.
 
     Args:
-        columns: of the file.
+        columns: all columns of the file.
         sensor: "magnetic_field", "angular_rate", "acceleration" or "attitude".
-        selection: what the caller named: the columns (a list, or separated by commas), or the beginning
-            that they share.
+        selection: names of the columns (a list, or separated by commas) or their common prefix; None to search.
 
     Raises:
-        MagycError: columns that do not exist, or several sensors that could be meant.
+        MagycError: a column does not exist, or several sets of columns match.
     """
     axes = "xyzw" if sensor == "attitude" else "xyz"
     if isinstance(selection, str) and "," not in selection:
@@ -124,9 +130,9 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
     elif selection is not None:
         names = selection.split(",") if isinstance(selection, str) else selection
         if len(names) != len(axes):
-            raise MagycError(f"{sensor}: {len(names)} columns named, {len(axes)} are needed ({', '.join(axes)})")
-        found = tuple(_named(columns, n) for n in names)
-        return SensorColumns(_listed(found), found)
+            raise MagycError(f"{sensor}: expected {len(axes)} columns ({', '.join(axes)}), got {len(names)}")
+        selected = tuple(_named(columns, n) for n in names)
+        return SensorColumns(_listed(selected), selected)
     elif sensor == "attitude":
         groups = _groups(columns, _QUATERNION, axes)
     else:
@@ -140,21 +146,26 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
 
 
 def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> dict[str, SensorColumns]:
-    """Complete sets of axes, by the beginning that their names share."""
-    found: dict[str, dict[str, Column]] = {}
+    """Return the complete sets of axes by the common prefix of their names.
+
+    Raises:
+        MagycError: two columns have the same name.
+    """
+    groups: dict[str, dict[str, Column]] = {}
     for column in columns:
         if match := pattern.match(column.name):
-            group = found.setdefault(match[1], {})
+            group = groups.setdefault(match[1], {})
             if match[2] in group:
                 raise MagycError(
-                    f"the columns {shortened(group[match[2]].written)} and {shortened(column.written)} have one name; "
-                    "which one is meant? name all columns anew (columns=)"
+                    f"the columns {shortened(group[match[2]].written)} and {shortened(column.written)} have the same "
+                    "name; rename the columns (columns=)"
                 )
             group[match[2]] = column
-    return {k: SensorColumns(k, tuple(v[a] for a in axes)) for k, v in found.items() if len(v) == len(axes)}
+    return {k: SensorColumns(k, tuple(v[a] for a in axes)) for k, v in groups.items() if len(v) == len(axes)}
 
 
 def _named(columns: Sequence[Column], name: str) -> Column:
+    """Return the column with a name, as written or without its unit, in any case."""
     wanted = name.strip().lower()
     for column in columns:
         if wanted in (column.written.lower(), column.name):

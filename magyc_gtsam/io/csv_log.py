@@ -1,4 +1,4 @@
-"""Read text tables: commas, semicolons, tabs or blanks, with names and units in the header."""
+"""Reader of text tables with commas, semicolons, tabs or blanks, and names and units in the header."""
 
 from __future__ import annotations
 
@@ -25,55 +25,48 @@ Array = NDArray[np.float64]
 
 _HIGHEST_RATE = 1e6  # Hz
 OPTIONS = ("time", "time_unit", "rate", "columns")
-_USUAL_NAMES = {3: "mx,my,mz", 4: "time,mx,my,mz", 6: "mx,my,mz,gx,gy,gz"}  # of so many columns without a header
+_SENSORS = ("magnetic_field", "angular_rate", "acceleration", "attitude")
+# Likely names by the number of columns, proposed for a file without a header.
+_USUAL_NAMES = {3: "mx,my,mz", 4: "time,mx,my,mz", 6: "mx,my,mz,gx,gy,gz"}
 
 
 def read(path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of a text table.
+    """Read a text table; see `magyc_gtsam.io.read`.
 
-    Options: `time` (column of the stamps), `time_unit` ("s", "ms", "us", "ns"), `rate` (Hz, where there is no
-    such column) and `columns` (names, where there is no header).
+    Options: `time` (column of the stamps), `time_unit` ("s", "ms", "us", "ns"), `rate` (Hz, if there is no such
+    column) and `columns` (names, if there is no header).
 
     Raises:
-        MagycError: columns that are missing or ambiguous, units that are not known, and lines that are no
-            numbers, with their number in the file.
+        MagycError: a column is missing or ambiguous, a unit is unknown, or a cell is not a number; the message has the
+            number of the line.
     """
     request.only("text", *OPTIONS)
     _check(request.options)
     table = load(path, request.options.get("columns"))
     notes: list[str] = []
-    found: dict[str, SensorColumns | None] = {}
-    for sensor in (*_TARGETS, "attitude"):
-        try:
-            found[sensor] = find_sensor(table.columns, sensor, request.sensors.get(sensor))
-        except MagycError as error:
-            if sensor in ("magnetic_field", "angular_rate") or request.sensors.get(sensor):
-                raise
-            notes.append(f"{sensor} left out: {error}")  # most methods need none
+    groups = _sensor_columns(table, request, notes)
     time = find_time(table.columns, request.options.get("time"))
-    _require(table, found["magnetic_field"], time, request)
-    used = {c.index for g in found.values() if g for c in g.columns} | ({time.index} if time else set())
-    extra = _channel_columns(table, used, request, notes)
-    wanted = sorted({c.index for g in found.values() if g for c in g.columns} | {c.index for c in extra})
-    numbers, stamp, said = _read(table, wanted, time, request)
-    notes[:0] = said
-    places = {k: [wanted.index(c.index) for c in group.columns] for k, group in found.items() if group}
+    _require(table, groups.get("magnetic_field"), time, request)
+    used = {c.index for group in groups.values() for c in group.columns}
+    extra = _channel_columns(table, used | ({time.index} if time else set()), request, notes)
+    wanted = sorted(used | {c.index for c in extra})
+    numbers, stamp, table_notes = _read(table, wanted, time, request)
+    notes[:0] = table_notes
+    places = {k: [wanted.index(c.index) for c in group.columns] for k, group in groups.items()}
     sensors = {}
-    for sensor, group in found.items():
-        if group is None:
-            continue
-        own = places.pop(sensor)
-        value: Array = numbers.together(own, last=not any({*own} & {*other} for other in places.values()))
+    for sensor, group in groups.items():
+        columns = places.pop(sensor)
+        value: Array = numbers.together(columns, last=not any({*columns} & {*other} for other in places.values()))
         if sensor != "attitude":
-            scale, said = _scale(sensor, group, request)
+            scale, unit_notes = _scale(sensor, group, request)
             value *= scale
-            notes.extend(said)
+            notes.extend(unit_notes)
         sensors[sensor] = _present(Stream(group.label, stamp, value))
     channels = {
         c.written: _present(Stream(c.written, stamp, numbers.column(wanted.index(c.index)))) for c in extra
     }
     if "angular_rate" not in sensors:
-        notes.append("no gyroscope: no columns are named like one")
+        notes.append("no gyroscope: no columns have a name like one")
     recording = assemble(
         sensors,
         {k: s for k, s in channels.items() if len(s.stamp)},
@@ -86,30 +79,49 @@ def read(path: Path, request: Request) -> Recording:
 
 
 def _check(options: Mapping[str, Any]) -> None:
+    """Raise a MagycError unless the options of the format have the right types."""
     for name in ("time", "time_unit", "columns"):
         value = options.get(name)
         several = name == "columns" and isinstance(value, list | tuple) and all(isinstance(v, str) for v in value)
         if not (value is None or isinstance(value, str) or several):
-            raise MagycError(f"{name}: {value!r} is no text")
+            raise MagycError(f"{name}: must be text, got {value!r}")
     rate = options.get("rate")
     if rate is not None and (
         isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate <= _HIGHEST_RATE
     ):
-        raise MagycError(f"rate: {rate!r} is no number of Hz between 0 and {_HIGHEST_RATE:g}")
+        raise MagycError(f"rate: must be a number between 0 and {_HIGHEST_RATE:g} Hz, got {rate!r}")
 
 
-_TARGETS = ("magnetic_field", "angular_rate", "acceleration")
+def _sensor_columns(table: Table, request: Request, notes: list[str]) -> dict[str, SensorColumns]:
+    """Return the columns of each sensor in the table.
+
+    Raises:
+        MagycError: a sensor's columns are ambiguous or missing; for acceleration and attitude, which most methods do
+            not need, only if the caller named them.
+    """
+    groups = {}
+    for sensor in _SENSORS:
+        try:
+            group = find_sensor(table.columns, sensor, request.sensors.get(sensor))
+        except MagycError as error:
+            if sensor in ("magnetic_field", "angular_rate") or request.sensors.get(sensor):
+                raise
+            notes.append(f"{sensor} left out: {error}")
+            continue
+        if group is not None:
+            groups[sensor] = group
+    return groups
 
 
 def info(path: Path) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of a text table; `problem` is left to the caller."""
+    """Describe a text table; see `magyc_gtsam.io.info`, which sets `problem`."""
     table = load(path, None)
     serves: dict[int, str] = {}
-    for sensor in (*_TARGETS, "attitude"):
+    for sensor in _SENSORS:
         try:
             group = find_sensor(table.columns, sensor, None)
         except MagycError:
-            continue  # `problem` says it: which columns are meant is for the caller of `read` to say
+            continue  # ambiguous columns; `problem` reports them
         serves |= {c.index: sensor for c in group.columns} if group else {}
     time, span, stamp = None, None, None
     try:
@@ -118,7 +130,7 @@ def info(path: Path) -> LogInfo:
             _, stamp, notes = _read(table, [], time, Request())
             span = (0.0, float(stamp[-1] - stamp[0]) / 1e9)
     except MagycError:
-        pass  # likewise
+        pass  # no stamps can be read; `problem` reports the reason
     if stamp is None:
         _, _, count, notes = table.read([], None, None, lambda _: None)
     else:
@@ -133,15 +145,16 @@ def info(path: Path) -> LogInfo:
 
 
 def _require(table: Table, magnetometer: SensorColumns | None, time: Column | None, request: Request) -> None:
+    """Raise a MagycError unless the table has a magnetometer and either time stamps or a rate."""
     rate = request.options.get("rate")
     if time is not None and rate is not None:
-        raise MagycError(f"rate: {table.path} has the time stamps of {time.written}; leave the rate out")
+        raise MagycError(f"rate: {table.path} has time stamps in column {time.written}; leave the rate out")
     if not table.columns:
         names = _USUAL_NAMES.get(table.width, "time,mx,my,mz,gx,gy,gz")
-        clock = "" if rate is not None else ", and the rate in Hz (rate=) where none of them is a time"
+        clock = "" if rate is not None else ", and give the rate in Hz (rate=) if none of them is a time"
         raise MagycError(
             f"{table.path}: {table.width} columns of numbers without a header; name the columns in their order "
-            f"(columns='{names}' or alike){clock}"
+            f"(such as columns='{names}'){clock}"
         )
     unclocked = time is None and rate is None
     if magnetometer is None:
@@ -159,7 +172,7 @@ def _require(table: Table, magnetometer: SensorColumns | None, time: Column | No
 def _read(
     table: Table, wanted: list[int], time: Column | None, request: Request
 ) -> tuple[GrowingColumns[np.float64], Stamps, tuple[str, ...]]:
-    """The cells of the columns, the stamps of all lines in ns, and notes."""
+    """Return the numbers of the wanted columns, the stamps of all lines in ns, and notes."""
     if time is None:
         numbers, _, count, notes = table.read(wanted, None, None, request.report)
         return numbers, np.round(np.arange(count) * (1e9 / request.options["rate"])).astype(np.int64), notes
@@ -171,6 +184,11 @@ def _read(
 
 
 def _channel_columns(table: Table, used: set[int], request: Request, notes: list[str]) -> list[Column]:
+    """Return the columns of channels: those that the caller named, else all that are not `used` and hold numbers.
+
+    Raises:
+        MagycError: there is no column with a name that the caller gave.
+    """
     free = [c for c in table.columns if c.index not in used]
     if request.channels is not None:
         missing = [w for w in request.channels if w not in {c.written for c in free}]
@@ -180,26 +198,27 @@ def _channel_columns(table: Table, used: set[int], request: Request, notes: list
     first = table.first
     text = [c for c in free if first[c.index].strip() and not is_number(first[c.index])]
     if text:
-        notes.append(f"columns left out, which hold text: {listed([c.written for c in text])}")
+        notes.append(f"columns with text were left out: {listed([c.written for c in text])}")
     return [c for c in free if c not in text]
 
 
 def _scale(sensor: str, group: SensorColumns, request: Request) -> tuple[float, tuple[str, ...]]:
-    unit, asked = group.unit, request.units.get(sensor)
-    if asked is not None:
-        scale, said = request.scale(sensor)
+    """Return the factor to SI units, by the unit of the request or else the header, and notes."""
+    unit, requested = group.unit, request.units.get(sensor)
+    if requested is not None:
+        scale, unit_notes = request.scale(sensor)
         differs = unit is not None and (
-            not isinstance(asked, str) or factor(sensor, unit) != factor(sensor, asked)
+            not isinstance(requested, str) or factor(sensor, unit) != factor(sensor, requested)
         )
-        return scale, (f"{said[0]}, though the header says {unit}",) if differs else said
+        return scale, (f"{unit_notes[0]}, though the header says {unit}",) if differs else unit_notes
     return factor(sensor, unit), ()
 
 
 def _present(stream: Stream) -> Stream:
-    """Without the lines that leave all cells of the sensor empty: sensors of other rates share the table."""
+    """Drop the lines in which all cells of the sensor are empty, as where sensors of different rates share a table."""
     absent = np.isnan(stream.value)
     if not absent.any():
         return stream
     empty = np.asarray(absent.reshape(len(stream.stamp), -1).all(axis=1))
-    # A sensor that is absent throughout is for the checks behind to refuse.
+    # A sensor that is absent throughout is refused by the checks of `assemble`.
     return stream.rows(~empty) if empty.any() and not empty.all() else stream

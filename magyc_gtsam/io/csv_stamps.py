@@ -1,4 +1,4 @@
-"""Time stamps as people write them: decimals of a unit, exact to the nanosecond, or calendar dates."""
+"""Time stamps in text: decimal numbers, exact to the nanosecond, or calendar dates."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from magyc_gtsam.io.units import factor
 
 _FRACTION = re.compile(r"[.,](\d+)")  # of a second, in a calendar date
 _ZULU = re.compile("Z$")
-_LONGEST_STEP = 2.0  # s; a table of larger steps counts in another unit, unless its header says seconds
-_LATEST = 1 << 63  # ns since 1970, of an int64
+_LONGEST_STEP = 2.0  # s; a table with larger steps has another unit, unless its header says seconds
+_LATEST = 1 << 63  # ns since 1970 that an int64 holds
 _MOST_DIGITS = 18  # that an int64 holds
 
 
 class StampColumn:
-    """The stamps of a column, line by line: a float64 of seconds since 1970 is good for 0.2 µs only.
+    """Parser of a column of stamps. It does not use float64, which resolves seconds since 1970 only to 0.2 µs.
 
     Args:
-        path: for error messages.
-        unit: "s", "ms", "us" or "ns"; None where nothing says it.
+        path: for messages.
+        unit: "s", "ms", "us" or "ns"; None if unknown, which is read as s.
     """
 
     def __init__(self, path: Path, unit: str | None) -> None:
@@ -35,50 +35,56 @@ class StampColumn:
         self._scale = int(factor("time", unit or "s"))
 
     def __call__(self, cells: list[str], numbers: Sequence[int]) -> Stamps:
-        """(n,) ns.
+        """Return the stamps (n,) ns of cells (n), which are in the lines `numbers`.
 
         Raises:
-            MagycError: a cell is no time stamp, or beyond any date in this unit.
+            MagycError: a cell is not a time stamp, or is too large for the unit.
         """
-        found = _decimals(cells, self._scale)
-        if found is not None:
-            return found
+        decimals = _decimals(cells, self._scale)
+        if decimals is not None:
+            return decimals
         stamp = np.empty(len(cells), dtype=np.int64)
         for row, cell in enumerate(cells):
             cell = cell.strip()
             try:
                 stamp[row] = int((Decimal(cell) * self._scale).to_integral_value())
-            except (ArithmeticError, ValueError):  # of decimals: no number, or beyond all exponents
+            except (ArithmeticError, ValueError):  # not a decimal, or its exponent is too large
                 stamp[row] = self._other(cell, numbers[row])
         return stamp
 
     def _other(self, cell: str, number: int) -> int:
-        """A calendar date, or the reason why the text is not one."""
+        """Return the stamp of a calendar date.
+
+        Raises:
+            MagycError: the cell is neither a date nor a number in the range of the unit.
+        """
         try:
             value = Decimal(cell)
         except InvalidOperation:
             self.unit = self.unit or "ISO 8601"
             return self._calendar(cell, number)
         if not value.is_finite():
-            raise MagycError(
-                f"{self.path}, line {number}: {cell[:80]!r} is no time stamp; repair or remove the line"
-            )
+            raise self._not_a_stamp(cell, number)
         likely = next((u for u, least in (("ns", 17), ("us", 14)) if value.adjusted() >= least), "ms")
         raise MagycError(
             f"{self.path}, line {number}: time stamp {cell[:80]} is beyond any date in {self.unit or 's'}; "
-            f"likely unit: {likely}; say it (time_unit='{likely}')"
+            f"likely unit: {likely}; name it (time_unit='{likely}')"
         ) from None
 
+    def _not_a_stamp(self, cell: str, number: int) -> MagycError:
+        return MagycError(
+            f"{self.path}, line {number}: {cell[:80]!r} is not a time stamp; repair or remove the line"
+        )
+
     def _calendar(self, cell: str, number: int) -> int:
-        # datetime reads the calendar and the zone, but no digits below the microsecond, and before 3.11 no Z.
+        """Return the stamp (ns since 1970) of a date in ISO 8601."""
+        # datetime ignores digits below the microsecond, and before Python 3.11 does not accept Z.
         fraction = _FRACTION.search(cell)
         digits = fraction[1][:9].ljust(9, "0") if fraction else "0"
         try:
             moment = datetime.fromisoformat(_ZULU.sub("+00:00", _FRACTION.sub("", cell)))
         except ValueError:
-            raise MagycError(
-                f"{self.path}, line {number}: {cell[:80]!r} is no time stamp; repair or remove the line"
-            ) from None
+            raise self._not_a_stamp(cell, number) from None
         zone = moment.utcoffset()
         seconds = int(np.datetime64(moment.replace(tzinfo=None), "s").astype(np.int64))
         seconds -= int(zone.total_seconds()) if zone else 0
@@ -90,10 +96,10 @@ class StampColumn:
         return stamp
 
     def check(self, stamp: Stamps, name: str) -> None:
-        """Refuse steps that no recording has, where the unit was a guess.
+        """Check the stamps (n,) ns of the whole column.
 
         Raises:
-            MagycError: the steps are larger than 2 s and no unit was named.
+            MagycError: no unit is known, and the median step is larger than 2 s.
         """
         step = float(np.median(np.abs(np.diff(stamp)))) / 1e9 if len(stamp) > 1 else 0.0
         if self.unit is None and step > _LONGEST_STEP:
@@ -101,13 +107,13 @@ class StampColumn:
                 (u for u, s in (("ms", 1e3), ("us", 1e6), ("ns", 1e9)) if step / s <= _LONGEST_STEP), "ns"
             )
             raise MagycError(
-                f"{self.path}: column {name} names no unit and steps by {step:g}; "
-                f"likely unit: {likely}; say it (time_unit='{likely}')"
+                f"{self.path}: column {name} names no unit and has a median step of {step:g}; "
+                f"likely unit: {likely}; name it (time_unit='{likely}')"
             )
 
 
 def _decimals(cells: list[str], scale: int) -> Stamps | None:
-    """`cells` times `scale`, all at once where they are plain decimals that come out whole; else None."""
+    """Return `cells` times `scale`, vectorised; None if any is not a plain decimal or does not give an integer."""
     try:
         text = np.array(cells, dtype=np.bytes_)
     except (UnicodeEncodeError, ValueError):

@@ -1,6 +1,6 @@
-"""The lines and cells of a text table: separators, header, comments, and lines that are cut off.
+"""The lines and cells of a text table: separator, header, comments, and an incomplete last line.
 
-The file is read in pieces, so that a table of any length takes the memory of the numbers that are kept of it.
+The file is read in pieces, so that only the numbers of the wanted columns take memory.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", None: "blanks"}
-_AT_ONCE = 1 << 20  # bytes
-_HEAD = 1 << 14  # bytes, for the lines that say what the others are
-_LONGEST = 1 << 20  # characters of a line of a table
-_LONGEST_BYTES = 1 << 25  # before it is known to be text
+_PIECE = 1 << 20  # bytes read at once
+_HEAD = 1 << 14  # bytes read at once to find the header
+_LONGEST = 1 << 20  # characters of a line
+_LONGEST_BYTES = 1 << 25  # of a line, before it is decoded
 _SHOWN = 80  # characters of a cell in a message
 
 
@@ -39,20 +39,21 @@ class DataLines(NamedTuple):
     quoted: bool  # whether a cell may be in quotation marks
 
 
-# What makes stamps (ns) of the cells of the time column and the numbers of their lines.
+# Converts the cells of the time column and the numbers of their lines to stamps (ns).
 ToStamps = Callable[[list[str], Sequence[int]], Stamps]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A text table: what its lines are.
+    """The layout of a text table.
 
-    Args:
+    Attributes:
+        path: the file.
         separator: None for blanks.
-        columns: empty where the file has no header.
-        width: cells a line.
-        first: the cells of the first line of data.
-        header: number of the line that names the columns, 0 where none does.
+        columns: empty if the file has no header.
+        width: number of cells per line.
+        first: cells of the first line of data.
+        header: number of the header line; 0 without one.
     """
 
     path: Path
@@ -64,22 +65,25 @@ class Table:
 
     @property
     def separator_name(self) -> str:
-        """In words."""
+        """The separator in words."""
         return _SEPARATORS[self.separator]
 
     def read(
         self, wanted: Sequence[int], time: int | None, to_stamps: ToStamps | None, report: Callable[[float], None]
     ) -> tuple[GrowingColumns[np.float64], Stamps, int, tuple[str, ...]]:
-        """Cells of the columns `wanted`, NaN where empty; stamps; how many lines; and notes.
+        """Read the data.
 
         Args:
-            wanted: places of the columns.
-            time: place of the column of stamps, None where there is none.
-            to_stamps: what makes stamps of it.
+            wanted: places of the columns to read.
+            time: place of the column of stamps; None without one.
+            to_stamps: converts the cells of that column.
             report: called with the fraction done.
 
+        Returns:
+            The numbers of the columns, NaN for empty cells; the stamps (ns); the number of lines; notes.
+
         Raises:
-            MagycError: a line has more or fewer cells than the header, or a cell is no number.
+            MagycError: a line has more or fewer cells than the header, or a cell is not a number.
         """
         numbers, stamps = GrowingColumns(len(wanted), np.float64), GrowingColumns(1, np.int64)
         notes: list[str] = []
@@ -101,7 +105,7 @@ class Table:
         return numbers, stamps.column(0), count, tuple(notes)
 
     def _data(self) -> Iterator[tuple[DataLines, bool, int]]:
-        """Lines of data, whether they are the last, and how many bytes have been read."""
+        """Yield lines of data, whether they are the last, and the number of bytes read."""
         pieces = _pieces(self.path)
         piece = next(pieces, None)
         while piece is not None:
@@ -114,7 +118,7 @@ class Table:
             piece = following
 
     def _whole(self, lines: DataLines, last: bool, before: int, notes: list[str]) -> DataLines:
-        """The lines, all of the same number of cells; without the last of the file where it is cut off."""
+        """Check that all lines have the same number of cells; drop the last line of the file if it is incomplete."""
         if self.separator is None:
             counts = list(map(len, map(str.split, lines.text)))
         elif lines.quoted:
@@ -122,7 +126,7 @@ class Table:
         else:
             counts = [1 + n for n in map(str.count, lines.text, repeat(self.separator))]
         if last and counts and before + len(counts) > 1 and counts[-1] < self.width:
-            notes.append(f"line {lines.numbers[-1]}, the last, is cut off and was left out")
+            notes.append(f"line {lines.numbers[-1]}, the last, is incomplete and was left out")
             counts.pop()
             lines = DataLines(lines.numbers[:-1], lines.text[:-1], lines.quoted)
         if counts.count(self.width) != len(counts):
@@ -134,12 +138,13 @@ class Table:
         return lines
 
     def _column(self, lines: DataLines, column: int) -> list[str]:
-        """The cells of one column."""
+        """Return the cells of one column."""
         if self.separator is None or lines.quoted:
             return [_split(line, self.separator)[column] for line in lines.text]
         return [line.split(self.separator, column + 1)[column] for line in lines.text]
 
     def _numbers(self, lines: DataLines, wanted: Sequence[int]) -> Array:
+        """Return the numbers (n, len(wanted)) of columns, NaN for empty cells."""
         if not wanted:
             return np.empty((len(lines.text), 0))
         try:
@@ -147,7 +152,7 @@ class Table:
                 lines.text, delimiter=self.separator, usecols=wanted, comments=None, ndmin=2, quotechar='"'
             )
         except ValueError:
-            pass  # an empty cell, or no number: looked at one by one, to say where
+            pass  # a cell is empty or not a number; the cells are parsed singly below
         result = np.empty((len(lines.text), len(wanted)))
         for k, column in enumerate(wanted):
             for row, cell in enumerate(self._column(lines, column)):
@@ -162,14 +167,14 @@ class Table:
 
 
 def load(path: Path, names: str | Sequence[str] | None) -> Table:
-    """What the table in a file is like.
+    """Find the layout of the table in a file.
 
     Args:
-        path: of the file.
-        names: of the columns, where the file has no header; None for the header's.
+        path: the file.
+        names: names of the columns, for a file without a header; None for those of the header.
 
     Raises:
-        MagycError: there is no data.
+        MagycError: the file holds no data.
     """
     head: list[tuple[int, str]] = []
     comment = ""
@@ -206,20 +211,21 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
 
 
 def _text(data: bytes, path: Path, number: int) -> list[str]:
+    """Decode bytes into lines; `number` lines precede them in the file."""
     lines = data.decode("utf-8", errors="replace").splitlines()
     if max(map(len, lines), default=0) > _LONGEST:
         raise MagycError(
-            f"{path}: a line behind line {number} is longer than {_LONGEST} characters; not a text table"
+            f"{path}: a line after line {number} is longer than {_LONGEST} characters; not a text table"
         )
     return lines
 
 
-def _raw(path: Path, at_once: int = _AT_ONCE) -> Iterator[tuple[bytes, int]]:
-    """The file in pieces that end with a line, and how many bytes have been read."""
+def _raw(path: Path, size: int) -> Iterator[tuple[bytes, int]]:
+    """Yield the file in pieces of complete lines, and the number of bytes read."""
     rest = b""
     place = 0
     with open(path, "rb") as file:
-        while data := file.read(at_once):
+        while data := file.read(size):
             if place == 0:
                 data = data.removeprefix(b"\xef\xbb\xbf")
             place = file.tell()
@@ -236,7 +242,7 @@ def _raw(path: Path, at_once: int = _AT_ONCE) -> Iterator[tuple[bytes, int]]:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """All lines with their numbers, from 1."""
+    """Yield all lines with their numbers, from 1."""
     number = 0
     for data, _ in _raw(path, _HEAD):
         for line in _text(data, path, number):
@@ -245,9 +251,9 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def _pieces(path: Path) -> Iterator[tuple[DataLines, int]]:
-    """The lines that are neither empty nor comments, piece by piece."""
+    """Yield the lines that are neither empty nor comments, in pieces, and the number of bytes read."""
     number = 0
-    for data, place in _raw(path):
+    for data, place in _raw(path, _PIECE):
         text = _text(data, path, number)
         numbers: Sequence[int] = range(number + 1, number + len(text) + 1)
         number += len(text)
@@ -259,27 +265,29 @@ def _pieces(path: Path) -> Iterator[tuple[DataLines, int]]:
 
 
 def _separator(lines: Sequence[str]) -> str | None:
+    """Return the separator that the first two lines contain; None for blanks."""
     return next((s for s in ("\t", ";", ",") if all(s in line for line in lines[:2])), None)
 
 
 def _split(line: str, separator: str | None) -> list[str]:
+    """Split a line into cells, some of which may be in quotation marks."""
     if separator is None:
         return line.split()
     if '"' not in line:
         return line.split(separator)
     try:
         return next(csv.reader([line], delimiter=separator))
-    except csv.Error as error:  # a cell in quotation marks without an end
+    except csv.Error as error:  # a quotation mark is not closed
         raise MagycError(f"a line cannot be split into cells ({error}): {shortened(line)}") from None
 
 
 def _is_row(cells: Sequence[str]) -> bool:
-    """Whether a line is data rather than names: at least one cell is a number."""
+    """Return whether a line is data rather than names: at least one cell is a number."""
     return any(is_number(c) for c in cells)
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell holds a number, with a point or a comma."""
+    """Return whether a cell holds a number, with a decimal point or comma."""
     try:
         float(cell.replace(",", "."))
     except ValueError:

@@ -1,8 +1,8 @@
-"""The messages of an ArduPilot dataflash log as arrays: the format of each type is written in the log itself.
+"""The messages of an ArduPilot dataflash log as arrays. The log itself describes the format of each type.
 
-A message is 0xA3 0x95, the number of its type, and its fields, packed. Where one ends the next begins, so that all
-places follow from the lengths of the types; only where that chain breaks (damage, or the two bytes by chance within
-a message) is it taken up again one message at a time.
+A message is 0xA3 0x95, the number of its type, and its packed fields. Messages follow each other directly, so that
+their places follow from the lengths of their types. Where this chain breaks (damage, or the two bytes by chance inside
+a message) it is resumed at the next message.
 """
 
 from __future__ import annotations
@@ -28,22 +28,24 @@ _FIELDS = {
     **{"c": "<i2", "C": "<u2", "e": "<i4", "E": "<u4", "L": "<i4"},
 }
 _DIVISORS = {**dict.fromkeys("cCeE", 100.0), "L": 1 / 1.0e-7}
-_AT_ONCE = 1 << 24  # bytes looked through at once
+_SEARCHED = 1 << 24  # bytes searched at once
 _PAGE = 528  # bytes at the end that block-wise loggers leave unwritten
-_TIMES = {"TimeUS": 1_000, "TimeMS": 1_000_000}  # ns; the latter before 2014
-_LATEST = 10**18  # ns of a clock that counts from the boot: 31 years
+_TIMES = {"TimeUS": 1_000, "TimeMS": 1_000_000}  # ns; the second before 2014
+_LATEST = 10**18  # ns since boot, 31 years; a larger stamp is damaged
 
 
 @dataclass(frozen=True, eq=False)
 class MessageType:
     """A type of message.
 
-    Args:
-        number, length: of the type, with the three bytes before its fields.
+    Attributes:
+        name: such as "MAG".
+        number: identifies the type in the log.
+        length: bytes of a message, with the three bytes before its fields.
         codes: the letter of each column's type.
-        columns: their names.
-        fields: the packed fields, None where they do not fill the length.
-        instance: the column that tells instances apart, as the log's units say it.
+        columns: names of the columns.
+        fields: the packed fields; None if they do not fill the length.
+        instance: the column that numbers the instances, by the log's units; None if the log has none.
     """
 
     name: str
@@ -56,11 +58,11 @@ class MessageType:
 
     @property
     def time(self) -> str | None:
-        """The column of time stamps."""
+        """The column of time stamps; None without one."""
         return next((c for c in _TIMES if self.holds(c, "numbers")), None)
 
     def holds(self, column: str, what: Literal["numbers", "text"]) -> bool:
-        """Whether there is such a column, and of that type: damage makes text of a number."""
+        """Return whether there is such a column, and it has that type: damage can turn a number into text."""
         if column not in self.columns or self.fields is None:
             return False
         code = self.codes[self.columns.index(column)]
@@ -81,9 +83,9 @@ _DESCRIPTION = MessageType(
 class Dataflash:
     """A log, open until `close`.
 
-    Args:
-        kinds: the types by name.
-        skipped: bytes that belong to no message.
+    Attributes:
+        kinds: {name: type}.
+        skipped: number of bytes that belong to no message.
     """
 
     kinds: dict[str, MessageType] = field(default_factory=dict)
@@ -93,13 +95,13 @@ class Dataflash:
     _places: dict[int, Places] = field(default_factory=dict)
 
     def places(self, kind: str) -> Places:
-        """Where in the file the messages of a type begin, ascending."""
+        """Return the bytes at which the messages of a type begin, ascending."""
         known = self.kinds.get(kind)
         empty = np.empty(0, dtype=np.int64)
         return empty if known is None else self._places.get(known.number, empty)
 
     def column(self, kind: str, name: str, places: Places | None = None) -> NDArray[Any]:
-        """One column of all messages of a type (or of those at `places`): numbers in its unit, or bytes.
+        """Return one column of all messages of a type (or those at `places`): numbers in its unit, or bytes.
 
         Raises:
             MagycError: the type's format does not fit the length of its messages.
@@ -110,7 +112,7 @@ class Dataflash:
                 f"{kind}: its format {known.codes!r} does not fill its {known.length} bytes; the log is damaged"
             )
         at = self.places(kind) if places is None else places
-        rows = len(self._bytes) - known.length + 1  # bytes at which a message of this length can begin
+        rows = len(self._bytes) - known.length + 1  # number of bytes at which a message of this length can begin
         everywhere: NDArray[Any] = (
             np.ndarray((rows,), dtype=known.fields, buffer=self._data, offset=3, strides=(1,))
             if rows > 0
@@ -121,7 +123,7 @@ class Dataflash:
         return value if divisor is None else value / divisor
 
     def stamps(self, kind: str, places: Places) -> tuple[Places, NDArray[np.bool_]]:
-        """ns since the boot, and which of them can be true."""
+        """Return the stamps (n,) in ns since boot, and the mask (n,) of the possible ones."""
         time = self.kinds[kind].time
         assert time is not None
         value = self.column(kind, time, places)
@@ -129,7 +131,7 @@ class Dataflash:
         return np.where(possible, value, 0).astype(np.int64) * _TIMES[time], possible
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._bytes = np.empty(0, dtype=np.uint8)
         self._data = None
 
@@ -138,7 +140,7 @@ def load(path: Path) -> Dataflash:
     """Find the messages of a log.
 
     Raises:
-        MagycError: it describes no message.
+        MagycError: the file describes no message.
     """
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -147,36 +149,37 @@ def load(path: Path) -> Dataflash:
     numbers = log._bytes[heads + 2]
     descriptions = heads[numbers == _FORMAT]
     lengths: NDArray[np.int64] | None = None
-    for _ in range(4):  # as a rule once: what looks like a description within another message is found out
+    # A description found inside another message falsifies the lengths; the chain of messages then removes it.
+    for _ in range(4):
         before, lengths = lengths, _lengths(log, descriptions)
         if before is not None and np.array_equal(before, lengths):
             break
         chain, log.skipped = _chain(heads, numbers, lengths, len(log._bytes))
         descriptions = heads[chain][numbers[chain] == _FORMAT]
-    found, types = heads[chain], numbers[chain]
+    messages, types = heads[chain], numbers[chain]
     order = np.argsort(types, kind="stable")
     for part in np.split(order, np.flatnonzero(np.diff(types[order])) + 1):
         if len(part):
-            log._places[int(types[part[0]])] = found[part]
+            log._places[int(types[part[0]])] = messages[part]
     log.kinds = _kinds(log, descriptions)
     if not log.kinds:
-        raise MagycError(f"{path}: not an ArduPilot log (it describes no message); is the file damaged?")
+        raise MagycError(f"{path}: not an ArduPilot log (it describes no messages); is the file damaged?")
     return log
 
 
 def _heads(data: NDArray[np.uint8]) -> Places:
-    """All places of the two bytes that messages begin with, and room for a type behind."""
-    found = []
-    for first in range(0, len(data) - 2, _AT_ONCE):
-        part = data[first : first + _AT_ONCE + 1]
+    """Return all places of the two bytes that begin a message and are followed by a type."""
+    parts = []
+    for first in range(0, len(data) - 2, _SEARCHED):
+        part = data[first : first + _SEARCHED + 1]
         at = np.flatnonzero(part[:-1] == MAGIC[0])
-        found.append(first + at[part[at + 1] == MAGIC[1]])
-    places = np.concatenate(found) if found else np.empty(0, dtype=np.int64)
+        parts.append(first + at[part[at + 1] == MAGIC[1]])
+    places = np.concatenate(parts) if parts else np.empty(0, dtype=np.int64)
     return places[places < len(data) - 2]
 
 
 def _lengths(log: Dataflash, descriptions: Places) -> NDArray[np.int64]:
-    """(256,) length of each type by its first description, 0 where it has none."""
+    """Return the length (256,) of each type by its first description; 0 without one."""
     lengths = np.zeros(256, dtype=np.int64)
     lengths[_FORMAT] = _DESCRIPTION.length
     log.kinds = {"FMT": _DESCRIPTION}
@@ -191,7 +194,7 @@ def _lengths(log: Dataflash, descriptions: Places) -> NDArray[np.int64]:
 def _chain(
     heads: Places, numbers: NDArray[np.uint8], lengths: NDArray[np.int64], size: int
 ) -> tuple[NDArray[np.intp], int]:
-    """Which of the heads are messages, and how many bytes belong to none."""
+    """Return the indices of the heads that are messages, and the number of bytes that belong to none."""
     length = lengths[numbers]
     end = heads + length
     known = (length > 0) & (end <= size)
@@ -217,7 +220,7 @@ def _chain(
 
 
 def _kinds(log: Dataflash, descriptions: Places) -> dict[str, MessageType]:
-    """The types by name, as described last."""
+    """Return the types by name, by their last description."""
     rows = zip(*(log.column("FMT", c, descriptions).tolist() for c in _DESCRIPTION.columns), strict=True)
     kinds: dict[int, MessageType] = {}
     for number, length, name, codes, columns in rows:
@@ -240,6 +243,7 @@ def _kinds(log: Dataflash, descriptions: Places) -> dict[str, MessageType]:
 
 
 def _kind(number: int, length: int, name: str, codes: str, columns: str) -> MessageType:
+    """Return the type that a description defines."""
     names = tuple(columns.split(",")) if columns else ()
     fields = None
     if len(names) == len(codes) == len(set(names)) and all(
@@ -255,5 +259,5 @@ def _text(value: bytes) -> str:
 
 
 def names(values: Sequence[bytes]) -> list[str]:
-    """Text columns as text."""
+    """Return a text column as text."""
     return [_text(value) for value in values]

@@ -1,4 +1,4 @@
-"""A table that grows at its end, each column an array of its own."""
+"""A table that grows at its end, with one array per column."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ Number = TypeVar("Number", bound=np.generic)
 
 
 class GrowingColumns(Generic[Number]):
-    """Columns to which rows are added block by block, with room for a quarter more.
+    """Columns to which blocks of rows are appended; each reserves a quarter more than it holds.
 
     Args:
         width: number of columns.
-        kind: of the numbers.
+        kind: type of the numbers.
     """
 
     def __init__(self, width: int, kind: type[Number]) -> None:
@@ -24,7 +24,7 @@ class GrowingColumns(Generic[Number]):
         self._columns: list[NDArray[Number]] = [np.empty(0, dtype=kind) for _ in range(width)]
 
     def add(self, rows: NDArray[Number]) -> None:
-        """Put rows (n, width), or (n,) of a single column, behind the others."""
+        """Append rows (n, width), or (n,) for a single column."""
         needed = self._rows + len(rows)
         for column, more in zip(self._columns, rows.reshape(len(rows), len(self._columns)).T, strict=True):
             if needed > len(column):
@@ -33,12 +33,12 @@ class GrowingColumns(Generic[Number]):
         self._rows = needed
 
     def column(self, number: int) -> NDArray[Number]:
-        """(n,) a column; no more rows can be added."""
+        """Return a column (n,); afterwards no rows can be added."""
         self._columns[number].resize(self._rows, refcheck=False)
         return self._columns[number]
 
     def together(self, numbers: Sequence[int], last: bool = False) -> NDArray[Number]:
-        """(n, len(numbers)) columns side by side; those asked for the `last` time are given up."""
+        """Return columns (n, len(numbers)) side by side, and release their memory if this is the `last` use."""
         result = np.stack([self.column(k) for k in numbers], axis=1)
         for k in numbers if last else ():
             self._columns[k] = self._columns[k][:0].copy()

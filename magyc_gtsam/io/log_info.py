@@ -1,4 +1,4 @@
-"""What a log holds, before anything is calibrated with it."""
+"""The description of a log's contents."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from magyc_gtsam.recording import Array
 class Source:
     """One topic, message or group of columns of a log.
 
-    Args:
-        name: as `read` takes it.
+    Attributes:
+        name: the name that `read` accepts.
         type: message type, or the unit of columns.
-        count: samples.
-        span: first and last stamp, s since the log's first stamp; None where the log does not say.
-        serves_as: what `read` could use it for ("magnetic_field", "angular_rate", "acceleration",
-            "attitude", "channel").
+        count: number of samples.
+        span: first and last stamp, s since the log's first stamp; None if unknown.
+        serves_as: possible uses in `read` ("magnetic_field", "angular_rate", "acceleration", "attitude", "channel").
     """
 
     name: str
@@ -31,7 +30,7 @@ class Source:
 
     @property
     def rate(self) -> float | None:
-        """Mean samples per second; None where it cannot be told."""
+        """Mean sampling rate, Hz; None if unknown."""
         if self.span is None or self.count < 2 or self.span[1] <= self.span[0]:
             return None
         return (self.count - 1) / (self.span[1] - self.span[0])
@@ -39,16 +38,16 @@ class Source:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """Description of a log.
+    """The description of a log.
 
-    Args:
+    Attributes:
         path: the file.
-        format: "MCAP (ROS 2)", "CSV", "PX4 ULog" or "ArduPilot dataflash".
+        format: such as "MCAP (ROS 2)", "CSV", "PX4 ULog" or "ArduPilot dataflash".
         duration: s.
         sources: all topics, messages or columns.
-        warnings: what had to be done to read it, and what is wrong with it.
-        problem: why `read` makes no recording of it, None where it does.
-        turned: rad, the path that the attitude went; None without a gyroscope, or where there is a problem.
+        warnings: remarks on conversions, omissions and damage.
+        problem: why `read` cannot make a recording; None if it can.
+        turned: rad, total rotation of the instrument; None without a gyroscope or if there is a problem.
     """
 
     path: str
@@ -61,12 +60,17 @@ class LogInfo:
 
     @property
     def readable(self) -> bool:
-        """Whether `read` makes a recording of it."""
+        """Whether `read` can make a recording."""
         return self.problem is None
 
 
 def turned(time: Array, rate: Array) -> float:
-    """rad; in steps of a second, so that the noise of the samples does not add up, nor the usual bias."""
+    """Return the total rotation (rad), summed over steps of 1 s without the median rate, so that noise does not add up.
+
+    Args:
+        time: (n,) s.
+        rate: (n, 3) rad/s.
+    """
     angle = summed_rate(time, rate - np.median(rate, axis=0))
     seconds = np.arange(time[0], time[-1], 1.0)
     steps = np.diff([np.interp(seconds, time, column) for column in angle.T])

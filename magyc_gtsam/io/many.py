@@ -1,4 +1,4 @@
-"""Any number of logs: which files they are, and a sequence that reads each when it is asked for."""
+"""Sets of logs: the files that paths and patterns name, and a sequence that reads each on demand."""
 
 from __future__ import annotations
 
@@ -19,33 +19,32 @@ Paths = str | PathLike[str] | Iterable[str | PathLike[str]]
 
 
 def find_logs(paths: Paths) -> tuple[Path, ...]:
-    """The logs that files, folders with all that is below them, and patterns name; each once.
+    """Return the logs that files, folders (recursively) and patterns name, each once.
 
-    A file that is named is taken whatever it is called; of a folder or a pattern those with a log's suffix are. Files
-    whose name begins with a dot are left out.
+    A file is accepted with any suffix; from folders and patterns only files with the suffix of a log are, and none
+    whose name begins with a dot.
 
     Raises:
-        MagycError: a path that does not exist, a pattern or a folder without a log.
+        MagycError: a path does not exist, or a folder or pattern has no logs.
     """
-    given = [paths] if isinstance(paths, str | PathLike) else list(paths)
-    found: dict[Path, None] = {}
-    for each in given:
+    logs: dict[Path, None] = {}
+    for each in [paths] if isinstance(paths, str | PathLike) else paths:
         path = Path(each)
         if path.is_dir():
             inside = [file for file in sorted(path.rglob("*")) if _is_log(file)]
             if not inside:
                 raise MagycError(f"{path}: no logs in this folder ({', '.join(SUFFIXES)})")
-            found |= dict.fromkeys(inside)
+            logs |= dict.fromkeys(inside)
         elif path.exists():
-            found[path] = None
+            logs[path] = None
         elif any(mark in str(each) for mark in _PATTERN):
             matching = [Path(name) for name in sorted(glob.glob(str(each), recursive=True)) if _is_log(Path(name))]
             if not matching:
                 raise MagycError(f"{each}: no logs match this pattern")
-            found |= dict.fromkeys(matching)
+            logs |= dict.fromkeys(matching)
         else:
             raise MagycError(f"{path}: no such file or folder")
-    return tuple(found)
+    return tuple(logs)
 
 
 def _is_log(file: Path) -> bool:
@@ -53,10 +52,10 @@ def _is_log(file: Path) -> bool:
 
 
 class Logs(Sequence[Recording]):
-    """Recordings of files; each is read when it is indexed or iterated over, and not kept.
+    """A sequence of recordings, each read from its file when it is accessed, and not cached.
 
     Attributes:
-        paths: of the logs.
+        paths: the logs.
     """
 
     def __init__(self, paths: Sequence[Path], options: dict[str, Any]) -> None:
@@ -78,19 +77,18 @@ class Logs(Sequence[Recording]):
         return read(self.paths[index], **self._options)
 
     def name(self, index: int) -> str:
-        """Of a log, without reading it."""
+        """Return the file name of a log without reading it."""
         return self.paths[index].name
 
 
 def read_many(paths: Paths, **options: Any) -> Logs:
-    """Recordings of many logs, each read when it is asked for.
+    """Return the recordings of many logs, each read on access.
 
     Args:
-        paths: a file, a folder with all that is below it, a pattern ("dives/*.mcap"), or several of these.
-        options: of `read`, for every log.
+        paths: a file, a folder (searched recursively), a pattern ("dives/*.mcap"), or several of these.
+        options: arguments of `read` for every log.
 
     Raises:
-        MagycError: a path that does not exist, or a folder without a log. What is wrong with a log is said when it is
-            read.
+        MagycError: a path does not exist, or a folder or pattern has no logs. Errors in a log are raised on access.
     """
     return Logs(find_logs(paths), options)

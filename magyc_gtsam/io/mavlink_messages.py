@@ -15,11 +15,11 @@ _HIGHRES: Fields = {
     "angular_rate": (("xgyro", "ygyro", "zgyro"), 1.0),
     "acceleration": (("xacc", "yacc", "zacc"), 1.0),
 }
-# Message: its time (ns per unit), and for each sensor its fields and their unit in SI. RAW_IMU is what autopilots
-# send as SCALED_IMU, too; best first.
+# {message: (its field of time, ns per unit of it, {sensor: (fields, their unit in SI)})}, best first. Autopilots fill
+# RAW_IMU in the units of SCALED_IMU.
 MESSAGES: dict[str, tuple[str, int, Fields]] = {
     "HIGHRES_IMU": ("time_usec", 1_000, _HIGHRES),
     "RAW_IMU": ("time_usec", 1_000, _MILLI),
     **{f"SCALED_IMU{k}": ("time_boot_ms", 1_000_000, _MILLI) for k in ("", "2", "3")},
 }
-FILTERED = "telemetry: the field is as the autopilot sent it, with its own calibration in it"
+FILTERED = "telemetry: the field includes the autopilot's calibration"

@@ -1,4 +1,4 @@
-"""A log copied message by message, the field and the angular rate in it replaced by calibrated ones."""
+"""Copy an MCAP log with the field and the angular rate replaced by calibrated ones."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.io.mcap_records import Damage, decompressed
+from magyc_gtsam.io.mcap_compression import Damage, decompressed
 from magyc_gtsam.io.ros_fields import NANOSECONDS, Array
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE
 from magyc_gtsam.io.ros_types import short_type
 from magyc_gtsam.recording import Recording
 
-# Bytes from the first number of a message to the vector of each sensor; the numbers are float64.
+# Offset (bytes) of each sensor's vector from the first number of a message; the numbers are float64.
 _PLACES = {
     ("sensor_msgs/MagneticField", "magnetic_field"): 0,
     ("geometry_msgs/Vector3Stamped", "magnetic_field"): 0,
     ("geometry_msgs/Vector3Stamped", "angular_rate"): 0,
     ("sensor_msgs/Imu", "angular_rate"): 8 * (4 + 9),
 }
-_CDR = b"\x00\x01"  # little-endian, as all ROS 2 machines write it
+_CDR = b"\x00\x01"  # little-endian, the byte order of the common ROS 2 platforms
 _VECTOR = struct.Struct("<3d")
 
 
 @dataclass
 class Copied:
-    """How many messages of which kind are in the copy.
+    """Numbers of messages in a copy.
 
     Attributes:
-        unchanged: byte for byte as they were.
-        calibrated: with the sensor's vector replaced, and all else as it was.
-        left_out: of the sensors, without a sample of their own in the recording (outside the interval, or faulty).
+        unchanged: copied byte for byte.
+        calibrated: copied with the sensor's vector replaced.
+        left_out: messages of the sensors without a sample in the recording (outside the interval, or faulty).
     """
 
     unchanged: int = 0
@@ -49,7 +49,7 @@ class Copied:
 
 @dataclass
 class _Copy:
-    """The writer, and what the ids of the source are called in it."""
+    """The state of a copy: the writer, and the ids of the source's schemas and channels in the target."""
 
     writer: Writer
     replaced: Mapping[str, Mapping[int, bytes]]  # by sensor, the vector at each stamp
@@ -58,10 +58,11 @@ class _Copy:
     schemas: dict[int, int] = field(default_factory=dict)
     kinds: dict[int, str] = field(default_factory=dict)
     channels: dict[int, int] = field(default_factory=dict)
-    sensors: dict[int, tuple[str, int]] = field(default_factory=dict)  # by channel: which sensor, and its place
+    sensors: dict[int, tuple[str, int]] = field(default_factory=dict)  # {channel: (sensor, offset of its vector)}
     count: Copied = field(default_factory=Copied)
 
     def take(self, record: object) -> None:
+        """Copy a record."""
         if isinstance(record, Schema):
             self.schemas[record.id] = self.writer.register_schema(record.name, record.encoding, record.data)
             self.kinds[record.id] = short_type(record.name)
@@ -85,17 +86,19 @@ class _Copy:
             )
 
     def _sensor(self, channel: Channel) -> tuple[str, int] | None:
+        """Return the sensor whose vector is replaced in a channel, and the vector's offset; None without one."""
         kind = self.kinds.get(channel.schema_id, "")
         for sensor in self.replaced:
             name = self.named[sensor]
-            meant = (
+            matches = (
                 kind == FOUND_BY_TYPE[sensor] if name is None else channel.topic.lstrip("/") == name.lstrip("/")
             )
-            if meant and (kind, sensor) in _PLACES and channel.message_encoding == "cdr":
+            if matches and (kind, sensor) in _PLACES and channel.message_encoding == "cdr":
                 return sensor, _PLACES[kind, sensor]
         return None
 
     def _message(self, message: Message) -> None:
+        """Copy a message, with its vector replaced if its channel is a sensor's."""
         data, sensor = message.data, self.sensors.get(message.channel_id)
         if sensor is None:
             self.count.unchanged += 1
@@ -123,19 +126,19 @@ def copy_mcap(
     by_log_time: bool = False,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Copied | None:
-    """Copy a log; schemas, channels, times, sequence numbers, metadata, attachments and all other messages stay.
+    """Copy a log and replace the vectors of its sensors; everything else in the log stays the same.
 
     Args:
         source, target: the files.
-        calibrated: the recording of `source` with its field, and its angular rate where it is to be replaced.
-        epoch: ns of the log's clock at the recording's time 0.
-        named: the topic of "magnetic_field" and "angular_rate", None where it is the only one of its type.
+        calibrated: the recording of `source` with the calibrated field, and an angular rate if that is to be replaced.
+        epoch: stamp of the log's clock at the recording's time 0, ns.
+        named: the topics of "magnetic_field" and "angular_rate"; None for the only one of its type.
         by_log_time: whether the recording's stamps are those of the recorder.
-        progress: called with the share done.
+        progress: called with the share done, 0 to 1.
 
     Returns:
-        What was copied; None, and no file, where a sensor is in messages of another type than MagneticField,
-        Vector3Stamped and Imu of ROS 2, whose vector cannot be replaced in its place.
+        The numbers of messages; None, without a file, if a sensor's messages are not of the types MagneticField,
+        Vector3Stamped or Imu of ROS 2, in which the vector can be replaced.
 
     Raises:
         MagycError: the file is damaged.
@@ -155,8 +158,8 @@ def copy_mcap(
                     progress(read.tell() / size)
         except (McapError, EOFError, struct.error, UnicodeDecodeError, Damage) as error:
             raise MagycError(
-                f"{source}: is damaged ({type(error).__name__}), and only a whole MCAP file can be copied; mend it "
-                "with `mcap recover`, or write a table (--output OUT.csv)"
+                f"{source}: is damaged ({type(error).__name__}), and only a complete MCAP file can be copied; repair "
+                "it with `mcap recover`, or write a table (--output OUT.csv)"
             ) from None
         copy.writer.finish()
     if {sensor for sensor, _ in copy.sensors.values()} != set(replaced):
@@ -166,7 +169,7 @@ def copy_mcap(
 
 
 def _records(file: IO[bytes]) -> Iterator[McapRecord]:
-    """The records of the file in order, those in chunks unpacked within what is granted."""
+    """Yield the records of the file in order; chunks are unpacked up to the largest permitted size."""
     for record in StreamReader(file, emit_chunks=True).records:
         if isinstance(record, Chunk):
             data = decompressed(record.data, record.compression, record.uncompressed_size, record.uncompressed_crc)
@@ -176,16 +179,18 @@ def _records(file: IO[bytes]) -> Iterator[McapRecord]:
 
 
 def _vectors(time: Array, value: Array, epoch: int) -> dict[int, bytes]:
+    """Return {stamp (ns): bytes of the vector} of samples (n, 3)."""
     stamps = np.round(time * NANOSECONDS).astype(np.int64) + epoch
     rows = np.ascontiguousarray(value, dtype="<f8").tobytes()
     return {stamp: rows[24 * k : 24 * (k + 1)] for k, stamp in enumerate(stamps.tolist())}
 
 
 def _stamp_and_numbers(data: bytes) -> tuple[int, int]:
-    """The header's stamp in ns, and where its numbers begin: behind the frame's name, aligned to 8 bytes."""
+    """Return the header's stamp (ns), and the byte at which the numbers begin: after the frame's name, aligned to 8."""
     if data[:2] != _CDR:
         raise MagycError(
-            "a message of the magnetometer or gyroscope is not little-endian CDR, which cannot be copied"
+            "a message of the magnetometer or gyroscope is not little-endian CDR and cannot be copied; write a table "
+            "(--output OUT.csv)"
         )
     seconds, nanoseconds, length = struct.unpack_from("<iII", data, 4)
     end = 4 + 12 + length

@@ -1,4 +1,4 @@
-"""Read ROS messages from MCAP: whole, unindexed, or cut off in the middle of a chunk."""
+"""Reader of ROS messages in MCAP files, including files without an index or with an incomplete last chunk."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from magyc_gtsam.recording import Recording
 
 
 def read(path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of an MCAP file."""
+    """Read an MCAP file; see `magyc_gtsam.io.read`."""
     request.only("MCAP")
     return recording_of(_load, path, request)
 
 
 def info(path: Path) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of an MCAP file; `problem` is left to the caller."""
+    """Describe an MCAP file; see `magyc_gtsam.io.info`, which sets `problem`."""
     return info_of(_load, path, "MCAP")
 
 
 def _load(path: Path, request: Request, wanted: Callable[[str, str], bool]) -> RosLog:
+    """Load the topics of an MCAP file; see `ros_log.Load`."""
     notes: list[str] = []
     metadata: dict[str, str] = {}
 

@@ -1,14 +1,13 @@
-"""The records of an MCAP file, its messages as blocks of bytes.
+"""The records of an MCAP file, with messages as blocks of bytes.
 
-What a file asks for is looked at before it is granted: a chunk is unpacked up to the size that it names, and that
-is bounded. A chunk or record that is damaged costs itself.
+Sizes in the file are checked before memory is allocated: a chunk is unpacked up to the size that it declares, and that
+size is limited. A damaged chunk or record is left out; the rest of the file is read.
 """
 
 from __future__ import annotations
 
 import os
 import struct
-import zlib
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -25,27 +24,32 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
+from magyc_gtsam.io.mcap_compression import LARGEST_CHUNK, Damage, decompressed
 
 MAGIC = b"\x89MCAP0\r\n"
-METADATA = "magyc-gtsam"  # holds what ROS messages have no field for
+METADATA = "magyc-gtsam"  # name of the record with data for which ROS messages have no field
 HEAD = struct.Struct("<BQ")  # of a record: opcode, length
 _CHUNK_HEAD = struct.Struct("<QQQII")  # start, end, unpacked size, checksum, length of the compression's name
 _MESSAGE_HEAD = np.dtype([("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")])
-LARGEST_CHUNK = 1 << 28  # bytes, unpacked; recorders write chunks of 1 to 16 MB
 _LARGEST_RECORD = 1 << 24  # bytes of a schema, a channel or metadata, and of a message outside of chunks
-_BEYOND_ANY = 1 << 32  # bytes; a record that announces more was not written so
+_IMPOSSIBLE_LENGTH = 1 << 32  # bytes; a record that declares more is damaged
 _MOST_OTHERS = 100_000  # schemas, channels and records of other kinds in a chunk
-_AT_ONCE = 1 << 22  # bytes of messages outside of chunks
-UNPACKED = (100, 1 << 26)  # times the file, and bytes: measurements pack to a fifth, their headers to a tenth
-
-
-class Damage(MagycError):
-    """A record or chunk that cannot be read; the rest of the file can."""
+_BLOCK = 1 << 22  # bytes of messages outside of chunks that form a block
+# Limit of the unpacked size: a multiple of the file's size, and bytes. Measurements pack to 1/5, headers to 1/10.
+UNPACKED = (100, 1 << 26)
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Messages: the bytes in which they lie, and of each its channel, time of recording (ns) and place."""
+    """A block of n messages.
+
+    Attributes:
+        data: bytes that contain the messages.
+        channel: (n,) channel of each.
+        log_time: (n,) ns, time of recording.
+        start: (n,) first byte of each in `data`.
+        length: (n,) bytes.
+    """
 
     data: NDArray[np.uint8]
     channel: NDArray[np.uint16]
@@ -58,10 +62,15 @@ Record: TypeAlias = Schema | Channel | Metadata | Block
 
 
 def records(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[Record]:
-    """All records in order; where the file is damaged, those before and behind, and a note.
+    """Yield all readable records in order, and note damage.
+
+    Args:
+        path: the file.
+        notes: list to which remarks on damage are appended.
+        report: called with the fraction done.
 
     Raises:
-        MagycError: not an MCAP file, or one that unpacks to far more than measurements do.
+        MagycError: not an MCAP file, or it unpacks to more than the limit.
     """
     size = os.path.getsize(path)
     budget = UNPACKED[0] * size + UNPACKED[1]
@@ -69,21 +78,21 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
     losses: dict[str, list[str]] = {"chunk": [], "record": [], "message": []}
     with open(path, "rb") as file:
         place = file.seek(len(MAGIC))
-        loose = _Loose(file)
+        unchunked = _UnchunkedMessages(file)
         while not whole and (head := file.read(HEAD.size)):
             opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, size)
             end = place + HEAD.size + length
             if end > size:
-                damaged = length > _BEYOND_ANY
+                damaged = length > _IMPOSSIBLE_LENGTH
                 break
             if opcode == Opcode.MESSAGE and _MESSAGE_HEAD.itemsize <= length <= _LARGEST_RECORD:
-                yield from loose.add(place + HEAD.size, length)
+                yield from unchunked.add(place + HEAD.size, length)
             else:
-                yield from loose.taken()
+                yield from unchunked.flush()
             if opcode == Opcode.MESSAGE and length < _MESSAGE_HEAD.itemsize:
                 losses["message"].append("it is cut off")
             elif opcode == Opcode.CHUNK and length > LARGEST_CHUNK:
-                losses["chunk"].append(f"it is of {length} bytes, {LARGEST_CHUNK} are granted")
+                losses["chunk"].append(f"it has {length} bytes, more than the limit of {LARGEST_CHUNK}")
             elif opcode == Opcode.CHUNK or (opcode in _PARSED and length <= _LARGEST_RECORD):
                 content = file.read(length)
                 try:
@@ -93,8 +102,8 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
                         budget -= len(data)
                         if budget < 0:
                             raise MagycError(
-                                f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, which no log of "
-                                "measurements does; refused before it fills the memory"
+                                f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, the limit that "
+                                "protects the memory; is it a log of measurements?"
                             )
                         yield from broken_up(data)
                     else:
@@ -103,7 +112,7 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
                     losses["chunk" if opcode == Opcode.CHUNK else "record"].append(shortened(error))
             whole = opcode == Opcode.FOOTER
             place = file.seek(end)
-        yield from loose.taken()
+        yield from unchunked.flush()
     if place <= len(MAGIC):
         raise MagycError(f"{path}: not an MCAP file (it ends too early)")
     for what, reasons in losses.items():
@@ -112,43 +121,45 @@ def records(path: Path, notes: list[str], report: Callable[[float], None]) -> It
         elif reasons:
             notes.append(f"{len(reasons)} {what}s are damaged and were left out (the first: {reasons[0]})")
     if damaged:
-        notes.append(f"the file is damaged at byte {place} (a record of {length} bytes is announced)")
+        notes.append(f"the file is damaged at byte {place} (a record declares a length of {length} bytes)")
     elif not whole:
         notes.append(f"the file is cut off after {size} bytes (no footer)")
     report(1.0)
 
 
-class _Loose:
-    """Messages outside of chunks, put together to blocks."""
+class _UnchunkedMessages:
+    """Messages outside of chunks, collected into blocks."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
         self._places: list[tuple[int, int]] = []
 
     def add(self, start: int, length: int) -> Iterator[Block]:
-        if self._places and start - self._places[0][0] > _AT_ONCE:
-            yield from self.taken()
+        """Add a message; yield a block if enough were collected."""
+        if self._places and start - self._places[0][0] > _BLOCK:
+            yield from self.flush()
         self._places.append((start, length))
 
-    def taken(self) -> Iterator[Block]:
+    def flush(self) -> Iterator[Block]:
+        """Yield a block of the collected messages, if any."""
         if not self._places:
             return
-        back = self._file.tell()
+        position = self._file.tell()
         first = self._places[0][0]
         last, length = self._places[-1]
         self._file.seek(first)
         data = self._file.read(last + length - first)
-        self._file.seek(back)
+        self._file.seek(position)
         places = [(start - first, length) for start, length in self._places if start + length - first <= len(data)]
         self._places = []
         yield from block_of(data, [start for start, _ in places], [length for _, length in places])
 
 
 def unpacked(content: bytes) -> bytes:
-    """The records in a chunk.
+    """Return the bytes of the records in a chunk.
 
     Raises:
-        Damage: it does not unpack, or not to what it says, or is larger than is granted.
+        Damage: the chunk cannot be unpacked, differs from its declared size or checksum, or is too large.
     """
     try:
         _, _, size, checksum, name = _CHUNK_HEAD.unpack_from(content)
@@ -162,62 +173,15 @@ def unpacked(content: bytes) -> bytes:
     return decompressed(data, compression, size, checksum)
 
 
-def decompressed(data: bytes, compression: str, size: int, checksum: int) -> bytes:
-    """The records in a chunk, as they lie in `data`, of which it says that they are so many bytes.
-
-    Raises:
-        Damage: as `unpacked`.
-    """
-    if compression in ("zstd", "lz4"):
-        if size > LARGEST_CHUNK:
-            raise Damage(f"it asks for {size} bytes, {LARGEST_CHUNK} are granted")
-        try:
-            data = _zstd(data, size) if compression == "zstd" else _lz4(data, size)
-        except (RuntimeError, ValueError, MemoryError) as error:  # lz4 raises RuntimeError
-            raise Damage(str(error) or type(error).__name__) from None
-    if checksum and (calculated := zlib.crc32(data)) != checksum:
-        raise Damage(f"crc validation failed in Chunk, expected: {checksum}, calculated: {calculated}")
-    return data
-
-
-def _zstd(data: bytes, size: int) -> bytes:
-    import zstandard  # which a file with chunks of its kind needs
-
-    try:
-        named = zstandard.frame_content_size(data)
-        if named > size:
-            raise ValueError(f"it unpacks to {named} bytes, not to {size}")
-        decompressor = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
-        return decompressor.decompress(data, max_output_size=max(size, 1))
-    except zstandard.ZstdError as error:
-        raise ValueError(str(error) or type(error).__name__) from None
-
-
-def _lz4(data: bytes, size: int) -> bytes:
-    import lz4.frame  # likewise
-
-    decompressor = lz4.frame.LZ4FrameDecompressor()
-    # An input that is not bounded would be unpacked in full before its length is known.
-    result = bytes(decompressor.decompress(data, max_length=size + 1))
-    if len(result) > size:
-        raise ValueError(f"it unpacks to more than {size} bytes")
-    if not decompressor.eof:
-        raise ValueError("it ends too early")
-    return result
-
-
 def broken_up(data: bytes) -> list[Record]:
-    """The schemas, channels and messages in the records of a chunk.
+    """Return the schemas, channels and messages in the unpacked records of a chunk.
 
     Raises:
-        Damage: a record is cut off or cannot be read, or there are many that no chunk holds.
+        Damage: a record is cut off or cannot be read, or there are too many that are not messages.
     """
-    found: list[Record] = []
+    definitions: list[Record] = []
     others = 0
-    starts, lengths = (
-        array("q"),
-        array("q"),
-    )  # of messages; an object of Python's for each would take ten times as much
+    starts, lengths = array("q"), array("q")  # of messages; lists of Python integers take ten times the memory
     place, size, unpack, add_start, add_length = 0, len(data), HEAD.unpack_from, starts.append, lengths.append
     while place < size:
         try:
@@ -233,18 +197,18 @@ def broken_up(data: bytes) -> list[Record]:
         else:
             others += 1
             if others > _MOST_OTHERS:
-                raise Damage(f"it holds more than {_MOST_OTHERS} records that are no messages")
+                raise Damage(f"it holds more than {_MOST_OTHERS} records that are not messages")
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                found.append(parsed(opcode, data[place : place + length]))
+                definitions.append(parsed(opcode, data[place : place + length]))
         place += length
-    return [*found, *block_of(data, starts, lengths)]
+    return [*definitions, *block_of(data, starts, lengths)]
 
 
 def block_of(data: bytes, starts: Sequence[int], lengths: Sequence[int]) -> list[Block]:
-    """The messages whose records begin at these places in `data`; none where there are none.
+    """Return the messages whose records begin at the places `starts` in `data`, as one block; [] without any.
 
     Raises:
-        Damage: one is shorter than its head.
+        Damage: a message is shorter than its header.
     """
     if not len(starts):
         return []
@@ -270,10 +234,10 @@ _PARSED = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel, Opcode.METADATA: Meta
 
 
 def parsed(opcode: int, content: bytes) -> Schema | Channel | Metadata:
-    """A schema, channel or metadata record.
+    """Parse a schema, channel or metadata record.
 
     Raises:
-        Damage: it is cut off, or its text cannot be decoded.
+        Damage: the record is cut off, or its text cannot be decoded.
     """
     try:
         record: Schema | Channel | Metadata = _PARSED[Opcode(opcode)].read(ReadDataStream(BytesIO(content)))

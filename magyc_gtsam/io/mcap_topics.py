@@ -1,4 +1,4 @@
-"""The topics of a ROS log, filled by its records in whatever order these come."""
+"""The topics of a ROS log, collected from its records in any order."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_topic import Topic
 from magyc_gtsam.io.ros_types import short_type
 
-_HEAD = 34  # bytes beside each message that is kept
+_OVERHEAD = 34  # bytes for each message that is kept, besides its data
 NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
 
 
 class Topics(dict[str, Topic]):
-    """The topics of a file by name, filled by its records.
+    """The topics of a file by name, collected from its records.
 
     Args:
-        wanted: whether the numbers of a topic of this name and type are to be read.
-        request: its stamps.
-        notes: what had to be left out.
-        announced: whether a channel without messages so far is a topic.
-        grant: asked for bytes before they are kept; raises where there are too many.
+        wanted: returns whether to read the numbers of a topic, by name and type.
+        request: for the kind of stamps and the attitude.
+        notes: list to which remarks on omissions are appended.
+        announced: whether a channel without messages counts as a topic.
+        grant: called with the number of bytes before they are kept; raises if they exceed the limit.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class Topics(dict[str, Topic]):
         self._early: dict[int, list[Block]] = {}
 
     def keep(self, record: Schema | Channel | Block) -> None:
-        """Take in a record."""
+        """Add a record."""
         if isinstance(record, Schema):
             self._schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -68,10 +68,11 @@ class Topics(dict[str, Topic]):
                 self._messages(int(block.channel[0]), block)
 
     def _messages(self, identifier: int, block: Block) -> None:
+        """Add the messages of one channel, or keep them until its record comes."""
         channel = self._channels.get(identifier)
         if channel is None or (channel.schema_id and channel.schema_id not in self._schemas):
-            # Where a chunk is damaged its channels stand in the summary alone, at the end of the file.
-            self._grant(int(block.length.sum()) + _HEAD * len(block.length))
+            # The channels of a damaged chunk are only in the summary, at the end of the file.
+            self._grant(int(block.length.sum()) + _OVERHEAD * len(block.length))
             self._early.setdefault(identifier, []).append(_compact(block))
             return
         for early in self._early.pop(identifier, []):
@@ -79,6 +80,7 @@ class Topics(dict[str, Topic]):
         self._add(channel, block)
 
     def _topic(self, channel: Channel) -> Topic:
+        """Return the topic of a channel, and create it if needed."""
         topic = self.get(channel.topic)
         if topic is None:
             schema = self._schemas.get(channel.schema_id, NO_SCHEMA)
@@ -95,9 +97,10 @@ class Topics(dict[str, Topic]):
         return topic
 
     def _add(self, channel: Channel, block: Block) -> None:
+        """Add the messages of a known channel to its topic."""
         schema = self._schemas.get(channel.schema_id, NO_SCHEMA)
         topic = self._topic(channel)
-        # Two publishers of one topic are two channels in the file, but one topic to everyone else.
+        # Two publishers of one topic have two channels in the file.
         if topic.schema.name == schema.name:
             topic.add(block.data, block.start, block.length, block.log_time)
         else:
@@ -106,7 +109,7 @@ class Topics(dict[str, Topic]):
                 self._notes.append(note)
 
     def finish(self) -> None:
-        """Take in what had no channel until the end."""
+        """Add the messages whose schema never came, and note those whose channel never came."""
         lost: dict[int, int] = {}
         for identifier, blocks in self._early.items():
             channel = self._channels.get(identifier)
@@ -117,12 +120,12 @@ class Topics(dict[str, Topic]):
                 self._add(channel, block)
         self._early = {}
         if lost:
-            which = f"{'a channel' if len(lost) == 1 else 'channels'} without a record ({listed([*lost])})"
-            self._notes.append(f"{sum(lost.values())} messages of {which} were left out")
+            channels = f"{'a channel' if len(lost) == 1 else 'channels'} without a record ({listed([*lost])})"
+            self._notes.append(f"{sum(lost.values())} messages of {channels} were left out")
 
 
 def _compact(block: Block) -> Block:
-    """The block without the bytes between its messages."""
+    """Return the block without the bytes between its messages."""
     start = np.concatenate([[0], np.cumsum(block.length)[:-1]])
     size = int(block.length[0])
     if (block.length == size).all():

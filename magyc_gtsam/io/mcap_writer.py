@@ -1,4 +1,4 @@
-"""A `Recording` as a ROS 2 log: the samples of each sensor, each at its own stamp."""
+"""Writer of a `Recording` as a ROS 2 log in MCAP, with each sample at its stamp."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magyc_gtsam.io.ros_fields import NANOSECONDS
 from magyc_gtsam.recording import Recording
 
 _COMPRESSION = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, None: CompressionType.NONE}
-_LATEST = 2**31 * NANOSECONDS  # a stamp's seconds are an int32
+_LATEST = 2**31 * NANOSECONDS  # the seconds of a stamp are an int32
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,24 +37,23 @@ def write_mcap(
     epoch: int = 0,
     compression: Literal["zstd", "lz4"] | None = "zstd",
 ) -> None:
-    """Write `recording` so that `read` gives back its samples exactly and its stamps to the nanosecond.
+    """Write a recording such that `read` returns its samples exactly and its stamps to the nanosecond.
 
-    `/imu/mag` (sensor_msgs/msg/MagneticField), `/imu/data_raw` (sensor_msgs/msg/Imu), `/reference/attitude`
-    (geometry_msgs/msg/QuaternionStamped), and each channel as `/<name>` (std_msgs/msg/Float64 or
-    Float64MultiArray). Filled rows are not written: reading the log makes them again. Repeated ones are: that a
-    sensor repeats itself is in the data.
+    The topics are `/imu/mag` (sensor_msgs/msg/MagneticField), `/imu/data_raw` (sensor_msgs/msg/Imu),
+    `/reference/attitude` (geometry_msgs/msg/QuaternionStamped), and `/<name>` for each channel (std_msgs/msg/Float64
+    or Float64MultiArray). Filled rows are not written, since reading creates them again; repeated samples are.
 
     Args:
-        path: the file, which is replaced where it exists.
-        recording: what to write.
-        epoch: ns since 1970 (or any other origin) at the recording's time 0.
-        compression: of the file's chunks; None for none.
+        path: the file; an existing one is replaced.
+        recording: the recording.
+        epoch: stamp at the recording's time 0, in ns since 1970 or any other origin.
+        compression: compression of the chunks; None for none.
 
     Raises:
-        MagycError: the stamps do not fit a ROS header, or the compression is not known.
+        MagycError: the stamps do not fit a ROS header, or the compression is unknown.
     """
     if compression not in _COMPRESSION:
-        raise MagycError(f"compression: {compression!r} is not known; known are 'zstd', 'lz4' and None")
+        raise MagycError(f"compression: must be 'zstd', 'lz4' or None, got {compression!r}")
     stamp = np.round(recording.time * 1e9).astype(np.int64) + int(epoch)
     if stamp[0] < 0 or stamp[-1] >= _LATEST:
         raise MagycError(
@@ -62,7 +61,7 @@ def write_mcap(
             "(0 to 2^31 s); choose another epoch (ns at the recording's time 0)"
         )
     topics = list(_topics(recording, stamp))
-    which = np.concatenate([np.full(len(t.stamp), i) for i, t in enumerate(topics)])
+    topic_of_row = np.concatenate([np.full(len(t.stamp), i) for i, t in enumerate(topics)])
     row = np.concatenate([np.arange(len(t.stamp)) for t in topics])
     order = np.argsort(np.concatenate([t.stamp for t in topics]), kind="stable")
     with open(path, "wb") as file:
@@ -76,7 +75,7 @@ def write_mcap(
                 name = topic.schema.replace("/", "/msg/")
                 schemas[topic.schema] = writer.register_schema(name, SchemaEncoding.ROS2, text)
             channels.append(writer.register_channel(topic.name, MessageEncoding.CDR, schemas[topic.schema]))
-        for i, k in zip(which[order].tolist(), row[order].tolist(), strict=True):
+        for i, k in zip(topic_of_row[order].tolist(), row[order].tolist(), strict=True):
             at = int(topics[i].stamp[k])
             writer.add_message(channels[i], at, topics[i].messages[k], at, k)
         kinds = {"angular_rate_is": recording.angular_rate_is, "attitude_is": recording.attitude_is}
@@ -85,6 +84,7 @@ def write_mcap(
 
 
 def _topics(recording: Recording, stamp: NDArray[np.int64]) -> Iterator[_Topic]:
+    """Yield the topics of a recording with stamps (N,) ns."""
     entries = recording.magnetic_field_stamped
     yield _topic(
         "/imu/mag", "sensor_msgs/MagneticField", stamp[entries], magnetic_field=recording.magnetic_field[entries]
@@ -108,6 +108,7 @@ def _topics(recording: Recording, stamp: NDArray[np.int64]) -> Iterator[_Topic]:
 
 
 def _topic(name: str, schema: str, stamp: NDArray[np.int64], **parts: NDArray[np.float64]) -> _Topic:
+    """Return a topic whose messages hold `parts`, {sensor: (n, k)}, and declare other sensors as unknown."""
     places = {path: column for column, path in enumerate(numbers_of(schema))}
     unknown = UNKNOWN.get(schema, {})
     value = np.zeros((len(stamp), len(places)))

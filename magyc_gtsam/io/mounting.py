@@ -1,4 +1,4 @@
-"""How PX4 and ArduPilot number the ways to mount a sensor (both number them as MAVLink does)."""
+"""The numbered sensor orientations of PX4 and ArduPilot (MAV_SENSOR_ORIENTATION of MAVLink)."""
 
 from __future__ import annotations
 
@@ -55,17 +55,17 @@ _EULER = (
 
 
 def euler(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """(3, 3) rotation from three angles in degrees."""
+    """Return the rotation (3, 3) of three angles in degrees."""
     matrix: NDArray[np.float64] = Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix()
     return matrix
 
 
 def mounting(number: int) -> NDArray[np.float64]:
-    """(3, 3) rotation sensor→board of a numbered orientation.
+    """Return the rotation (3, 3) sensor→board of a numbered orientation.
 
     Raises:
-        MagycError: the number is not known.
+        MagycError: the number is unknown.
     """
     if not 0 <= number < len(_EULER):
-        raise MagycError(f"orientation {number} is not known (0 to {len(_EULER) - 1} are)")
+        raise MagycError(f"sensor orientation: must be 0 to {len(_EULER) - 1}, got {number}")
     return euler(*_EULER[number])

@@ -1,4 +1,4 @@
-"""Read what phone apps export (Sensor Logger, phyphox): a ZIP with one text table a sensor."""
+"""Reader of the exports of phone apps (Sensor Logger, phyphox): a ZIP with one text table per sensor."""
 
 from __future__ import annotations
 
@@ -24,17 +24,15 @@ from magyc_gtsam.io.units import factor
 from magyc_gtsam.recording import Recording
 
 MAGIC = b"PK\x03\x04"
-_LARGEST = 1 << 29  # bytes of a table, unpacked
-_PACKED = (
-    25  # times its packed size, the most that is unpacked; a table of a phone that lies still packs to a sixth
-)
-# The tables of each sensor, best first: the phone's own calibration of the magnetometer comes and goes.
+_LARGEST = 1 << 29  # bytes of an unpacked table
+_LARGEST_RATIO = 25  # of unpacked to packed size; the table of a phone at rest has a ratio of 6
+# The tables of each sensor, best first: the phone's calibration of the magnetometer changes at any time.
 _TABLES = {
     "magnetic_field": (r"magnetometer ?uncalibrated", r"magnetometer|magnetic ?field"),
     "angular_rate": (r"gyroscope ?uncalibrated", r"gyroscope"),
     "acceleration": (r"total ?acceleration", r"accelerometer ?uncalibrated", r"accelerometer|acceleration with g"),
 }
-_UNIT = {"magnetic_field": "uT", "angular_rate": "rad/s", "acceleration": "m/s^2"}  # both apps', where unnamed
+_UNIT = {"magnetic_field": "uT", "angular_rate": "rad/s", "acceleration": "m/s^2"}  # of both apps, if not named
 # What zipfile and its decompressors raise on damaged archives; RuntimeError is that of an encrypted member.
 _UNREADABLE = (
     zipfile.BadZipFile,
@@ -50,34 +48,34 @@ _AXIS = re.compile(r"(?:^|[ _.])([xyz])$")
 
 
 def read(path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of an archive.
+    """Read an archive; see `magyc_gtsam.io.read`.
 
     Raises:
-        MagycError: there is no magnetometer in it, or a table cannot be read.
+        MagycError: the archive has no magnetometer, or a table cannot be read.
     """
     request.only("phone archive")
     if request.stamps == "log":
-        raise MagycError("stamps='log': the tables of an archive have one clock only")
+        raise MagycError("stamps='log': the tables of an archive have only one clock; leave the option out")
     notes: list[str] = []
     sensors: dict[str, Stream] = {}
     with _opened(path) as archive:
-        found = _tables(archive)
+        tables = _tables(archive)
         for done, sensor in enumerate(_TABLES):
-            name = request.named(sensor) or found.get(sensor, [""])[0]
+            name = request.named(sensor) or tables.get(sensor, [""])[0]
             if not name:
                 notes.append(f"no {sensor}: the archive has no table for it")
                 continue
             sensors[sensor] = _stream(archive, path, name, sensor, request, notes)
-            if len(found.get(sensor, [])) > 1:
-                notes.append(f"{sensor} is from {name}; {listed(found[sensor][1:])} could be named instead")
+            if len(tables.get(sensor, [])) > 1:
+                notes.append(f"{sensor} is from {name}; {listed(tables[sensor][1:])} could be named instead")
             request.report((done + 1) / len(_TABLES))
     if "magnetic_field" not in sensors:
-        raise MagycError(f"{path}: no magnetometer's table in the archive; it has {listed(archive.namelist())}")
+        raise MagycError(f"{path}: no table of a magnetometer in the archive; it has {listed(archive.namelist())}")
     return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes))
 
 
 def info(path: Path) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of an archive; `problem` is left to the caller."""
+    """Describe an archive; see `magyc_gtsam.io.info`, which sets `problem`."""
     sources = []
     with _opened(path) as archive:
         for sensor, names in _tables(archive).items():
@@ -90,14 +88,15 @@ def info(path: Path) -> LogInfo:
 
 
 def _opened(path: Path) -> zipfile.ZipFile:
+    """Open an archive."""
     try:
         return zipfile.ZipFile(path)
     except _UNREADABLE as error:
-        raise MagycError(f"{path}: not an archive that can be read ({shortened(error)})") from None
+        raise MagycError(f"{path}: the archive cannot be read ({shortened(error)})") from None
 
 
 def _tables(archive: zipfile.ZipFile) -> Mapping[str, list[str]]:
-    """The members that can be each sensor's, best first."""
+    """Return the members with tables of each sensor, best first."""
     names = [n for n in archive.namelist() if n.lower().endswith((".csv", ".txt", ".tsv"))]
     result = {}
     for sensor, patterns in _TABLES.items():
@@ -110,50 +109,53 @@ def _tables(archive: zipfile.ZipFile) -> Mapping[str, list[str]]:
 def _stream(
     archive: zipfile.ZipFile, path: Path, name: str, sensor: str, request: Request, notes: list[str]
 ) -> Stream:
+    """Read the stream of a sensor from a member of the archive."""
     with tempfile.TemporaryDirectory(prefix="magyc-gtsam-") as folder:
         table = csv_table.load(_extracted(archive, path, name, Path(folder)), None)
         time, columns = _columns(table.columns, f"{path}: {name}")
         unit = time.unit or ("ns" if _is_nanoseconds(table.first[time.index]) else "s")
         stamps = StampColumn(Path(f"{path}: {name}"), unit)
-        numbers, stamp, _, said = table.read([c.index for c in columns], time.index, stamps, lambda _: None)
-        notes.extend(f"{name}: {note}" for note in said)
-    scale, asked = request.scale(sensor, factor(sensor, columns[0].unit or _UNIT[sensor]))
-    notes.extend(asked)
+        numbers, stamp, _, table_notes = table.read([c.index for c in columns], time.index, stamps, lambda _: None)
+        notes.extend(f"{name}: {note}" for note in table_notes)
+    scale, unit_notes = request.scale(sensor, factor(sensor, columns[0].unit or _UNIT[sensor]))
+    notes.extend(unit_notes)
     value = numbers.together(range(len(columns)))
     known = np.isfinite(value).any(axis=1)
     return Stream(name, stamp[known], value[known] * scale)
 
 
 def _is_nanoseconds(cell: str) -> bool:
-    """Sensor Logger's stamps since 1970, without a unit."""
+    """Return whether a stamp without a unit is in ns since 1970, as Sensor Logger writes it."""
     return cell.strip().isdigit() and len(cell.strip()) >= 17
 
 
 def _columns(columns: tuple[Column, ...], where: str) -> tuple[Column, list[Column]]:
-    """Time, and x, y, z."""
+    """Return the column of time, and those of x, y and z."""
     time = next((c for c in columns if c.name in ("time", "t", "timestamp", "seconds_elapsed")), None)
     axes = {m[1]: c for c in reversed(columns) if (m := _AXIS.search(c.name))}
     if time is None or len(axes) < 3:
-        found = listed([c.written for c in columns]) or "no header"
-        raise MagycError(f"{where}: columns of time, x, y and z are needed; it has {found}")
+        present = listed([c.written for c in columns]) or "no header"
+        raise MagycError(f"{where}: expected columns of time, x, y and z, got {present}")
     return time, [axes[a] for a in "xyz"]
 
 
 def _extracted(archive: zipfile.ZipFile, path: Path, name: str, folder: Path) -> Path:
-    """The member as a file of its own, within what is granted."""
+    """Unpack a member into a file in `folder`, up to the largest permitted size."""
     try:
         member = archive.getinfo(name)
-        granted = min(_LARGEST, _PACKED * member.compress_size + (1 << 20))
-        if member.file_size > granted:
-            raise MagycError(f"{path}: {name} unpacks to {member.file_size} bytes, {granted} are granted")
+        largest = min(_LARGEST, _LARGEST_RATIO * member.compress_size + (1 << 20))
+        if member.file_size > largest:
+            raise MagycError(
+                f"{path}: {name} unpacks to {member.file_size} bytes, more than the limit of {largest}"
+            )
         target = folder / "table.csv"
         with archive.open(member) as source, open(target, "wb") as file:
-            left = granted + 1
-            while left > 0 and (data := source.read(min(1 << 20, left))):
+            remaining = largest + 1
+            while remaining > 0 and (data := source.read(min(1 << 20, remaining))):
                 file.write(data)
-                left -= len(data)
-        if left <= 0:
-            raise MagycError(f"{path}: {name} unpacks to more than {granted} bytes")
+                remaining -= len(data)
+        if remaining <= 0:
+            raise MagycError(f"{path}: {name} unpacks to more than the limit of {largest} bytes")
         return target
     except MagycError:
         raise

@@ -1,8 +1,8 @@
-"""What PX4 had applied to its sensors when it logged them, by the log's parameters, and how to undo it.
+"""Undo the calibration that PX4 applies to its sensors before it logs them, by the parameters in the log.
 
 PX4 logs R (S (raw − offset)): S from CAL_MAGn_{X,Y,Z}SCALE and, since 1.11, {X,Y,Z}ODIAG, the offset from
-CAL_MAGn_{X,Y,Z}OFF, R from CAL_MAGn_ROT (an external sensor) or SENS_BOARD_ROT and SENS_BOARD_{X,Y,Z}_OFF.
-Gyroscopes likewise. Undone means R raw: the raw values in the frame that all sensors share.
+CAL_MAGn_{X,Y,Z}OFF, R from CAL_MAGn_ROT (an external sensor) or SENS_BOARD_ROT and SENS_BOARD_{X,Y,Z}_OFF, and
+in the same way for gyroscopes. The result here is R raw: raw values in the frame that all sensors share.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ _CUSTOM_ROTATION = 100
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters at the start of the log, and their changes in it.
+    """The parameters at the start of the log, and their changes in it.
 
-    Args:
+    Attributes:
         initial: {name: value}.
         changes: (stamp in µs, name, value), ascending.
     """
@@ -37,7 +37,7 @@ class Parameters:
     changes: tuple[tuple[int, str, float], ...] = ()
 
     def at(self, name: str, stamp: Stamps, default: float) -> Array:
-        """(n,) values in force at the stamps (n,) in µs."""
+        """Return the values (n,) of a parameter at stamps (n,) in µs."""
         value = np.full(len(stamp), float(self.initial.get(name, default)))
         for when, changed, new in self.changes:
             if changed == name:
@@ -45,13 +45,13 @@ class Parameters:
         return value
 
     def vector(self, pattern: str, stamp: Stamps, default: float) -> Array:
-        """(n, 3) values of three parameters, `pattern` with X, Y, Z in the place of {}."""
+        """Return the values (n, 3) of three parameters, named by `pattern` with X, Y, Z in place of {}."""
         return np.column_stack([self.at(pattern.format(axis), stamp, default) for axis in "XYZ"])
 
 
 @dataclass(frozen=True)
 class Undone:
-    """Values (n, 3) with the calibration undone, and what was undone."""
+    """Values (n, 3) with the calibration undone, and notes on it."""
 
     value: Array
     notes: tuple[str, ...]
@@ -67,19 +67,19 @@ def undo(
     corrected: bool,
     rotated: bool,
 ) -> Undone:
-    """Raw values in the frame of the vehicle.
+    """Return raw values in the frame of the vehicle.
 
     Args:
-        kind: of sensor.
+        kind: kind of sensor.
         logged: (n, 3) in PX4's units (gauss, rad/s).
         stamp: (n,) µs.
-        parameters: of the log.
-        device: identifier of the sensor, None where the log does not name it.
+        parameters: the parameters of the log.
+        device: identifier of the sensor; None if the log does not name it.
         corrected: whether offset and scale were applied before logging.
-        rotated: whether the rotation was.
+        rotated: whether the rotation was applied before logging.
 
     Raises:
-        MagycError: what was applied cannot be known.
+        MagycError: the log does not say which calibration was applied, or it cannot be undone.
     """
     index, notes = _index(kind, parameters, device, corrected)
     prefix = f"CAL_{kind}{index}_"
@@ -90,7 +90,7 @@ def undo(
         if kind == "MAG" and parameters.initial.get("CAL_MAG_COMP_TYP", 0) and compensation.any():
             raise MagycError(
                 f"{prefix}XCOMP.. corrected the magnetometer by the motors' power, which cannot be undone; "
-                "read the uncorrected message where the log has it (magnetic_field='sensor_mag')"
+                "read the uncorrected message if the log has it (magnetic_field='sensor_mag')"
             )
         offset = parameters.vector(f"{prefix}{{}}OFF", stamp, 0.0)
         scale = _scale(prefix, parameters, stamp)
@@ -100,7 +100,7 @@ def undo(
         extra = "" if np.allclose(scale, np.eye(3)) else f" and scale {np.array2string(scale[0], precision=4)}"
         notes.append(f"{prefix}* was applied in flight and is undone: offset ({text}) {unit}{extra}")
         if (offset != offset[0]).any() or (scale != scale[0]).any():
-            notes.append(f"{prefix}* changed within the log; each sample was treated by the values of its time")
+            notes.append(f"{prefix}* changed within the log; each sample was corrected by the values at its time")
     if not np.allclose(rotation, np.eye(3)):
         angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
         notes.append(f"{kind}: values are in the vehicle's frame, {angle:.2f}° from the sensor's")
@@ -108,7 +108,11 @@ def undo(
 
 
 def _index(kind: str, parameters: Parameters, device: int | None, corrected: bool) -> tuple[int | None, list[str]]:
-    """Which CAL_MAGn / CAL_GYROn belongs to the sensor."""
+    """Return the number n of the CAL_MAGn or CAL_GYROn parameters of the sensor, None if it has none, and notes.
+
+    Raises:
+        MagycError: a calibration was applied, but the log does not say which.
+    """
     identifiers = {n: int(parameters.initial.get(f"CAL_{kind}{n}_ID", 0)) for n in _INSTANCES}
     known = [n for n, identifier in identifiers.items() if identifier != 0]
     if device is not None:
@@ -121,10 +125,10 @@ def _index(kind: str, parameters: Parameters, device: int | None, corrected: boo
     prime = int(parameters.initial.get(f"CAL_{kind}_PRIME", 0))
     matching = [n for n in known if identifiers[n] == prime]
     if matching:
-        return matching[0], [f"the log does not say which sensor it was; taken for CAL_{kind}_PRIME ({prime})"]
+        return matching[0], [f"the log does not name the sensor; CAL_{kind}_PRIME ({prime}) is assumed"]
     if not corrected:
         return None, []
-    if kind == "GYRO":  # an offset that stays in is only a smaller bias to find
+    if kind == "GYRO":  # the calibration estimates the remaining gyroscope bias anyway
         return None, ["the log does not say which CAL_GYROn_* was subtracted in flight, so it is kept"]
     if not known:
         raise MagycError(
@@ -133,11 +137,12 @@ def _index(kind: str, parameters: Parameters, device: int | None, corrected: boo
         )
     raise MagycError(
         f"the log does not say which of CAL_{kind}n_* (n = {', '.join(map(str, known))}) was applied, so it "
-        "cannot be undone; name a message that says (magnetic_field='vehicle_magnetometer', 'sensor_mag')"
+        "cannot be undone; choose a message that names it (magnetic_field='vehicle_magnetometer', 'sensor_mag')"
     )
 
 
 def _scale(prefix: str, parameters: Parameters, stamp: Stamps) -> Array:
+    """Return the scale matrix (n, 3, 3) in force at each stamp."""
     diagonal = parameters.vector(f"{prefix}{{}}SCALE", stamp, 1.0)
     off = parameters.vector(f"{prefix}{{}}ODIAG", stamp, 0.0)
     scale = np.empty((len(stamp), 3, 3))
@@ -146,12 +151,14 @@ def _scale(prefix: str, parameters: Parameters, stamp: Stamps) -> Array:
     for k, (i, j) in enumerate(((0, 1), (0, 2), (1, 2))):
         scale[:, i, j] = scale[:, j, i] = off[:, k]
     if (np.abs(np.linalg.det(scale)) < 1e-6).any():
-        raise MagycError(f"{prefix}*SCALE, {prefix}*ODIAG: not invertible, so what was logged cannot be undone")
+        raise MagycError(
+            f"{prefix}*SCALE, {prefix}*ODIAG: the matrix is singular, so the calibration cannot be undone"
+        )
     return scale
 
 
 def _rotation(prefix: str, parameters: Parameters) -> Array:
-    """Sensor→vehicle."""
+    """Return the rotation (3, 3) sensor→vehicle."""
     get = parameters.initial.get
     number = int(get(f"{prefix}ROT", -1))
     if number == _CUSTOM_ROTATION:

@@ -23,7 +23,7 @@ Stamps = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """One instance of a message: its name, its fields as arrays, and whether there are more instances."""
+    """One instance of a message, with its fields as arrays."""
 
     name: str
     instance: int
@@ -31,23 +31,23 @@ class Message:
 
     @property
     def label(self) -> str:
-        """Name, and instance where it is not the first."""
+        """The name, followed by the instance if it is not the first."""
         return f"{self.name}[{self.instance}]" if self.instance else self.name
 
     @property
     def count(self) -> int:
-        """Samples."""
+        """Number of samples."""
         return len(self.data["timestamp"])
 
     @property
     def stamp(self) -> Stamps:
-        """µs since boot, of the sample itself where the message says so."""
+        """Stamps (n,) in µs since boot: the time of the sample if the message has it, else of its publication."""
         at = self.data.get("timestamp_sample")
         known = at is not None and bool(np.all(at > 0))
         return np.asarray(at if known else self.data["timestamp"]).astype(np.int64)
 
     def vector(self, fields: str) -> Array | None:
-        """(n, 3) of three fields, "xyz" or "field[{}]"; None where the message does not have them."""
+        """Return three fields (n, 3), named "xyz" or "field[{}]"; None if the message does not have them."""
         names = list(fields) if "{}" not in fields else [fields.format(k) for k in range(3)]
         if any(n not in self.data for n in names):
             return None
@@ -55,10 +55,10 @@ class Message:
 
 
 def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters, tuple[str, ...]]:
-    """The messages of these names (None for all), the parameters, and notes on what is damaged.
+    """Load the messages with these names (None for all), the parameters, and notes on damage.
 
     Raises:
-        MagycError: pyulog is not installed, or the file is no PX4 log.
+        MagycError: pyulog is not installed, or the file is not a PX4 log.
     """
     try:
         from pyulog import ULog
@@ -68,19 +68,19 @@ def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters
             f"{path}: PX4 logs need pyulog; install it with: pip install 'magyc-gtsam[px4]'"
         ) from None
     try:
-        with redirect_stdout(StringIO()):  # the library prints what it finds wrong
+        with redirect_stdout(StringIO()):  # pyulog prints warnings about damage
             log = ULog(str(path), names)
     except MemoryError:
         raise
-    except Exception as error:  # what the library raises at damaged bytes depends on the bytes
+    except Exception as error:  # the exceptions of pyulog on damaged bytes have no common class
         reason = shortened(error) if isinstance(error, ULogException) else f"damaged: {shortened(repr(error))}"
-        raise MagycError(f"{path}: not a PX4 log that can be read ({reason})") from error
+        raise MagycError(f"{path}: the PX4 log cannot be read ({reason})") from error
     messages = [Message(d.name, int(d.multi_id), d.data) for d in log.data_list if "timestamp" in d.data]
     parameters = _finite_numbers(log.initial_parameters)
     changes = tuple((int(at), n, float(v)) for at, n, v in log.changed_parameters if n in _finite_numbers({n: v}))
     notes = []
     if log.file_corruption:
-        notes.append("the log is damaged or cut off; what could be read of it was")
+        notes.append("the log is damaged or cut off; the readable part was read")
     if log.dropouts:
         lost = sum(d.duration for d in log.dropouts) / 1e3
         notes.append(f"the logger lost data {len(log.dropouts)} times, {lost:.2f} s in all")
@@ -88,12 +88,12 @@ def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters
 
 
 def _finite_numbers(parameters: Mapping[str, Any]) -> dict[str, float]:
-    """Without what damage made of a parameter: text, or no number."""
+    """Return the parameters that are finite numbers; damage can turn others into text or NaN."""
     return {k: v for k, v in parameters.items() if isinstance(v, int | float) and math.isfinite(v)}
 
 
 def device_of(message: Message, messages: list[Message], kind: str) -> int | None:
-    """Identifier of the sensor behind a message; None where the log does not say.
+    """Return the identifier of the sensor that a message is from; None if the log does not name it.
 
     Raises:
         MagycError: the log changes from one sensor to another.
@@ -109,7 +109,7 @@ def device_of(message: Message, messages: list[Message], kind: str) -> int | Non
     if len(identifiers) > 1:
         raise MagycError(
             f"{message.label}: PX4 changed from one sensor to another within the log (devices "
-            f"{', '.join(map(str, identifiers))}), which one calibration does not fit; "
+            f"{', '.join(map(str, identifiers))}), for which one calibration is not valid; "
             f"name the message of one sensor (sensor_{kind}[0])"
         )
     return int(identifiers[0]) if len(identifiers) else None

@@ -1,4 +1,4 @@
-"""What the caller of `read` asked for, checked once and passed to the reader of the format."""
+"""The arguments of `read`, checked once and passed to the reader of the format."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ SENSORS = ("magnetic_field", "angular_rate", "acceleration")
 
 @dataclass(frozen=True)
 class Request:
-    """Arguments of `magyc_gtsam.io.read`; see there.
+    """The arguments of `magyc_gtsam.io.read`, which documents those that are not listed here.
 
-    Args:
+    Attributes:
         sensors: {"magnetic_field" | "angular_rate" | "acceleration" | "attitude": topic, columns or message}.
-        units: {"magnetic_field" | "angular_rate" | "acceleration": unit}, None where not named.
-        channels: the extra channels to read; None for all that are found.
-        options: what only some formats know.
+        units: {"magnetic_field" | "angular_rate" | "acceleration": unit}; None if not given.
+        channels: extra channels to read; None for all.
+        options: options of single formats.
     """
 
     sensors: Mapping[str, Selection] = field(default_factory=dict)
@@ -35,44 +35,49 @@ class Request:
 
     def __post_init__(self) -> None:
         if self.stamps not in ("header", "log"):
-            raise MagycError(f"stamps: {self.stamps!r} is neither 'header' nor 'log'")
+            raise MagycError(f"stamps: must be 'header' or 'log', got {self.stamps!r}")
         for quantity, unit in self.units.items():
             factor(quantity, unit)
         for name, value in (("start", self.start), ("end", self.end)):
             if value is not None and not (isinstance(value, int | float) and value == value):
-                raise MagycError(f"{name}: {value!r} is no number of seconds")
+                raise MagycError(f"{name}: must be a number of seconds, got {value!r}")
 
     def named(self, sensor: str) -> str | None:
-        """The one topic or message named for a sensor.
+        """Return the topic or message that is named for a sensor; None if none is.
 
         Raises:
-            MagycError: several names were given where the format takes one.
+            MagycError: several names are given, but the format takes one.
         """
         name = self.sensors.get(sensor)
         if name is not None and not isinstance(name, str):
-            raise MagycError(f"{sensor}: {name!r}, one topic or message is expected; columns are for text files")
+            raise MagycError(f"{sensor}: expected one topic or message, got {name!r}; columns are for text files")
         return name
 
     def scale(self, sensor: str, native: float = 1.0) -> tuple[float, tuple[str, ...]]:
-        """The factor to SI for a sensor, and the note that says so where the caller named the unit."""
+        """Return the factor to SI units for a sensor, and a note if the caller named the unit.
+
+        Args:
+            sensor: the quantity.
+            native: the factor if the caller named none.
+        """
         unit = self.units.get(sensor)
         if unit is None:
             return native, ()
         text = f"{sensor} was read in {unit}" if isinstance(unit, str) else f"{sensor} was multiplied by {unit:g}"
-        return factor(sensor, unit), (f"{text}, as asked",)
+        return factor(sensor, unit), (f"{text}, as requested",)
 
     def only(self, file_format: str, *known: str) -> None:
-        """Refuse options that the format has no use for.
+        """Check that all `options` are known to the format.
 
         Raises:
-            MagycError: an option that is not `known`.
+            MagycError: an option is not in `known`.
         """
         wrong = sorted(set(self.options) - set(known))
         if wrong:
-            offered = f"it takes {', '.join(known)}" if known else "it takes none of its own"
-            raise MagycError(f"option {wrong[0]!r} means nothing to a {file_format} file; {offered}")
+            offered = f"it has {', '.join(known)}" if known else "it has no options"
+            raise MagycError(f"option {wrong[0]!r} does not apply to a {file_format} file; {offered}")
 
     def report(self, fraction: float) -> None:
-        """Tell the caller's progress callback, if any."""
+        """Call the progress callback, if any, with the fraction clipped to 0 to 1."""
         if self.progress is not None:
             self.progress(min(max(fraction, 0.0), 1.0))

@@ -1,4 +1,4 @@
-"""The ROS messages that carry what is read here: what stands where, their definitions, and how to write them."""
+"""The ROS message types of the sensors: their fields, their definitions, and their encoding."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _FRAME = b"imu\0"
 
 
 def axes(path: str, names: str = "xyz") -> tuple[str, ...]:
-    """The paths of the components of a vector or quaternion."""
+    """Return the paths of the components of a vector or quaternion."""
     return tuple(f"{path}.{name}" for name in names)
 
 
-# {type: {sensor: the fields that are its components}}
+# {type: {sensor: the paths of its components}}
 SENSOR_FIELDS: dict[str, dict[str, tuple[str, ...]]] = {
     "sensor_msgs/Imu": {
         "attitude": axes("orientation", "xyzw"),
@@ -32,7 +32,7 @@ SENSOR_FIELDS: dict[str, dict[str, tuple[str, ...]]] = {
     "geometry_msgs/PoseWithCovarianceStamped": {"attitude": axes("pose.pose.orientation", "xyzw")},
     "nav_msgs/Odometry": {"attitude": axes("pose.pose.orientation", "xyzw")},
 }
-# The number that is -1 where a message has no estimate of the sensor.
+# {type: {sensor: the number that is -1 if a message has no estimate of the sensor}}
 UNKNOWN = {
     "sensor_msgs/Imu": {
         "attitude": "orientation_covariance[0]",
@@ -43,14 +43,19 @@ UNKNOWN = {
 
 
 def fields_of(kind: str, attitude: bool = True) -> tuple[str, ...]:
-    """All that is read of a type that is known; without an attitude that stands beside other sensors, if so asked."""
+    """Return the paths to read from a known type.
+
+    Args:
+        kind: the type.
+        attitude: whether to include an attitude in a message that has other sensors too.
+    """
     sensors = {k: v for k, v in SENSOR_FIELDS[kind].items() if attitude or k != "attitude"} or SENSOR_FIELDS[kind]
     paths = [path for components in sensors.values() for path in components]
     return tuple(dict.fromkeys([*paths, *(p for k, p in UNKNOWN.get(kind, {}).items() if k in sensors)]))
 
 
 def known_types(kind: str, ros1: bool) -> Types:
-    """The definition of a type that is known, whatever the file says of it."""
+    """Return the definition of a known type, independent of the file."""
     types = dict(parse_types(kind, definition(kind)))
     if ros1:
         types["std_msgs/Header"] = parse_types("std_msgs/Header", "uint32 seq\ntime stamp\nstring frame_id")[
@@ -60,24 +65,24 @@ def known_types(kind: str, ros1: bool) -> Types:
 
 
 def numbers_of(kind: str) -> list[str]:
-    """Paths of the float64s behind the header of a type that is written, in their order."""
+    """Return the paths of the float64 numbers after the header of a type that is written, in their order."""
     types = known_types(kind, ros1=False)
 
     def below(name: str, prefix: str) -> list[str]:
-        found: list[str] = []
-        for one in types[name]:
-            path = f"{prefix}{one.name}"
-            if one.type == "float64":
-                found += [f"{path}[{k}]" for k in range(one.size or 0)] if one.array else [path]
-            elif one.name != "header":
-                found += below(one.type, f"{path}.")
-        return found
+        paths: list[str] = []
+        for field in types[name]:
+            path = f"{prefix}{field.name}"
+            if field.type == "float64":
+                paths += [f"{path}[{k}]" for k in range(field.size or 0)] if field.array else [path]
+            elif field.name != "header":
+                paths += below(field.type, f"{path}.")
+        return paths
 
     return below(kind, "")
 
 
 def encode(stamp: Stamps, value: Array) -> list[bytes]:
-    """CDR messages of header stamps (n,) ns and numbers (n, width), as `numbers_of` orders them."""
+    """Encode header stamps (n,) ns and numbers (n, width), in the order of `numbers_of`, as CDR messages."""
     fields = [("encapsulation", "V4"), ("sec", "<i4"), ("nanosec", "<u4"), ("length", "<u4"), ("frame", "S4")]
     table = np.zeros(len(stamp), dtype=[*fields, ("value", "<f8", value.shape[1])])
     table["encapsulation"] = np.void(b"\0\1\0\0")
@@ -88,9 +93,9 @@ def encode(stamp: Stamps, value: Array) -> list[bytes]:
 
 
 def encode_numbers(value: Array) -> list[bytes]:
-    """CDR messages of std_msgs/Float64 from (n,) or std_msgs/Float64MultiArray from (n, k)."""
+    """Encode (n,) as CDR messages of std_msgs/Float64, or (n, k) of std_msgs/Float64MultiArray."""
     width = 1 if value.ndim == 1 else value.shape[1]
-    # An empty list of dimensions, no offset, the number of values, and what aligns them.
+    # The array has an empty list of dimensions, no offset, the number of values, and padding.
     array = [] if value.ndim == 1 else [("dim", "<u4"), ("offset", "<u4"), ("length", "<u4"), ("align", "V4")]
     table = np.zeros(len(value), dtype=[("encapsulation", "V4"), *array, ("value", "<f8", (width,))])
     table["encapsulation"] = np.void(b"\0\1\0\0")
@@ -101,6 +106,7 @@ def encode_numbers(value: Array) -> list[bytes]:
 
 
 def _rows(table: NDArray[np.void]) -> list[bytes]:
+    """Return the bytes of each row."""
     data, size = table.tobytes(), table.dtype.itemsize
     return [data[i : i + size] for i in range(0, len(data), size)]
 
@@ -141,7 +147,7 @@ _DEFINITIONS = {
 
 
 def definition(name: str) -> str:
-    """The definition of a message type ('sensor_msgs/Imu') with those it is made of, as MCAP's ros2msg."""
+    """Return the definition of a message type ('sensor_msgs/Imu') and its parts in the format ros2msg of MCAP."""
     parts = [_DEFINITIONS[name]]
     needed = _parts_of(name)
     for part in needed:
@@ -151,6 +157,7 @@ def definition(name: str) -> str:
 
 
 def _parts_of(name: str) -> list[str]:
+    """Return the message types of the fields of a type."""
     package = name.split("/")[0]
     types = [line.split()[0].split("[")[0] for line in _DEFINITIONS[name].splitlines()]
     full = [t if "/" in t else f"{package}/{t}" for t in types]

@@ -1,4 +1,4 @@
-"""Read ROS bags: .bag of ROS 1 (by rosbags) and .db3 of ROS 2 (SQLite)."""
+"""Reader of ROS bags: .bag of ROS 1 (by the package rosbags) and .db3 of ROS 2 (SQLite)."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from mcap.records import Channel, Schema
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.io.log_info import LogInfo
-from magyc_gtsam.io.mcap_records import LARGEST_CHUNK, UNPACKED, Block, Damage, decompressed
+from magyc_gtsam.io.mcap_compression import LARGEST_CHUNK, Damage, decompressed
+from magyc_gtsam.io.mcap_records import UNPACKED, Block
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_log import RosLog, collected, info_of, recording_of
 from magyc_gtsam.recording import Recording
 
-_AT_ONCE = 4096  # messages
+_BLOCK = 4096  # messages
 _LARGEST = 1 << 24  # bytes of a message
-_KEPT = 1 << 26  # bytes of unpacked chunks of ROS 1; a chunk is 768 kB as a rule
+_KEPT = 1 << 26  # bytes of unpacked chunks of ROS 1; a chunk usually has 768 kB
 SQLITE = b"SQLite format 3\0"
 
 
 def read(path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of a bag.
+    """Read a bag; see `magyc_gtsam.io.read`.
 
     Raises:
         MagycError: rosbags is not installed, or the file is damaged.
@@ -37,11 +38,12 @@ def read(path: Path, request: Request) -> Recording:
 
 
 def info(path: Path) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of a bag; `problem` is left to the caller."""
+    """Describe a bag; see `magyc_gtsam.io.info`, which sets `problem`."""
     return info_of(_load, path, "bag")
 
 
 def _load(path: Path, request: Request, wanted: Callable[[str, str], bool]) -> RosLog:
+    """Load the topics of a bag; see `ros_log.Load`."""
     with open(path, "rb") as file:
         sqlite = file.read(len(SQLITE)) == SQLITE
     notes: list[str] = []
@@ -50,13 +52,14 @@ def _load(path: Path, request: Request, wanted: Callable[[str, str], bool]) -> R
 
 
 def _sqlite(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[Schema | Channel | Block]:
+    """Yield the records of a ROS 2 bag; damage ends them with a note."""
     try:
         with contextlib.closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as base:
             tables = {name for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
             if not {"topics", "messages"} <= tables:
                 raise MagycError(f"{path}: not a ROS 2 bag (an SQLite file without topics and messages)")
             texts: dict[str, str] = {}
-            if "message_definitions" in tables:  # since 2023; types that are known need none
+            if "message_definitions" in tables:  # since 2023; only unknown types need it
                 written = base.execute(
                     "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
                 )
@@ -69,7 +72,7 @@ def _sqlite(path: Path, notes: list[str], report: Callable[[float], None]) -> It
             (count,) = base.execute("SELECT COUNT(*) FROM messages").fetchone()
             place = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
             done = 0
-            while rows := place.fetchmany(_AT_ONCE):
+            while rows := place.fetchmany(_BLOCK):
                 whole = [r for r in rows if isinstance(r[2], bytes) and 0 < len(r[2]) <= _LARGEST]
                 yield from _blocks([(int(t), int(at), data) for t, at, data in whole])
                 done += len(rows)
@@ -80,6 +83,7 @@ def _sqlite(path: Path, notes: list[str], report: Callable[[float], None]) -> It
 
 
 def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[Schema | Channel | Block]:
+    """Yield the records of a ROS 1 bag; damage ends them with a note."""
     try:
         from rosbags.rosbag1 import Reader
     except ImportError:
@@ -88,7 +92,7 @@ def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iter
         ) from None
     try:
         with Reader(path) as bag:
-            _bound(bag, path)
+            _limit_unpacking(bag, path)
             for connection in bag.connections:
                 number = connection.id + 1
                 yield Schema(number, connection.msgdef.data.encode(), "ros1msg", connection.msgtype)
@@ -97,48 +101,48 @@ def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iter
             for done, (connection, at, data) in enumerate(bag.messages()):
                 if 0 < len(data) <= _LARGEST:
                     rows.append((connection.id + 1, at, bytes(data)))
-                if len(rows) == _AT_ONCE:
+                if len(rows) == _BLOCK:
                     yield from _blocks(rows)
                     rows = []
                     report(done / max(bag.message_count, 1))
             yield from _blocks(rows)
     except (MemoryError, GeneratorExit):
         raise
-    except Exception as error:  # what the library raises at damaged bytes depends on the bytes
+    except Exception as error:  # the exceptions of rosbags on damaged bytes have no common class
         if isinstance(error, MagycError) and not isinstance(error, Damage):
             raise
         notes.append(f"the bag is damaged ({shortened(error) or type(error).__name__})")
     report(1.0)
 
 
-def _bound(bag: Any, path: Path) -> None:
-    """Let no chunk of a bag that is open unpack to more than it announces, nor all to far more than the file.
+def _limit_unpacking(bag: Any, path: Path) -> None:
+    """Limit each chunk of an open bag to its declared size when unpacked, and all chunks to a multiple of the file.
 
-    The library unpacks in full whatever a chunk holds, and once more each time that messages of two take turns, as
-    they do where a bag was written topic by topic: so the latest chunks are kept.
+    rosbags itself sets no limit, and unpacks a chunk again each time that messages of two chunks alternate, as in a bag
+    that was written topic by topic; the latest chunks are therefore kept.
     """
     from rosbags.rosbag1.reader import Header, RecordType
 
     size = path.stat().st_size
-    left = UNPACKED[0] * size + UNPACKED[1]
-    kept: dict[int, bytes] = {}  # by place, the one that was used last at the end
+    budget = UNPACKED[0] * size + UNPACKED[1]
+    kept: dict[int, bytes] = {}  # {place: content}, the most recently used last
 
-    def bounded(place: int, compression: str, announced: int) -> Callable[[bytes], bytes]:
+    def limited(place: int, compression: str, declared: int) -> Callable[[bytes], bytes]:
         def unpack(data: bytes) -> bytes:
-            nonlocal left
+            nonlocal budget
             if place in kept:
                 kept[place] = kept.pop(place)
                 return kept[place]
             result = (
-                _unbzipped(data, announced)
+                _unbzipped(data, declared)
                 if compression == "bz2"
-                else decompressed(data, compression, announced, 0)
+                else decompressed(data, compression, declared, 0)
             )
-            left -= len(result)
-            if left < 0:
+            budget -= len(result)
+            if budget < 0:
                 raise MagycError(
-                    f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, which no log of measurements "
-                    "does; refused before it fills the memory"
+                    f"{path}: unpacks to more than {UNPACKED[0]} times its {size} bytes, the limit that protects the "
+                    "memory; is it a log of measurements?"
                 )
             kept[place] = result
             while len(kept) > 1 and sum(map(len, kept.values())) > _KEPT:
@@ -150,25 +154,26 @@ def _bound(bag: Any, path: Path) -> None:
     for place, chunk in bag.chunks.items():
         bag.bio.seek(place)
         head = Header.read(bag.bio, RecordType.CHUNK)
-        unpack = bounded(place, head.get_string("compression"), head.get_uint32("size"))
+        unpack = limited(place, head.get_string("compression"), head.get_uint32("size"))
         bag.chunks[place] = chunk._replace(decompressor=unpack)
 
 
-def _unbzipped(data: bytes, announced: int) -> bytes:
-    """What a chunk holds.
+def _unbzipped(data: bytes, declared: int) -> bytes:
+    """Decompress a chunk in the format bz2.
 
     Raises:
-        Damage: more than it announces, or than is granted.
+        Damage: the chunk is larger than it declares, or declares more than the limit.
     """
-    if announced > LARGEST_CHUNK:
-        raise Damage(f"a chunk asks for {announced} bytes, {LARGEST_CHUNK} are granted")
-    result = bz2.BZ2Decompressor().decompress(data, max_length=announced + 1)
-    if len(result) > announced:
-        raise Damage(f"a chunk unpacks to more than the {announced} bytes that it announces")
+    if declared > LARGEST_CHUNK:
+        raise Damage(f"a chunk declares {declared} bytes, more than the limit of {LARGEST_CHUNK}")
+    result = bz2.BZ2Decompressor().decompress(data, max_length=declared + 1)
+    if len(result) > declared:
+        raise Damage(f"a chunk unpacks to more than the {declared} bytes that it declares")
     return result
 
 
 def _blocks(rows: Sequence[tuple[int, int, bytes]]) -> Iterator[Block]:
+    """Yield a block of messages, each (channel, time of recording in ns, data); nothing without messages."""
     if rows:
         length = np.array([len(data) for _, _, data in rows], dtype=np.int64)
         yield Block(

@@ -1,7 +1,8 @@
-"""Numbers in ROS messages, read in bulk: one message shows where the numbers stand, all alike follow at once.
+"""Vectorised reading of the numbers in ROS messages.
 
-A type's definition and the lengths in a message (of strings and sequences) fix the place of every field. Messages
-of one length and the same inner lengths, as a rule all of a topic, are therefore rows of one table.
+The definition of a type and the lengths in a message (of strings and sequences) fix the place of every field. Messages
+with the same length and the same inner lengths, usually all of a topic, are therefore rows of one table: one message is
+parsed to find the places, and the numbers of the others are read at once.
 """
 
 from __future__ import annotations
@@ -22,19 +23,19 @@ Stamps = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 NANOSECONDS = 1_000_000_000
-_LONGEST_ARRAY = 16  # numbers; longer ones are images, scans and buffers
-_DEEPEST = 16  # types within types
-_MOST_LAYOUTS = 1000  # of one topic's messages; each is tried on all of them
-_MOST_STEPS = 100_000  # fields of one message, those within others counted
+_LONGEST_ARRAY = 16  # numbers; longer arrays are images, scans and buffers
+_DEEPEST = 16  # levels of nested types
+_MOST_LAYOUTS = 1000  # of one topic's messages; each is tried on all messages
+_MOST_STEPS = 100_000  # fields of one message, including nested ones
 
 
 @dataclass
 class FieldLayout:
-    """Where everything stands in the messages that are alike.
+    """The places of all fields in messages of one layout.
 
-    Args:
-        length: bytes of each.
-        order: of the bytes, "<" or ">".
+    Attributes:
+        length: bytes of a message.
+        order: byte order, "<" or ">".
         places: {path: (offset, numpy type, number of elements, None for a single number)}.
         inner: (offset, value) of all lengths in the message.
     """
@@ -46,7 +47,7 @@ class FieldLayout:
 
 
 class _Walk:
-    """One message, field by field."""
+    """The parsing of one message field by field, which finds its layout."""
 
     def __init__(self, types: Types, data: bytes, encoding: str) -> None:
         self.types, self.data = types, data
@@ -58,18 +59,17 @@ class _Walk:
         elif len(data) < 4:
             raise IndexError
         else:
-            raise MagycError(
-                f"encapsulation 0x{data[:2].hex()} of CDR is not supported, only plain CDR (0x0000, 0x0001)"
-            )
+            raise MagycError(f"encapsulation 0x{data[:2].hex()} is not supported, only plain CDR (0x0000, 0x0001)")
         self.table = FieldLayout(len(data), order)
         self.steps = 0
 
     def message(self, kind: str, prefix: str, depth: int = 0, kept: bool = True) -> None:
+        """Parse a (nested) message of type `kind`, whose paths begin with `prefix`, and store the places if `kept`."""
         if depth > _DEEPEST:
             raise MagycError(f"its definition nests types more than {_DEEPEST} deep")
         fields = self.types[kind]
         if not fields and not self.ros1:
-            self._take(1)  # ROS 2 puts a byte where a type is empty
+            self._take(1)  # ROS 2 writes one byte for an empty type
         for one in fields:
             path = f"{prefix}{one.name}"
             count = 1
@@ -98,11 +98,13 @@ class _Walk:
                     self.message(one.type, f"{path}.", depth + 1, kept and not one.array)
 
     def _step(self) -> None:
-        self.steps += 1  # types without fields take no bytes that would end them
+        """Count a field: types without fields use no bytes, so that only this limit ends an array of them."""
+        self.steps += 1
         if self.steps > _MOST_STEPS:
             raise MagycError(f"a message has more than {_MOST_STEPS} fields")
 
     def _length(self) -> int:
+        """Read the length of a string or sequence."""
         self._align(4)
         (value,) = struct.unpack_from(f"{self.table.order}I", self.data, self.at)
         self.table.inner.append((self.at, value))
@@ -111,7 +113,7 @@ class _Walk:
 
     def _align(self, size: int) -> None:
         if not self.ros1:
-            self.at += -(self.at - 4) % size  # CDR aligns by the distance from the end of the encapsulation
+            self.at += -(self.at - 4) % size  # CDR aligns relative to the end of the encapsulation
 
     def _take(self, count: int) -> None:
         self.at += count
@@ -120,15 +122,15 @@ class _Walk:
 
 
 class FieldReader:
-    """The numbers of one topic's messages, block by block.
+    """Reader of the numbers in the messages of one topic, block by block.
 
     Args:
-        topic: for error messages.
+        topic: for messages.
         kind: short name of the type.
-        types: of its definition.
+        types: its definition.
         encoding: "cdr" (ROS 2) or "ros1".
-        wanted: the paths to read; None for all numbers and short arrays of them that the first message has,
-            without covariances, stamps and layouts.
+        wanted: paths to read; None for all numbers and short arrays of the first message, without covariances,
+            stamps and layouts.
     """
 
     def __init__(
@@ -143,38 +145,38 @@ class FieldReader:
 
     @property
     def width(self) -> int:
-        """Numbers a message."""
+        """Number of numbers per message."""
         return sum(1 if n is None else n for _, n in self.columns or ())
 
     def read(self, data: Bytes, start: Stamps, length: Stamps) -> tuple[Stamps, Array]:
-        """Header stamps (n,) ns, zeros where there is no header, and numbers (n, width).
+        """Read header stamps (n,) ns, zero without a header, and numbers (n, width).
 
         Args:
-            data: bytes in which the messages lie.
-            start, length: (n,) of each message.
+            data: bytes that contain the messages.
+            start, length: (n,) first byte and length of each message.
 
         Raises:
-            MagycError: a message is shorter than its type, holds other fields than the first, or is serialized in a
-                way that is not known.
+            MagycError: a message is shorter than its type, has other fields than the first, or has an unknown
+                serialization.
         """
         stamp = np.zeros(len(start), dtype=np.int64)
-        rest = np.arange(len(start))
+        remaining = np.arange(len(start))
         parts: list[tuple[NDArray[np.intp], Array]] = []
         for table in self._tables:
-            if len(rest):
-                rest = self._rows(table, data, start, length, rest, stamp, parts)
-        while len(rest):
+            if len(remaining):
+                remaining = self._rows(table, data, start, length, remaining, stamp, parts)
+        while len(remaining):
             if len(self._tables) == _MOST_LAYOUTS:
                 raise MagycError(
-                    f"{self.topic} ({self.kind}): its messages have more than {_MOST_LAYOUTS} layouts, by the lengths "
-                    "of texts and lists in them"
+                    f"{self.topic} ({self.kind}): its texts and lists have more than {_MOST_LAYOUTS} different "
+                    "lengths; read only other topics (channels=)"
                 )
-            first = rest[0]
-            table = self._look(
+            first = remaining[0]
+            table = self._layout(
                 data[start[first] : start[first] + length[first]].tobytes(), self._seen + int(first)
             )
             self._tables.append(table)
-            rest = self._rows(table, data, start, length, rest, stamp, parts)
+            remaining = self._rows(table, data, start, length, remaining, stamp, parts)
         self._seen += len(start)
         if len(parts) == 1:
             return stamp, parts[0][1]
@@ -183,7 +185,8 @@ class FieldReader:
             value[rows] = numbers
         return stamp, value
 
-    def _look(self, message: bytes, index: int) -> FieldLayout:
+    def _layout(self, message: bytes, index: int) -> FieldLayout:
+        """Find the layout of message number `index`; the first message defines the columns."""
         try:
             walk = _Walk(self._types, message, self._encoding)
             walk.message(self.kind, "")
@@ -212,7 +215,7 @@ class FieldReader:
         return walk.table
 
     def _elements(self, places: dict[str, tuple[int, str, int | None]]) -> None:
-        """Places of single elements that are wanted, as "orientation_covariance[0]".
+        """Add the places of the wanted single elements of arrays, such as "orientation_covariance[0]".
 
         Raises:
             MagycError: the message has no such field, or not so many elements.
@@ -231,33 +234,35 @@ class FieldReader:
         data: Bytes,
         start: Stamps,
         length: Stamps,
-        rest: NDArray[np.intp],
+        candidates: NDArray[np.intp],
         stamp: Stamps,
         parts: list[tuple[NDArray[np.intp], Array]],
     ) -> NDArray[np.intp]:
-        """Read those of the rows `rest` that are as the table says; the others are returned."""
-        alike = length[rest] == table.length
-        if self._encoding != "ros1" and alike.any():
-            alike[alike] = (data[start[rest[alike]] + 1] == (table.order == "<")) & (data[start[rest[alike]]] == 0)
+        """Read the candidate rows that have the layout `table` into `stamp` and `parts`, and return the others."""
+        matches = length[candidates] == table.length
+        if self._encoding != "ros1" and matches.any():
+            head = start[candidates[matches]]
+            matches[matches] = (data[head + 1] == (table.order == "<")) & (data[head] == 0)
         for offset, value in table.inner:
-            if not alike.any():
-                return rest
-            alike[alike] = _at(data, start[rest[alike]], offset, f"{table.order}u4") == value
-        rows = rest[alike]
+            if not matches.any():
+                return candidates
+            matches[matches] = _at(data, start[candidates[matches]], offset, f"{table.order}u4") == value
+        rows = candidates[matches]
         if not len(rows):
-            return rest
+            return candidates
         place = start[rows]
         if self.stamped:
             seconds = _at(data, place, table.places["header.stamp.sec"][0], f"{table.order}i4").astype(np.int64)
             nanoseconds = _at(data, place, table.places["header.stamp.nanosec"][0], f"{table.order}u4")
             stamp[rows] = seconds * NANOSECONDS + nanoseconds
         parts.append((rows, self._numbers(table, data, place)))
-        return rest[~alike]
+        return candidates[~matches]
 
     def _numbers(self, table: FieldLayout, data: Bytes, place: Stamps) -> Array:
+        """Return the numbers (n, width) of messages that have one layout and begin at `place` (n,)."""
         value = np.empty((len(place), self.width))
         column = 0
-        runs: list[tuple[str, list[int], int]] = []  # of one type, so that each is one look into the bytes
+        runs: list[tuple[str, list[int], int]] = []  # columns of one type, read in one operation
         for path, count in self.columns or ():
             offset, code, _ = table.places[path]
             offsets = [offset + k * np.dtype(code).itemsize for k in range(1 if count is None else count)]
@@ -274,14 +279,14 @@ class FieldReader:
 
 
 def _at(data: Bytes, place: Any, offset: Any, kind: str) -> NDArray[Any]:
-    """The numbers of a type that stand at any bytes."""
+    """Return the numbers of type `kind` at any bytes of `data`."""
     size = np.dtype(kind).itemsize
     everywhere: NDArray[Any] = np.ndarray((len(data) - size + 1,), dtype=kind, buffer=data, strides=(1,))
     return everywhere[place + offset]
 
 
 def _number(path: str, code: str, count: int | None) -> bool:
-    """Whether a field is a channel."""
+    """Return whether a field can be a channel."""
     parents = path.split(".")[:-1]
     if code == "V" or any(p in ("header", "stamp", "layout") for p in parents):
         return False

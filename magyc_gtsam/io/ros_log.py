@@ -1,4 +1,4 @@
-"""From the topics of a log with ROS messages, whatever file they are in, to a recording or a description."""
+"""Recording and description of a log with ROS messages, independent of the file format."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from magyc_gtsam.io.ros_topic import LARGEST, Topic
 from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
 
-# What is kept of a file: times its size, and bytes. Numbers of a byte grow eightfold, and pack to a fifth.
+# Limit of the numbers kept: a multiple of the file's size, and bytes. One-byte numbers grow eightfold.
 _KEPT = (30, 1 << 26)
 
 
 @dataclass(frozen=True)
 class RosLog:
-    """What was read of a log: its topics, names with values that were put into it, and what is wrong with it."""
+    """The contents of a log: its topics, its metadata, and notes on damage."""
 
     topics: dict[str, Topic]
     metadata: dict[str, str]
     notes: tuple[str, ...]
 
 
+# Loads a log, given the path, the request, and which topics (name, type) to read.
 Load = Callable[[Path, Request, Callable[[str, str], bool]], RosLog]
 
 
 def recording_of(load: Load, path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of a log that `load` reads; it takes the path, the request and which topics to read."""
+    """Read a log of the format that `load` loads; see `magyc_gtsam.io.read`."""
     log = load(path, request, needed(request, tuple(FOUND_BY_TYPE)))
     notes = list(log.notes)
     sensors, used = _sensors(log.topics, request, notes)
@@ -59,7 +60,7 @@ def recording_of(load: Load, path: Path, request: Request) -> Recording:
 
 
 def info_of(load: Load, path: Path, kind: str) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of a log that `load` reads; `problem` is left to the caller."""
+    """Describe a log of the format that `load` loads; see `magyc_gtsam.io.info`, which sets `problem`."""
     log = load(path, Request(), lambda name, kind: False)
     zero = min((t.span[0] for t in log.topics.values()), default=0)
     last = max((t.span[1] for t in log.topics.values()), default=0)
@@ -87,21 +88,21 @@ def collected(
     notes: list[str],
     metadata: dict[str, str],
 ) -> RosLog:
-    """The topics of all records; `notes` and `metadata` may grow while they come.
+    """Collect the topics from all records; `notes` and `metadata` may grow while the records are read.
 
     Raises:
-        MagycError: there is no message, or more numbers than are granted for a file of its size.
+        MagycError: there is no message, or the numbers exceed the limit for a file of this size.
     """
     size = path.stat().st_size
-    left = _KEPT[0] * size + _KEPT[1]
+    budget = _KEPT[0] * size + _KEPT[1]
 
     def grant(count: int) -> None:
-        nonlocal left
-        left -= count
-        if left < 0:
+        nonlocal budget
+        budget -= count
+        if budget < 0:
             raise MagycError(
-                f"{path}: holds more numbers than {_KEPT[0]} times its {size} bytes; read only what is needed of it "
-                "(channels=), or without other channels (channels=[])"
+                f"{path}: holds more numbers than {_KEPT[0]} times its {size} bytes; read only the channels that are "
+                "needed (channels=), or none (channels=[])"
             )
 
     topics = Topics(wanted, request, notes, grant=grant)
@@ -115,26 +116,27 @@ def collected(
 
 
 def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tuple[dict[str, Stream], set[str]]:
-    """The streams of the sensors, and the topics they are from."""
+    """Return the streams of the sensors, and the names of their topics."""
     chosen = {sensor: choose(topics, sensor, request, notes) for sensor in FOUND_BY_TYPE}
     acceleration = request.named("acceleration")
     if acceleration:
         chosen["acceleration"] = checked(topics, "acceleration", acceleration)
-    elif (gyroscope := chosen["angular_rate"]) and gyroscope.mark is not None:  # an Imu message, read as one
+    elif (gyroscope := chosen["angular_rate"]) and gyroscope.mark is not None:  # an Imu message has both
         chosen["acceleration"] = checked(topics, "acceleration", gyroscope.name)
     result, used = {}, set()
-    left = [source for source in chosen.values() if source is not None]
+    pending = [source for source in chosen.values() if source is not None]
     for sensor, source in chosen.items():
         if source is None:
             continue
-        left.remove(source)
+        pending.remove(source)
         stamp = source.topic.stamp
         if unknown(source):
+            absent = f"{source.name}: declares that it has no {sensor} (covariance[0] is -1)"
             if request.sensors.get(sensor):
-                raise MagycError(f"{source.name}: says that it has no {sensor} (covariance[0] is -1)")
-            notes.append(f"{source.name}: says that it has no {sensor} (covariance[0] is -1)")
+                raise MagycError(f"{absent}; name another topic ({sensor}=)")
+            notes.append(absent)
             continue
-        shared = any(other.topic is source.topic and {*other.columns} & {*source.columns} for other in left)
+        shared = any(other.topic is source.topic and {*other.columns} & {*source.columns} for other in pending)
         value = source.topic.read(source.columns, last=not shared)
         if sensor == "attitude":
             keep = np.abs(np.linalg.norm(value, axis=1) - 1) < 0.01
@@ -144,9 +146,9 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
                 )
             stamp, value = stamp[keep], value[keep]
         else:
-            scale, said = request.scale(sensor)
-            notes.extend(said)
-            if said:
+            scale, unit_notes = request.scale(sensor)
+            notes.extend(unit_notes)
+            if unit_notes:
                 value *= scale
         result[sensor] = Stream(source.name, stamp, value)
         used.add(source.name)
@@ -154,6 +156,11 @@ def _sensors(topics: dict[str, Topic], request: Request, notes: list[str]) -> tu
 
 
 def _channels(topics: dict[str, Topic], used: set[str], request: Request, notes: list[str]) -> dict[str, Stream]:
+    """Return the channels: those that the caller named, else all numbers in topics that no sensor `used`.
+
+    Raises:
+        MagycError: a channel that the caller named is missing or cannot be read.
+    """
     result: dict[str, Stream] = {}
     wanted = request.channels
     for topic in topics.values():

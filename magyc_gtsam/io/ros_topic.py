@@ -1,4 +1,4 @@
-"""A topic of a ROS log: what its messages are, and their numbers as they come in."""
+"""A topic of a ROS log, which collects the numbers of its messages."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from magyc_gtsam.io.ros_fields import Array, FieldReader, Stamps
 from magyc_gtsam.io.ros_types import parse_types, short_type
 from magyc_gtsam.io.streams import Stream
 
-LARGEST = 2048  # bytes of a message; images, clouds and scans are no channels
-_AT_ONCE = 1 << 22  # bytes of messages that are read together
-_NO_TIME = 1 << 63  # beyond all stamps
+LARGEST = 2048  # bytes of a message that can be a channel; images, clouds and scans are larger
+_BLOCK = 1 << 22  # bytes of messages that are read together
+_NO_TIME = 1 << 63  # later than any stamp
 
 
 class Topic:
-    """One topic: what its messages are, and their numbers where they are `wanted`.
+    """A topic with the number and time span of its messages, and their numbers if they are `wanted`.
 
     Args:
         name, encoding, schema: of its first channel.
-        wanted: whether to read the messages, or only to count them.
-        by_log_time: stamp them by the time of recording, whatever their headers say.
-        attitude: whether one that stands beside other sensors is of interest.
-        grant: asked for the bytes of numbers before they are kept; raises where there are too many.
+        wanted: whether to read the messages, or only count them.
+        by_log_time: use the times of recording as stamps instead of the headers.
+        attitude: whether to read an attitude in a message that has other sensors too.
+        grant: called with the number of bytes before they are kept; raises if they exceed the limit.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Topic:
         self._grant = grant
         self.name, self.encoding, self.schema, self.wanted = name, encoding, schema, wanted
         self.fields = fields_of(self.type, attitude) if self.type in SENSOR_FIELDS else ()
-        # The last fields, which say whether there is an estimate of a sensor: looked at as they come, and not kept.
+        # The last fields declare whether a sensor has an estimate; they are evaluated at once and not kept.
         self._marks = [path for path in self.fields if path in UNKNOWN.get(self.type, {}).values()]
         self._estimated: set[str] = set()
         self.count = 0
@@ -58,24 +58,24 @@ class Topic:
 
     @property
     def type(self) -> str:
-        """Of its messages, without the "/msg/" of ROS 2."""
+        """The type of the messages, without the "/msg/" of ROS 2."""
         return short_type(self.schema.name)
 
     @property
     def columns(self) -> list[tuple[str, int | None]]:
-        """The numbers that are kept: the path of each, and for arrays how many it is."""
-        found = (self._reader.columns if self._reader else None) or []
-        return found[: len(found) - len(self._marks)]
+        """The path of each field that is kept, and its number of elements; None for a single number."""
+        columns = (self._reader.columns if self._reader else None) or []
+        return columns[: len(columns) - len(self._marks)]
 
     def add(self, data: NDArray[np.uint8], start: Stamps, length: Stamps, log_time: Stamps) -> None:
-        """Messages that lie in `data`; see `FieldReader.read`."""
+        """Add messages; see `FieldReader.read` for the arguments."""
         if not self.count:
             self.largest_first = int(length[0])
         self.count += len(start)
         self.span = (min(self.span[0], int(log_time.min())), max(self.span[1], int(log_time.max())))
         if not self.wanted or self.problem is not None:
             return
-        rows = max(_AT_ONCE // int(length.max()), 1) if length.any() else len(start)
+        rows = max(_BLOCK // int(length.max()), 1) if length.any() else len(start)
         for first in range(0, len(start), rows):
             part = slice(first, first + rows)
             try:
@@ -100,24 +100,28 @@ class Topic:
             self._value.add(value[:, :width])
 
     def _field_reader(self) -> FieldReader:
+        """Return the reader of the messages.
+
+        Raises:
+            MagycError: the encoding or the type is not supported.
+        """
         kind = self.type
+        unsupported = MagycError(
+            f"{self.name} ({self.schema.name}): {self.encoding} with a schema in {self.schema.encoding!r} "
+            "is not decoded"
+        )
         if self.encoding not in ("cdr", "ros1"):
-            raise MagycError(
-                f"{self.name} ({self.schema.name}): {self.encoding} with a schema in {self.schema.encoding!r} "
-                "is not decoded"
-            )
+            raise unsupported
         if kind in SENSOR_FIELDS:
             types = known_types(kind, ros1=self.encoding == "ros1")
             return FieldReader(self.name, kind, types, self.encoding, self.fields)
         if self.largest_first > LARGEST:
             raise MagycError(
-                f"{self.name} ({self.schema.name}): {self.largest_first} bytes, too large for numbers"
+                f"{self.name} ({self.schema.name}): a channel has at most {LARGEST} bytes per message, this topic has "
+                f"{self.largest_first}"
             )
         if self.schema.encoding not in ("ros2msg", "ros1msg"):
-            raise MagycError(
-                f"{self.name} ({self.schema.name}): {self.encoding} with a schema in {self.schema.encoding!r} "
-                "is not decoded"
-            )
+            raise unsupported
         try:
             types = parse_types(kind, self.schema.data.decode("utf-8", errors="replace"))
         except MagycError as error:
@@ -126,7 +130,7 @@ class Topic:
 
     @property
     def stamp(self) -> Stamps:
-        """(n,) ns of the messages.
+        """Stamps (n,) of the messages, ns.
 
         Raises:
             MagycError: the messages cannot be read.
@@ -136,7 +140,7 @@ class Topic:
         return np.empty(0, dtype=np.int64) if self._stamp is None else self._stamp.column(0)
 
     def read(self, columns: Sequence[int], last: bool = False) -> Array:
-        """(n, len(columns)) numbers, in the order of `columns`; they are given up where asked for the `last` time.
+        """Return the numbers (n, len(columns)) of columns, and release their memory if this is the `last` use.
 
         Raises:
             MagycError: the messages cannot be read.
@@ -148,16 +152,16 @@ class Topic:
         return self._value.together(columns, last)
 
     def unknown(self, mark: str) -> bool:
-        """Whether all messages say by this field that they have no estimate: it is -1 (sensor_msgs/Imu)."""
+        """Return whether the field `mark` is -1 in all messages, which declares that there is no estimate."""
         return mark not in self._estimated
 
     def forget(self) -> None:
-        """Begin anew with what comes next."""
+        """Drop the numbers collected so far."""
         self._stamp = self._value = None
         self._estimated = set()
 
     def channels(self) -> dict[str, Stream]:
-        """The numbers by topic without slash, and field where there are several.
+        """Return the numbers as streams, named by the topic without slash, and by the field if there are several.
 
         Raises:
             MagycError: the messages cannot be read, or hold no number.

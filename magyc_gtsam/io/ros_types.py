@@ -1,4 +1,4 @@
-"""The types of ROS messages: from their definitions as MCAP keeps them to the fields in their order."""
+"""Parser of the definitions of ROS message types."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LONGEST_DEFINITION = 1 << 20  # characters
 
 @dataclass(frozen=True)
 class Field:
-    """A field of a type: its name, its base type, and for arrays their fixed length or None."""
+    """A field of a type: its name, its base type, whether it is an array, and the fixed length of an array or None."""
 
     name: str
     type: str
@@ -31,18 +31,21 @@ Types = Mapping[str, Sequence[Field]]
 
 
 def short_type(schema_name: str) -> str:
-    """'sensor_msgs/Imu' for both 'sensor_msgs/msg/Imu' (ROS 2) and 'sensor_msgs/Imu' (ROS 1)."""
+    """Return 'sensor_msgs/Imu' for both 'sensor_msgs/msg/Imu' (ROS 2) and 'sensor_msgs/Imu' (ROS 1)."""
     return schema_name.replace("/msg/", "/")
 
 
 def parse_types(name: str, text: str) -> Types:
-    """The fields of a message type and of those it is made of, from a definition as MCAP's ros1msg or ros2msg.
+    """Parse a definition in the format ros1msg or ros2msg of MCAP.
+
+    Returns:
+        {type: its fields in order}, of the message type and all types that it contains.
 
     Raises:
-        MagycError: a line that is not a field, or a type without a definition.
+        MagycError: a line is not a field, a type has no definition, or the text is too long.
     """
     if len(text) > _LONGEST_DEFINITION:
-        raise MagycError(f"its definition is of {len(text)} characters, at most {_LONGEST_DEFINITION} are read")
+        raise MagycError(f"its definition has {len(text)} characters, at most {_LONGEST_DEFINITION} are read")
     types: dict[str, list[Field]] = {}
     for full in _TIME[1]:
         types[full] = [Field(n, t) for n, t in _TIME[0]]
@@ -56,12 +59,17 @@ def parse_types(name: str, text: str) -> Types:
         elif line and not line.startswith("==="):
             match = _LINE.match(line)
             if match is None:
-                raise MagycError(f"its definition has the line {line[:80]!r}, which is no field")
-            kind, array, size, own, constant = match.groups()
+                raise MagycError(f"its definition has the line {line[:80]!r}, which is not a field")
+            kind, array, size, field_name, constant = match.groups()
             if not constant:
                 package = current.split("/")[0]
                 types[current].append(
-                    Field(own, _full(kind, package), bool(array), int(size) if size and "<" not in array else None)
+                    Field(
+                        field_name,
+                        _full(kind, package),
+                        bool(array),
+                        int(size) if size and "<" not in array else None,
+                    )
                 )
     for fields in list(types.values()):
         for one in fields:
@@ -71,6 +79,7 @@ def parse_types(name: str, text: str) -> Types:
 
 
 def _full(kind: str, package: str) -> str:
+    """Return the full name of a type that a definition in `package` uses."""
     if kind in PRIMITIVES or kind in ("string", "wstring"):
         return kind
     if kind in ("time", "duration"):

@@ -1,4 +1,4 @@
-"""From the samples of each sensor, stamped in integer nanoseconds as the log holds them, to a `Recording`."""
+"""Assembly of a `Recording` from the samples of each sensor, with integer stamps in nanoseconds as in the log."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 _SECOND = 1_000_000_000  # ns
-_ABSENT = 0.05  # share of numbers below which an axis counts as absent; two sensors in turn leave half
-_MOST_WRONG = 0.5  # share of samples that can be left out as no field
-_YEAR_2000 = 946_684_800 * _SECOND  # stamps before it count from a boot, not from 1970
+_ABSENT = 0.05  # share of finite numbers below which an axis is absent; two alternating sensors leave half
+_MOST_INVALID = 0.5  # largest share of samples that can be left out as invalid
+_YEAR_2000 = 946_684_800 * _SECOND  # earlier stamps count from boot, not from 1970
 
 
 @dataclass(frozen=True, eq=False)
 class Stream:
     """Samples of one sensor in the order of the file.
 
-    Args:
-        name: what the log calls it (topic, columns, message).
+    Attributes:
+        name: its name in the log (topic, columns, message).
         stamp: (n,) int64, ns.
         value: (n,) or (n, k), SI units.
     """
@@ -41,7 +41,7 @@ class Stream:
     value: Array
 
     def rows(self, rows: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Stream:
-        """The stream with only the given rows."""
+        """Return the stream reduced to the given rows."""
         return replace(self, stamp=self.stamp[rows], value=self.value[rows])
 
 
@@ -55,49 +55,50 @@ def assemble(
     angular_rate_is: Literal["instant", "interval-mean"] = "instant",
     attitude_is: Literal["independent", "estimate"] = "independent",
 ) -> Recording:
-    """One `Recording` of all streams; time 0 is the first row of the log.
+    """Combine streams into one `Recording`; time 0 is the first row of the log.
 
     Args:
-        sensors: "magnetic_field" and, where there are any, "angular_rate", "acceleration", "attitude"
-            (x, y, z, w).
-        channels: what else is wanted, by name; one that cannot be used is left out with a note.
+        sensors: "magnetic_field" and optionally "angular_rate", "acceleration", "attitude" (x, y, z, w).
+        channels: further streams by name; an unusable one is left out with a note.
+        request: for the interval, and for the sensors and units that the caller named.
+        name, notes, angular_rate_is, attitude_is: of the recording.
 
     Raises:
-        MagycError: an axis is absent, a clock goes back, one stamp has two values, or the streams make no
-            recording (see `Recording`).
+        MagycError: an axis is absent, a clock goes back, one stamp has two values, or the streams do not make a valid
+            `Recording`.
     """
-    said = list(notes)
-    sensors = {k: _without_spikes(s, said) for k, s in sensors.items()}
+    remarks = list(notes)
+    sensors = {k: _without_spikes(s, remarks) for k, s in sensors.items()}
     main = [
         sensors[k].stamp[0] for k in ("magnetic_field", "angular_rate") if k in sensors and len(sensors[k].stamp)
     ]
     start, end = request.start, request.end
     jumped = any(len(_restarts(s.stamp)) > 0 for s in sensors.values())
     if jumped and (start is not None or end is not None):
-        # Stamps that occur twice cannot say which side is meant; the time elapsed along the file can.
+        # The stamps are ambiguous, so the interval is measured in the time elapsed along the file.
         sensors = {k: _part(s, max(main), start, end) for k, s in sensors.items()}
         channels = {k: _part(s, max(main), start, end) for k, s in channels.items()}
         start = end = None
     few = [k for k, s in sensors.items() if k in ("acceleration", "attitude") and len(s.stamp) < 2]
-    said.extend(f"{k} left out: {sensors[k].name} has {len(sensors[k].stamp)} samples" for k in few)
+    remarks.extend(f"{k} left out: {sensors[k].name} has {len(sensors[k].stamp)} samples" for k in few)
     counts = is_counts("magnetic_field", request.units.get("magnetic_field"))
     clean, usable = {}, {}
     for sensor, stream in sensors.items():
         try:
             if sensor not in few:
-                clean[sensor] = _clean(stream, sensor, said, in_tesla=not counts)
+                clean[sensor] = _clean(stream, sensor, remarks, in_tesla=not counts)
         except MagycError as error:
             if sensor in ("magnetic_field", "angular_rate") or request.sensors.get(sensor):
                 raise
-            said.append(f"{sensor} left out: {error}")
+            remarks.append(f"{sensor} left out: {error}")
     for channel, stream in channels.items():
         try:
-            usable[channel] = _clean(stream, channel, said)
+            usable[channel] = _clean(stream, channel, remarks)
         except MagycError as error:
-            said.append(f"channel left out: {error}")
+            remarks.append(f"channel left out: {error}")
     zero = max(int(clean[k].stamp[0]) for k in ("magnetic_field", "angular_rate") if k in clean)
 
-    clocks: list[tuple[Stamps, Array]] = []  # sensors that are stamped alike share their times
+    clocks: list[tuple[Stamps, Array]] = []  # sensors with equal stamps share one array of times
 
     def relative(stream: Stream) -> tuple[Array, Array]:
         time = next((time for stamp, time in clocks if np.array_equal(stamp, stream.stamp)), None)
@@ -108,7 +109,7 @@ def assemble(
 
     last = min(int(clean[k].stamp[-1]) for k in ("magnetic_field", "angular_rate") if k in clean)
     for channel in [k for k, s in usable.items() if s.stamp[-1] < zero or s.stamp[0] > last]:
-        said.append(f"channel left out: {channel} has no sample while the magnetometer was recorded")
+        remarks.append(f"channel left out: {channel} has no sample while the magnetometer was recorded")
         del usable[channel]
     recording = Recording.from_streams(
         relative(clean["magnetic_field"]),
@@ -117,7 +118,7 @@ def assemble(
         attitude=relative(clean["attitude"]) if "attitude" in clean else None,
         channels={k: relative(s) for k, s in usable.items()},
         name=name,
-        notes=(*first_of(said, "notes"), _epoch_note(zero)),
+        notes=(*first_of(remarks, "notes"), _epoch_note(zero)),
         angular_rate_is=angular_rate_is,
         attitude_is=attitude_is,
         magnetic_field_unit="counts" if counts else "T",
@@ -126,7 +127,11 @@ def assemble(
 
 
 def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -> Stream:
-    """Finite, ascending and without repeats; what had to be done for that goes to `notes`."""
+    """Return the stream finite, ascending and without duplicates, and note what was changed.
+
+    Raises:
+        MagycError: an axis is absent, the clock goes back, or one stamp has two values.
+    """
     stream = _finite(stream, role, notes)
     if role == "magnetic_field":
         stream = _measured(stream, in_tesla, notes)
@@ -141,18 +146,23 @@ def _clean(stream: Stream, role: str, notes: list[str], in_tesla: bool = True) -
         raise MagycError(
             f"{stream.name}: its clock goes back by {back:.3f} s after sample {row + 1}, {elapsed:.3f} s "
             f"into the log; read one side of it (end={cut} or start={cut}), or "
-            "use the times of recording where the format has them (stamps='log')"
+            "use the times of recording if the format has them (stamps='log')"
         )
     late = int((np.diff(stream.stamp) < 0).sum())
     if late:
         stream = stream.rows(np.argsort(stream.stamp, kind="stable"))
-        notes.append(f"{stream.name}: {late} samples stood out of order and were sorted by their stamps")
+        notes.append(f"{stream.name}: {late} samples were out of order and were sorted by their stamps")
     return _without_repeats(stream, notes)
 
 
 def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
+    """Drop the samples that are not finite.
+
+    Raises:
+        MagycError: an axis of a sensor is absent.
+    """
     finite: NDArray[np.bool_] = np.isfinite(stream.value)
-    if finite.all():  # as where there is none
+    if finite.all():
         return stream
     finite = finite.reshape(len(finite), -1)
     if role in SENSORS:
@@ -168,24 +178,28 @@ def _finite(stream: Stream, role: str, notes: list[str]) -> Stream:
 
 
 def _measured(stream: Stream, in_tesla: bool, notes: list[str]) -> Stream:
-    """Without what a driver writes where it has no field: zeros on all axes, and single values of no magnetometer."""
-    most = FIELD_RANGE if in_tesla else np.inf
+    """Drop the samples that a driver writes in place of a field: zeros, and values beyond any magnetometer's range."""
+    limit = FIELD_RANGE if in_tesla else np.inf
     largest = max(stream.value.max(initial=0.0), -stream.value.min(initial=0.0))
-    if largest <= most and not (stream.value == 0).any():
+    if largest <= limit and not (stream.value == 0).any():
         return stream
     zero: NDArray[np.bool_] = (stream.value == 0).all(axis=1)
-    beyond: NDArray[np.bool_] = np.abs(stream.value).max(axis=1) > most
-    for wrong, what in ((zero, "are zero on all axes"), (beyond, f"are beyond {FIELD_RANGE:g} T")):
-        if (
-            wrong.any() and wrong.mean() < _MOST_WRONG
-        ):  # else the unit or the column is wrong, which is said elsewhere
-            notes.append(f"{stream.name}: {wrong.sum()} of {len(wrong)} samples {what} and were left out")
+    beyond: NDArray[np.bool_] = np.abs(stream.value).max(axis=1) > limit
+    for invalid, what in ((zero, "are zero on all axes"), (beyond, f"are beyond {FIELD_RANGE:g} T")):
+        # With more invalid samples the unit or the column is wrong, which the checks of `Recording` report.
+        if invalid.any() and invalid.mean() < _MOST_INVALID:
+            notes.append(f"{stream.name}: {invalid.sum()} of {len(invalid)} samples {what} and were left out")
         else:
-            wrong[:] = False
+            invalid[:] = False
     return stream.rows(~(zero | beyond)) if zero.any() or beyond.any() else stream
 
 
 def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
+    """Drop samples that were recorded twice.
+
+    Raises:
+        MagycError: one stamp has two different values.
+    """
     repeated = np.flatnonzero(np.diff(stream.stamp) == 0)
     if not len(repeated):
         return stream
@@ -197,9 +211,9 @@ def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
             " (all stamps are the same: was the header never filled in?)" if np.ptp(stream.stamp) == 0 else ""
         )
         raise MagycError(
-            f"{stream.name}: {len(different)} stamps come twice with different values{constant}, "
-            f"the first at {stream.stamp[row] / 1e9:.9f} s; use the times of recording where the format has "
-            "them (stamps='log'), or name one source where two publish on one topic"
+            f"{stream.name}: {len(different)} stamps occur twice with different values{constant}, "
+            f"the first at {stream.stamp[row] / 1e9:.9f} s; use the times of recording if the format has "
+            "them (stamps='log'), or name one source if two publish on one topic"
         )
     keep = np.ones(len(stream.stamp), dtype=bool)
     keep[repeated + 1] = False
@@ -208,40 +222,37 @@ def _without_repeats(stream: Stream, notes: list[str]) -> Stream:
 
 
 def _without_spikes(stream: Stream, notes: list[str]) -> Stream:
-    """Without single stamps far from both their neighbours, which go on as if they were not there: flipped bits."""
+    """Drop samples whose stamp is far from both neighbours, while these are close to each other (flipped bits)."""
     if len(stream.stamp) < 3:
         return stream
     step = np.diff(stream.stamp)
     far = (step > _SECOND) | (step < -_SECOND)
-    lone = far[:-1] & far[1:]
-    if not lone.any():
-        return stream
     across = step[1:] + step[:-1]
-    lone &= (across >= 0) & (across < _SECOND)
-    if not lone.any():
+    isolated = far[:-1] & far[1:] & (across >= 0) & (across < _SECOND)
+    if not isolated.any():
         return stream
-    notes.append(f"{stream.name}: {lone.sum()} samples with a stamp far from those around them were left out")
-    return stream.rows(np.concatenate([[True], ~lone, [True]]))
+    notes.append(f"{stream.name}: {isolated.sum()} samples with a stamp far from its neighbours were left out")
+    return stream.rows(np.concatenate([[True], ~isolated, [True]]))
 
 
 def _restarts(stamp: Stamps) -> NDArray[np.intp]:
-    """Rows after which the clock goes back by more than a second; less is messages overtaking each other."""
+    """Return the rows after which the clock goes back by more than 1 s; shorter steps are messages out of order."""
     return np.flatnonzero(np.diff(stamp) < -_SECOND)
 
 
 def _elapsed(stamp: Stamps) -> Array:
-    """s since the first sample along the file, where a step back counts as a second forward."""
+    """Return the time (n,) s since the first sample along the file; a step back counts as a second forward."""
     step = np.diff(stamp)
     step[step < -_SECOND] = _SECOND
     return np.concatenate([[0.0], np.cumsum(step) / 1e9])
 
 
 def _part(stream: Stream, origin: int, start: float | None, end: float | None) -> Stream:
-    """The samples from `start` to `end`, in seconds elapsed along the file since `origin` (ns)."""
+    """Return the samples from `start` to `end`, in s elapsed along the file since `origin` (ns)."""
     if not len(stream.stamp):
         return stream
     offset = (int(stream.stamp[0]) - origin) / 1e9
-    # A stream that starts on another clock than the main one has no offset to it that means anything.
+    # The offset to a stream on another clock has no meaning.
     elapsed = _elapsed(stream.stamp) + (offset if abs(offset) < 10 else 0.0)
     first = -np.inf if start is None else start
     last = np.inf if end is None else end
@@ -249,6 +260,7 @@ def _part(stream: Stream, origin: int, start: float | None, end: float | None) -
 
 
 def _epoch_note(zero: int) -> str:
+    """Return the note that gives the stamp (ns) of time 0."""
     seconds = f"{zero // _SECOND}.{zero % _SECOND:09d} s"
     if zero < _YEAR_2000:
         return f"time 0 is {seconds} on the log's own clock"

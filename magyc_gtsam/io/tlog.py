@@ -1,4 +1,4 @@
-"""Read MAVLink telemetry logs (.tlog): what a ground station received, at its rate and with its losses."""
+"""Reader of MAVLink telemetry logs (.tlog), which hold the messages that a ground station received."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from magyc_gtsam.recording import Recording
 
 
 def read(path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of a telemetry log.
+    """Read a telemetry log; see `magyc_gtsam.io.read`.
 
     Raises:
-        MagycError: pymavlink is not installed, or there is no magnetometer in the log.
+        MagycError: pymavlink is not installed, or the log has no magnetometer.
     """
     request.only("MAVLink")
     if request.stamps == "log":
-        raise MagycError("stamps='log': a telemetry log is read by the vehicle's own stamps")
+        raise MagycError("stamps='log': a telemetry log is read by the vehicle's stamps; leave the option out")
     rows = _rows(path, request)
     listed = ", ".join(f"{k} ({len(v)} messages)" for k, v in rows.items()) or "none"
     sensors = {}
@@ -37,17 +37,17 @@ def read(path: Path, request: Request) -> Recording:
         if named is None and not usable:
             continue
         kind = named or max(usable, key=lambda k: len(rows[k]))
-        scale, said = request.scale(sensor, MESSAGES[kind][2][sensor][1])
-        notes.extend(said)
+        scale, unit_notes = request.scale(sensor, MESSAGES[kind][2][sensor][1])
+        notes.extend(unit_notes)
         stamp = rows[kind][:, 0].astype(np.int64) * MESSAGES[kind][1]
         sensors[sensor] = Stream(kind, stamp, rows[kind][:, _column(sensor)].astype(np.float64) * scale)
     if "magnetic_field" not in sensors:
-        raise MagycError(f"{path}: no magnetometer in the log; of what can be read it has {listed}")
+        raise MagycError(f"{path}: no magnetometer in the log; readable messages: {listed}")
     return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes))
 
 
 def info(path: Path) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of a telemetry log; `problem` is left to the caller."""
+    """Describe a telemetry log; see `magyc_gtsam.io.info`, which sets `problem`."""
     rows = _rows(path, Request())
     sources = []
     for kind, values in rows.items():
@@ -60,32 +60,33 @@ def info(path: Path) -> LogInfo:
 
 
 def _column(sensor: str) -> slice:
+    """Return the columns of a sensor in the rows of `_rows`."""
     first = 1 + 3 * ("magnetic_field", "angular_rate", "acceleration").index(sensor)
     return slice(first, first + 3)
 
 
 def _rows(path: Path, request: Request) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
-    """{message: (n, 10) stamp and the three sensors, in the message's own units}, of the vehicle heard most."""
+    """Return {message: (n, 10)}, stamp and three sensors in the message's units, of the vehicle with most messages."""
     try:
         from pymavlink import mavutil
     except ImportError:
         raise MagycError(
             f"{path}: telemetry logs need pymavlink; install it with: pip install 'magyc-gtsam[ardupilot]'"
         ) from None
-    found: dict[int, dict[str, list[tuple[float, ...]]]] = {}
+    vehicles: dict[int, dict[str, list[tuple[float, ...]]]] = {}
     try:
         log = mavutil.mavlink_connection(str(path), dialect="ardupilotmega", notimestamps=False)
         while (message := log.recv_match(type=list(MESSAGES))) is not None:
             kind = message.get_type()
             time, _, sensors = MESSAGES[kind]
             values = [getattr(message, f) for fields, _ in sensors.values() for f in fields]
-            own = found.setdefault(message.get_srcSystem(), {}).setdefault(kind, [])
-            own.append((getattr(message, time), *values))
+            rows = vehicles.setdefault(message.get_srcSystem(), {}).setdefault(kind, [])
+            rows.append((getattr(message, time), *values))
             request.report(log.percent / 100)
         log.close()
-    except Exception as error:  # what the library raises at damaged bytes depends on the bytes
-        raise MagycError(f"{path}: not a telemetry log that can be read ({shortened(error)})") from error
-    if not found:
+    except Exception as error:  # the exceptions of pymavlink on damaged bytes have no common class
+        raise MagycError(f"{path}: the telemetry log cannot be read ({shortened(error)})") from error
+    if not vehicles:
         raise MagycError(f"{path}: holds none of {', '.join(MESSAGES)}, which have a magnetometer")
-    vehicle = max(found.values(), key=lambda kinds: sum(map(len, kinds.values())))
+    vehicle = max(vehicles.values(), key=lambda kinds: sum(map(len, kinds.values())))
     return {kind: np.array(rows, dtype=np.float64) for kind, rows in vehicle.items()}

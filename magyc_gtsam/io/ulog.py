@@ -1,4 +1,4 @@
-"""Read PX4 logs (.ulg), with the calibration undone that PX4 had applied."""
+"""Reader of PX4 logs (.ulg); it undoes the calibration that PX4 applied."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from magyc_gtsam.io.streams import Stream, assemble
 from magyc_gtsam.recording import Recording
 
 _GAUSS = 1e-4  # T
-_NO_SAMPLE = 0x7FFFFFFF  # relative stamp of a sensor that sensor_combined had nothing new of
-# Messages of each sensor and their fields, see `_find`.
+_NO_SAMPLE = 0x7FFFFFFF  # relative stamp of a sensor without a new sample in sensor_combined
+# {sensor: {message: its fields}}; see `Message.vector`.
 _MESSAGES = {
     "magnetic_field": {
         "sensor_combined": "magnetometer_ga[{}]",
@@ -40,17 +40,17 @@ _AUXILIARY = ("sensor_selection", "magnetometer_bias_estimate")
 
 
 def read(path: Path, request: Request) -> Recording:
-    """As `magyc_gtsam.io.read`, of a PX4 log.
+    """Read a PX4 log; see `magyc_gtsam.io.read`.
 
     Raises:
-        MagycError: pyulog is not installed, a message is missing, or what was applied cannot be undone.
+        MagycError: pyulog is not installed, a message is missing, or the applied calibration cannot be undone.
     """
     request.only("PX4")
     if request.stamps == "log":
-        raise MagycError("stamps='log': a PX4 log has no times of recording, only the sensors' own")
-    asked = request.channels if request.channels is not None else _CHANNELS
+        raise MagycError("stamps='log': a PX4 log has only the stamps of the sensors; leave the option out")
+    channels = request.channels if request.channels is not None else _CHANNELS
     names = {m for fields in _MESSAGES.values() for m in fields} | {"vehicle_attitude", *_AUXILIARY}
-    names |= {c.split(".")[0].split("[")[0] for c in asked}
+    names |= {c.split(".")[0].split("[")[0] for c in channels}
     names |= {n.split("[")[0] for s in request.sensors if (n := request.named(s))}
     messages, parameters, damage = load(path, sorted(names))
     request.report(0.7)
@@ -62,16 +62,15 @@ def read(path: Path, request: Request) -> Recording:
     acceleration = _find(messages, "acceleration", request.named("acceleration"))
     if acceleration is not None:
         message, value = acceleration
-        scale, said = request.scale("acceleration")
-        notes.extend(said)
+        scale, unit_notes = request.scale("acceleration")
+        notes.extend(unit_notes)
         sensors["acceleration"] = Stream(message.label, message.stamp * 1000, value * scale)
     attitude = _attitude(messages, request, notes)
     if attitude is not None:
         sensors["attitude"] = attitude
-    channels = _channels(messages, request)
     recording = assemble(
         sensors,
-        channels,
+        _channels(messages, request),
         request,
         name=path.stem,
         notes=tuple(notes),
@@ -83,9 +82,9 @@ def read(path: Path, request: Request) -> Recording:
 
 
 def info(path: Path) -> LogInfo:
-    """As `magyc_gtsam.io.info`, of a PX4 log; `problem` is left to the caller."""
+    """Describe a PX4 log; see `magyc_gtsam.io.info`, which sets `problem`."""
     messages, _, damage = load(path, None)
-    # Some messages carry stamps from long before the log.
+    # Other messages can have stamps from long before the log.
     sensors = [m for m in messages if m.count and any(m.name in fields for fields in _MESSAGES.values())]
     first = min((int(m.data["timestamp"][0]) for m in sensors), default=0)
     last = max((int(m.data["timestamp"][-1]) for m in sensors), default=0)
@@ -109,31 +108,42 @@ def info(path: Path) -> LogInfo:
 def _find(
     messages: list[Message], sensor: str, named: str | None, notes: list[str] | None = None
 ) -> tuple[Message, Array] | None:
-    """The message of a sensor and its (n, 3) values: the one that was named, or else the fullest."""
+    """Return the message of a sensor and its values (n, 3): the one that is named, else the one with most samples.
+
+    Raises:
+        MagycError: there is no message with that name.
+    """
     fields = _MESSAGES[sensor]
     values = [(m, m.vector(fields[m.name])) for m in messages if m.name in fields]
-    found = [(m, v) for m, v in values if v is not None]
+    candidates = [(m, v) for m, v in values if v is not None]
     if named is not None:
-        wanted = [(m, v) for m, v in found if named in (m.label, f"{m.name}[{m.instance}]")]
-        if not wanted:
-            held = listed([f"{m.label} ({m.count} samples)" for m, _ in found]) or "none"
-            raise MagycError(f"{sensor}: no message {named!r}; the log has {held}")
-        return wanted[0]
-    if not found:
+        matches = [(m, v) for m, v in candidates if named in (m.label, f"{m.name}[{m.instance}]")]
+        if not matches:
+            present = listed([f"{m.label} ({m.count} samples)" for m, _ in candidates]) or "none"
+            raise MagycError(f"{sensor}: no message {named!r}; the log has {present}")
+        return matches[0]
+    if not candidates:
         return None
-    # sensor_combined has every sample; of the others, loggers thin out now the one and now the other.
+    # sensor_combined has every sample; which of the others is thinned out depends on the logger.
     order = list(fields)
     best, value = min(
-        found, key=lambda f: (f[0].name != order[0], -f[0].count, order.index(f[0].name), f[0].instance)
+        candidates, key=lambda f: (f[0].name != order[0], -f[0].count, order.index(f[0].name), f[0].instance)
     )
-    others = [m for m, _ in found if m is not best]
+    others = [m for m, _ in candidates if m is not best]
     if others and notes is not None:
-        held = listed([f"{m.label} ({m.count} samples)" for m in others])
-        notes.append(f"{sensor} is from {best.label} ({best.count} samples); {held} could be named instead")
+        alternatives = listed([f"{m.label} ({m.count} samples)" for m in others])
+        notes.append(
+            f"{sensor} is from {best.label} ({best.count} samples); {alternatives} could be named instead"
+        )
     return best, value
 
 
 def _magnetometer(messages: list[Message], parameters: Parameters, request: Request, notes: list[str]) -> Stream:
+    """Return the magnetometer with PX4's calibration undone.
+
+    Raises:
+        MagycError: the log has no magnetometer, or the calibration cannot be undone.
+    """
     found = _find(messages, "magnetic_field", request.named("magnetic_field"), notes)
     if found is None:
         raise MagycError(
@@ -150,7 +160,7 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
         logged, stamp = logged[new], stamp[new]
     if message.name == "vehicle_magnetometer":
         _refuse_estimated_bias(messages)
-    # Before 1.11 the driver corrected sensor_mag, which then had x_raw too; it is never rotated.
+    # Before version 1.11 the driver corrected sensor_mag, which then also had x_raw; it is never rotated.
     undone = undo(
         "MAG",
         logged,
@@ -161,18 +171,19 @@ def _magnetometer(messages: list[Message], parameters: Parameters, request: Requ
         rotated=message.name != "sensor_mag",
     )
     notes.extend(undone.notes)
-    scale, said = request.scale("magnetic_field", _GAUSS)
-    notes.extend(said)
+    scale, unit_notes = request.scale("magnetic_field", _GAUSS)
+    notes.extend(unit_notes)
     return Stream(message.label, stamp * 1000, undone.value * scale)
 
 
 def _refuse_estimated_bias(messages: list[Message]) -> None:
+    """Raise a MagycError if PX4 subtracted a bias that it estimated in flight."""
     for m in messages:
         if m.name == "magnetometer_bias_estimate" and any(
             np.any(v != 0) for k, v in m.data.items() if k.startswith(("bias_x", "bias_y", "bias_z"))
         ):
             raise MagycError(
-                "vehicle_magnetometer had a bias subtracted that PX4 estimated as it went, which cannot be "
+                "PX4 subtracted from vehicle_magnetometer a bias that it estimated in flight, which cannot be "
                 "undone exactly; read the uncorrected message if the log has it (magnetic_field='sensor_mag')"
             )
 
@@ -180,6 +191,7 @@ def _refuse_estimated_bias(messages: list[Message]) -> None:
 def _gyroscope(
     messages: list[Message], parameters: Parameters, request: Request, notes: list[str]
 ) -> tuple[Stream | None, Literal["instant", "interval-mean"]]:
+    """Return the gyroscope with PX4's calibration undone, None without one, and the kind of its rates."""
     found = _find(messages, "angular_rate", request.named("angular_rate"), notes)
     if found is None:
         notes.append("no gyroscope: the log has neither sensor_combined nor sensor_gyro")
@@ -188,7 +200,7 @@ def _gyroscope(
     combined = message.name == "sensor_combined"
     try:
         device = device_of(message, messages, "gyro")
-    except MagycError as error:  # another gyroscope has another bias, but its values are as good
+    except MagycError as error:  # the log changes between gyroscopes, which only changes the bias to estimate
         device = None
         notes.append(str(error))
     undone = undo(
@@ -203,8 +215,8 @@ def _gyroscope(
     notes.extend(undone.notes)
     if parameters.initial.get("TC_G_ENABLE", 0):
         notes.append("the gyroscope's thermal correction (TC_G_*) was applied in flight and is kept")
-    scale, said = request.scale("angular_rate")
-    notes.extend(said)
+    scale, unit_notes = request.scale("angular_rate")
+    notes.extend(unit_notes)
     stream = Stream(message.label, message.stamp * 1000, undone.value * scale)
     if combined and ("gyro_integral_dt" in message.data):
         notes.append(
@@ -215,23 +227,29 @@ def _gyroscope(
 
 
 def _attitude(messages: list[Message], request: Request, notes: list[str]) -> Stream | None:
+    """Return PX4's attitude estimate as quaternions; None if the log has none and the caller named none."""
     named = request.named("attitude")
-    fitting = [m for m in messages if all(f"q[{k}]" in m.data for k in range(4))]
-    found = [m for m in fitting if (named or "vehicle_attitude") in (m.name, m.label)]
-    if not found:
+    candidates = [m for m in messages if all(f"q[{k}]" in m.data for k in range(4))]
+    matches = [m for m in candidates if (named or "vehicle_attitude") in (m.name, m.label)]
+    if not matches:
         if named:
             raise MagycError(f"attitude: no message {named!r} with a quaternion in the log")
         return None
-    message = found[0]
+    message = matches[0]
     quaternion = np.column_stack([message.data[f"q[{k}]"] for k in (1, 2, 3, 0)]).astype(np.float64)
     notes.append(
-        f"attitude is {message.label}, vehicle (forward, right, down) to north, east, down; PX4's own "
-        "estimate, which the magnetometer took part in"
+        f"attitude is {message.label}, vehicle (forward, right, down) to north, east, down; PX4's "
+        "estimate, to which the magnetometer contributed"
     )
     return Stream(message.label, message.stamp * 1000, quaternion)
 
 
 def _channels(messages: list[Message], request: Request) -> dict[str, Stream]:
+    """Return the channels that the log has.
+
+    Raises:
+        MagycError: a channel that the caller named is missing.
+    """
     result = {}
     for name in request.channels if request.channels is not None else _CHANNELS:
         label, _, member = name.partition(".")

@@ -1,4 +1,4 @@
-"""Units that instruments and drivers publish, and what one of each is in SI. Nothing is converted unasked."""
+"""The units in which instruments and drivers publish, and their factors to SI."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import math
 
 from magyc_gtsam.factors.errors import MagycError
 
-COUNTS = "counts"  # of a magnetometer whose tesla per count nobody knows
-_STANDARD_GRAVITY = 9.80665  # m/s², what "1 g" means on a data sheet
+COUNTS = "counts"  # unit of a magnetometer whose scale is unknown
+_STANDARD_GRAVITY = 9.80665  # m/s², 1 g in data sheets
 
-# Spellings in lower case: no two units of one quantity differ by their case alone.
+# Spellings in lower case; no two units of one quantity differ only in case.
 _UNITS: dict[str, dict[str, float]] = {
     "magnetic_field": {
         **dict.fromkeys(("t", "tesla"), 1.0),
@@ -46,12 +46,12 @@ _SHOWN = {
 
 
 def factor(quantity: str, unit: str | float | None) -> float:
-    """SI units per `unit` (nanoseconds for "time"); None is SI already, a number is a factor of its own.
+    """Return the factor from a unit to SI (nanoseconds for "time"); None is SI, and a number is the factor itself.
 
-    Counts of a magnetometer are left as they are: see `Recording.magnetic_field_unit`.
+    Counts of a magnetometer have the factor 1: see `Recording.magnetic_field_unit`.
 
     Raises:
-        MagycError: the unit is not known.
+        MagycError: the unit is unknown.
     """
     if unit is None:
         return 1.0
@@ -61,17 +61,17 @@ def factor(quantity: str, unit: str | float | None) -> float:
         return float(unit)
     if is_counts(quantity, unit):
         return 1.0
-    found = lookup(quantity, unit)
-    if found is None:
-        raise MagycError(f"unit of {quantity}: {unit!r} is not known; known are {_SHOWN[quantity]}")
-    return found
+    known = lookup(quantity, unit)
+    if known is None:
+        raise MagycError(f"unit of {quantity}: {unit!r} is unknown; there are {_SHOWN[quantity]}")
+    return known
 
 
 def lookup(quantity: str, unit: str) -> float | None:
-    """As `factor`, but None where the unit is not known."""
+    """Return the factor from a unit to SI; None if the unit is unknown."""
     return _UNITS[quantity].get(unit.strip().lower())
 
 
 def is_counts(quantity: str, unit: str | float | None) -> bool:
-    """Whether `unit` says that the magnetometer's numbers are raw counts."""
+    """Return whether a unit stands for raw counts of a magnetometer."""
     return quantity == "magnetic_field" and isinstance(unit, str) and unit.strip().lower() == COUNTS

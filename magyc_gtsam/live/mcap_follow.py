@@ -18,7 +18,8 @@ from mcap.records import Metadata
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed, shortened
-from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Damage, Record, block_of, broken_up, parsed, unpacked
+from magyc_gtsam.io.mcap_compression import Damage
+from magyc_gtsam.io.mcap_records import HEAD, MAGIC, Record, block_of, broken_up, parsed, unpacked
 from magyc_gtsam.io.mcap_topics import Topics
 from magyc_gtsam.io.request import Request
 from magyc_gtsam.io.ros_sources import FOUND_BY_TYPE, SensorSource, choose, needed, unknown

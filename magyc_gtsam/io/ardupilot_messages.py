@@ -1,0 +1,167 @@
+"""The messages of an ArduPilot log as arrays per sensor instance, with the parameters in force at each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.io import dataflash
+from magyc_gtsam.io.dataflash import Dataflash
+from magyc_gtsam.io.request import Request
+from magyc_gtsam.io.streams import Stream
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class InstanceSamples:
+    """The messages of one instance of a sensor.
+
+    Attributes:
+        name: as "MAG[0]".
+        stamp: (n,) ns.
+        columns: {field: (n,)}.
+        parameters: (n,) index of the set of parameters in force, in `ArduPilotLog.parameters`.
+    """
+
+    name: str
+    stamp: Stamps
+    columns: dict[str, Array]
+    parameters: NDArray[np.int64]
+
+    def stream(self, *columns: str) -> Stream:
+        """Return the given columns as a stream (n, k).
+
+        Raises:
+            MagycError: the messages have no such column.
+        """
+        if missing := [c for c in columns if c not in self.columns]:
+            raise MagycError(f"{self.name}: has no {', '.join(missing)} in this log")
+        return Stream(self.name, self.stamp, np.column_stack([self.columns[c] for c in columns]))
+
+    def first_of(self, *choices: tuple[str, ...]) -> Array:
+        """Return the first choice of columns that the messages have, (n, 3).
+
+        Raises:
+            MagycError: they have none of the choices.
+        """
+        present = next((c for c in choices if all(name in self.columns for name in c)), choices[0])
+        return self.stream(*present).value
+
+
+@dataclass
+class ArduPilotLog:
+    """The contents of a log.
+
+    Attributes:
+        samples: {(message, instance): samples}.
+        parameters: the sets of parameters that were in force, in their order.
+        notes: remarks on damage.
+    """
+
+    samples: dict[tuple[str, int], InstanceSamples]
+    parameters: list[dict[str, float]]
+    notes: tuple[str, ...]
+
+
+def load(path: Path, fields: dict[str, tuple[str, ...]] | None, request: Request) -> ArduPilotLog:
+    """Load messages of an ArduPilot log.
+
+    Args:
+        path: the file.
+        fields: {message: columns} to load; None for all messages with a time, without columns.
+        request: for progress reports.
+
+    Raises:
+        MagycError: not an ArduPilot log.
+    """
+    log = dataflash.load(path)
+    request.report(0.3)
+    try:
+        return _loaded(log, fields, request)
+    finally:
+        log.close()
+
+
+def _loaded(log: Dataflash, fields: dict[str, tuple[str, ...]] | None, request: Request) -> ArduPilotLog:
+    notes = []
+    if log.skipped:
+        notes.append(f"the log is damaged: {log.skipped} bytes belong to no message and were left out")
+    if fields is None:
+        fields = dict.fromkeys(log.kinds, ())
+    present = [k for k in fields if k in log.kinds and log.kinds[k].time and log.kinds[k].fields is not None]
+    notes += [
+        f"{kind} left out: its format does not fit the length of its messages"
+        for kind in fields
+        if kind in log.kinds and log.kinds[kind].fields is None
+    ]
+    used = np.sort(np.concatenate([log.places(k) for k in present if k.startswith("MAG")] or [np.empty(0, int)]))
+    parameters, changes = _parameters(log, used)
+    samples: dict[tuple[str, int], InstanceSamples] = {}
+    impossible = 0
+    for done, kind in enumerate(present):
+        known = log.kinds[kind]
+        # Logs without units do not mark the field of the instance; in other messages "I" is an integral.
+        marked = known.instance or ("I" if "I" in known.columns and kind in ("MAG", "IMU", "BARO") else None)
+        marked = marked if marked and known.holds(marked, "numbers") else None  # sensors are numbered, not named
+        places = log.places(kind)
+        stamp, possible = log.stamps(kind, places)
+        impossible += int((~possible).sum())
+        places, stamp = places[possible], stamp[possible]
+        instances = log.column(kind, marked, places) if marked else np.zeros(len(places), dtype=np.int64)
+        name, shift = (
+            (kind[:-1], int(kind[-1]) - 1) if kind[:-1] in ("MAG", "IMU") and kind[-1] in "23" else (kind, 0)
+        )
+        for instance in np.unique(instances).tolist():
+            if not -1 < instance < 256:
+                continue
+            rows = instances == instance
+            key = (name, int(instance) + shift)
+            at = places[rows]
+            columns = {
+                c: log.column(kind, c, at).astype(np.float64) for c in fields[kind] if known.holds(c, "numbers")
+            }
+            if key not in samples:
+                samples[key] = InstanceSamples(label(key), stamp[rows], columns, np.searchsorted(changes, at))
+        request.report(0.3 + 0.7 * (done + 1) / len(present))
+    if impossible:
+        notes.append(f"{impossible} messages have impossible times and were left out")
+    return ArduPilotLog(samples, parameters, tuple(notes))
+
+
+def _parameters(log: Dataflash, used: Stamps) -> tuple[list[dict[str, float]], Stamps]:
+    """Return the sets of parameters, and the place in the file at which each set but the first begins.
+
+    Args:
+        log: the log with its PARM messages.
+        used: places of the messages that depend on parameters; a change between two of them begins a new set.
+    """
+    sets: list[dict[str, float]] = [{}]
+    changes: list[int] = []
+    known = log.kinds.get("PARM")
+    if known is None or not (known.holds("Name", "text") and known.holds("Value", "numbers")):
+        return sets, np.empty(0, dtype=np.int64)
+    names, values = dataflash.names(log.column("PARM", "Name").tolist()), log.column("PARM", "Value").tolist()
+    for place, name, value in zip(log.places("PARM").tolist(), names, values, strict=True):
+        value = float(value)
+        if name not in sets[-1]:
+            # ArduPilot logs sensors before it has logged all parameters: the first value applies from the start.
+            for one in sets:
+                one[name] = value
+        elif sets[-1][name] != value:
+            since, until = np.searchsorted(used, [changes[-1] if changes else -1, place])
+            if until > since:
+                sets.append(dict(sets[-1]))
+                changes.append(place)
+            sets[-1][name] = value
+    return sets, np.array(changes, dtype=np.int64)
+
+
+def label(key: tuple[str, int]) -> str:
+    """Return the name of an instance, as "MAG[0]"."""
+    return f"{key[0]}[{key[1]}]"
