@@ -183,7 +183,7 @@ def test_topics_are_waited_for_named_and_not_guessed(tmp_path: Path, recording: 
     drained(absent)
     assert "no topic of magnetic_field (/other) yet; the file has /imu/mag" in absent.waiting_for
     wrong = McapFollower(path, Request(sensors={"magnetic_field": "/imu/data_raw"}))
-    with pytest.raises(MagycError, match="is of type sensor_msgs/msg/Imu"):
+    with pytest.raises(MagycError, match="must be of type sensor_msgs/MagneticField"):
         wrong.read()
     two = tmp_path / "two.mcap"
     with open(two, "wb") as file:
