@@ -175,7 +175,7 @@ def test_the_command_says_what_is_wrong(log, tmp_path, capsys):
     for arguments, words in (
         (("--option", "window=2"), "no option 'window'"),
         (("--field-strength", "50"), "no option 'field_strength'"),
-        (("--method", "ellipsoid"), "'ellipsoid' calibrates no accelerometer"),
+        (("--method", "ellipsoid"), "'ellipsoid' cannot calibrate an accelerometer"),
         (("--acceleration-unit", "g"), "is not gravity in m/s²"),
     ):
         code, output = said(log, "-o", tmp_path / "x", *arguments)

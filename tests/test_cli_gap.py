@@ -151,7 +151,7 @@ def test_a_gap_left_open_is_exit_code_one(
         ("gap {logs}/plain.mcap --validate {logs}/none.mcap", "none.mcap: cannot be read"),
         ("gap {logs}/plain.mcap --calibration {logs}/none.yaml", "none.yaml: no such file"),
         ("gap --plan waltz", "'waltz' is not one of wide"),
-        ("gap --plan wide --validate {logs}/none.mcap", "it is of a motion, and of no file"),
+        ("gap --plan wide --validate {logs}/none.mcap", "needs no LOG and writes no files"),
         ("gap {logs}/brief.mcap --candidates timing", "2 windows of 1.5 s, at least 8 are needed"),
     ],
 )
@@ -189,7 +189,7 @@ def test_other_logs_are_read_as_the_log_is(
     mistaken(f"{asked} --simulated {folder}/none.mcap", "--simulated: ")
     mistaken(f"{asked} --validate {folder}/short.txt", "(--validate is read by LOG's options)")
     (folder / "other.csv.mcap").write_bytes((folder / "sim.mcap").read_bytes()[:300])
-    mistaken(f"{asked} --validate {folder}/other.csv.mcap", "(--validate is of another format than LOG")
+    mistaken(f"{asked} --validate {folder}/other.csv.mcap", "(--validate has another format than LOG")
 
 
 @pytest.mark.real
@@ -341,7 +341,7 @@ def test_a_recording_with_effects(
     hidden = yaml.safe_load(Path("a.effects.yaml").read_text())["effects"]
     assert {e["name"]: e["factor"] for e in hidden} == {"motor-current": 0.5, "hard-iron-step": 1.0}
     assert cli.main(["simulate", "multi", "-o", "a.mcap", "--effect", "tone=loud"]) == 2
-    assert "--effect: 'loud' of 'tone' is not a number" in capsys.readouterr().err
+    assert "--effect: the factor of 'tone' must be a number, got 'loud'" in capsys.readouterr().err
 
 
 def test_plan_rows() -> None:

@@ -325,19 +325,19 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (("absent.mcap",), "absent.mcap: cannot be read"),
-        (("{log}", "--output", "a.txt"), "neither .yaml nor .json"),
+        (("{log}", "--output", "a.txt"), "must end in .yaml or .json"),
         (("{log}", "--method", "ellipsoid"), "'ellipsoid' is not one of smoother, magyc-ifg"),
         (("{log}", "--option", "turbo=1"), "has no option 'turbo'"),
         (("{log}", "--magnetic-field", "/compass", "--idle", "0"), "no topic of magnetic_field (/compass) yet"),
-        (("{log}", "--gyroscope-axes", "x,x,z"), "does not name x, y and z once each"),
+        (("{log}", "--gyroscope-axes", "x,x,z"), "must name x, y and z once each"),
         (("{log}", "--magnetic-unit", "gauss", "--magnetic-unit", "furlong"), "'furlong' is unknown"),
         (("{log}", "--state", "."), ""),
         (("{log}", "--field-strength", "0"), "field_strength: 0 T is no field of the Earth"),
         (("{log}", "--option", "field_strength=strong"), "field_strength: 'strong' is no number"),
         (("{log}", "--option", "horizon=long"), "horizon: must be a finite number of at least 120, got 'long'"),
         (("{log}", "--method", ""), "'' is not one of smoother, magyc-ifg"),
-        (("{log}", "--output", "{log}/there.yaml"), "is a file, a folder is expected"),
-        (("{log}", "--state", "{log}/there.state"), "is a file, a folder is expected"),
+        (("{log}", "--output", "{log}/there.yaml"), "expected a folder, this is a file"),
+        (("{log}", "--state", "{log}/there.state"), "expected a folder, this is a file"),
         ((".",), "is a directory"),
     ],
 )
@@ -358,7 +358,7 @@ def test_an_output_that_is_a_folder_is_refused_before_the_run(
     (tmp_path / "taken.yaml").mkdir()
     code, errors = inside(log, "--output", "taken.yaml", "--state", "kept.state")
     assert code == 2
-    assert "taken.yaml: is a folder, a file is expected" in errors
+    assert "taken.yaml: expected a file, this is a folder" in errors
     assert [file.name for file in tmp_path.iterdir()] == ["taken.yaml"]
 
 

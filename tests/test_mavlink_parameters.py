@@ -112,7 +112,7 @@ def test_what_was_agreed_to_is_written_and_read_back(write: Write, calibration: 
     for setting in expected:
         assert setting.name in output
         assert np.float32(vehicle.known[setting.name]) == np.float32(setting.value), setting.name
-    assert f"{len(expected)} parameters written, and read back" in output
+    assert f"{len(expected)} parameters written and confirmed" in output
 
 
 @pytest.mark.parametrize("answer", ["n\n", ""])

@@ -74,5 +74,5 @@ def test_the_command(capsys, monkeypatch):
     assert cli.main(["calibrate", "--plan", "120"]) == 2
     assert "must be between 0 and 90" in capsys.readouterr().err
     assert cli.main(["calibrate", "--plan", "1", "log.mcap"]) == 2
-    assert "it is of motions, and of no file" in capsys.readouterr().err
+    assert "needs no LOG and writes no files" in capsys.readouterr().err
     assert cli.main(["calibrate"]) == 2  # LOG is needed again

@@ -1,8 +1,7 @@
-"""The command line `magyc-gtsam`: arguments → one call → files and exit code.
+"""The command line `magyc-gtsam`, which turns arguments into one call, and its result into files and an exit code.
 
-One file per command, each with one function `run` that returns the exit code: 0 done, 1 done but the
-result must not be trusted, 2 wrong input or arguments. Commands import what they need when they run, so
-that `--help` waits for nothing.
+Each command is a file with a function `run` that returns the exit code: 0 done, 1 done but the result must not be
+trusted, 2 wrong input or arguments. Commands import other modules when they run, so that `--help` is fast.
 """
 
 from __future__ import annotations
@@ -16,13 +15,12 @@ from collections.abc import Sequence
 from types import FrameType
 
 _CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}  # as shells count them
-_COLLECTED = (
-    100_000  # objects, new ones beyond those gone, between collections; Python's 700 take a tenth of the start
-)
+# Number of new objects between garbage collections; with Python's 700, collections take a tenth of the start-up time.
+_COLLECTION_THRESHOLD = 100_000
 
 
 class Stopped(KeyboardInterrupt):
-    """The process was asked to end, by Ctrl-C or by another process; what is open is closed and removed as for both."""
+    """Interruption by SIGINT (Ctrl-C) or SIGTERM; open files are closed and temporary ones removed, as for Ctrl-C."""
 
     def __init__(self, number: int = signal.SIGINT) -> None:
         super().__init__()
@@ -34,18 +32,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: without the program's name; None takes the process's own.
+        arguments: without the program's name; None for those of the process.
 
     Returns:
-        The exit code. MAGYC_DEBUG=1 in the environment lets the traceback of a failure through.
+        The exit code. With MAGYC_DEBUG=1 in the environment a failure raises its exception instead.
     """
     before = {number: signal.getsignal(number) for number in _CODES}
     hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     thresholds = gc.get_threshold()
-    gc.set_threshold(_COLLECTED, *thresholds[1:])
+    gc.set_threshold(_COLLECTION_THRESHOLD, *thresholds[1:])
     try:
-        _obey()
-        from magyc_gtsam.cli.app import run  # within reach of the signals: it takes some tenths of a second
+        _install_handlers()
+        from magyc_gtsam.cli.app import run  # after the handlers, as it takes some tenths of a second
 
         return run(arguments)
     except KeyboardInterrupt as stopped:
@@ -66,38 +64,37 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise Stopped(number)
 
 
-def _unraisable(lost: sys.UnraisableHookArgs) -> None:
-    """A request to end that was met where Python drops exceptions, as in a destructor, is made once more."""
-    met = lost.exc_value
-    if not isinstance(met, Stopped):
-        sys.__unraisablehook__(lost)
-    while isinstance(met, Stopped):
+def _unraisable(dropped: sys.UnraisableHookArgs) -> None:
+    """Send a signal again whose exception Python dropped, as it does in destructors."""
+    stop = dropped.exc_value
+    if not isinstance(stop, Stopped):
+        sys.__unraisablehook__(dropped)
+    while isinstance(stop, Stopped):
         try:
-            threading.Timer(0.01, os.kill, (os.getpid(), met.number)).start()
-            met = None
-        except Stopped as again:  # a busy machine may take longer to start the timer than it runs
-            met = again
+            threading.Timer(0.01, os.kill, (os.getpid(), stop.number)).start()
+            stop = None
+        except Stopped as again:  # on a busy machine the timer can fire before `start` returns
+            stop = again
 
 
 def interrupted(stop: KeyboardInterrupt) -> int:
-    """Say that the command was stopped; returns the exit code."""
+    """Print that the command was interrupted, and return the exit code."""
     print("magyc-gtsam: interrupted; no file is left half written", file=sys.stderr)
     return int(getattr(stop, "code", _CODES[signal.SIGINT]))
 
 
 def cause(error: BaseException | None) -> KeyboardInterrupt | None:
-    """The interruption behind an error, as where it was met while an extension module was being loaded."""
+    """Return the interruption that caused an error, for example while an extension module was loaded; None without."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error
 
 
-def _obey() -> None:
-    """Let a request to end be met as Ctrl-C is; one that this process was started to ignore stays ignored."""
-
+def _install_handlers() -> None:
+    """Turn SIGINT and SIGTERM into `Stopped`; a signal that the process was started to ignore stays ignored."""
     for number in _CODES:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             try:
                 signal.signal(number, _stop)
-            except ValueError:  # not in the main thread: whoever runs us there has handlers of his own
+            except ValueError:  # outside the main thread the caller is responsible for signals
                 return

@@ -1,4 +1,4 @@
-"""`python -m magyc_gtsam.cli`: the command line, where the script `magyc-gtsam` is not on the path."""
+"""`python -m magyc_gtsam.cli`: the command line without the script `magyc-gtsam`."""
 
 import sys
 

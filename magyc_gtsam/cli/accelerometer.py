@@ -1,4 +1,4 @@
-"""`magyc-gtsam calibrate --sensor accelerometer`: a log in; parameters and a page out."""
+"""`magyc-gtsam calibrate --sensor accelerometer`: calibrate the accelerometer of a log."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ def calibrate_accelerometer(
     quiet: bool,
     json: bool,
 ) -> int:
-    """Write calibration.yaml, configuration.yaml and report.html of the accelerometer; returns the exit code.
+    """Calibrate, write calibration.yaml, configuration.yaml and report.html, and return the exit code.
 
     Args:
-        reading: the log.
+        reading: the log and how to read it.
         method: "autocal", or the default of the command.
-        options: of `estimators.accelerometer.calibrate_accelerometer`.
-        output: folder; None makes a dated one.
-        arguments: of the command line, for configuration.yaml.
-        quiet, json: as given.
+        options: options of `estimators.autocal.accelerometer.calibrate_accelerometer`.
+        output: folder; None for a dated one.
+        arguments: the command line, for configuration.yaml.
+        quiet, json: of the command line.
     """
     folder = output or dated_folder(reading.log)
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
@@ -47,7 +47,7 @@ def calibrate_accelerometer(
         from magyc_gtsam.report.accelerometer import write_accelerometer_report
 
         if method not in ("autocal", "smoother"):
-            raise MagycError(f"--method: {method!r} calibrates no accelerometer; leave it out, it is 'autocal'")
+            raise MagycError(f"--method: {method!r} cannot calibrate an accelerometer; leave it out for 'autocal'")
         calibration = _calibrate(recording, options, MagycError)
         work(1.0)
         page = stage("drawing the page")
@@ -68,6 +68,7 @@ def calibrate_accelerometer(
 def _calibrate(
     recording: Recording, options: dict[str, Any], problem: type[Exception]
 ) -> AccelerometerCalibration:
+    """Calibrate; raise `problem` for an option that the method does not accept."""
     from magyc_gtsam.estimators.autocal import accelerometer
 
     function = accelerometer.calibrate_accelerometer
@@ -91,8 +92,8 @@ def _show(folder: Path, log: Path, recording: Recording, calibration: Accelerome
     show_table(("", "x", "y", "z"), [[name, *values] for name, values in rows if len(values) == 3])
     show("", *(f"{name}: {values[0]}" for name, values in rows if len(values) == 1))
     show(
-        f"motion, and weighed down: {calibration.diagnostics['outliers']} of "
-        f"{calibration.diagnostics['samples']} samples",
+        f"samples in motion, with reduced weight: {calibration.diagnostics['outliers']} of "
+        f"{calibration.diagnostics['samples']}",
         *(f"note: {note}" for note in recording.notes),
         "",
         f"results: {folder}",

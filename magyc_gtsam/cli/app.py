@@ -1,4 +1,4 @@
-"""All commands under one name, and every failure as one line and an exit code."""
+"""The application of all commands, which reports every failure in one line and an exit code."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from magyc_gtsam.cli import cause, interrupted
 from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.foreign_text import printable
 
-WRONG, UNREAD = 2, 141  # the latter as shells count signal 13
+WRONG, UNREAD = 2, 141  # exit codes of wrong input, and of a closed output (SIGPIPE, as in shells)
 
 COMMANDS = (
     "calibrate",
@@ -41,7 +41,7 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-_COMPLETION = "_MAGYC_GTSAM_COMPLETE"  # set by the shell that asks what may follow
+_COMPLETION = "_MAGYC_GTSAM_COMPLETE"  # set by a shell that asks for completions
 
 
 def _options(
@@ -53,7 +53,7 @@ def _options(
 
 
 def application(commands: Sequence[str] = COMMANDS) -> typer.Typer:
-    """The command line with some of its commands, each a module of its name with a function `run`."""
+    """Return the command line with some commands, each the function `run` of the module with its name."""
     app = typer.Typer(
         name="magyc-gtsam",
         help="Calibrate magnetometers and gyroscopes from the data a vehicle records anyway.",
@@ -72,23 +72,23 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: without the program's name; None takes the process's own.
+        arguments: without the program's name; None for those of the process.
 
     Returns:
-        The exit code. MAGYC_DEBUG=1 in the environment lets the traceback of a failure through.
+        The exit code. With MAGYC_DEBUG=1 in the environment a failure raises its exception instead.
     """
     given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     debug = bool(os.environ.get("MAGYC_DEBUG"))
     if not debug:
-        warnings.simplefilter("ignore")  # a library's warning is no line of ours
+        warnings.simplefilter("ignore")  # warnings of libraries do not concern the user
         logging.disable(logging.WARNING)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")  # a terminal without µ shows a question mark
+            stream.reconfigure(errors="replace")  # a terminal that cannot show µ shows a question mark
     named = given[:1] if given[0] in COMMANDS and _COMPLETION not in os.environ else COMMANDS
-    group = typer.main.get_command(application(named))  # reading what one command takes is enough to run it
+    group = typer.main.get_command(application(named))  # importing one command is enough to run it
     if _COMPLETION in os.environ:
-        group.main([], "magyc-gtsam")  # answers the shell, and exits
+        group.main([], "magyc-gtsam")  # prints the completions and exits
     try:
         with group.make_context("magyc-gtsam", given, obj=given) as context:
             code = int(group.invoke(context) or 0)
@@ -99,8 +99,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return finished.exit_code
     except KeyboardInterrupt as stop:
         return interrupted(stop)
-    except BrokenPipeError:  # the reader of the output had enough, as `head` has
-        with contextlib.suppress(OSError):
+    except BrokenPipeError:  # the reader of the output has closed it, as `head` does
+        with contextlib.suppress(OSError):  # without a null device Python reports the closed pipe once more
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNREAD
     except Exception as error:
@@ -112,8 +112,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 
 def _explain(error: Exception) -> str:
-    """What, where, limit and remedy of a failure, in the command line's own words."""
-    usage = getattr(error, "format_message", None)  # of every usage error, whichever click typer brings
+    """Return the message of a failure, with arguments of the library named as options of the command line."""
+    usage = getattr(error, "format_message", None)  # of usage errors, in every version of click
     if usage is not None:
         context = getattr(error, "ctx", None)
         path = context.command_path if context is not None else "magyc-gtsam"
@@ -126,7 +126,7 @@ def _explain(error: Exception) -> str:
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}; check the path, its permissions and the space left"
     if isinstance(error, MemoryError):
-        return f"not enough memory ({error}); take a part of the log (--start, --end), or less of all"
+        return f"not enough memory ({error}); use a part of the log (--start, --end)"
     return (
         f"internal error: {type(error).__name__}: {error}; this is a bug, please report it "
         "(MAGYC_DEBUG=1 shows the traceback)"
@@ -134,5 +134,6 @@ def _explain(error: Exception) -> str:
 
 
 def _say(message: str, code: int) -> int:
+    """Print a message on standard error, in one line, and return the exit code."""
     print("magyc-gtsam:", printable(" ".join(message.split())), file=sys.stderr)
     return code

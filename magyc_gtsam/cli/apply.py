@@ -1,4 +1,4 @@
-"""`magyc-gtsam apply`: a log with its field and angular rate calibrated."""
+"""`magyc-gtsam apply`: write a log with calibrated field and angular rate."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def run(
     from magyc_gtsam.report.verdict import judged
 
     if output.suffix.lower() not in (".mcap", ".csv"):
-        raise MagycError(f"--output: {output} is neither .mcap nor .csv")
+        raise MagycError(f"--output: must end in .mcap or .csv, got {output}")
     if output.exists() and reading.log.exists() and output.samefile(reading.log):
         raise MagycError(f"--output: {output} is the log itself; name another file")
     calibration = Calibration.load(calibration_file)
@@ -56,7 +56,7 @@ def run(
         rate = recording.angular_rate
         if rate is not None and calibration.gyro_bias is not None:
             rate = calibration.apply_gyroscope(recording)
-        with warnings.catch_warnings(record=True) as noticed:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             field = calibration.apply(recording)
         calibrated = replace(recording, magnetic_field=field, angular_rate=rate)
@@ -69,12 +69,12 @@ def run(
         writing(1.0)
     if not quiet:
         show(f"{output}: {len(calibrated.magnetometer.time)} samples of the calibrated field{copied}")
-        show(*(f"warning: {each.message}" for each in noticed))
+        show(*(f"warning: {each.message}" for each in caught))
     return concluded(judged(calibration))
 
 
 def _write_mcap(path: Path, reading: Reading, calibrated: Recording, progress: Progress) -> str:
-    """The log with the two sensors' vectors replaced, where it is MCAP; else the recording. Says what was copied."""
+    """Write the log with the vectors of its sensors replaced if it is MCAP, else the recording; return a remark."""
     from magyc_gtsam.io import write_mcap
     from magyc_gtsam.io.mcap_copy import copy_mcap
 
@@ -99,7 +99,7 @@ def _write_mcap(path: Path, reading: Reading, calibrated: Recording, progress: P
 
 
 def _write_csv(path: Path, recording: Recording, origin: int) -> None:
-    """A table with units in the header; a cell is empty where its sensor has no sample of its own."""
+    """Write a table with units in the header; cells without a true sample of their sensor are empty."""
     import numpy as np
 
     columns: list[tuple[list[str], np.ndarray, np.ndarray]] = []

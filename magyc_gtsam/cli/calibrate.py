@@ -1,4 +1,4 @@
-"""`magyc-gtsam calibrate`: a log in; parameters, a page and files to paste out."""
+"""`magyc-gtsam calibrate`: calibrate the sensors of a log, and write parameters and a page."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def run(
         from magyc_gtsam.cli.plan import show_plan
 
         if reading.log is not None or output is not None:
-            raise typer.BadParameter("it is of motions, and of no file: leave out LOG and -o", param_hint="--plan")
+            raise typer.BadParameter("needs no LOG and writes no files; leave out LOG and -o", param_hint="--plan")
         return show_plan(plan, options, quiet, json)
     if sensor == "accelerometer":
         return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
@@ -122,7 +122,7 @@ def run(
             reading, method, options, option, part, context.obj, force, stage=stage
         )
     if not verdict.trusted and not force:
-        remove_exports(folder)  # of an earlier run
+        remove_exports(folder)  # those of an earlier run
     if pdf:
         calibration.report(folder / "report.pdf", replace(recording, name=reading.log.name))
     if open_page:
@@ -135,7 +135,7 @@ def run(
             show_calibration(calibration)
         show_details(verdict, verbose)
         if verbose:
-            show(_own_numbers(calibration))
+            show(_configuration(calibration))
         show(
             *(f"note: {note}" for note in recording.notes),
             "",
@@ -156,7 +156,19 @@ def calibrate_log(
     compass: int = 1,
     stage: Callable[[str], Progress] = lambda _: lambda _: None,
 ) -> tuple[Recording, Calibration, Verdict]:
-    """Read a log, calibrate it and write all files into a folder."""
+    """Read a log, calibrate it and write all files into a folder.
+
+    Args:
+        reading: the log and how to read it.
+        method: name of the method.
+        options: arguments of `magyc_gtsam.calibrate`.
+        pairs: texts of --option, for messages.
+        folder: folder for the files; it must exist.
+        arguments: the command line, for configuration.yaml.
+        force: also write the parameters of a result that must not be trusted, as comments.
+        compass: number of the compass on the vehicle, from 1.
+        stage: opens a named stage and returns its progress callback.
+    """
     from magyc_gtsam.report.verdict import judged
 
     recording = reading.recording(stage("reading"))
@@ -176,6 +188,7 @@ def calibrate_log(
 def _calibrate(
     recording: Recording, method: str, progress: Progress, options: dict[str, Any], pairs: list[str] | None
 ) -> Calibration:
+    """Calibrate; an option that the method does not accept raises a MagycError."""
     from magyc_gtsam import MagycError, calibrate
 
     try:
@@ -195,25 +208,28 @@ def _method_options(
     window: float | None,
     pairs: list[str] | None,
 ) -> dict[str, Any]:
-    """Arguments of `magyc_gtsam.calibrate`; what was not asked for is left to the method."""
+    """Return the arguments of `magyc_gtsam.calibrate`, in SI units, for the options that were given."""
     from magyc_gtsam.factors.errors import MagycError
 
     options: dict[str, Any] = known | {"robust": robust, "window": window}
     if noise is not None:
         if not min(noise) > 0 or not max(noise) < math.inf:
-            raise MagycError(f"--noise: {noise[0]:g} µT and {noise[1]:g} mrad/s, both must be more than 0")
+            raise MagycError(
+                f"--noise: both values must be more than 0 and finite, got {noise[0]:g} µT and {noise[1]:g} mrad/s"
+            )
         options["noise"] = [noise[0] * 1e-6, noise[1] * 1e-3]
     if delay not in (None, "auto"):
         try:
             options["delay"] = float(str(delay)) * 1e-3
         except ValueError:
-            raise MagycError(f"--delay: {delay!r} is neither a number of milliseconds nor 'auto'") from None
+            raise MagycError(f"--delay: must be a number of milliseconds or 'auto', got {delay!r}") from None
     if window is not None and not window > 0:
-        raise MagycError(f"--window: {window:g} s, it must be more than 0")
+        raise MagycError(f"--window: must be more than 0 s, got {window:g}")
     return {k: v for k, v in options.items() if v is not None} | parse_pairs("--option", pairs)
 
 
-def _own_numbers(calibration: Calibration) -> str:
+def _configuration(calibration: Calibration) -> str:
+    """Return the configuration and diagnostics of the method in words."""
     from magyc_gtsam.report.words import configuration
 
     return configuration(calibration)

@@ -1,11 +1,7 @@
-"""`magyc-gtsam compare`: every method on one log, side by side."""
+"""`magyc-gtsam compare`: calibrate one log with every method."""
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +11,7 @@ import typer
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
+from magyc_gtsam.cli.interrupts import noted_interrupts
 from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
@@ -68,15 +65,15 @@ def run(
             bars[method](share)
 
         ran = run_methods(recording, names, field_strength, progress)
-        with _one_interrupt_held() as held:
+        with noted_interrupts() as interrupts:  # so that the finished methods are still written
             comparison = judge(recording, names, ran)
             page = stage("drawing the page")
             (part / "comparison.csv").write_text(csv_text(comparison), encoding="utf-8")
             (part / "comparison.json").write_text(
                 _json(to_dict(comparison)), encoding="utf-8", errors="backslashreplace"
             )
-            asked = {"methods": list(names), "field_strength": field_strength}
-            write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
+            chosen = {"methods": list(names), "field_strength": field_strength}
+            write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | chosen)
             named = replace(comparison, recording=replace(recording, name=reading.log.name))
             (part / "report.html").write_text(
                 render_comparison(named), encoding="utf-8", errors="backslashreplace"
@@ -90,37 +87,13 @@ def run(
         typer.echo(_json(to_dict(comparison) | values), nl=False)
     elif not quiet:
         _show(comparison, reading.log.name, folder)
-    if comparison.interrupted or held:
-        typer.echo(f"magyc-gtsam: interrupted; the methods done by then are in {folder}", err=True)
+    if comparison.interrupted or interrupts:
+        typer.echo(f"magyc-gtsam: interrupted; the methods that had finished are in {folder}", err=True)
         return 130
     if comparison.trusted:
         return 0
-    typer.echo("magyc-gtsam: no method gave a result that can be trusted; the table says why", err=True)
+    typer.echo("magyc-gtsam: no method gave a trusted result; the table has the reasons", err=True)
     return 1
-
-
-@contextmanager
-def _one_interrupt_held() -> Iterator[list[int]]:
-    """A first Ctrl-C inside the block is only noted, so that what is done gets written; a second one ends it."""
-    held: list[int] = []
-
-    def note(number: int, frame: object) -> None:
-        held.append(number)
-        restore()
-
-    def restore() -> None:
-        for one, handler in before.items():
-            signal.signal(one, handler)
-
-    if threading.current_thread() is not threading.main_thread():  # to which signals go
-        yield held
-        return
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = {one: signal.signal(one, note) for one in signals}
-    try:
-        yield held
-    finally:
-        restore()
 
 
 def _json(value: object) -> str:

@@ -1,4 +1,4 @@
-"""`magyc-gtsam export`: a calibration in the words of a target."""
+"""`magyc-gtsam export`: write a calibration as parameters of an autopilot, instrument or driver."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def run(
 
 
 def _write(text: str, target: str, address: str) -> int:
-    """List what would be written, ask, write, and compare what is read back; the exit code."""
+    """List the parameters, ask for confirmation, write them, compare the values read back; return the exit code."""
     from magyc_gtsam.cli.terminal import show, show_table
     from magyc_gtsam.live.mavlink_parameters import VehicleParameters, is_that, settings_of
 
@@ -68,13 +68,13 @@ def _write(text: str, target: str, address: str) -> int:
     try:
         settings = settings_of(text, target)
         before = [vehicle.read(setting.name) for setting in settings]
-        values = [("not there yet" if old is None else f"{old:.8g}") for old in before]
+        values = [("no such parameter" if old is None else f"{old:.8g}") for old in before]
         rows = [[s.name, old, f"{s.value:.8g}"] for s, old in zip(settings, values, strict=True)]
         show(*(line.removeprefix("# ") for line in text.splitlines() if line.startswith("#")), "")
         show_table(("parameter", "on the vehicle", "to be written"), rows)
         try:
             agreed = typer.confirm(f"Write these {len(settings)} parameters to the vehicle?")
-        except typer.Abort:
+        except typer.Abort:  # Ctrl-C, or no input
             agreed = False
         if not agreed:
             show("nothing was written")
@@ -84,10 +84,10 @@ def _write(text: str, target: str, address: str) -> int:
         vehicle.close()
     if wrong:
         print(
-            f"magyc-gtsam: {len(wrong)} of {len(settings)} parameters were not taken ({', '.join(wrong)}); "
-            "restart the vehicle, which shows parameters that were switched on, and write them again",
+            f"magyc-gtsam: the vehicle did not accept {len(wrong)} of {len(settings)} parameters ({', '.join(wrong)}); "
+            "restart it, so that it shows parameters that were enabled, and write them again",
             file=sys.stderr,
         )
         return 1
-    show(f"{len(settings)} parameters written, and read back as written; restart the vehicle")
+    show(f"{len(settings)} parameters written and confirmed; restart the vehicle")
     return 0

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Atomic writing of files and folders of results, also when runs are killed or share a folder."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import IO
 
 try:
     import fcntl
-except ImportError:  # Windows: without locks, directories of killed runs stay, and so do those of runs at work
+except ImportError:  # Windows has no such locks; temporary directories of killed runs are not removed there
     fcntl = None  # type: ignore[assignment]
 
 _PREFIX = ".magyc-gtsam-"
@@ -24,7 +24,7 @@ _LOCK = "lock"
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A file to write to; it takes the place of `path` if the block ends well, and is removed otherwise."""
+    """Yield a temporary file that replaces `path` when the block ends, and is removed if the block raises."""
     with _temporary(path.parent) as directory:
         part = directory / path.name
         yield part
@@ -33,17 +33,20 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def replacing_folder(path: Path) -> Iterator[Path]:
-    """Likewise a folder; where `path` exists, the new files take their places in it one by one."""
+    """Yield a temporary folder that becomes `path` when the block ends, and is removed if the block raises.
+
+    If `path` exists, the new files replace those in it one by one.
+    """
     _refuse_files((path,))
     if path.parent.is_dir():
         with _one_at_a_time(path.parent):
-            _remove_orphans(path.parent)  # from before the folder was there
+            _remove_orphans(path.parent)  # left by runs before the folder existed
     with _temporary(path if path.exists() else path.parent) as directory:
         part = directory / "folder"
         part.mkdir()
         yield part
-        with _one_at_a_time(path.parent):  # two runs into one folder leave the files of the later
-            with contextlib.suppress(OSError):  # it exists, or another run has made it since
+        with _one_at_a_time(path.parent):  # of two runs into one folder the later one leaves all its files
+            with contextlib.suppress(OSError):  # the folder exists: replace its files below
                 os.rename(part, path)
                 return
             for file in part.iterdir():
@@ -51,29 +54,29 @@ def replacing_folder(path: Path) -> Iterator[Path]:
 
 
 def refuse_unwritable(file: Path) -> None:
-    """Make the folder of a file that will be written later, and see that it takes files.
+    """Make the folder of a file that will be written later, and check that files can be written there.
 
     Raises:
-        OSError: it does not, or `file` is a folder.
+        OSError: they cannot, or `file` is a folder.
     """
     if file.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "is a folder, a file is expected", str(file))
+        raise IsADirectoryError(errno.EISDIR, "expected a file, this is a folder", str(file))
     _refuse_files(file.parents)
     file.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=file.parent):  # without a name, where the system can: nothing to leave behind
+    with tempfile.TemporaryFile(dir=file.parent):  # unnamed if the system supports it, so that nothing can remain
         pass
 
 
 @contextmanager
 def _temporary(place: Path) -> Iterator[Path]:
-    """A directory in `place`, which is made where it is missing, and unmade if the block fails."""
+    """Yield a temporary directory in `place`, which is created if needed, and removed again if the block raises."""
     missing = [p for p in (place, *place.parents) if not p.exists()]
     _refuse_files((place, *place.parents))
     place.mkdir(parents=True, exist_ok=True)
     directory: Path | None = None
     with contextlib.ExitStack() as open_files:
         try:
-            # Whoever looks for orphans sees the directory with its lock, or not at all.
+            # Another process that looks for orphans must not see the directory without its lock.
             with _one_at_a_time(place), _unstoppable():
                 _remove_orphans(place)
                 directory = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=place))
@@ -92,27 +95,28 @@ def _temporary(place: Path) -> Iterator[Path]:
 
 
 def _lock(file: IO[bytes]) -> None:
+    """Lock a file until it is closed."""
     if fcntl is not None:
         fcntl.flock(file, fcntl.LOCK_EX)
 
 
 def _remove_orphans(place: Path) -> None:
-    """Remove what killed runs left behind, of which nobody holds the lock; the caller has the place to himself."""
+    """Remove the directories of killed runs, whose lock nobody holds; called inside `_one_at_a_time`."""
     for directory in place.glob(f"{_PREFIX}*") if fcntl is not None else ():
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError):  # it belongs to a run at work or to another user, or is gone
             if not directory.is_dir() or directory.is_symlink():
                 continue
-            if not (directory / _LOCK).exists():  # killed before it had one
+            if not (directory / _LOCK).exists():  # the run was killed before it locked
                 shutil.rmtree(directory, ignore_errors=True)
                 continue
             with open(directory / _LOCK, "rb") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # BlockingIOError: it is at work
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # BlockingIOError if the run is at work
                 shutil.rmtree(directory, ignore_errors=True)
 
 
 @contextmanager
 def _one_at_a_time(place: Path) -> Iterator[None]:
-    """Only one process at a time is in such a block of one place."""
+    """Let only one process at a time be inside such a block for a folder."""
     if fcntl is None:
         yield
         return
@@ -126,7 +130,7 @@ def _one_at_a_time(place: Path) -> Iterator[None]:
 
 @contextmanager
 def _unstoppable() -> Iterator[None]:
-    """Requests to end wait until the block is done."""
+    """Defer SIGINT and SIGTERM until the end of the block."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -138,6 +142,7 @@ def _unstoppable() -> Iterator[None]:
 
 
 def _refuse_files(folders: Iterable[Path]) -> None:
+    """Raise a NotADirectoryError if one of the paths is a file."""
     for folder in folders:
         if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, "is a file, a folder is expected", str(folder))
+            raise NotADirectoryError(errno.ENOTDIR, "expected a folder, this is a file", str(folder))

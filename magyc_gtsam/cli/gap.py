@@ -1,4 +1,4 @@
-"""`magyc-gtsam gap`: where do model and measurement disagree, what is missing, and does adding it help?"""
+"""`magyc-gtsam gap`: find and name the effects that the model of a log lacks, and show whether adding them helps."""
 
 from __future__ import annotations
 
@@ -89,7 +89,8 @@ def run(
     if plan is not None:
         if any(value is not None for value in (reading.log, simulated, validate, calibration, candidates, output)):
             raise typer.BadParameter(
-                "it is of a motion, and of no file: leave out all but --quiet and --json", param_hint="--plan"
+                "needs no LOG and writes no files; leave out all options but --quiet and --json",
+                param_hint="--plan",
             )
         return _plan(plan, quiet, json)
     if many(reading.log, more):
@@ -112,7 +113,7 @@ def run(
     folder = output or dated_folder(reading.log, "-gap")
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording = reading.recording(stage("reading"))
-        # All are read before the search, which takes its time.
+        # Read before the search, which takes long, so that errors appear at once.
         other = None if simulated is None else _beside("--simulated", simulated, reading, stage)
         held_out = None if validate is None else _beside("--validate", validate, reading, stage)
         gap = find_gap(
@@ -122,7 +123,7 @@ def run(
         if validate is not None and held_out is not None:
             try:
                 validation = _validation(validate, held_out, gap, stage("validating"))
-            except MagycError as problem:  # what was found on LOG is kept
+            except MagycError as problem:  # the result on LOG remains valid
                 unjudged = f"{validate.name}: {problem}"
         verdict = judged_gap(gap, validation, unjudged)
         gap = as_judged(gap, verdict)
@@ -131,13 +132,13 @@ def run(
             _json(_values(gap, validation, verdict)), encoding="utf-8", errors="backslashreplace"
         )
         gap.calibration.save(part / "calibration.yaml")
-        asked = {
+        chosen = {
             "candidates": names,
             "simulated": None if simulated is None else str(simulated),
             "validate": None if validate is None else str(validate),
             "calibration": None if calibration is None else str(calibration),
         }
-        write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | asked)
+        write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | chosen)
         page_text = render_gap(replace(recording, name=reading.log.name), gap, validation, verdict)
         (part / "report.html").write_text(page_text, encoding="utf-8", errors="backslashreplace")
         page(1.0)
@@ -160,7 +161,7 @@ def run(
 
 
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
-    """Another log, read as LOG is where it is of LOG's format; --start and --end are LOG's own."""
+    """Read another log, with the options of LOG if it has the same format; --start and --end apply only to LOG."""
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.gap.find import needs_gyroscope
     from magyc_gtsam.io import same_format
@@ -170,9 +171,9 @@ def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Pro
         if same_format(log, reading.log):
             beside, hint = replace(reading, log=log, start=None, end=None), " ({} is read by LOG's options)"
         else:
-            # What the instrument is stays.
+            # Only the options that describe the instrument apply to another format.
             beside = Reading(log, gyroscope_axes=reading.gyroscope_axes, angular_rate_is=reading.angular_rate_is)
-            hint = " ({} is of another format than LOG, whose columns, units and --read do not hold for it)"
+            hint = " ({} has another format than LOG, whose columns, units and --read do not apply to it)"
         recording = beside.recording(stage(f"reading {log.name}"))
         needs_gyroscope(recording)
         return recording
@@ -181,7 +182,7 @@ def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Pro
 
 
 def _plan(motion: str, quiet: bool, json: bool) -> int:
-    """The isolability table of a motion, and nothing else."""
+    """Show the isolability table of a motion."""
     from magyc_gtsam.simulation import simulate
     from magyc_gtsam.simulation.environment import CHANNELS
 
@@ -200,13 +201,14 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
         show_table(PLAN, plan_rows(table))
         show(
             "",
-            "named as: at the larger of the two strengths; “or” what it is called instead, or cannot be told from, "
-            "in most cases, and in how many",
+            "named as: at the larger of the two strengths; “or”: the effect that it is most often confused with, and "
+            "in which share of the cases",
         )
     return 0
 
 
 def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Validation:
+    """Test the model before and after on another log."""
     from magyc_gtsam.gap.validation import agreement, differences, swept
     from magyc_gtsam.report.gap_verdict import Validation
 
@@ -214,7 +216,7 @@ def _validation(log: Path, recording: Recording, gap: Gap, progress: Any) -> Val
     progress(0.3)
     if gap.after is not gap.before:
         after = agreement(recording, gap.calibration)
-        # What noise leaves is for the better model to say: the other calls its misfit noise.
+        # The noise floor is that of the better model, since the other attributes its misfit to noise.
         before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
     progress(0.6)
     differing = differences(recording, gap.calibration)
@@ -236,7 +238,7 @@ def _json(values: dict[str, Any]) -> str:
 
 
 def _show(gap: Gap, validation: Validation | None, every: bool) -> None:
-    """What the gap is worth and what to do next; with `every` the evidence of the hypotheses as well."""
+    """Show probabilities, metrics and the next manoeuvre; with `every` also the evidence of each hypothesis."""
     from magyc_gtsam.report import gap_words as words
 
     if gap.verdict == "not enough information":

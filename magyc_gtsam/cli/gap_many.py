@@ -1,4 +1,4 @@
-"""`magyc-gtsam gap LOGS…`: what is missing in many logs of one instrument, and whether it is the instrument's."""
+"""`magyc-gtsam gap LOGS…`: find effects over many logs of one instrument, and whether they belong to the instrument."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def gap_of_logs(
     quiet: bool,
     json: bool,
 ) -> int:
-    """One comparison over all logs; writes gap.json, report.html and a calibration for each log.
+    """Compare all logs, and write gap.json, report.html and a calibration for each log.
 
     Returns:
-        0 where nothing is missing or all that is has a name, else 1.
+        The exit code: 0 if nothing is missing or all of it is named, else 1.
 
     Raises:
         MagycError: no log can be read.
@@ -83,7 +83,7 @@ def gap_of_logs(
 
 
 def effect_rows(gap: GapOfMany) -> list[list[str]]:
-    """One row for each effect."""
+    """Return one row for each effect."""
     return [
         [
             effect.label,
@@ -98,12 +98,12 @@ def effect_rows(gap: GapOfMany) -> list[list[str]]:
 
 
 def value_of(effect: SharedEffect, value: np.ndarray, sigma: np.ndarray) -> str:
-    """Values with sigmas and unit."""
+    """Return values with standard deviations and unit."""
     return ", ".join(f"{v:.3g} ± {s:.2g}" for v, s in zip(value, sigma, strict=True)) + f" {effect.unit}"
 
 
 def weight_rows(gap: GapOfMany, count: int) -> list[list[str]]:
-    """The strongest hypotheses against the last model."""
+    """Return rows of the strongest remaining hypotheses against the final model."""
     return [
         [w.name, f"{w.shared:.1f}" if np.isfinite(w.shared) else "–", f"{w.apart:.1f}"]
         for w in gap.weights[:count]

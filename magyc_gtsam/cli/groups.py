@@ -1,4 +1,4 @@
-"""Options that belong together, written down once: a dataclass whose fields are options of a command."""
+"""Groups of options that several commands share, each a dataclass whose fields are options."""
 
 from __future__ import annotations
 
@@ -10,27 +10,29 @@ from typing import Any
 
 
 def with_groups(command: Callable[..., int]) -> Callable[..., int]:
-    """A command for typer: of its parameters, those that are dataclasses become the options of their fields."""
+    """Decorate a command for typer: a parameter that is a dataclass is replaced by options for its fields."""
     groups: dict[str, Any] = {}
     parameters: list[inspect.Parameter] = []
     types: dict[str, Any] = {}
-    own = inspect.get_annotations(command, eval_str=True)  # not get_type_hints, which hides options before 3.11
+    # Not get_type_hints, which before Python 3.11 hides options behind implicit Optional.
+    annotations = inspect.get_annotations(command, eval_str=True)
     for name, parameter in inspect.signature(command).parameters.items():
-        if is_dataclass(own[name]):
-            groups[name] = own[name]
-            types |= inspect.get_annotations(own[name], eval_str=True)
-            parameters += inspect.signature(own[name]).parameters.values()
+        annotation = annotations[name]
+        if isinstance(annotation, type) and is_dataclass(annotation):
+            groups[name] = annotation
+            types |= inspect.get_annotations(annotation, eval_str=True)
+            parameters += inspect.signature(annotation).parameters.values()
         else:
-            types[name] = own[name]
+            types[name] = annotation
             parameters.append(parameter)
 
     @wraps(command)
     def run(**arguments: Any) -> int:
-        made = {
+        grouped = {
             name: group(**{field: arguments.pop(field) for field in group.__dataclass_fields__})
             for name, group in groups.items()
         }
-        return command(**made, **arguments)
+        return command(**grouped, **arguments)
 
     signature = [p.replace(kind=p.KEYWORD_ONLY, annotation=types[p.name]) for p in parameters]
     run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""`magyc-gtsam history`: one instrument over many logs; what stays, what moved, and when."""
+"""`magyc-gtsam history`: follow the calibration of one instrument over many logs."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ More = Annotated[
 
 @dataclass(frozen=True)
 class _Task:
-    """One log to compress: a unit of work."""
+    """A unit of work: one log to compress into a factor."""
 
     reading: Reading
     options: dict[str, Any]
@@ -84,11 +84,11 @@ def run(
     folder = output or dated_folder(Path("history"))
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         rows = run_many(_compress_one, tasks, engine=engine, progress=stage(f"calibrating {len(logs)} logs"))
-        found = [
+        factors = [
             LogFactor(name, None, None, None, problem=row["error"]) if "error" in row else LogFactor.from_dict(row)
             for name, row in rows.items()
         ]
-        history = History(found, options=options) if before is None else before.extend(found)
+        history = History(factors, options=options) if before is None else before.extend(factors)
         history.save(part / "history.yaml")
         history.next.save(part / "next.yaml")
         write_exports(part, history.next)
@@ -103,7 +103,7 @@ def run(
 
 
 def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
-    """A log that is in the history already would count twice."""
+    """Raise a MagycError for a log that is in the history already and would count twice."""
     from magyc_gtsam.factors.errors import MagycError
 
     known = set() if before is None else set(before.names)
@@ -115,7 +115,7 @@ def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
 
 
 def _compress_one(task: _Task) -> Row:
-    """A unit of work: one log as its factor."""
+    """Compress one log into its factor, and return it as a row; errors are in the row."""
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.history.log_factor import LogFactor, factor_of
 

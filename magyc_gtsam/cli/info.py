@@ -1,4 +1,4 @@
-"""`magyc-gtsam info`: what is in a log, and whether a recording can be made of it."""
+"""`magyc-gtsam info`: describe a log, and show whether it can be read."""
 
 from __future__ import annotations
 

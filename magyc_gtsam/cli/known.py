@@ -1,4 +1,4 @@
-"""Options of what is known beforehand: the skew of the chips, an earlier calibration, the field at the place."""
+"""Options for prior knowledge: the rotation between the chips, an earlier calibration, the field at the location."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from magyc_gtsam.cli.scale import Scale
 
 @dataclass(frozen=True)
 class GivenFacts:
-    """What the smoother is told beforehand."""
+    """Prior knowledge for the smoother."""
 
     misalignment: given.Misalignment = None
     prior: given.Prior = None
@@ -29,10 +29,10 @@ class GivenFacts:
     ] = None
 
     def options(self, scale: Scale, method: str) -> dict[str, Any]:
-        """Arguments of `magyc_gtsam.calibrate`; what was not said is left to the method.
+        """Return the arguments of `magyc_gtsam.calibrate` for the options that were given.
 
         Raises:
-            MagycError: what is no number, no calibration, or contradicts.
+            MagycError: a value is not a number, a file is not a calibration, or options contradict each other.
         """
         result: dict[str, Any] = {}
         place = scale.place() if method == "smoother" else None
@@ -49,10 +49,10 @@ class GivenFacts:
 
 
 def beforehand(misalignment: str | None, prior: Path | None) -> dict[str, Any]:
-    """Both as the smoother takes them, batch and online, in JSON types; nothing for what was not said.
+    """Return misalignment and prior as arguments of the smoother, batch and online, in JSON types.
 
     Raises:
-        MagycError: what is no number, or no calibration.
+        MagycError: the misalignment is not a number, or the prior is not a calibration.
     """
     from magyc_gtsam.factors.errors import MagycError
 
@@ -64,7 +64,7 @@ def beforehand(misalignment: str | None, prior: Path | None) -> dict[str, Any]:
                 result["misalignment"] = math.radians(float(misalignment))
             except ValueError:
                 raise MagycError(
-                    f"--misalignment: {misalignment!r} is neither a number of degrees nor 'auto'"
+                    f"--misalignment: must be a number of degrees or 'auto', got {misalignment!r}"
                 ) from None
     if prior is not None:
         from magyc_gtsam.calibration import Calibration

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.online import OnlineCalibrator
 
 _METHOD = "smoother"
-_PATIENCE = 60.0  # s without growth after which a file is taken to be complete
+_FILE_IDLE = 60.0  # s without growth after which a file counts as complete
 
 
 @with_groups
@@ -101,7 +101,7 @@ def run(
     from magyc_gtsam.live.address import is_file, open_source
 
     if output.suffix not in (".yaml", ".yml", ".json"):
-        raise typer.BadParameter(f"{output} is neither .yaml nor .json", param_hint="--output")
+        raise typer.BadParameter(f"must end in .yaml or .json, got {output}", param_hint="--output")
     axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
     request = Request(
         sensors={"magnetic_field": magnetic_field, "angular_rate": angular_rate},
@@ -118,7 +118,7 @@ def run(
     options |= beforehand(misalignment, prior)
     online = _calibrator(state, method, options)
     if idle is None and is_file(log):
-        idle = _PATIENCE
+        idle = _FILE_IDLE
     with (
         closing(open_source(log, request)) as source,
         view(source, online, quiet=quiet, json=json, picture=picture) as shown,
@@ -131,7 +131,7 @@ def run(
 
 
 def _calibrator(state: Path | None, method: str | None, options: dict[str, Any]) -> OnlineCalibrator:
-    """A new one, or the one that was saved."""
+    """Return a new calibrator, or the one that was saved in `state`."""
     from magyc_gtsam import MagycError, OnlineCalibrator
 
     if state is None or not state.exists():
@@ -141,10 +141,10 @@ def _calibrator(state: Path | None, method: str | None, options: dict[str, Any])
             raise MagycError(f"--option: the method cannot use it ({error})") from None
     online = OnlineCalibrator.load(state)
     if method not in (None, online.method) or any(online.options.get(k) != v for k, v in options.items()):
-        short = {k: "…" if k == "prior" else v for k, v in online.options.items()}
-        made = " ".join(f"--option {k}={v}" for k, v in short.items())
+        saved = {k: "…" if k == "prior" else v for k, v in online.options.items()}
+        listed = " ".join(f"--option {k}={v}" for k, v in saved.items())
         raise MagycError(
-            f"--state {state}: continues a run with --method {online.method} {made}".rstrip()
+            f"--state {state}: continues a run with --method {online.method} {listed}".rstrip()
             + "; leave method and options out, or name another file"
         )
     return online

@@ -1,20 +1,17 @@
-"""One run of `magyc-gtsam online`: read, update, write on a schedule, and stop without losing anything."""
+"""One run of `magyc-gtsam online`: read, update, write on a schedule, and stop without loss."""
 
 from __future__ import annotations
 
-import signal
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from magyc_gtsam.cli.files import refuse_unwritable
+from magyc_gtsam.cli.interrupts import noted_interrupts
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.live.source import LiveSource, NewSamples
 from magyc_gtsam.recording import Array, Samples
@@ -23,7 +20,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.online import OnlineCalibrator
 
-_WAIT = 0.2  # s for which reading may wait: within it an interrupt is heeded
+_WAIT = 0.2  # s that reading may wait, and so the delay until an interrupt is noticed
 
 
 class End(str, Enum):
@@ -37,32 +34,33 @@ class End(str, Enum):
 
 
 class RunView(Protocol):
-    """What a run shows while it goes on."""
+    """The display of a run, which the run calls."""
 
     def take(self, batch: NewSamples) -> None:
-        """Called with all that is read, before it is learnt from."""
+        """Receive the samples of a read, before the calibrator does."""
 
     def refresh(self) -> None:
-        """Called after every read."""
+        """Update the display; called after every read."""
 
     def report(self) -> None:
-        """Called whenever files were written."""
+        """Show a report; called after files were written."""
 
     def say(self, note: str) -> None:
-        """Something was left out, or could not be written."""
+        """Show a remark on data that was left out or files that could not be written."""
 
 
 class Session:
-    """Feed a calibrator from a source.
+    """A run that feeds a calibrator from a source and writes its files.
 
     Args:
-        source, online: from where and into what.
-        output: the calibration's file.
-        state: the state's file; None saves none.
-        every: s between two writings.
-        idle: s without growth after which it ends; None waits for ever.
-        axes: (3, 3) that brings the gyroscope into the magnetometer's axes.
-        view: what is shown.
+        source: where the samples come from.
+        online: the calibrator.
+        output: file of the calibration.
+        state: file of the state; None for none.
+        every: s between two writes of the files.
+        idle: s without new data after which the run ends; None for no limit.
+        axes: (3, 3) from the gyroscope's axes to the magnetometer's.
+        view: the display.
     """
 
     def __init__(
@@ -81,39 +79,39 @@ class Session:
         self.end = End.COMPLETE
         self.skipped = self.taken = 0
         self._every, self._idle, self._axes, self._view = every, idle, axes, view
-        self._until = online.taken_until  # what an earlier run has taken
+        self._until = online.taken_until  # the last stamps that an earlier run has used
 
     def run(self) -> None:
-        """Until the source ends, is idle for too long, or the user has enough; files are written in any case.
+        """Run until the source ends or is idle for too long, or an interrupt; the files are written in any case.
 
         Raises:
-            MagycError: a source that cannot be read, a clock that was set back, or files that cannot be written.
+            MagycError: the source cannot be read, its clock went back, or a file cannot be written.
         """
         for file in (self.output, self.state):
             if file is not None:
-                refuse_unwritable(file)  # now, not after an hour
-        with _stoppable() as stopped:
+                refuse_unwritable(file)  # before the run, which may be long
+        with noted_interrupts() as interrupts:
             try:
-                self._loop(stopped)
+                self._loop(interrupts)
             finally:
                 try:
-                    self._tell()
-                finally:  # whoever listened may be gone
+                    self._show_notes()
+                finally:  # also if standard output is closed
                     self.write()
 
-    def _loop(self, stopped: list[int]) -> None:
+    def _loop(self, interrupts: list[int]) -> None:
         received, grown = -1, time.monotonic()
         written = grown
         while True:
             batch = self.source.read(_WAIT)
-            self._tell()
+            self._show_notes()
             self._view.take(batch)
             self._take(batch)
             self._view.refresh()
             now = time.monotonic()
             if self.source.received != received:
                 received, grown = self.source.received, now
-            if stopped:
+            if interrupts:
                 self.end = End.INTERRUPTED
                 return
             if not batch and self.source.ended:
@@ -124,13 +122,13 @@ class Session:
             if now - written >= self._every:
                 try:
                     self.write()
-                except (OSError, MagycError) as problem:  # a disk that is full now may have space later
+                except (OSError, MagycError) as problem:  # a full disk may have space at the next write
                     self._view.say(f"not written: {problem}")
                 self._view.report()
                 written = time.monotonic()
 
     def _take(self, batch: NewSamples) -> None:
-        """Both sensors in one call: neither is ahead of the other by a block."""
+        """Give the new samples of both sensors to the calibrator in one call, so that neither is ahead by a batch."""
         magnetometer, gyroscope = (
             Samples(samples.time[new], samples.value[new])
             for samples, until in zip(batch, self._until, strict=True)
@@ -149,14 +147,15 @@ class Session:
             np.vstack([absent[0], rate]),
         )
 
-    def _tell(self) -> None:
+    def _show_notes(self) -> None:
+        """Pass the notes of the source to the display."""
         notes = list(self.source.notes)
         self.source.notes.clear()
         for note in notes:
             self._view.say(note)
 
     def write(self) -> None:
-        """State, calibration, and those before each change of the hard iron; each file is replaced in one step."""
+        """Write the state, the calibration, and the one before each change of the hard iron, each file in one step."""
         if self.state is not None:
             self.online.save(self.state)
         calibration = judged_online(self.online)
@@ -169,31 +168,8 @@ class Session:
 
 
 def judged_online(online: OnlineCalibrator) -> Calibration | None:
-    """The calibration so far; not to be trusted while the estimate still changes, whatever its covariance is."""
+    """Return the calibration so far; it is not trusted while the estimate still changes, whatever its covariance."""
     calibration = online.calibration
     if calibration is None or online.converged or not calibration.trusted:
         return calibration
     return replace(calibration, converged=False, message=online.progress.sentence)
-
-
-@contextmanager
-def _stoppable() -> Iterator[list[int]]:
-    """A list that the first SIGINT or SIGTERM fills; the second does what it always does."""
-    stopped: list[int] = []
-    signals = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.getsignal(number) for number in signals}
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        stopped.append(number)
-        restore()
-
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-    for number in signals:
-        signal.signal(number, stop)
-    try:
-        yield stopped
-    finally:
-        restore()

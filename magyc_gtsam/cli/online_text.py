@@ -1,4 +1,4 @@
-"""What `magyc-gtsam online` says of a run: one line, sentences, and the panel of a terminal."""
+"""Texts of `magyc-gtsam online`: the line of a report, sentences, and the panel on a terminal."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _BAR = 24  # characters
 
 
 def line(online: OnlineCalibrator, source: LiveSource, health: StreamHealth) -> str:
-    """How it is, in one line."""
+    """Return the state of a run in one line."""
     progress, calibration = online.progress, online.calibration
     parts = [f"{progress.duration:8.1f} s"]
     if calibration is not None:
@@ -32,31 +32,31 @@ def line(online: OnlineCalibrator, source: LiveSource, health: StreamHealth) -> 
 
 
 def hard_iron_text(calibration: Calibration) -> str:
-    """Three components in µT with their deviations, where there are any."""
+    """Return the hard iron in µT, with standard deviations if there are any."""
     sigma = calibration.sigma.get("hard_iron", [0.0] * 3)
     return ", ".join(uncertain(h * 1e6, s * 1e6) for h, s in zip(calibration.hard_iron, sigma, strict=True))
 
 
 def change_sentence(change: Change, online: OnlineCalibrator) -> str:
-    """When the hard iron changed, counted from the first sample, and by how much."""
+    """Return a sentence with the time of a change of the hard iron, from the first sample, and its size."""
     step = ", ".join(uncertain(v * 1e6, s * 1e6) for v, s in zip(change.step, change.step_sigma, strict=True))
     return f"hard iron changed at {uncertain(change.time - first_stamp(online), change.time_sigma)} s by {step} µT"
 
 
 def first_stamp(online: OnlineCalibrator) -> float:
-    """s on the log's clock, from which what is shown counts."""
+    """Return the stamp (s) of the first sample, from which displayed times count; 0 without one."""
     progress = online.progress
     return 0.0 if progress.time is None else progress.time - progress.duration
 
 
 def counted_from(calibration: Calibration, first: float) -> Calibration:
-    """With the disturbed stretches counted from `first`."""
+    """Return the calibration with the times of its disturbed stretches counted from `first` (s)."""
     disturbed = [[start - first, end - first] for start, end in calibration.diagnostics.get("disturbed") or []]
     return replace(calibration, diagnostics={**calibration.diagnostics, "disturbed": disturbed})
 
 
 def panel(online: OnlineCalibrator, source: LiveSource, health: StreamHealth, written: str) -> RenderableType:
-    """The live view: head, parameters, coverage, verdict, what is weak, and changes."""
+    """Return the live view: head, source, parameters, coverage, verdict, weaknesses and changes."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

@@ -1,4 +1,4 @@
-"""What `magyc-gtsam online` shows: a live view on a terminal, plain lines in a pipe, JSON lines for programs."""
+"""Displays of `magyc-gtsam online`: a live view on a terminal, plain lines in a pipe, JSON lines for programs."""
 
 from __future__ import annotations
 
@@ -24,58 +24,63 @@ if TYPE_CHECKING:
     from magyc_gtsam.online import OnlineCalibrator
     from magyc_gtsam.report.verdict import Verdict
 
-_REFRESH = 0.5  # s between two looks at the estimate, and no more than a tenth of the time for them
-_SHARE = 10.0
-_NOTES = 10  # shown; of more, their number
+# Between two updates of the display pass at least this time (s), and this many times the duration of an update.
+_REFRESH = 0.5
+_PAUSE_FACTOR = 10.0
+_NOTES = 10  # notes that are shown; of the others only the number is
 _INTERRUPTED = 130
 
 
 class QuietView:
-    """Shows what was left out, and at the end what must not be trusted."""
+    """A display of only the omitted data, and of the reason for a result that must not be trusted."""
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
         self.source, self.online = source, online
         self.monitor = StreamMonitor()
-        self._said = 0
+        self._notes = 0
 
     def take(self, batch: NewSamples) -> None:
-        """As `RunView.take`."""
+        """Update the health of the source."""
         self.monitor.take(batch, time.monotonic(), getattr(self.source, "round_trip", None))
 
     def refresh(self) -> None:
-        """Nothing moves."""
+        """Do nothing."""
 
     def report(self) -> None:
-        """Nothing is said."""
+        """Do nothing."""
 
     def say(self, note: str) -> None:
-        """On standard error; many of one kind would bury the rest."""
-        self._said += 1
-        if self._said <= _NOTES:
+        """Print one of the first notes on standard error; too many would hide other messages."""
+        self._notes += 1
+        if self._notes <= _NOTES:
             self.complain(note)
 
     def complain(self, text: str) -> None:
-        """One line on standard error."""
+        """Print one line on standard error."""
         typer.echo(f"magyc-gtsam: {printable(text)}", err=True)
 
     def conclude(self, session: Session) -> int:
-        """Say how it ended. The exit code: 0 converged, 1 not, 2 nothing to calibrate, 130 interrupted before."""
-        if self._said > _NOTES:
-            self.complain(f"{self._said - _NOTES} more notes like these")
+        """Show the result and return the exit code.
+
+        It is 0 if the calibration converged, 1 if not, 130 after an interrupt before a first result; missing topics
+        raise a MagycError (2).
+        """
+        if self._notes > _NOTES:
+            self.complain(f"{self._notes - _NOTES} more notes like these")
         if session.skipped:
             every = "" if session.taken else "all "
-            again = "" if session.taken else "; if this is another log with another clock, begin a new --state"
-            self.complain(f"{every}{session.skipped} samples were in the saved state already{again}")
+            hint = "" if session.taken else "; if this is another log with another clock, begin a new --state"
+            self.complain(f"{every}{session.skipped} samples were in the saved state already{hint}")
         from magyc_gtsam.report.verdict import judged
 
         calibration = judged_online(self.online)
         if calibration is None:
-            return self._without(session)
+            return self._no_calibration(session)
         verdict = judged(calibration)
         return concluded(verdict, shown=self.result(session, calibration, verdict))
 
-    def _without(self, session: Session) -> int:
-        """There is no calibration."""
+    def _no_calibration(self, session: Session) -> int:
+        """Show why there is no calibration, and return the exit code."""
         if session.end is End.INTERRUPTED:
             self.complain("interrupted before there was a calibration")
             return _INTERRUPTED
@@ -87,19 +92,19 @@ class QuietView:
         return 1
 
     def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:
-        """The result, as the files hold it; whether it is on standard output."""
+        """Show the result, and return whether it is on standard output."""
         return False
 
 
 class Plain(QuietView):
-    """A line per report, and the result at the end."""
+    """A display with a line per report, and the result at the end."""
 
     def report(self) -> None:
-        """As `RunView.report`."""
+        """Print the state in one line."""
         show(line(self.online, self.source, self.monitor.health))
 
     def result(self, session: Session, calibration: Calibration, verdict: Verdict) -> bool:
-        """As `QuietView.result`; no numbers of what must not be trusted."""
+        """Show the result, without numbers if it must not be trusted."""
         progress = self.online.progress
         show(
             verdict.sentence,
@@ -116,7 +121,7 @@ class Plain(QuietView):
 
 
 class LiveView(Plain):
-    """The view of a terminal, drawn in place."""
+    """A display on a terminal that is redrawn in place."""
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator) -> None:
         from rich.live import Live as Screen
@@ -128,35 +133,36 @@ class LiveView(Plain):
         self._screen.start()
 
     def refresh(self) -> None:
-        """As `RunView.refresh`; a look at the estimate can cost a fit, so it is not taken too often."""
+        """Redraw, but not too often, since the estimate can require a fit."""
         began = time.monotonic()
         if began < self._next:
             return
         shown = panel(self.online, self.source, self.monitor.health, self._written)
         self._screen.update(shown, refresh=True)
         ended = time.monotonic()
-        self._next = ended + max(_REFRESH, _SHARE * (ended - began))
+        self._next = ended + max(_REFRESH, _PAUSE_FACTOR * (ended - began))
 
     def report(self) -> None:
-        """As `RunView.report`."""
+        """Remember the time of the last write."""
         if self.online.calibration is not None:
             self._written = f"written {time.strftime('%H:%M:%S')}"
 
     def complain(self, text: str) -> None:
-        """As `QuietView.complain`, above the view."""
+        """Print one line above the view."""
         self._console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
 
     def stop(self) -> None:
-        """Give the terminal back."""
+        """Release the terminal."""
         self._screen.stop()
 
 
 class JsonView(QuietView):
-    """A line of JSON per report; the last one says `"final": true`.
+    """A display with a line of JSON per report; the last one has `"final": true`.
 
     Args:
-        source, online: as of the others.
-        every: s between lines that have the picture as well; None for none of those.
+        source: the source.
+        online: the calibrator.
+        every: s between additional lines with the picture; None for none.
     """
 
     def __init__(self, source: LiveSource, online: OnlineCalibrator, every: float | None = None) -> None:
@@ -165,26 +171,26 @@ class JsonView(QuietView):
         self._picture = None if every is None else Picture(online)
 
     def take(self, batch: NewSamples) -> None:
-        """As `RunView.take`."""
+        """Update the health of the source and the picture."""
         super().take(batch)
         if self._picture is not None:
             self._picture.take(batch)
 
     def refresh(self) -> None:
-        """As `RunView.refresh`; a look costs at most a tenth of the time, as on a terminal."""
+        """Print a line with the picture, but not too often, since the estimate can require a fit."""
         began = time.monotonic()
         if self._every is None or began < self._next:
             return
         typer.echo(json.dumps(self._values()))
         ended = time.monotonic()
-        self._next = ended + max(self._every, _SHARE * (ended - began))
+        self._next = ended + max(self._every, _PAUSE_FACTOR * (ended - began))
 
     def report(self) -> None:
-        """As `RunView.report`."""
+        """Print the state as a line of JSON."""
         typer.echo(json.dumps(self._values()))
 
     def conclude(self, session: Session) -> int:
-        """As `QuietView.conclude`."""
+        """Print the final line, and return the exit code of `QuietView.conclude`."""
         code = super().conclude(session)
         final = {"final": True, "end": str(session.end), "exit_code": code, "output": str(session.output)}
         typer.echo(json.dumps(self._values() | final))
@@ -225,7 +231,7 @@ class JsonView(QuietView):
 def view(
     source: LiveSource, online: OnlineCalibrator, *, quiet: bool, json: bool, picture: float | None
 ) -> Iterator[QuietView]:
-    """The view that fits the options and the terminal."""
+    """Yield the display for the options and the terminal."""
     if json:
         yield JsonView(source, online, picture)
     elif quiet:

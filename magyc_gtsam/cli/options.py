@@ -1,4 +1,4 @@
-"""Options that several commands share: how a log is read, and how things are written and shown."""
+"""Options that several commands share, for reading logs and for output."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import typer
 
 from magyc_gtsam.cli.configuration import from_file
 
-# What `magyc_gtsam.read` calls its arguments; its messages name them.
+# Arguments of `magyc_gtsam.read` as its messages name them.
 _ARGUMENT = re.compile(r"\b(magnetic_field|angular_rate|acceleration|attitude|stamps|start|end)=(?=(\)?))")
 _TABLE_ARGUMENT = re.compile(r"\b(time|time_unit|rate|columns)=")
 
@@ -117,13 +117,13 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on 
 
 
 def needs_no_log(context: typer.Context, planned: Any) -> Any:
-    """What is planned is planned before there is a LOG."""
+    """Make LOG optional if a plan is requested; the callback of --plan."""
     log = next(parameter for parameter in context.command.params if parameter.name == "log")
-    log.required = planned is None  # for this call: the command may be called again
+    log.required = planned is None  # set in either case, as a process can run the command again
     return planned
 
 
 def spelled(message: str) -> str:
-    """A message of the library with its arguments spelled as options."""
+    """Return a message of the library with arguments written as options of the command line."""
     text = _ARGUMENT.sub(lambda m: f"--{m[1].replace('_', '-')}{'' if m[2] else ' '}", message)
     return _TABLE_ARGUMENT.sub(r"--read \1=", text)

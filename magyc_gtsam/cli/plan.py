@@ -1,4 +1,4 @@
-"""`magyc-gtsam calibrate --plan`: which motion, and how long, for a heading that is wanted."""
+"""`magyc-gtsam calibrate --plan`: show which motion, for how long, gives a heading accuracy."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from magyc_gtsam.cli.terminal import show, show_table, stages
 if TYPE_CHECKING:
     from magyc_gtsam.study.plan import Planned
 
-_NOISE = (1e-6, 5e-3)  # T and rad/s per sample, where nothing else is said
-_PLANNED = ("noise", "prior", "hard_iron_walk", "soft_iron_walk", "misalignment")
+_DEFAULT_NOISE = (1e-6, 5e-3)  # T and rad/s per sample
+_RELEVANT = ("noise", "prior", "hard_iron_walk", "soft_iron_walk", "misalignment")  # options that affect a plan
 
 
 def show_plan(heading: float, options: dict[str, Any], quiet: bool, json: bool) -> int:
-    """A row a motion: the shortest time for a heading of so many degrees, by what is known beforehand.
+    """Show the shortest time for a heading accuracy, by motion and prior knowledge; return the exit code.
 
     Args:
-        heading: deg.
-        options: of the calibration; those that make no difference to a plan are left.
-        quiet, json: as of the command.
+        heading: standard deviation of heading, deg.
+        options: arguments of `magyc_gtsam.calibrate`; those that do not affect a plan are ignored.
+        quiet, json: of the command line.
     """
     from magyc_gtsam.estimators.smoother.options import SmootherOptions
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.study.plan import DURATIONS, MOTIONS, WAYS, plan, shortest
 
     if not 0 < heading < 90:
-        raise MagycError(f"--plan: a heading of {heading:g}°, it must be between 0 and 90")
-    chosen = {name: options[name] for name in _PLANNED if name in options}
-    noise = tuple(chosen.pop("noise", _NOISE))
+        raise MagycError(f"--plan: the heading must be between 0 and 90°, got {heading:g}")
+    chosen = {name: options[name] for name in _RELEVANT if name in options}
+    noise = tuple(chosen.pop("noise", _DEFAULT_NOISE))
     with stages(shown=not (quiet or json)) as stage:
         planned = plan(
             (noise[0], noise[1]), SmootherOptions(**chosen), durations=DURATIONS, progress=stage("planning")
@@ -45,8 +45,7 @@ def show_plan(heading: float, options: dict[str, Any], quiet: bool, json: bool) 
         return 0
     rows = []
     for motion, words in MOTIONS.items():
-        found = [shortest(planned, motion, way, heading) for way in WAYS]
-        rows.append([words, *(_said(each) for each in found)])
+        rows.append([words, *(_cell(shortest(planned, motion, way, heading)) for way in WAYS)])
     show(
         f"the shortest time for a heading within {heading:g}° (one sigma, over a level turn), and the sigma of the "
         f"hard iron then; magnetometer {noise[0] * 1e6:g} µT, gyroscope {noise[1] * 1e3:g} mrad/s per sample at 10 Hz",
@@ -67,7 +66,8 @@ def show_plan(heading: float, options: dict[str, Any], quiet: bool, json: bool) 
     return 0
 
 
-def _said(planned: Planned | None) -> str:
+def _cell(planned: Planned | None) -> str:
+    """Return the time and the standard deviation of the hard iron; "–" if no time is enough."""
     if planned is None:
         return "–"
     time = f"{planned.duration:g} s" if planned.duration < 120 else f"{planned.duration / 60:g} min"

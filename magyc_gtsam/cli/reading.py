@@ -1,4 +1,4 @@
-"""From the options of a command to a `Recording`."""
+"""The options that read a log into a `Recording`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 _AXIS = re.compile(r"^(?:[xyz]\s*(?:←|<-|=)\s*)?([+−-]?)\s*([xyz])$")
 _EXPONENT = re.compile(r"^[+-]?(?:\d+\.?\d*|\.\d+)[eE][+-]?\d+$")
-# Numbers as YAML 1.2 has them: 1e-9 is one, without a point too.
+# Numbers of YAML 1.2, in which 1e-9, without a decimal point, is a number.
 _YAML_1_2 = {"tag:yaml.org,2002:float": (_EXPONENT, list("+-.0123456789"))}
 _EPOCH = re.compile(r"time 0 is .*?(\d+)\.(\d{9}) s")
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How a log is to be read: the options of every command that has a LOG."""
+    """The log and the options for reading it, of every command that has a LOG."""
 
     log: given.Log
     magnetic_field: given.MagneticField = None
@@ -43,10 +43,10 @@ class Reading:
 
         Args:
             progress: called with the fraction done.
-            counts: whether a field in raw counts is of use.
+            counts: whether a field in raw counts is accepted.
 
         Raises:
-            MagycError: as `magyc_gtsam.read`, and for axes or options that mean nothing.
+            MagycError: see `magyc_gtsam.read`; also for invalid axes or options.
         """
         from magyc_gtsam import MagycError, read
 
@@ -55,58 +55,65 @@ class Reading:
         recording: Recording = read(self.log, **arguments, progress=progress)
         if recording.magnetic_field_unit == "counts" and not counts:
             raise MagycError(
-                "--magnetic-unit counts: a calibration needs the field in tesla; give tesla per count, or see "
-                "what the methods make of the counts (magyc-gtsam compare)"
+                "--magnetic-unit counts: a calibration needs the field in tesla; give the tesla per count, or run "
+                "magyc-gtsam compare, which accepts counts"
             )
         if axes is not None:
             recording = _turned(recording, axes)
         return recording if self.angular_rate_is is None else _restated(recording, self.angular_rate_is)
 
     def arguments(self) -> dict[str, Any]:
-        """For `magyc_gtsam.read`.
+        """Return the arguments of `magyc_gtsam.read`.
 
         Raises:
-            MagycError: an interval or options that mean nothing.
+            MagycError: the interval or an option is invalid.
         """
         from magyc_gtsam.factors.errors import MagycError
 
         arguments = asdict(self)
-        for own in ("log", "angular_rate_is", "gyroscope_axes", "read"):
-            del arguments[own]
+        for name in ("log", "angular_rate_is", "gyroscope_axes", "read"):  # not arguments of `read`
+            del arguments[name]
         for unit in ("magnetic_unit", "angular_unit", "acceleration_unit"):
             arguments[unit] = parse_unit(arguments[unit])
         if self.start is not None and self.end is not None and not self.start < self.end:
-            raise MagycError(f"--start {self.start:g} s is not before --end {self.end:g} s")
+            raise MagycError(f"--start must be before --end, got {self.start:g} s and {self.end:g} s")
         return arguments | parse_pairs("--read", self.read)
 
     def to_dict(self) -> dict[str, Any]:
-        """What was asked beyond the defaults, JSON types."""
-        given = {k: v for k, v in asdict(self).items() if v != getattr(Reading, k, None)}
-        return given | {"log": str(self.log)}
+        """Return the log and the options that differ from the defaults, as JSON types."""
+        changed = {k: v for k, v in asdict(self).items() if v != getattr(Reading, k, None)}
+        return changed | {"log": str(self.log)}
 
 
 def parse_axes(text: str) -> Array:
-    """(3, 3) with which the gyroscope's vector comes into the magnetometer's axes.
+    """Return the matrix (3, 3) from the gyroscope's axes to the magnetometer's.
 
     Args:
         text: the gyroscope's signed axes along x, y, z: "y,-x,z" or "x ← y, y ← −x, z ← z".
+
+    Raises:
+        MagycError: the text does not name each axis once.
     """
     import numpy as np
 
     from magyc_gtsam.factors.errors import MagycError
 
-    found = [_AXIS.match(part.strip().lower()) for part in text.split(",")]
-    names = [match[2] for match in found if match]
-    if len(found) != 3 or sorted(names) != ["x", "y", "z"]:
-        raise MagycError(f"--gyroscope-axes: {text!r} does not name x, y and z once each; write it as 'y,-x,z'")
+    parts = [_AXIS.match(part.strip().lower()) for part in text.split(",")]
+    matches = [match for match in parts if match]
+    if len(parts) != 3 or sorted(match[2] for match in matches) != ["x", "y", "z"]:
+        raise MagycError(f"--gyroscope-axes: must name x, y and z once each, such as 'y,-x,z', got {text!r}")
     matrix = np.zeros((3, 3))
-    for row, match in enumerate(match for match in found if match):
+    for row, match in enumerate(matches):
         matrix[row, "xyz".index(match[2])] = -1.0 if match[1] in ("-", "−") else 1.0
     return matrix
 
 
 def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
-    """{key: value} of "key=value" texts; values are YAML, so that 3, true and [1, 2] mean what they say."""
+    """Return {key: value} of texts "key=value", with values in YAML, such as 3, true and [1, 2].
+
+    Raises:
+        MagycError: a text has another form, or its value is not YAML.
+    """
     if not pairs:
         return {}
     from magyc_gtsam.factors.errors import MagycError
@@ -116,7 +123,7 @@ def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
     for pair in pairs:
         key, equals, value = pair.partition("=")
         if not equals or not key.strip():
-            raise MagycError(f"{option}: {pair!r} is not of the form key=value")
+            raise MagycError(f"{option}: expected key=value, got {pair!r}")
         try:
             result[key.strip().replace("-", "_")] = parse_yaml(value, _YAML_1_2)
         except MagycError:
@@ -125,13 +132,13 @@ def parse_pairs(option: str, pairs: Sequence[str] | None) -> dict[str, Any]:
 
 
 def epoch(recording: Recording) -> int:
-    """ns since the origin of the log's clock at the recording's time 0, as the reader noted it; else 0."""
-    found = next((m for m in map(_EPOCH.search, recording.notes) if m), None)
-    return int(found[1]) * 1_000_000_000 + int(found[2]) if found else 0
+    """Return the stamp (ns) of the log's clock at the recording's time 0, by the reader's note; 0 without one."""
+    match = next((m for m in map(_EPOCH.search, recording.notes) if m), None)
+    return int(match[1]) * 1_000_000_000 + int(match[2]) if match else 0
 
 
 def parse_unit(text: str | None) -> str | float | None:
-    """A unit's name, or the number that stands for one."""
+    """Return a unit as its name, or as a number if it is one."""
     try:
         return None if text is None else float(text)
     except ValueError:
@@ -139,14 +146,17 @@ def parse_unit(text: str | None) -> str | float | None:
 
 
 def _turned(recording: Recording, axes: Array) -> Recording:
-    """Gyroscope and accelerometer, which share a chip, in the magnetometer's axes."""
+    """Return the recording with gyroscope and accelerometer, which share a chip, in the magnetometer's axes."""
     import numpy as np
 
     rate, acceleration, notes = recording.angular_rate, recording.acceleration, recording.notes
     if acceleration is not None and np.linalg.det(axes) < 0:
-        # A mirrored gyroscope has signs of its own: nothing tells the accelerometer's.
+        # A mirrored gyroscope has other signs than its accelerometer, whose signs are then unknown.
         acceleration = None
-        notes = (*notes, "acceleration left out: --gyroscope-axes mirrors, which says nothing about it")
+        notes = (
+            *notes,
+            "acceleration left out: --gyroscope-axes mirrors, and the accelerometer's axes are unknown",
+        )
     return replace(
         recording,
         angular_rate=None if rate is None else rate @ axes.T,
@@ -156,7 +166,7 @@ def _turned(recording: Recording, axes: Array) -> Recording:
 
 
 def _restated(recording: Recording, angular_rate_is: Literal["instant", "interval-mean"]) -> Recording:
-    """The same samples of the gyroscope with another meaning; rows in between are filled accordingly."""
+    """Return the recording with another interpretation of the angular rate, and its filled rows to match."""
     import numpy as np
 
     if recording.angular_rate is None:

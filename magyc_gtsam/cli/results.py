@@ -1,4 +1,4 @@
-"""The files of one calibration, and what is needed to run it again."""
+"""The files of one calibration, including the description of its run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EXPORTS = {
 
 
 def dated_folder(log: Path, what: str = "") -> Path:
-    """`results/<log><what>-<date>-<time>`, with a number where that exists."""
+    """Return the path `results/<log><what>-<date>-<time>`, followed by a number if it exists."""
     name = f"{log.stem}{what}-{datetime.now():%Y%m%d-%H%M%S}"
     folder = Path("results") / name
     count = 1
@@ -37,7 +37,7 @@ def dated_folder(log: Path, what: str = "") -> Path:
 
 
 def write_page(folder: Path, recording: Recording, calibration: Calibration, verdict: Verdict) -> None:
-    """`report.html`, with the residuals of methods that have them."""
+    """Write report.html, with residuals if the method has a gyroscope bias."""
     from magyc_gtsam.estimators.smoother.residuals import window_residuals
     from magyc_gtsam.report import write_report
 
@@ -47,9 +47,9 @@ def write_page(folder: Path, recording: Recording, calibration: Calibration, ver
 
 
 def write_exports(folder: Path, calibration: Calibration, force: bool = False) -> None:
-    """Parameters to paste; a target that cannot hold the calibration gets the reason instead.
+    """Write the parameters for each target, or the reason if the target cannot represent the calibration.
 
-    Of a calibration that must not be trusted there are none; with `force` they are comments under DO NOT USE.
+    Nothing is written for a calibration that must not be trusted; with `force`, comments under DO NOT USE are.
     """
     from magyc_gtsam.factors.errors import MagycError
 
@@ -64,7 +64,7 @@ def write_exports(folder: Path, calibration: Calibration, force: bool = False) -
 
 
 def remove_exports(folder: Path) -> None:
-    """Parameters of an earlier run are not left beside a calibration that must not be trusted."""
+    """Remove the parameters of an earlier run, which must not remain beside an untrusted calibration."""
     for name in EXPORTS.values():
         (folder / name).unlink(missing_ok=True)
 
@@ -77,7 +77,7 @@ def write_configuration(
     options: dict[str, Any],
     arguments: Sequence[str],
 ) -> None:
-    """`configuration.yaml`: versions, the log, how it was read, and the options of the method."""
+    """Write configuration.yaml: the versions, the log and how it was read, and the options of the method."""
     chosen = {
         "method": calibration.method,
         "options": options,
@@ -87,16 +87,16 @@ def write_configuration(
 
 
 def _versions(*names: str) -> dict[str, str]:
-    """Of the packages that are installed."""
-    found = {}
+    """Return {package: version} of those packages that are installed."""
+    versions = {}
     for name in names:
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+        with suppress(PackageNotFoundError):  # gtsam is optional
+            versions[name] = version(name)
+    return versions
 
 
 def run_description(reading: Reading, recording: Recording, arguments: Sequence[str]) -> dict[str, Any]:
-    """The command, its versions, the log with its checksum and how it was read; JSON types."""
+    """Return the command, versions, the log with its checksum, and how it was read, as JSON types."""
     from magyc_gtsam import __version__
     from magyc_gtsam.storage.checksum import sha256
 
@@ -116,7 +116,7 @@ def run_description(reading: Reading, recording: Recording, arguments: Sequence[
 
 
 def write_yaml(path: Path, values: dict[str, Any]) -> None:
-    """Values of JSON types as YAML, in their order."""
+    """Write values of JSON types as YAML, in their order."""
     import yaml
 
     path.write_text(yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""From the options of a command to the strength of the field, which sets the scale of the soft iron."""
+"""Options for the field strength, which sets the scale of the soft iron."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Scale:
-    """What is known of the true field's strength: itself, or place and day for the World Magnetic Model."""
+    """The true field strength, or location and date for the World Magnetic Model."""
 
     field_strength: Annotated[
         float | None,
@@ -36,16 +36,16 @@ class Scale:
     ] = None
 
     def tesla(self) -> float | None:
-        """The strength; None where nothing was said of it.
+        """Return the field strength, T; None if no option gives it.
 
         Raises:
-            MagycError: options that contradict each other, or say nothing alone; a strength that no field has.
+            MagycError: options contradict each other or are incomplete, or the strength is not that of a field.
         """
         from magyc_gtsam.factors.errors import MagycError
 
         if self.location is None:
             if self.date is not None:
-                raise MagycError("--date: says nothing without a place; give --location LAT LON too")
+                raise MagycError("--date: has no effect without a location; give --location LAT LON too")
             if self.field_strength is None:
                 return None
             from magyc_gtsam.estimators.gauge import check_field_strength
@@ -58,14 +58,14 @@ class Scale:
                 "--field-strength and --location: both set the strength of the field; give one of them"
             )
         if self.date is None:
-            raise MagycError("--location: the field changes by the year; give --date YYYY-MM-DD too")
+            raise MagycError("--location: the field changes with time; give --date YYYY-MM-DD too")
         return self._world().strength
 
     def place(self) -> tuple[float, float] | None:
-        """Strength T and dip rad of the field at the place; None where no place was given.
+        """Return strength (T) and dip (rad) of the field at the location; None without a location.
 
         Raises:
-            MagycError: as `tesla`.
+            MagycError: see `tesla`.
         """
         if self.location is None or self.tesla() is None:
             return None

@@ -1,4 +1,4 @@
-"""`magyc-gtsam simulate`: a recording with its truth."""
+"""`magyc-gtsam simulate`: simulate a recording with its truth."""
 
 from __future__ import annotations
 
@@ -71,17 +71,20 @@ def run(
     from magyc_gtsam.storage.json_types import json_types
 
     if output.suffix.lower() != ".mcap":
-        raise MagycError(f"--output: {output} does not end in .mcap")
+        raise MagycError(f"--output: must end in .mcap, got {output}")
     for option, value in (("--duration", duration), ("--rate", rate)):
         if not value > 0:
-            raise MagycError(f"{option}: {value:g}, it must be more than 0")
+            raise MagycError(f"{option}: must be more than 0, got {value:g}")
     if min(magnetometer_noise, gyroscope_noise) < 0:
-        raise MagycError("--magnetometer-noise, --gyroscope-noise: a deviation is not negative")
+        raise MagycError(
+            "--magnetometer-noise, --gyroscope-noise: must not be negative, got "
+            f"{magnetometer_noise:g} µT and {gyroscope_noise:g} mrad/s"
+        )
     given = {"--delay": delay, "--hard-iron": hard_iron, "--gyroscope-bias": gyroscope_bias}
     given |= {"--magnetometer-noise": magnetometer_noise, "--gyroscope-noise": gyroscope_noise}
     for option, values in given.items():
         if values is not None and not np.isfinite(values).all():
-            raise MagycError(f"{option}: {values} is not finite")
+            raise MagycError(f"{option}: must be finite, got {values}")
     sensor: dict[str, Any] = {
         "magnetometer_noise": magnetometer_noise * 1e-6,
         "gyroscope_noise": gyroscope_noise * 1e-3,
@@ -109,11 +112,11 @@ def run(
 
 
 def _factor(text: str) -> tuple[str, float]:
-    """(name, factor) of "name" or "name=factor"."""
+    """Return (name, factor) of "name" or "name=factor"; without one the factor is 1."""
     from magyc_gtsam.factors.errors import MagycError
 
     name, equals, factor = text.partition("=")
     try:
         return name, float(factor) if equals else 1.0
     except ValueError:
-        raise MagycError(f"--effect: {factor!r} of {name!r} is not a number") from None
+        raise MagycError(f"--effect: the factor of {name!r} must be a number, got {factor!r}") from None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Study(str, Enum):
-    """The studies there are."""
+    """The names of the studies."""
 
     EFFICIENCY = "efficiency"
     TABLE_ONE = "table-one"
@@ -173,6 +173,7 @@ def run(
 
 
 def _efficiency(runs: int, disturbed: float, gyroscope_noise: float, first_seed: int) -> None:
+    """Show the errors relative to the Cramér–Rao bound, and the NEES."""
     from functools import partial
 
     from magyc_gtsam.estimators import calibrate
@@ -208,6 +209,7 @@ def _efficiency(runs: int, disturbed: float, gyroscope_noise: float, first_seed:
 
 
 def _known(folder: Path, runs: int, workers: int) -> None:
+    """Show errors and NEES by skew of the chips, and by prior knowledge."""
     from magyc_gtsam.study import known
 
     with stages() as stage:
@@ -240,4 +242,5 @@ def _known(folder: Path, runs: int, workers: int) -> None:
 
 
 def _fact(cell: FactCell) -> list[str]:
+    """Return error and stated deviation of the hard iron (µT), error²/σ², and the share refused."""
     return [f"{cell.error * 1e6:.3f}", f"{cell.stated * 1e6:.3f}", f"{cell.ratio:.2f}", f"{cell.refused:.0%}"]

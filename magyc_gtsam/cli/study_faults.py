@@ -1,4 +1,4 @@
-"""`magyc-gtsam study faults`: wrong and trusted, right and trusted, or refused, under faults at known strength."""
+"""`magyc-gtsam study faults`: count results that are wrong and trusted, right and trusted, or refused under faults."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.recording import Recording
 
-_BLOCK = 5.0  # s of samples that online takes at a time
-_SHOWN = 40  # cells
+_BLOCK = 5.0  # s of samples per update of the online method
+_SHOWN = 40  # rows of the table that are shown
 
 
 def batch(recording: Recording) -> Calibration | None:
-    """By the batch method."""
+    """Calibrate by the batch method."""
     from magyc_gtsam.estimators import calibrate
 
     return calibrate(recording)
 
 
 def online(recording: Recording) -> Calibration | None:
-    """By the online method, at the end of the log; trusted only where it has converged."""
+    """Calibrate by the online method, at the end of the log; the result is trusted only if it has converged."""
     from dataclasses import replace
 
     from magyc_gtsam.online import OnlineCalibrator
 
     calibrator = OnlineCalibrator()
-    (when, field), (turned, rate) = recording.magnetometer, recording.gyroscope
+    (mag_time, field), (gyro_time, rate) = recording.magnetometer, recording.gyroscope
     edges = np.arange(recording.time[0], recording.time[-1] + _BLOCK, _BLOCK)
     for start in edges:
-        rows = slice(*np.searchsorted(when, [start, start + _BLOCK]))
-        calibrator.update(when[rows], field[rows])
-        rows = slice(*np.searchsorted(turned, [start, start + _BLOCK]))
-        calibrator.update(turned[rows], angular_rate=rate[rows])
+        rows = slice(*np.searchsorted(mag_time, [start, start + _BLOCK]))
+        calibrator.update(mag_time[rows], field[rows])
+        rows = slice(*np.searchsorted(gyro_time, [start, start + _BLOCK]))
+        calibrator.update(gyro_time[rows], angular_rate=rate[rows])
     result = calibrator.calibration
     if result is None or calibrator.converged:
         return result
@@ -46,7 +46,7 @@ def online(recording: Recording) -> Calibration | None:
 
 
 def gap(recording: Recording) -> Calibration | None:
-    """By the gap workflow."""
+    """Calibrate by the gap workflow."""
     from magyc_gtsam.gap import find_gap
 
     return find_gap(recording).calibration
@@ -63,10 +63,11 @@ def faults(
     methods: Sequence[str],
     workers: int,
 ) -> int:
-    """Run what is not done yet, print the worst cells and write all rows.
+    """Run the cases that are not done yet, print the worst cells and write all rows.
 
     Returns:
-        0 where nothing crashed and no cell that data can show has more than one of thirty wrong and trusted, else 1.
+        The exit code: 0 if nothing crashed and in no cell whose fault the data show more than 1 in 30 results is wrong
+        and trusted, else 1.
     """
     from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.simulation.motion import AMPLITUDES

@@ -1,4 +1,4 @@
-"""`magyc-gtsam study gap`: the blind test of the gap workflow."""
+"""`magyc-gtsam study gap` and `gap-strengths`: the blind test of the gap workflow."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def blind_test(
     edition: int,
     foreign: Path | None = None,
 ) -> int:
-    """Generate, seal, diagnose and score; what is done already is not done again.
+    """Generate, seal, diagnose and score recordings; completed parts are not repeated.
 
     Returns:
-        0 where all gates are passed, else 1.
+        The exit code: 0 if all gates are passed, else 1.
     """
     from magyc_gtsam.blindtest.from_outside import Outside
     from magyc_gtsam.blindtest.gates import gates, missing
@@ -85,7 +85,7 @@ def blind_test(
 
 
 def strengths(runs: int) -> None:
-    """The published strengths, and how far they stand out."""
+    """Show the published strengths of the effects, and how far they stand out."""
     from magyc_gtsam.blindtest.scenarios import MOTIONS
     from magyc_gtsam.blindtest.visibility import table
     from magyc_gtsam.simulation.effects import STRENGTHS

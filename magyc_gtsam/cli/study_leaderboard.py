@@ -1,4 +1,4 @@
-"""`magyc-gtsam study leaderboard`: all methods on public recordings, judged on others of the same unit."""
+"""`magyc-gtsam study leaderboard`: judge all methods on public recordings by others of the same unit."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ _COLUMNS = (
     "in 1.96 σ: share of the axes whose stated interval of 95 % holds the optical hard iron; NEES: median per freedom",
     "own optics: each recording's own optical fit, which nothing can beat by much",
 )
-_SHOWN = 12  # losses of the default method
+_SHOWN = 12  # losses of the default method that are shown
 
 
 def leaderboard(
     output: Path, folder: Path | None, address: str | None, names: Sequence[str] | None, engine: str, workers: int
 ) -> int:
-    """Run what is not done yet, print the tables, and write page and rows.
+    """Run the calibrations that are not done yet, print the tables, write page and rows, and return the exit code.
 
     Args:
-        output: for the rows and the page.
-        folder, address: of the recordings; see `fetching`.
-        names: of methods; None for all.
+        output: folder for the rows and the page.
+        folder, address: of the recordings; see `study.leaderboard.fetching`.
+        names: names of methods; None for all.
         engine, workers: see `magyc_gtsam.engine`.
     """
     from magyc_gtsam.factors.errors import MagycError
@@ -56,7 +56,9 @@ def leaderboard(
         logs, unknown = running.logs_of(files)
         tasks = running.tasks_of(logs, chosen, read)
         if not tasks:
-            raise MagycError(f"{len(files)} recordings, and none of a unit that another one can judge")
+            raise MagycError(
+                f"none of {len(files)} recordings has another of the same unit to judge it; give two of a unit"
+            )
         title = f"{len(tasks)} calibrations by {len(chosen)} methods"
         rows = running.leaderboard_rows(tasks, output, engine, workers, stage(title))
     left_out = sorted({log.name for log in logs} - {row["recording"] for row in rows})
@@ -78,6 +80,7 @@ def leaderboard(
 
 
 def _tables(rows: Sequence[Row]) -> dict[str, list[Standing]]:
+    """Return {title: standings} of each collection."""
     from magyc_gtsam.study.leaderboard.standings import standings
 
     tables = {}
@@ -90,7 +93,7 @@ def _tables(rows: Sequence[Row]) -> dict[str, list[Standing]]:
 
 
 def cells(each: Standing) -> list[str]:
-    """The texts of one row of the table."""
+    """Return the texts of one row of the table."""
 
     def text(value: float | None, form: str) -> str:
         return "–" if value is None else format(value, form)
@@ -111,18 +114,18 @@ def cells(each: Standing) -> list[str]:
 
 
 def lost(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
-    """Where the first method's user is worse off than another's, the worst first, and why a method gave nothing."""
+    """Return sentences on the pairs in which the first method loses, worst first, and on methods that failed."""
     from magyc_gtsam.study.leaderboard.standings import losses
 
     first = names[0]
-    found = losses(rows, first)
-    said = [f"{first} is behind the best in {len(found)} pairs:"] if found else []
-    said += [
+    lost_pairs = losses(rows, first)
+    sentences = [f"{first} is behind the best in {len(lost_pairs)} pairs:"] if lost_pairs else []
+    sentences += [
         f"  {pair.calibrated_on} judged on {pair.judged_on}: {pair.heading:.2f}°, {ratio:.2f} times the best"
         + ("" if pair.trusted else "; its result is not trusted, so that this is the reading as delivered")
-        for pair, ratio in found
+        for pair, ratio in lost_pairs
     ]
-    return said + [
+    return sentences + [
         f"{row['method']} failed on {row['recording']}: {row['reason']}"
         for row in rows
         if row["status"] in ("failed", "not possible")

@@ -1,4 +1,4 @@
-"""The logs that a study is given: LOG or LOG@START:END, logs of any kind or arrays of the public collections."""
+"""The logs of a study: LOG or LOG@START:END, in any format or as arrays of the public collections."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PART = re.compile(r"(.+)@(\d+(?:\.\d+)?):(\d+(?:\.\d+)?)")
 
 
 def recordings_of(logs: Sequence[str]) -> dict[str, Recording]:
-    """{stem, with what part of it: recording}."""
+    """Read logs, and return {stem of the file and @START:END: recording}."""
     from magyc_gtsam.io import read
     from magyc_gtsam.study.leaderboard.reading import ARRAYS, read_public
 

@@ -1,4 +1,4 @@
-"""Studies on the engine, the papers' above all: theirs beside ours in tables, a plot, and every run as Parquet."""
+"""Studies that reproduce the papers: their numbers beside ours in tables, a plot, and every run as Parquet."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Place(NamedTuple):
-    """Where a study leaves its files and where it runs; see `engine`."""
+    """The folder of a study's files, and the engine on which it runs; see `magyc_gtsam.engine`."""
 
     folder: Path
     engine: str
@@ -26,7 +26,7 @@ class Place(NamedTuple):
 
     @contextmanager
     def running(self, title: str) -> Iterator[Running]:
-        """With its progress shown."""
+        """Yield the engine's settings, and show a progress bar."""
         from magyc_gtsam.study.rows import Running
 
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -34,13 +34,13 @@ class Place(NamedTuple):
             yield Running(self.folder, self.engine, self.workers, stage(title))
 
     def drawn(self, name: str, draw: Callable[[Path], None]) -> None:
-        """Draw `<name>.svg`, and say where the files are."""
+        """Draw `<name>.svg`, and print where the files are."""
         draw(self.folder / f"{name}.svg")
         show("", f"{self.folder}: {name}.svg, and every run as Parquet")
 
 
 def review(place: Place, runs: int) -> None:
-    """Table 2 and Figs 2 to 5 of the review."""
+    """Reproduce Table 2 and Figs 2 to 5 of the review."""
     from magyc_gtsam.study import review as study
 
     conditions = [condition for each in study.FIGURES.values() for condition in each]
@@ -85,7 +85,7 @@ def review(place: Place, runs: int) -> None:
 
 
 def autocal(place: Place, runs: int) -> None:
-    """Figs 5 and 6 of the Autocal paper, and one-sided data."""
+    """Reproduce Figs 5 and 6 of the Autocal paper, and add one-sided data."""
     from magyc_gtsam.study import autocal as study
 
     def cell(score: study.ModelErrors) -> str:
@@ -111,15 +111,13 @@ def autocal(place: Place, runs: int) -> None:
 
 
 def real_tracks(place: Place, logs: Sequence[str], sensor: str) -> None:
-    """Fig. 6 of the review, and Tables IV and V of the Autocal paper."""
+    """Reproduce Fig. 6 of the review, and Tables IV and V of the Autocal paper."""
     from magyc_gtsam.study import real_tracks as study
 
     if sensor not in ("magnetometer", "accelerometer"):
-        raise MagycError(f"--sensor: {sensor!r} is neither 'magnetometer' nor 'accelerometer'")
+        raise MagycError(f"--sensor: must be 'magnetometer' or 'accelerometer', got {sensor!r}")
     if not logs:
-        raise MagycError(
-            "study real-tracks: which logs? Give --log LOG for each, first the one to hold them against"
-        )
+        raise MagycError("study real-tracks: no logs; give --log LOG for each, first the one to compare with")
     recordings = recordings_of(logs)
     with place.running(f"{len(recordings)} tracks") as running:
         rows = study.real_rows(
@@ -163,7 +161,7 @@ def real_tracks(place: Place, logs: Sequence[str], sensor: str) -> None:
 
 
 def table_one(place: Place, runs: int, gyroscope_noise: float) -> None:
-    """Table I of the MAGYC paper, by this project's conventions and by the authors'."""
+    """Reproduce Table I of the MAGYC paper, by this project's conventions and by the authors'."""
     from magyc_gtsam.study import table_one as study
 
     def spread(values: tuple[float, float, float]) -> str:
@@ -201,7 +199,7 @@ def table_one(place: Place, runs: int, gyroscope_noise: float) -> None:
 
 
 def settling(place: Place, runs: int, gyroscope_noise: float) -> None:
-    """When MAGYC-IFG stands still."""
+    """Show the share of the data after which MAGYC-IFG no longer changes."""
     from magyc_gtsam.study import settling as study
 
     with place.running(f"{runs} runs") as running:
@@ -215,7 +213,7 @@ def settling(place: Place, runs: int, gyroscope_noise: float) -> None:
 
 
 def dive_survey(place: Place, runs: int) -> None:
-    """Fig. 3b of the MAGYC paper."""
+    """Reproduce Fig. 3b of the MAGYC paper."""
     from magyc_gtsam.study import dive_survey as study
 
     with place.running(f"{runs} pairs at each noise") as running:
@@ -240,7 +238,7 @@ def dive_survey(place: Place, runs: int) -> None:
 
 
 def duration(place: Place, runs: int) -> None:
-    """Heading error against minutes of data and amplitude of motion, which no paper has."""
+    """Show the heading error by minutes of data and amplitude of motion, which no paper has."""
     from magyc_gtsam.study import duration as study
 
     with place.running(f"{runs} runs a cell") as running:

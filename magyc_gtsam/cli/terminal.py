@@ -1,4 +1,4 @@
-"""What a command shows: progress, tables and sentences."""
+"""Output of commands on the terminal: progress, tables and sentences."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 
-_WORST = 4  # details that are shown
-_WIDE = 200  # columns of a file or pipe, in which nothing is to be cut
+_MOST_DETAILS = 4  # that are shown without --verbose
+_PIPE_WIDTH = 200  # columns; output to a file or pipe is not cut
 
 
 @contextmanager
 def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
-    """A function that opens a named stage and returns its progress callback; one bar per stage.
+    """Yield a function that opens a named stage and returns its progress callback; each stage has a bar.
 
-    With MAGYC_GTSAM_PROGRESS=lines in the environment, lines of JSON on standard error instead, for programs.
+    With MAGYC_GTSAM_PROGRESS=lines in the environment progress is printed as lines of JSON on standard error instead.
     """
     if os.environ.get("MAGYC_GTSAM_PROGRESS") == "lines":
         yield _stage_in_lines
@@ -59,16 +59,16 @@ def stages(shown: bool = True) -> Iterator[Callable[[str], Progress]]:
 
 
 def _stage_in_lines(name: str) -> Progress:
-    """Progress as {"stage": …, "share": 0 to 1}, at most ten lines a second; who wants it may leave."""
+    """Open a stage whose progress is printed as {"stage": …, "share": 0 to 1}, at most ten lines a second."""
     import json
 
-    said = -1.0
+    printed = -1.0
 
     def progress(share: float) -> None:
-        nonlocal said
-        if share >= 1.0 or time.monotonic() - said > 0.1:
-            said = time.monotonic()
-            with suppress(OSError):
+        nonlocal printed
+        if share >= 1.0 or time.monotonic() - printed > 0.1:
+            printed = time.monotonic()
+            with suppress(OSError):  # the program that reads progress has closed it; the work goes on
                 print(json.dumps({"stage": name, "share": round(float(share), 4)}), file=sys.stderr, flush=True)
 
     progress(0.0)
@@ -76,7 +76,7 @@ def _stage_in_lines(name: str) -> Progress:
 
 
 def show(*sentences: str) -> None:
-    """Sentences on standard output: wrapped at words on a terminal, one to a line in a pipe."""
+    """Print sentences on standard output: wrapped at words on a terminal, one per line in a pipe."""
     if not _on_a_terminal():
         _write([printable(sentence) for sentence in sentences])
         return
@@ -86,7 +86,7 @@ def show(*sentences: str) -> None:
 
 
 def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequence[int] = ()) -> None:
-    """A table; the first column and those of `words` to the left, the others to the right, with minus signs."""
+    """Print a table, with the first column and those in `words` aligned left, and the others right."""
     cells = [[printable(text) for text in (row[0], *map(with_minus, row[1:]))] for row in rows]
     left = {0, *words}
     if not _on_a_terminal():
@@ -103,7 +103,7 @@ def show_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: Sequ
 
 
 def _aligned(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """The rows of a table as lines."""
+    """Return the rows of a table as lines with aligned columns."""
     widths = [max(map(len, column)) for column in zip_longest(*rows, fillvalue="")]
     lines = []
     for row in rows:
@@ -116,12 +116,12 @@ def _aligned(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
 
 
 def _on_a_terminal() -> bool:
-    """Whether somebody looks at standard output, so that rich, which takes a tenth of the start, wraps and colours."""
+    """Return whether standard output is a terminal; only then is rich imported, which takes a tenth of the start-up."""
     return sys.stdout is not None and (sys.stdout.isatty() or bool(os.environ.get("FORCE_COLOR")))
 
 
 def _write(lines: Sequence[str]) -> None:
-    """On standard output; a reader that had enough, as `head`, is met with silence: the exit code is still to come."""
+    """Print lines on standard output; if it is closed, as by `head`, go on silently, since the exit code matters."""
     if sys.stdout is None:  # closed by the shell
         return
     try:
@@ -131,9 +131,11 @@ def _write(lines: Sequence[str]) -> None:
 
 
 def concluded(verdict: Verdict, shown: bool = False) -> int:
-    """The exit code of a verdict; writes to standard error why a result must not be trusted.
+    """Return the exit code of a verdict, and print on standard error why a result must not be trusted.
 
-    `shown`: the verdict is on standard output already, and is not repeated on the same terminal.
+    Args:
+        verdict: the verdict.
+        shown: whether the verdict is on standard output already; it is not repeated on the same terminal.
     """
     if verdict.trusted:
         return 0
@@ -145,7 +147,7 @@ def concluded(verdict: Verdict, shown: bool = False) -> int:
 
 
 def refused(calibration: Calibration) -> int:
-    """Say why a calibration is not written out for use; the exit code."""
+    """Print why an untrusted calibration is not written for use, and return the exit code."""
     from magyc_gtsam.report.verdict import judged
 
     reason = judged(calibration).reason
@@ -157,7 +159,7 @@ def refused(calibration: Calibration) -> int:
 
 
 def show_calibration(calibration: Calibration) -> None:
-    """Parameters with their deviations, and what was disturbed."""
+    """Print the parameters with their standard deviations, and the disturbed and omitted stretches."""
     from magyc_gtsam.report.words import parameter_rows, stretch
 
     rows = parameter_rows(calibration)
@@ -166,36 +168,36 @@ def show_calibration(calibration: Calibration) -> None:
     disturbed = calibration.diagnostics.get("disturbed") or []
     if disturbed:
         longest = ", ".join(stretch((start, end)) for start, end in sorted(disturbed[:5]))
-        show(f"disturbed, and weighed down: {longest}{' and more' if len(disturbed) > 5 else ''}")
+        show(f"disturbed, with reduced weight: {longest}{' and more' if len(disturbed) > 5 else ''}")
     show(*(f"left out: {where}" for where in calibration.diagnostics.get("left_out", ())))
 
 
 def show_page(page: Path) -> None:
-    """In the user's browser; where there is none the path is on the terminal."""
+    """Open a page in the browser; without one the path on the terminal has to do."""
     import webbrowser
 
     webbrowser.open(page.resolve().as_uri())
 
 
 def show_details(verdict: Verdict, every: bool = False) -> None:
-    """What was noticed beside the verdict; the page and the JSON have all of it."""
+    """Print the details of a verdict, all of them with `every`; page and JSON always have all."""
     if len(verdict.details) == 1:
         show(*verdict.details)
     elif verdict.details:
-        show("details:", *(f"  {sentence}" for sentence in verdict.details[: None if every else _WORST]))
-    if len(verdict.details) > _WORST and not every:
-        show(f"  and {len(verdict.details) - _WORST} more, on the page")
+        show("details:", *(f"  {sentence}" for sentence in verdict.details[: None if every else _MOST_DETAILS]))
+    if len(verdict.details) > _MOST_DETAILS and not every:
+        show(f"  and {len(verdict.details) - _MOST_DETAILS} more, on the page")
 
 
 def console(stderr: bool = False) -> Console:
-    """A console that outlives its reader, and that cuts nothing in a pipe."""
+    """Return a console that survives a closed output, and cuts nothing in a pipe."""
     from rich.console import Console
 
-    class Patient(Console):
+    class PipeSafeConsole(Console):
         def on_broken_pipe(self) -> None:
-            """Go on in silence: `head` may have enough, the exit code is still to come."""
+            """Go on silently if the output is closed, since the exit code matters."""
             self.quiet = True
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
-    found = Patient(stderr=stderr)
-    return found if found.is_terminal else Patient(stderr=stderr, width=_WIDE)
+    default = PipeSafeConsole(stderr=stderr)
+    return default if default.is_terminal else PipeSafeConsole(stderr=stderr, width=_PIPE_WIDTH)

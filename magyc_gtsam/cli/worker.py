@@ -1,6 +1,6 @@
-"""A process of a job: imports what commands need, waits for one line with the arguments, and runs the command line.
+"""The process of a server job: it imports the modules of commands, reads one line with arguments, and runs the command.
 
-Its imports take some tenths of a second, which are over when somebody drops a log.
+The imports take some tenths of a second and are done before a user starts a job.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _NEEDED = (
 
 
 def run_when_told() -> int:
-    """The exit code of the command; 0 where the server ended before there was one."""
+    """Run the command that comes on standard input, and return its exit code; 0 if the input ends before."""
     for name in _NEEDED:
         importlib.import_module(name)
     line = sys.stdin.readline()
