@@ -67,7 +67,7 @@ def clauses(message: str) -> list[str]:
 
 
 def cause_and_action(message: str) -> tuple[str, str]:
-    """A message of the form "cause (numbers): remedy" without its numbers, to at most 30 words."""
+    """Split a message "cause (numbers): remedy" into cause and remedy, shortened to 30 words in all."""
     cause, _, action = message.partition(": ")
     if len(f"{cause} {action}".split()) > MOST_WORDS:
         cause = _without_brackets(cause)
@@ -77,6 +77,7 @@ def cause_and_action(message: str) -> tuple[str, str]:
 
 
 def _without_brackets(text: str) -> str:
+    """Return a text without its parts in parentheses."""
     while " (" in text and ")" in text[text.index(" (") :]:
         start = text.index(" (")
         text = text[:start] + text[text.index(")", start) + 1 :]
@@ -84,7 +85,7 @@ def _without_brackets(text: str) -> str:
 
 
 def _cut_to_words(text: str, words: int) -> str:
-    """As many whole clauses as fit, or as many words where not even one does."""
+    """Return as many whole clauses as fit into a number of words; if not even one fits, as many words."""
     kept = ""
     for clause in text.replace("; ", ", ").split(", "):
         longer = f"{kept}, {clause}" if kept else clause

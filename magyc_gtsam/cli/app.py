@@ -16,6 +16,7 @@ import typer
 from magyc_gtsam import __version__
 from magyc_gtsam.cli import cause, interrupted
 from magyc_gtsam.cli.options import spelled
+from magyc_gtsam.cli.terminal import discard_output
 from magyc_gtsam.foreign_text import printable
 
 WRONG, UNREAD = 2, 141  # exit codes of wrong input, and of a closed output (SIGPIPE, as in shells)
@@ -77,7 +78,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code. With MAGYC_DEBUG=1 in the environment a failure raises its exception instead.
     """
-    given = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    words = list(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     debug = bool(os.environ.get("MAGYC_DEBUG"))
     if not debug:
         warnings.simplefilter("ignore")  # warnings of libraries do not concern the user
@@ -85,12 +86,12 @@ def run(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal that cannot show µ shows a question mark
-    named = given[:1] if given[0] in COMMANDS and _COMPLETION not in os.environ else COMMANDS
+    named = words[:1] if words[0] in COMMANDS and _COMPLETION not in os.environ else COMMANDS
     group = typer.main.get_command(application(named))  # importing one command is enough to run it
     if _COMPLETION in os.environ:
         group.main([], "magyc-gtsam")  # prints the completions and exits
     try:
-        with group.make_context("magyc-gtsam", given, obj=given) as context:
+        with group.make_context("magyc-gtsam", words, obj=words) as context:
             code = int(group.invoke(context) or 0)
         if sys.stdout is not None:  # closed by the shell (>&-)
             sys.stdout.flush()
@@ -101,9 +102,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return interrupted(stop)
     except BrokenPipeError:  # the reader of the output has closed it, as `head` does
         with contextlib.suppress(OSError):  # without a null device Python reports the closed pipe once more
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            discard_output()
         return UNREAD
-    except Exception as error:
+    except Exception as error:  # every other failure becomes one line, or a traceback with MAGYC_DEBUG
         if (behind := cause(error)) is not None:
             return interrupted(behind)
         if debug:

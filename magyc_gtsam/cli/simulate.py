@@ -80,9 +80,9 @@ def run(
             "--magnetometer-noise, --gyroscope-noise: must not be negative, got "
             f"{magnetometer_noise:g} µT and {gyroscope_noise:g} mrad/s"
         )
-    given = {"--delay": delay, "--hard-iron": hard_iron, "--gyroscope-bias": gyroscope_bias}
-    given |= {"--magnetometer-noise": magnetometer_noise, "--gyroscope-noise": gyroscope_noise}
-    for option, values in given.items():
+    finite = {"--delay": delay, "--hard-iron": hard_iron, "--gyroscope-bias": gyroscope_bias}
+    finite |= {"--magnetometer-noise": magnetometer_noise, "--gyroscope-noise": gyroscope_noise}
+    for option, values in finite.items():
         if values is not None and not np.isfinite(values).all():
             raise MagycError(f"{option}: must be finite, got {values}")
     sensor: dict[str, Any] = {

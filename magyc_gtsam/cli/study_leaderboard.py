@@ -85,10 +85,9 @@ def _tables(rows: Sequence[Row]) -> dict[str, list[Standing]]:
 
     tables = {}
     for name in sorted({row["collection"] for row in rows}):
-        own = [row for row in rows if row["collection"] == name]
-        units = len({row["unit"] for row in own})
-        title = f"{name}: {len({row['recording'] for row in own})} recordings of {units} unit{'s' if units > 1 else ''}"
-        tables[title] = standings(own)
+        part = [row for row in rows if row["collection"] == name]
+        units, recordings = (len({row[column] for row in part}) for column in ("unit", "recording"))
+        tables[f"{name}: {recordings} recordings of {units} unit{'s' if units > 1 else ''}"] = standings(part)
     return tables
 
 

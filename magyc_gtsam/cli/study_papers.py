@@ -53,14 +53,14 @@ def review(place: Place, runs: int) -> None:
     shown = []
     for score in table:
         accuracy, robustness, speed = study.PUBLISHED[score.method]
-        own = [
+        cells = [
             f"{score.scores.accuracy:.3g}",
             f"{accuracy:.3g}",
             f"{score.scores.robustness:.1%}",
             f"{robustness:.1f}%",
         ]
-        own += [f"{score.strict.robustness:.1%}", f"{score.refused}"]
-        shown.append([score.method, *own, f"{score.scores.time / reference:.2g}", f"{first / speed:.2g}"])
+        cells += [f"{score.strict.robustness:.1%}", f"{score.refused}"]
+        shown.append([score.method, *cells, f"{score.scores.time / reference:.2g}", f"{first / speed:.2g}"])
     shown.append(["bound", f"{table[0].bound:.3g}", *[""] * 7])
     show_table([*header, f"time / {table[0].method}", "paper"], shown)
 
@@ -104,9 +104,8 @@ def autocal(place: Place, runs: int) -> None:
         methods = next(iter(table.values()))
         shown = [[method, *(cell(scores[method]) for scores in table.values())] for method in methods]
         show_table(["", *(f"{value:g}" for value in table)], shown)
-        said = study.SAID.get(part.title[:6])
-        if said:
-            show(f"the paper: {said}")
+        if published := study.SAID.get(part.title[:6]):
+            show(f"the paper: {published}")
     place.drawn("autocal", lambda target: study.draw(target, rows))
 
 
@@ -244,12 +243,12 @@ def duration(place: Place, runs: int) -> None:
     with place.running(f"{runs} runs a cell") as running:
         rows = study.duration_rows(study.units(runs), running)
     for heading in study.HEADINGS:
-        found = study.cells(rows, heading)
+        cells = study.cells(rows, heading)
         show("", f"heading ±{heading:g}°: root-mean-square heading error ° (stated), in brackets not trusted", "")
         table = []
         for pitch in study.PITCHES:
-            own = [found[pitch, minutes] for minutes in study.MINUTES]
-            texts = [f"{c.error:.2f} ({c.stated:.2f})" + (f" [{c.refused:.0%}]" if c.refused else "") for c in own]
+            row = [cells[pitch, minutes] for minutes in study.MINUTES]
+            texts = [f"{c.error:.2f} ({c.stated:.2f})" + (f" [{c.refused:.0%}]" if c.refused else "") for c in row]
             table.append([f"pitch ±{pitch:g}°", *texts])
         show_table(["", *(f"{minutes:g} min" for minutes in study.MINUTES)], table)
     place.drawn("duration", lambda target: study.draw(target, rows))

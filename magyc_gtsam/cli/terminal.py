@@ -127,7 +127,12 @@ def _write(lines: Sequence[str]) -> None:
     try:
         print(*lines, sep="\n", flush=True)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        discard_output()
+
+
+def discard_output() -> None:
+    """Discard standard output from now on, after its reader has closed it."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def concluded(verdict: Verdict, shown: bool = False) -> int:
@@ -197,7 +202,7 @@ def console(stderr: bool = False) -> Console:
         def on_broken_pipe(self) -> None:
             """Go on silently if the output is closed, since the exit code matters."""
             self.quiet = True
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            discard_output()
 
     default = PipeSafeConsole(stderr=stderr)
     return default if default.is_terminal else PipeSafeConsole(stderr=stderr, width=_PIPE_WIDTH)

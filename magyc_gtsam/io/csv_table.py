@@ -222,7 +222,7 @@ def _text(data: bytes, path: Path, number: int) -> list[str]:
 
 def _raw(path: Path, size: int) -> Iterator[tuple[bytes, int]]:
     """Yield the file in pieces of complete lines, and the number of bytes read."""
-    rest = b""
+    incomplete = b""  # the start of a line whose end is in the next piece
     place = 0
     with open(path, "rb") as file:
         while data := file.read(size):
@@ -231,14 +231,14 @@ def _raw(path: Path, size: int) -> Iterator[tuple[bytes, int]]:
             place = file.tell()
             end = data.rfind(b"\n") + 1
             if not end:
-                rest += data
-                if len(rest) > _LONGEST_BYTES:
+                incomplete += data
+                if len(incomplete) > _LONGEST_BYTES:
                     raise MagycError(f"{path}: a line is longer than {_LONGEST_BYTES} bytes; not a text table")
                 continue
-            yield rest + data[:end], place
-            rest = data[end:]
-    if rest:
-        yield rest, place
+            yield incomplete + data[:end], place
+            incomplete = data[end:]
+    if incomplete:
+        yield incomplete, place
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -173,13 +173,15 @@ def _channels(topics: dict[str, Topic], used: set[str], request: Request, notes:
         ):
             continue
         try:
-            found = topic.channels()
+            streams = topic.channels()
         except MagycError as error:
             if named:
                 raise
             notes.append(f"channel left out: {error}")
             continue
-        result |= {k: v for k, v in found.items() if wanted is None or {k, base} & {w.lstrip("/") for w in wanted}}
+        result |= {
+            k: v for k, v in streams.items() if wanted is None or {k, base} & {w.lstrip("/") for w in wanted}
+        }
     if wanted is not None:
         missing = [
             w for w in wanted if not any(k == w.lstrip("/") or k.startswith(f"{w.lstrip('/')}.") for k in result)

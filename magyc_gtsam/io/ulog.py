@@ -253,10 +253,10 @@ def _channels(messages: list[Message], request: Request) -> dict[str, Stream]:
     result = {}
     for name in request.channels if request.channels is not None else _CHANNELS:
         label, _, member = name.partition(".")
-        found = [m for m in messages if label in (m.name, m.label) and member in m.data and m.count > 1]
-        if found:
-            value = np.asarray(found[0].data[member], dtype=np.float64)
-            result[name] = Stream(name, np.asarray(found[0].data["timestamp"]).astype(np.int64) * 1000, value)
+        matches = [m for m in messages if label in (m.name, m.label) and member in m.data and m.count > 1]
+        if matches:
+            value = np.asarray(matches[0].data[member], dtype=np.float64)
+            result[name] = Stream(name, np.asarray(matches[0].data["timestamp"]).astype(np.int64) * 1000, value)
         elif request.channels is not None:
             raise MagycError(f"channels: the log has no {name!r}; write them as message.field")
     return result
