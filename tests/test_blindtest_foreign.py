@@ -62,7 +62,7 @@ def test_an_effect_changes_what_it_says_and_nothing_else() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        (lambda a, f, r: None, "a dictionary of arrays is needed"),
+        (lambda a, f, r: None, "must return a dictionary of arrays"),
         (lambda a, f, r: {"time": a["time"]}, "is not one of"),
         (lambda a, f, r: {"magnetic_field": a["time"]}, "of shape"),
         (lambda a, f, r: {"magnetic_field": a["magnetic_field"] * np.nan}, "must be finite"),

@@ -1,7 +1,7 @@
-"""The blind test of the gap workflow: a generator of hidden effects, a sealing, and a scorer.
+"""The blind test of the gap workflow: generate hidden effects, seal the truth, diagnose, and score.
 
-The diagnosis runs in processes of its own (`diagnosis.py`) that see recordings only: they can import neither
-this package nor the simulator, nor open the sealed truth.
+The diagnosis runs in separate processes (`diagnosis.py`) that see recordings only: they can neither import this package
+or the simulator nor open the sealed truth.
 """
 
 from __future__ import annotations

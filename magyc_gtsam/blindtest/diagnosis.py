@@ -1,7 +1,7 @@
-"""The diagnosing process: `python -P diagnosis.py FOLDER NUMBER…`; sees recordings, never the truth.
+"""The diagnosing process, `python -P diagnosis.py FOLDER NUMBER…`, which sees recordings but never the truth.
 
-It is run as a file, not as a part of its package: importing the simulator or the blind test fails, and so does
-opening anything under `FOLDER/sealed`.
+It is run as a file, not as part of its package. Importing the simulator or the blind test fails, and so does opening
+any file under `FOLDER/sealed`.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ FORBIDDEN = ("magyc_gtsam.blindtest", "magyc_gtsam.simulation")
 
 
 class Blindfold:
-    """Refuses the imports that would give the answers away."""
+    """An import hook that refuses the packages which hold the answers."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """None for what is allowed, so that the ordinary finders go on."""
+        """Return None for an allowed module, so that the ordinary finders continue."""
         if any(name == f or name.startswith(f + ".") for f in FORBIDDEN):
             raise ImportError(f"the diagnosing process must not import {name}")
         return None
 
 
 def blindfold(sealed: Path) -> None:
-    """From here on nothing under `sealed` can be opened, and nothing in `FORBIDDEN` be imported."""
+    """Prevent from now on any file under `sealed` from being opened and any of `FORBIDDEN` from being imported."""
     loaded = [name for name in sys.modules if name.startswith(FORBIDDEN)]
     if loaded:
-        raise ImportError(f"the diagnosing process has {loaded[0]} already")
+        raise ImportError(f"the diagnosing process has already imported {loaded[0]}")
     sys.meta_path.insert(0, Blindfold())
     hidden = os.path.realpath(sealed)
 
@@ -50,7 +50,7 @@ def blindfold(sealed: Path) -> None:
 
 
 def load(path: Path) -> Any:
-    """The `Recording` in an .npz of the generator."""
+    """Read a `Recording` from an .npz file of the generator."""
     import numpy as np
 
     from magyc_gtsam.recording import Recording
@@ -63,7 +63,7 @@ def load(path: Path) -> Any:
 
 
 def slim(result: dict[str, Any]) -> dict[str, Any]:
-    """Without the long curves, which a scorer does not need."""
+    """Remove the long curves, which the scorer does not need."""
     for metrics in (result["before"], result["after"]):
         metrics["maps"] = [{"over": m["over"], "worst": max(m["level"], default=0.0)} for m in metrics["maps"]]
         for curve in ("time", "error", "sigma"):
@@ -72,7 +72,7 @@ def slim(result: dict[str, Any]) -> dict[str, Any]:
 
 
 def diagnose(path: Path) -> dict[str, Any]:
-    """What `find_gap` says about one recording, or why it refused."""
+    """Return the result of `find_gap` on one recording, or why it failed."""
     import magyc_gtsam as mg
     from magyc_gtsam.storage.json_types import json_types
 
@@ -90,7 +90,7 @@ def diagnose(path: Path) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Diagnose the numbers given; a line on standard output for each that is done."""
+    """Diagnose the given recordings, printing the number of each when done."""
     folder = Path(arguments[0])
     blindfold(folder / "sealed")
     from magyc_gtsam.storage.whole_file import write_text

@@ -1,16 +1,16 @@
-"""Foreign effects from a Python file: functions from the arrays of a recording to those that they change.
+"""Foreign effects from a Python file, whose functions change the arrays of a recording.
 
-So that what a diagnosis must call unknown can come from somebody who knows neither its rules nor the simulator's
-effects. A function is called as `effect(arrays, factor, random)`:
+The effects that a diagnosis must call unknown can thus come from somebody who knows neither its rules nor the
+simulator's effects. A function is called as `effect(arrays, factor, random)`:
 
 - arrays: of a recording without any effect, by name: "time" (N,) s, "magnetic_field" (N, 3) T, "angular_rate" (N, 3)
   rad/s, "acceleration" (N, 3) m/s², "attitude" (N, 4) quaternion x, y, z, w sensor → world, and channels as
-  "channel temperature" (N,) and so on. They are copies, to be changed at will.
-- factor: on the strength that the function takes for 1; 2, 0.5 and 0.25 are tried as well.
-- random: a `numpy.random.Generator` of the recording's own seed.
+  "channel temperature" (N,) and so on. They are copies and may be changed.
+- factor: factor on the function's functions strength; 1, 2, 0.5 and 0.25 are tried.
+- random: a `numpy.random.Generator` with the recording's seed.
 
-It gives back a dictionary of the arrays that it changes; time and attitude are not to be changed. Each function of the
-file whose name does not begin with an underscore is an effect.
+It returns a dictionary of the arrays that it changes, which must not be time or attitude. Each function of the file
+whose name does not begin with an underscore is an effect.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Outside:
     """The effects of a file.
 
     Attributes:
-        name: of the file, without its ending.
-        mark: the first digits of its checksum, which tell one version of it from another.
+        name: name of the file without suffix.
+        mark: first digits of its checksum, which distinguish its versions.
         effects: {"file.function": function}.
     """
 
@@ -50,13 +50,13 @@ class Outside:
 
     @classmethod
     def read(cls, path: Path) -> Outside:
-        """The functions of a Python file, which is run.
+        """Run a Python file and return its functions.
 
         Raises:
-            MagycError: there is no such file, it fails, or it has no function.
+            MagycError: the file does not exist, fails or has no function.
         """
         if path.suffix != ".py" or not path.is_file():
-            raise MagycError(f"{path}: a Python file (.py) with functions is needed")
+            raise MagycError(f"{path}: must be an existing Python file (.py) with functions")
         spec = importlib.util.spec_from_file_location(path.stem, path)
         assert spec is not None
         assert spec.loader is not None
@@ -67,17 +67,17 @@ class Outside:
             raise MagycError(
                 f"{path}: {type(problem).__name__}: {problem}; the file must run by itself"
             ) from problem
-        own = {
+        functions = {
             f"{path.stem}.{name}": function
             for name, function in inspect.getmembers(module, inspect.isfunction)
             if not name.startswith("_") and function.__module__ == module.__name__
         }
-        if not own:
+        if not functions:
             raise MagycError(f"{path}: holds no function; define effect(arrays, factor, random) in it")
-        return cls(path.stem, sha256(path)[:8], own)
+        return cls(path.stem, sha256(path)[:8], functions)
 
     def scenarios(self, motion: str, runs: int, edition: int, duration: float = 600.0) -> list[Scenario]:
-        """Every effect at every strength, as often as the foreign ones of the simulator."""
+        """Return a scenario per effect and strength, as many of each as of the simulator's foreign effects."""
         result = []
         for name in self.effects:
             for factor in FACTORS:
@@ -89,27 +89,27 @@ class Outside:
 
 
 def changed(recording: Recording, name: str, function: Function, factor: float, seed: int) -> Recording:
-    """A recording with an effect from outside in it.
+    """Return a recording with an effect from outside.
 
     Raises:
-        MagycError: the function fails, or gives back what no recording can hold.
+        MagycError: the function fails, or returns arrays that a recording cannot hold.
     """
     arrays = {"time": recording.time, "attitude": recording.attitude}
     arrays |= {key: getattr(recording, key) for key in _SENSORS}
     arrays |= {_CHANNEL + key: value for key, value in recording.channels.items()}
-    given = {key: np.array(value) for key, value in arrays.items() if value is not None}
-    shapes = {key: value.shape for key, value in given.items() if key not in ("time", "attitude")}
+    copies = {key: np.array(value) for key, value in arrays.items() if value is not None}
+    shapes = {key: value.shape for key, value in copies.items() if key not in ("time", "attitude")}
     try:
-        result = function(given, factor, np.random.default_rng([seed, 3]))
+        result = function(copies, factor, np.random.default_rng([seed, 3]))
     except Exception as problem:
         raise MagycError(f"{name}: {type(problem).__name__}: {problem}") from problem
     if not isinstance(result, Mapping):
-        raise MagycError(f"{name}: gives back {type(result).__name__}, a dictionary of arrays is needed")
+        raise MagycError(f"{name}: must return a dictionary of arrays, got {type(result).__name__}")
     new: dict[str, Any] = {}
     for key, value in result.items():
         array = np.asarray(value, dtype=float)
         if key not in shapes:
-            raise MagycError(f"{name}: gives back {key!r}, which is not one of {', '.join(shapes)}")
+            raise MagycError(f"{name}: returns {key!r}, which is not one of {', '.join(shapes)}")
         if array.shape != shapes[key] or not np.isfinite(array).all():
             raise MagycError(f"{name}: {key!r} must be finite and of shape {shapes[key]}, got shape {array.shape}")
         new[key] = array

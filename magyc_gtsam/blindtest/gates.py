@@ -1,4 +1,4 @@
-"""The gates: what the workflow must reach, fixed before it was measured."""
+"""The gates: limits that the workflow must keep, fixed before they were measured."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from scipy.stats import beta
 from magyc_gtsam.blindtest.scenarios import FACTORS, INVISIBLE
 from magyc_gtsam.blindtest.scoring import CRASHED, IN_SET, RIGHT, UNKNOWN, WRONG, Outcome
 
-_VISIBLE = 0.1  # excess open-loop variance over the floor's from which a gap is visible
-_WORSE = 1.05  # ratio of heading errors from which heading got worse
-_NEGLIGIBLE = 0.05  # deg; below, a ratio of two heading errors says nothing
+_VISIBLE = 0.1  # ratio of the excess open-loop variance to the floor's from which a gap is visible
+_WORSE = 1.05  # ratio of heading errors from which the heading counts as worse
+_NEGLIGIBLE = 0.05  # deg, heading error below which the ratio is ignored
 
 
 @dataclass(frozen=True)
 class Gate:
-    """One gate and what was measured.
+    """One gate and its measurement.
 
     Attributes:
-        name: what is asked.
-        share: measured.
-        interval: (low, high) 95 % of it (Clopper and Pearson; of a median, by its order statistics).
-        count, total: measured cases of all.
-        limit: of the share.
-        at_least: whether the share must be at least, not at most, the limit.
+        name: the requirement.
+        share: measured share.
+        interval: its 95 % interval (low, high), by Clopper and Pearson, or by order statistics for a median.
+        count, total: number of hits, and of cases.
+        limit: limit of the share.
+        at_least: whether the share must be at least the limit, instead of at most.
     """
 
     name: str
@@ -39,12 +39,12 @@ class Gate:
 
     @property
     def passed(self) -> bool:
-        """Whether the share keeps its limit."""
+        """Return whether the share keeps its limit."""
         return self.share >= self.limit if self.at_least else self.share <= self.limit
 
 
 def gates(outcomes: Sequence[Outcome]) -> list[Gate]:
-    """All gates for which there are outcomes."""
+    """Return all gates for which there are outcomes."""
     result: list[Gate] = []
 
     def ask(name: str, hits: Sequence[bool], limit: float, at_least: bool = False) -> None:
@@ -84,7 +84,7 @@ def gates(outcomes: Sequence[Outcome]) -> list[Gate]:
 
 
 def missing(outcomes: Sequence[Outcome], limit: float = 0.9) -> dict[str, tuple[int, int]]:
-    """{effect: (named, runs)} of the effects named in less than `limit` of their runs at published strength."""
+    """Return {effect: (named, runs)} of effects named in less than `limit` of their runs at published strength."""
     result = {}
     full = [o for o in outcomes if o.scenario.set == "single" and o.scenario.factor == 1.0]
     for name in dict.fromkeys(o.scenario.names[0] for o in full):
@@ -96,7 +96,7 @@ def missing(outcomes: Sequence[Outcome], limit: float = 0.9) -> dict[str, tuple[
 
 
 def interval(count: int, total: int) -> tuple[float, float]:
-    """Clopper and Pearson's 95 % interval of a share."""
+    """Return Clopper and Pearson's 95 % interval of a share."""
     low = 0.0 if count == 0 else float(beta.ppf(0.025, count, total - count + 1))
     high = 1.0 if count == total else float(beta.ppf(0.975, count + 1, total - count))
     return low, high

@@ -1,4 +1,4 @@
-"""Recordings with something hidden in them, and the truth about it."""
+"""Generate recordings with hidden effects, and the truth about them."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from magyc_gtsam.storage.json_types import json_types
 from magyc_gtsam.storage.whole_file import whole_file
 
 _NOISE = (10 * MILLIGAUSS, 5e-3)
-_CUT = 0.03  # share of a real recording that may be left out at either end
+_CUT = 0.03  # largest share of a real recording that is cut off at each end
 
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
-    """A recording as the diagnosis sees it, and what only the scorer may know.
+    """A recording as the diagnosis sees it, and the truth for the scorer.
 
     Attributes:
-        recording: with all channels (but those withheld) and without attitude.
-        truth: of the base model.
-        applied: the effects.
-        attitude: (N, 4) the reference that the diagnosis does not get; None where there is none.
+        recording: the recording with all channels that are not withheld, without attitude.
+        truth: the true calibration.
+        applied: the effects as applied.
+        attitude: (N, 4) reference that the diagnosis does not get; None without one.
     """
 
     recording: Recording
@@ -46,13 +46,13 @@ class Hidden:
 def generate(
     scenario: Scenario, real: Recording | None = None, outside: Mapping[str, Function] | None = None
 ) -> Hidden:
-    """The recording of a scenario.
+    """Return the recording of a scenario and its truth.
 
     Args:
-        scenario: what to hide.
-        real: the recording to hide it in, of the set "real"; the factors are on what stands out there as far as the
-            published strength does of a simulated recording.
-        outside: effects that are not the simulator's, by name; see `from_outside`.
+        scenario: the scenario.
+        real: the recording of a scenario of the set "real"; its factors are on the strength that stands out there as
+            far as the published strength does in a simulated recording.
+        outside: foreign effects by name; see `from_outside`.
     """
     if real is not None:
         if scenario.cut:
@@ -78,7 +78,7 @@ def generate(
 
 @lru_cache(maxsize=1)
 def noise_free(scenario: Scenario) -> Recording:
-    """The same simulated recording, effects included but for noise of any kind: what heading is judged on."""
+    """Return the simulated recording with its effects but without noise, on which the heading is judged."""
     sensor = sensors(scenario.seed) | {"magnetometer_noise": 0.0, "gyroscope_noise": 0.0}
     physical = tuple(e for e in scenario.effects if e[0] not in ("coloured-noise", "spikes"))
     recording = simulate(
@@ -88,7 +88,7 @@ def noise_free(scenario: Scenario) -> Recording:
 
 
 def sensors(seed: int) -> dict[str, Any]:
-    """A place on Earth and an instrument, drawn by `seed`: arguments of `simulate`."""
+    """Return a random place on Earth and a random instrument as arguments of `simulate`."""
     random = np.random.default_rng([seed, 1])
     dip, declination = np.radians(random.uniform(50, 68)), np.radians(random.uniform(-20, 20))
     north = np.cos(dip) * np.array([np.cos(declination), np.sin(declination), 0.0])
@@ -105,7 +105,7 @@ def sensors(seed: int) -> dict[str, Any]:
 
 
 def truth_of(scenario: Scenario, hidden: Hidden) -> dict[str, Any]:
-    """What is sealed, as JSON types."""
+    """Return the truth to seal, as JSON types."""
     return {
         "scenario": asdict(scenario),
         "effects": [json_types(applied) for applied in hidden.applied],
@@ -114,7 +114,7 @@ def truth_of(scenario: Scenario, hidden: Hidden) -> dict[str, Any]:
 
 
 def write(path: Path, recording: Recording) -> None:
-    """The recording as arrays, for the diagnosing process; see `diagnosis.load`."""
+    """Write a recording as arrays for the diagnosing process, which reads it by `diagnosis.load`."""
     arrays: dict[str, Any] = {
         "time": recording.time,
         "magnetic_field": recording.magnetic_field,
@@ -132,7 +132,7 @@ def write(path: Path, recording: Recording) -> None:
 
 
 def _shortened(real: Recording, seed: int) -> Recording:
-    """Without up to `_CUT` of its start and of its end."""
+    """Cut up to `_CUT` off the start and the end."""
     duration = float(real.time[-1] - real.time[0])
     start, end = np.random.default_rng([seed, 2]).uniform(0, _CUT, 2) * duration
     return real.between(start, duration - end)
@@ -148,7 +148,7 @@ def _blinded(recording: Recording, scenario: Scenario) -> Recording:
 
 
 def _without_channels(recording: Recording, scenario: Scenario) -> Recording:
-    """Without those withheld: what a calibration that never saw them can be applied to."""
+    """Remove the withheld channels, which the calibration to be judged did not have either."""
     return replace(
         recording,
         acceleration=None if "acceleration" in scenario.withheld else recording.acceleration,

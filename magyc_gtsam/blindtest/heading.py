@@ -1,4 +1,4 @@
-"""Heading as the scorer judges it: on the same motion and effects without noise, against the true attitude."""
+"""Judge the heading on the same motion and effects without noise, against the true attitude."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from magyc_gtsam.simulation.effects import EFFECTS
 
 
 def heading_errors(scenario: Scenario, result: dict[str, Any]) -> tuple[float, float] | None:
-    """Systematic heading error in degrees with the twelve parameters and with the effects that were added.
+    """Return the systematic heading error, deg, with the twelve parameters alone and with the added effects.
 
-    None for real recordings, whose reference is not free of noise, for effects from outside, and where the axes
-    are exchanged: the calibrated field is then in the gyroscope's axes, the attitude in the magnetometer's.
+    It is None for real recordings, whose reference has noise, for foreign effects, and for exchanged axes, where the
+    calibrated field is in the gyroscope's axes but the attitude in the magnetometer's.
     """
     if scenario.set == "real" or "axis-order" in scenario.names or not set(scenario.names) <= EFFECTS.keys():
         return None
@@ -26,6 +26,6 @@ def heading_errors(scenario: Scenario, result: dict[str, Any]) -> tuple[float, f
 
 
 def heading_error(calibration: Calibration, recording: Recording) -> float:
-    """Standard deviation, in degrees, of the heading of the calibrated field against the attitude's."""
+    """Return the standard deviation, deg, of the calibrated field's heading against the attitude's."""
     assert recording.attitude is not None
     return metrics.heading_deviation(calibration.apply(recording), recording.attitude)

@@ -1,4 +1,4 @@
-"""Confusion matrices as pictures."""
+"""Draw confusion matrices."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from magyc_gtsam.blindtest.scoring import Outcome, confusion
 
 
 def write_pictures(folder: Path, outcomes: Sequence[Outcome]) -> list[Path]:
-    """`confusion-<factor>.svg` of effects that are hidden alone or not at all, for each strength."""
+    """Write `confusion-<factor>.svg` per strength, of recordings with one effect or none; return the files."""
     files = []
     alone = [o for o in outcomes if o.scenario.set in ("none", "single", "foreign")]
     for factor in sorted({o.scenario.factor for o in alone}, reverse=True):
-        own = [o for o in alone if o.scenario.factor == factor]
+        of_factor = [o for o in alone if o.scenario.factor == factor]
         target = folder / f"confusion-x{factor:g}.svg"
-        draw(target, own, f"Said (across) of what was hidden (down), strength × {factor:g}")
+        draw(target, of_factor, f"Diagnosis (columns) of the hidden effect (rows), strength × {factor:g}")
         files.append(target)
     return files
 
 
 def draw(target: Path, outcomes: Sequence[Outcome], title: str) -> None:
-    """The shares of each row, with its counts written in."""
+    """Draw the shares of each row, labelled with the counts."""
     from matplotlib.figure import Figure
 
     rows, columns, counts = confusion(outcomes)

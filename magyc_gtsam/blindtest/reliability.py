@@ -1,8 +1,8 @@
-"""Whether stated probabilities are true: how often what was said with a probability was so, and the scores of all.
+"""Judge stated probabilities by how often statements of each probability are true, and by scoring rules.
 
-Each name, "unknown" and "nothing" is a statement about a recording. The log score is the mean of −ln P of what is
-hidden; the Brier score the mean square of P less what is so, over all statements of a recording (Gneiting and Raftery,
-Strictly proper scoring rules, 2007).
+Each name, "unknown" and "nothing" is a statement about a recording. The log score is the mean of −ln P of the true
+statements; the Brier score is the mean square of P minus the truth (0 or 1), summed over the statements of a recording
+(Gneiting and Raftery, Strictly proper scoring rules, 2007).
 """
 
 from __future__ import annotations
@@ -16,14 +16,19 @@ import numpy as np
 from magyc_gtsam.blindtest.gates import interval
 from magyc_gtsam.blindtest.scoring import Outcome
 
-RELIABILITY_HEADER = ("stated", "statements", "mean stated", "so", "95 %", "")
+RELIABILITY_HEADER = ("stated", "statements", "mean stated", "true", "95 %", "")
 _EDGES = (0.5, 0.8, 0.95, 0.99, 1.0)
-_LEAST = 1e-6  # probability: what is less counts as this in the log score
-_SETS = ("none", "single", "pair", "foreign")  # of which what is so is known: without a channel a name may be fair
+_LEAST = 1e-6  # smallest probability in the log score
+_SETS = (
+    "none",
+    "single",
+    "pair",
+    "foreign",
+)  # sets with a definite truth; without a channel another name may be fair
 
 
 class Scores(NamedTuple):
-    """Of the recordings with probabilities: nats, mean square, and how many."""
+    """Mean log score (nats) and Brier score, and the number of recordings with probabilities."""
 
     log: float
     brier: float
@@ -31,22 +36,22 @@ class Scores(NamedTuple):
 
 
 def statements(outcome: Outcome) -> Iterator[tuple[str, float, bool]]:
-    """What is said of a recording: (what, its probability, whether it is so)."""
+    """Yield (statement, its probability, whether it is true) for each statement about a recording."""
     hidden = outcome.scenario.names
     known = outcome.scenario.set != "foreign"
     for what, probability in outcome.probabilities.items():
-        so = {"nothing": not hidden, "unknown": not known}.get(what, known and what in hidden)
-        yield what, probability, so
+        is_true = {"nothing": not hidden, "unknown": not known}.get(what, known and what in hidden)
+        yield what, probability, is_true
 
 
 def reliability_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """One row per range of probabilities: how many statements, what was stated in the mean, how many are so."""
-    every = [(p, so) for o in _scored(outcomes) for _, p, so in statements(o)]
+    """Return one row per range of probabilities: number of statements, mean probability, share that is true."""
+    every = [(p, is_true) for o in _scored(outcomes) for _, p, is_true in statements(o)]
     rows = []
     for low, high in pairwise(_EDGES):
-        own = [(p, so) for p, so in every if low <= p and (p < high or high == _EDGES[-1])]
+        own = [(p, is_true) for p, is_true in every if low <= p and (p < high or high == _EDGES[-1])]
         if own:
-            stated, right = float(np.mean([p for p, _ in own])), sum(so for _, so in own)
+            stated, right = float(np.mean([p for p, _ in own])), sum(is_true for _, is_true in own)
             least, most = interval(right, len(own))
             rows.append(
                 [
@@ -62,19 +67,19 @@ def reliability_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
 
 
 def scores(outcomes: Sequence[Outcome]) -> Scores | None:
-    """The mean scores; None where nothing was stated."""
+    """Return the mean scores; None without stated probabilities."""
     logs, squares = [], []
     for outcome in _scored(outcomes):
-        said = list(statements(outcome))
-        true = [p for _, p, so in said if so]
-        unsaid = max(len(_true(outcome)) - len(true), 0)
-        logs.append(-sum(np.log(max(p, _LEAST)) for p in [*true, *[0.0] * unsaid]))
-        squares.append(sum((p - so) ** 2 for _, p, so in said) + unsaid)
+        stated = list(statements(outcome))
+        true = [p for _, p, is_true in stated if is_true]
+        unstated = max(len(_true(outcome)) - len(true), 0)
+        logs.append(-sum(np.log(max(p, _LEAST)) for p in [*true, *[0.0] * unstated]))
+        squares.append(sum((p - is_true) ** 2 for _, p, is_true in stated) + unstated)
     return Scores(float(np.mean(logs)), float(np.mean(squares)), len(logs)) if logs else None
 
 
 def _true(outcome: Outcome) -> tuple[str, ...]:
-    """What is so."""
+    """Return the true statements."""
     if outcome.scenario.set == "foreign":
         return ("unknown",)
     return outcome.scenario.names or ("nothing",)

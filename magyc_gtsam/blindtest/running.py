@@ -1,4 +1,4 @@
-"""From scenarios to results: seal, then diagnose in processes that see the recordings only."""
+"""Run a blind test: seal the scenarios, then diagnose in processes that see the recordings only."""
 
 from __future__ import annotations
 
@@ -28,10 +28,12 @@ def run(
     diagnosing: Progress = lambda _: None,
     outside: Mapping[str, Function] | None = None,
 ) -> dict[str, Any]:
-    """Seal the scenarios and diagnose what is not done yet; see `seal`. Interrupted, it goes on where it was.
+    """Seal the scenarios and diagnose the recordings that are not done yet; return the manifest.
+
+    An interrupted run continues where it stopped. For the arguments see `seal`.
 
     Raises:
-        MagycError: a diagnosing process failed; its last words are told.
+        MagycError: a diagnosing process failed; the message holds its last line.
     """
     manifest = seal(folder, scenario_list, real, sealing, outside)
     numbers = list(manifest["sha256"])
@@ -62,7 +64,7 @@ def _done(folder: Path, numbers: Sequence[str]) -> float:
 
 
 def _start(folder: Path, worker: int, numbers: Sequence[str]) -> subprocess.Popen[bytes]:
-    """`-P`: the script's folder, in which the generator is, is not on the path."""
+    """Start a diagnosing process; `-P` keeps the script's folder, which holds the generator, off the path."""
     script = Path(__file__).with_name("diagnosis.py")
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     with open(_log(folder, worker), "wb") as log:

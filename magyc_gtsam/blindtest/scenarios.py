@@ -1,8 +1,7 @@
-"""The scenarios: what is hidden where, fixed by nothing but set, motion, number and edition.
+"""The scenarios of the blind test, determined only by set, motion, number and edition.
 
-Strengths are in `simulation.effects.strengths`, seeds come from a hash, and nothing here is drawn at run time:
-the same edition gives the same recordings for ever. Rules and thresholds are developed on edition 0 and judged
-on another.
+Strengths are in `simulation.effects.strengths`, seeds come from a hash, and nothing is drawn at run time, so that an
+edition always gives the same recordings. Rules and thresholds are developed on edition 0 and judged on another.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ FACTORS = (1.0, 0.5, 0.25, 2.0)
 SETS = ("none", "single", "pair", "withheld", "foreign", "real")
 MOTIONS = ("wide", "moderate", "multi")
 
-# What the table of effects says is confused with what; such pairs are no test of naming.
+# Groups of effects that are confused with each other by the table of effects; pairs of them do not test naming.
 RIVALS = (
     {"hard-iron-step", "hard-iron-drift", "temperature-hard-iron", "local-anomaly", "motor-current"},
     {"misalignment", "gyro-scale", "gyro-quadratic", "cubic", "saturation"},
@@ -28,32 +27,32 @@ RIVALS = (
     {"hard-iron-drift", "coloured-noise"},
     {"temperature-gyro", "g-sensitivity"},
 )
-# Effects that the level motion cannot show at the published strength, by the table of one-sigma sizes.
+# Effects that a motion cannot show at the published strength, by the table of one-sigma sizes.
 INVISIBLE = {"moderate": ("g-sensitivity",)}
-# Channels that hold another as well.
+# Channels that are contained in others.
 _ALSO_IN = {"depth": ("position",)}
-# Of these there is no half, or no pair: a discrete mounting error comes before everything else.
+# Discrete mounting errors: they have no fraction, and mask a second effect.
 _WHOLE = ("axis-order",)
-# What real recordings take: effects that need no attitude and are not there already.
+# Effects that can be injected into real recordings: they need no attitude and are not present already.
 _INJECTED = tuple(n for n in NAMED if not EFFECTS[n].attitude and n != "sample-hold")
-# Looks at a real recording as it is, all but the first at a cut of it: which of its small effects are significant
-# changes with a second more or less.
+# Diagnoses of a real recording as it is, all but the first of a cut of it, because a second more or less changes which
+# of its small effects are significant.
 _LOOKS = 5
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """One recording with what is hidden in it.
+    """One recording with its hidden effects.
 
     Attributes:
         id: unique within an edition.
         set: one of `SETS`.
-        motion: of the simulator, or the name of a real recording.
-        seed: of motion, sensors, noise, surroundings and effects.
+        motion: motion of the simulator, or name of a real recording.
+        seed: seed of motion, sensors, noise, surroundings and effects.
         effects: (name, factor on the published strength).
         withheld: channels that are left out.
-        duration: s, of a simulated recording.
-        cut: whether a real recording lacks a little of its start and its end.
+        duration: duration of a simulated recording, s.
+        cut: whether a real recording is cut a little at both ends.
     """
 
     id: str
@@ -67,17 +66,17 @@ class Scenario:
 
     @property
     def factor(self) -> float:
-        """Of the effects; 1 where there are none."""
+        """Return the factor of the effects; 1 without effects."""
         return self.effects[0][1] if self.effects else 1.0
 
     @property
     def label(self) -> str:
-        """What is hidden, in one word or two."""
+        """Return the names of the hidden effects as text."""
         return " + ".join(self.names) or "nothing"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the effects."""
+        """Return the names of the hidden effects."""
         return tuple(name for name, _ in self.effects)
 
 
@@ -88,15 +87,15 @@ def scenarios(
     sets: Sequence[str] = SETS[:5],
     duration: float = 600.0,
 ) -> list[Scenario]:
-    """All scenarios of a simulated motion.
+    """Return all scenarios of a simulated motion.
 
     Args:
-        motion: of `MOTIONS`, or any other that the simulator has.
-        runs: recordings without any effect; the other sets are in proportion (per effect and strength a
-            thirtieth of them, pairs a fifth, withheld channels a third).
-        edition: of the seeds.
-        sets: which.
-        duration: s.
+        motion: a motion of the simulator, such as those of `MOTIONS`.
+        runs: number of recordings without effects; the other sets are in proportion (a thirtieth per effect and
+            strength, a fifth of pairs, a third with withheld channels).
+        edition: edition of the seeds.
+        sets: the sets to include.
+        duration: duration of a recording, s.
     """
     each = max(1, round(runs / 30))
     result: list[Scenario] = []
@@ -128,7 +127,7 @@ def scenarios(
 
 
 def real_scenarios(recordings: Sequence[str], each: int = 2, edition: int = 0) -> list[Scenario]:
-    """Every effect that a real recording can take, `each` times, and the recordings as they are, whole and in cuts."""
+    """Return `each` scenarios per injected effect and real recording, and the recordings as they are, whole and cut."""
     result = []
     for recording in recordings:
         for name in ("", *_INJECTED):
@@ -141,24 +140,24 @@ def real_scenarios(recordings: Sequence[str], each: int = 2, edition: int = 0) -
 
 
 def seed_of(name: str, edition: int) -> int:
-    """A seed that nobody chose."""
+    """Return a seed from a hash of the name, so that it cannot be chosen."""
     return int.from_bytes(hashlib.sha256(f"{edition}/{name}".encode()).digest()[:6], "big")
 
 
 def fingerprint(scenario_list: Sequence[Scenario]) -> str:
-    """sha256 of the list and of the published strengths, to say in a report which test it was."""
+    """Return the sha256 of the list and the published strengths, which identifies a test in a report."""
     sizes = {name: strength.size for name, strength in STRENGTHS.items()}
     text = json.dumps([sizes, *(asdict(s) for s in scenario_list)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def rivals(first: str, second: str) -> bool:
-    """Whether the table of effects says that one is confused with the other."""
+    """Return whether one effect is confused with the other by the table of effects."""
     return any(first in group and second in group for group in RIVALS)
 
 
 def _pairs(motion: str, edition: int) -> Iterator[tuple[str, str]]:
-    """Pairs that are no rivals, in an order of their own."""
+    """Yield the pairs of effects that are not rivals, in a hashed order."""
     names = [n for n in NAMED if n not in (*_WHOLE, *INVISIBLE.get(motion, ()))]
     pairs = [(a, b) for a, b in combinations(names, 2) if not rivals(a, b)]
     yield from sorted(pairs, key=lambda pair: seed_of("+".join(pair), edition))

@@ -1,4 +1,4 @@
-"""Opens the seals and judges: outcomes, confusion, gates with their confidence intervals."""
+"""Score a blind test: open the sealed truth, judge every diagnosis, and count the confusions."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOM
     "crashed",
 )
 SEVERAL = "several names"
-# A warming magnet is a slow drift to whoever has no thermometer.
+# Without a thermometer a warming magnet is a slow drift.
 _FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",)}
-# To say so beside is no error: what a free-running magnetometer shows is old by half a log period in the mean, and
-# the ripple of a chopper's current, which no sensor of the current follows, is a tone.
+# Consequences that may be named in addition: the readings of a free-running magnetometer are half a log period old on
+# average, and the ripple of a motor controller's current, which the current sensor does not follow, is a tone.
 _CONSEQUENCE = {"sample-hold": ("timing",), "motor-current": ("tone",)}
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What was hidden in one recording and what was said about it.
+    """The truth and the diagnosis of one recording.
 
     Attributes:
-        number: of the recording.
-        scenario: what was hidden.
-        verdict: of the diagnosis, "refused" or "crashed".
-        named: names, each with its ambiguity set.
-        kind: one of `OUTCOMES`; "wrong" as soon as one name with its set misses the truth, "one too many" where
-            the truth is named again by a name whose set holds it.
-        sentence: the diagnosis in words.
-        excess: variance of the open-loop error beyond its floor, before and after, over the floor's.
-        heading: systematic heading error in degrees before and after; None where it was not computed.
-        stands_out: sigmas; None where it was not computed.
-        seconds: processor time.
-        probabilities: that were stated, of each name, of "unknown" and of "nothing".
+        number: number of the recording.
+        scenario: the hidden effects.
+        verdict: verdict of the diagnosis, "refused" or "crashed".
+        named: the effects named, each with its ambiguity set.
+        kind: one of `OUTCOMES`: "wrong" if a name and its set miss the truth, "one too many" if the truth is named
+            again by a name whose set contains it.
+        sentence: the diagnosis as a sentence.
+        excess: variance of the open-loop error beyond its floor, before and after, relative to the floor's.
+        heading: systematic heading error before and after, deg; None if not computed.
+        seconds: processor time of the diagnosis.
+        stands_out: how far the effect stands out of the noise, sigmas; None if not computed.
+        probabilities: stated probabilities of each name, of "unknown" and of "nothing".
     """
 
     number: str
@@ -67,14 +67,14 @@ class Outcome:
 
     @property
     def said(self) -> str:
-        """The names, or the verdict where there is none."""
+        """Return the names, or the kind of the outcome if no effect was named."""
         if self.verdict in (UNKNOWN, REFUSED, CRASHED) or not self.named:
             return self.kind
         return " + ".join(name for name, _ in self.named)
 
 
 Named = tuple[str, tuple[str, ...]]  # a name and its ambiguity set
-Already = dict[str, frozenset[str]]  # what a real recording holds as it is, with all that each was confused with
+Already = dict[str, frozenset[str]]  # the effects that a real recording holds as it is, each with its rivals
 Heading = Callable[[Scenario, dict[str, Any]], tuple[float, float] | None]
 Standing = Callable[[Scenario], float | None]
 
@@ -85,16 +85,16 @@ def score(
     standing: Standing = lambda _: None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Outcome]:
-    """The outcomes of all recordings that have been diagnosed, in the order of the scenarios.
+    """Return the outcomes of all diagnosed recordings, in the order of the scenarios.
 
     Args:
-        folder: of the blind test.
-        heading: heading error before and after of a scenario and its result; see `heading.heading_errors`.
-        standing: how far it stands out; see `standing.stands_out`.
-        progress: called with the fraction done.
+        folder: folder of the blind test.
+        heading: computes the heading error before and after, as `heading.heading_errors` does.
+        standing: computes how far an effect stands out, as `standing.stands_out` does.
+        progress: called with the share done.
 
     Raises:
-        MagycError: no blind test there, or one whose seals are broken.
+        MagycError: the folder holds no blind test, or its sealed files were changed.
     """
     target = folder / MANIFEST
     if not target.exists():
@@ -115,23 +115,24 @@ def score(
     outcomes = []
     for done, (number, scenario, result) in enumerate(pairs):
         there = already.get(scenario.motion, {})
-        if there.keys().isdisjoint(scenario.names):  # else it would be found without
+        if there.keys().isdisjoint(scenario.names):  # otherwise it would be found anyway
             outcomes.append(_outcome(number, scenario, result, there, heading, standing))
         progress((done + 1) / len(pairs))
     return sorted(outcomes, key=lambda o: o.scenario.id)
 
 
 def _there(result: dict[str, Any]) -> list[Named]:
-    """What a real recording holds as it is: the names given with their sets, and those left that could not be given."""
-    left = result.get("diagnostics", {}).get("leftover", ())
-    return [*((e["name"], tuple(e["ambiguous_with"])) for e in result["effects"]), *((name, ()) for name in left)]
+    """Return the effects in a real recording as it is: those named with their sets, and the leftover ones."""
+    leftover = result.get("diagnostics", {}).get("leftover", ())
+    named = [(e["name"], tuple(e["ambiguous_with"])) for e in result["effects"]]
+    return [*named, *((name, ()) for name in leftover)]
 
 
 def beyond(named: Sequence[Named], hidden: Container[str], already: Already) -> tuple[Named, ...]:
-    """What is said of an effect that was put into a recording, beside what is there anyway.
+    """Return the names that count as a diagnosis of an injected effect, without those present anyway.
 
-    A name that is there anyway is neither right nor wrong, nor is a set that holds one which was not said by itself;
-    but for a set that holds what was put in, and did not without it.
+    A name that the recording yields anyway is neither right nor wrong, and neither is a set that contains such a name
+    which was not given itself. An exception is a set that contains the injected effect only since its injection.
     """
     unsaid = already.keys() - {name for name, _ in named}
 
@@ -185,7 +186,7 @@ def _outcome(
 
 
 def judged(scenario: Scenario, verdict: str, named: Sequence[Named]) -> str:
-    """The kind of an outcome; see `Outcome.kind`."""
+    """Return the kind of an outcome; see `Outcome.kind`."""
     if verdict in (UNKNOWN, REFUSED, CRASHED):
         return verdict
     if verdict == "not enough information":
@@ -196,30 +197,30 @@ def judged(scenario: Scenario, verdict: str, named: Sequence[Named]) -> str:
         return WRONG
     truth = list(scenario.names)
     if scenario.set == "withheld":
-        # Nothing can be given a name whose channel is missing, but it may be said to be possible.
+        # An effect whose channel is missing cannot be named, but may be called possible.
         truth += [fair for name in truth for fair in _FAIR_WITHOUT_CHANNEL.get(name, ())]
     beside = {also for name in truth for also in _CONSEQUENCE.get(name, ())} - set(truth)
     named = [n for n in named if n[0] not in beside]
     exact, extra = True, False
-    left = list(truth)
+    remaining = list(truth)
     for name, rivals in sorted(named, key=lambda n: n[0] not in truth):
-        hit = name if name in left else next((r for r in rivals if r in left), None)
+        hit = name if name in remaining else next((r for r in rivals if r in remaining), None)
         if hit is not None:
             exact &= hit == name
-            left.remove(hit)
+            remaining.remove(hit)
         elif name in truth or any(r in truth for r in rivals):
             extra = True
         else:
             return WRONG
     if extra:
         return EXTRA
-    if left and scenario.set != "withheld":
+    if remaining and scenario.set != "withheld":
         return PARTIAL
     return RIGHT if exact else IN_SET
 
 
 def confusion(outcomes: Sequence[Outcome]) -> tuple[list[str], list[str], np.ndarray]:
-    """Rows (what was hidden), columns (what was said), counts."""
+    """Return rows (hidden effects), columns (diagnoses) and counts of the confusion matrix."""
     order = {name: i for i, name in enumerate((*NAMED, *FOREIGN))}
 
     def place(name: str) -> tuple[int, str]:

@@ -1,8 +1,7 @@
-"""Truth under seal: written and hashed before any diagnosis, opened by the scorer only.
+"""Seal the truth: write and hash it before any diagnosis, and open it for the scorer only.
 
-A folder of a blind test holds `recordings/<number>.npz` for the diagnosis, `sealed/<number>.json` with the truth,
-and `manifest.json` with the sha256 of each. Numbers are a shuffle of the scenarios, so that a recording's
-number says nothing.
+The folder of a blind test holds `recordings/<number>.npz` for the diagnosis, `sealed/<number>.json` with the truth, and
+`manifest.json` with the sha256 of each. The scenarios are numbered in random order, so that a number reveals nothing.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ def seal(
     progress: Callable[[float], None] = lambda _: None,
     outside: Mapping[str, Function] | None = None,
 ) -> dict[str, Any]:
-    """Write recordings, truths and manifest; what is sealed already is left as it is.
+    """Write recordings, truths and manifest, unless the folder already holds them.
 
     Args:
-        folder: of the test.
-        scenario_list: what to hide.
+        folder: folder of the test.
+        scenario_list: the scenarios.
         real: real recordings by the name that scenarios use.
-        progress: called with the fraction done.
-        outside: effects that are not the simulator's, by name; see `from_outside`.
+        progress: called with the share done.
+        outside: foreign effects by name; see `from_outside`.
 
     Returns:
         The manifest.
@@ -52,7 +51,9 @@ def seal(
     if target.exists():
         manifest: dict[str, Any] = json.loads(target.read_text(encoding="utf-8"))
         if manifest["scenarios"] != print_of:
-            raise MagycError(f"{folder}: holds another blind test; name a new folder, or the same test's options")
+            raise MagycError(
+                f"{folder}: holds another blind test; choose a new folder, or the options of that test"
+            )
         return manifest
     for part in (RECORDINGS, SEALED, RESULTS):
         (folder / part).mkdir(parents=True, exist_ok=True)
@@ -73,10 +74,10 @@ def seal(
 
 
 def opened(folder: Path, number: str, manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """The truth of one recording.
+    """Return the truth of one recording.
 
     Raises:
-        MagycError: truth or recording are not what was sealed.
+        MagycError: truth or recording differ from what was sealed.
     """
     files = {
         "truth": folder / SEALED / f"{number}.json",
@@ -84,6 +85,6 @@ def opened(folder: Path, number: str, manifest: Mapping[str, Any]) -> dict[str, 
     }
     for kind, file in files.items():
         if not file.exists() or sha256(file) != manifest["sha256"][number][kind]:
-            raise MagycError(f"{file}: is not what was sealed; the test is void, run it again in a new folder")
+            raise MagycError(f"{file}: was changed after sealing; the test is void, run it again in a new folder")
     truth: dict[str, Any] = json.loads(files["truth"].read_text(encoding="utf-8"))
     return truth

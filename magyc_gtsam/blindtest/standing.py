@@ -1,4 +1,4 @@
-"""How far what was hidden stands out of the noise of its own recording, and what a perfect test would see of it."""
+"""Compute how far hidden effects stand out of the noise, and how often a perfect test would see them."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.blindtest.visibility import OF_SAMPLES, misfit
 from magyc_gtsam.recording import Array
 
-# Of these windows show little, or nothing fits beside them.
+# Effects that windows hardly show, or beside which nothing fits.
 _OTHERWISE = (*OF_SAMPLES, "sample-hold", "axis-order")
-_VALUES = 3  # of an effect
-_CANDIDATES = 44  # of a search, which share the family-wise level
-_LEVEL = 0.01
+_VALUES = 3  # parameters of an effect
+_CANDIDATES = 44  # hypotheses of a search, which share the family-wise level
+_LEVEL = 0.01  # family-wise level
 
 
 def stands_out(scenario: Scenario) -> float | None:
-    """Root of the misfit that the twelve parameters leave of a single effect, in sigmas of this recording's noise.
+    """Return the root of the misfit that a single effect leaves to the twelve parameters, in sigmas of the noise.
 
-    None where it says little: of effects on the noise, of a hold and of exchanged axes, and beside other effects.
+    It is None where it is not meaningful: for effects on the noise, a sample-hold and exchanged axes, and for several
+    effects.
     """
     if scenario.set != "single" or scenario.names[0] in _OTHERWISE:
         return None
@@ -29,9 +30,9 @@ def stands_out(scenario: Scenario) -> float | None:
 
 
 def seen_by_a_perfect_test(sigmas: Array) -> float:
-    """Mean probability with which effects that stand out by `sigmas` (n,) pass the level of one search in a hundred.
+    """Return the mean probability that a perfect test detects effects which stand out by `sigmas` (n,).
 
-    Of a test that knows their form, and spends three values on it.
+    The test knows their form, has three parameters and a false alarm in one search of a hundred.
     """
     threshold = chi2.isf(_LEVEL / _CANDIDATES, _VALUES)
     return float(ncx2.sf(threshold, _VALUES, np.maximum(sigmas, 1e-9) ** 2).mean())

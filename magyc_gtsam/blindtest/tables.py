@@ -1,4 +1,4 @@
-"""Outcomes as tables: one line per effect and strength, gates, and a Markdown page with both."""
+"""Format outcomes as tables: one row per effect and strength, gates, and a Markdown page with both."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _TITLES = {
 
 
 def gate_rows(measured: Sequence[Gate]) -> list[list[str]]:
-    """One row per gate."""
+    """Return one row per gate."""
     return [
         [
             gate.name,
@@ -47,20 +47,20 @@ def gate_rows(measured: Sequence[Gate]) -> list[list[str]]:
 
 
 def outcome_header(outcomes: Sequence[Outcome]) -> list[str]:
-    """Of `outcome_rows`: only the kinds that there are."""
+    """Return the header of `outcome_rows`, with the kinds of outcome that occur."""
     kinds = {o.kind for o in outcomes}
     return ["hidden", "×", *(k for k in OUTCOMES if k in kinds), "wrong names"]
 
 
 def outcome_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """One row per hidden effects and factor: how often each kind of outcome, and which wrong names."""
+    """Return one row per hidden effects and factor: counts of each kind of outcome, and the wrong names."""
     kinds = outcome_header(outcomes)[2:-1]
     rows = []
     keys = {(o.scenario.label, o.scenario.factor) for o in outcomes}
     for name, factor in sorted(keys, key=lambda key: (-key[1], key[0])):
-        own = [o for o in outcomes if (o.scenario.label, o.scenario.factor) == (name, factor)]
-        count = Counter(o.kind for o in own)
-        wrong = Counter(o.said for o in own if o.kind == WRONG)
+        selected = [o for o in outcomes if (o.scenario.label, o.scenario.factor) == (name, factor)]
+        count = Counter(o.kind for o in selected)
+        wrong = Counter(o.said for o in selected if o.kind == WRONG)
         rows.append(
             [
                 name,
@@ -73,18 +73,18 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
 
 
 def standing_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """One row per range of how far single effects stand out: what was said, and what a perfect test would see."""
+    """Return one row per range of sigmas of single effects: the diagnoses, and the share a perfect test would see."""
     rows = []
     for low, high in pairwise(_STANDING):
-        own = [o for o in outcomes if o.stands_out is not None and low <= o.stands_out < high]
-        if own:
-            count = Counter(_SAID.get(o.kind, o.kind) for o in own)
-            sigmas = np.array([o.stands_out for o in own], dtype=float)
+        selected = [o for o in outcomes if o.stands_out is not None and low <= o.stands_out < high]
+        if selected:
+            count = Counter(_SAID.get(o.kind, o.kind) for o in selected)
+            sigmas = np.array([o.stands_out for o in selected], dtype=float)
             rows.append(
                 [
                     f"{low:g} to {high:g}" if np.isfinite(high) else f"from {low:g}",
-                    f"{len(own)}",
-                    *(f"{100 * count[kind] / len(own):.0f} %" for kind in ("named", WRONG, UNKNOWN, SILENT)),
+                    f"{len(selected)}",
+                    *(f"{100 * count[kind] / len(selected):.0f} %" for kind in ("named", WRONG, UNKNOWN, SILENT)),
                     f"{100 * seen_by_a_perfect_test(sigmas):.0f} %",
                 ]
             )
@@ -92,7 +92,7 @@ def standing_rows(outcomes: Sequence[Outcome]) -> list[list[str]]:
 
 
 def write_tables(folder: Path, outcomes: Sequence[Outcome], title: str) -> list[Path]:
-    """`outcomes.csv` with every recording, `report.md` with gates and tables."""
+    """Write `outcomes.csv` with every recording and `report.md` with gates and tables; return both files."""
     rows = [
         [
             o.number,
@@ -119,7 +119,7 @@ def write_tables(folder: Path, outcomes: Sequence[Outcome], title: str) -> list[
 
 
 def markdown(outcomes: Sequence[Outcome], title: str) -> str:
-    """Gates, and outcomes set by set."""
+    """Return gates and the outcomes of each set as Markdown."""
     lines = [
         f"# {title}",
         "",
@@ -143,9 +143,9 @@ def markdown(outcomes: Sequence[Outcome], title: str) -> str:
             f"Log score {scored.log:.3f}, Brier score {scored.brier:.3f}, {scored.recordings} recordings.",
         ]
     for kind in SETS:
-        own = [o for o in outcomes if o.scenario.set == kind]
-        if own:
-            lines += ["", f"## {_TITLES[kind]}", "", *_table(outcome_header(own), outcome_rows(own))]
+        selected = [o for o in outcomes if o.scenario.set == kind]
+        if selected:
+            lines += ["", f"## {_TITLES[kind]}", "", *_table(outcome_header(selected), outcome_rows(selected))]
     return "\n".join(lines) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""How far each effect stands out of the noise at its published strength, whoever looks for it."""
+"""Compute how far each effect at its published strength stands out of the noise."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from magyc_gtsam.simulation.effects import EFFECTS
 from magyc_gtsam.simulation.environment import CHANNELS
 
 _NOISE = (10 * MILLIGAUSS, 5e-3)
-_SAMPLES = 6000  # of a simulated recording
+_SAMPLES = 6000  # samples of a simulated recording
 _QUIET = {"magnetometer_noise": 1e-3 * _NOISE[0], "gyroscope_noise": 1e-3 * _NOISE[1]}
-# What is done to single samples stands out of the noise of single samples.
+# Effects on single samples, which stand out of the noise of single samples.
 OF_SAMPLES = ("coloured-noise", "spikes", "tone", "quantisation")
-_ROUNDS = 6
-_NEAR = 1.1
-_LARGEST = 8.0
+_ROUNDS = 6  # most factors that are tried
+_NEAR = 1.1  # ratio to the wanted visibility that is near enough
+_LARGEST = 8.0  # largest factor
 
 
 def visibility(name: str, motion: str, seed: int = 0) -> float:
-    """Root of the misfit that the twelve parameters leave, in sigmas; NaN where the axes do not agree at all.
+    """Return the root of the misfit that the twelve parameters leave, in sigmas; NaN if the axes do not agree.
 
-    All noise-free, judged at 10 mG and 5 mrad/s over 600 s at 10 Hz; what varies from sample to sample (tone,
-    spikes) is worth more than this says, since windows average it.
+    The recording is free of noise and judged at 10 mG and 5 mrad/s over 600 s at 10 Hz. Effects that vary from sample
+    to sample (tone, spikes) stand out more than this, since windows average them.
     """
     recording = simulate(motion, 600, seed=seed, effects=(name,), **_QUIET).recording  # type: ignore[arg-type]
     return misfit(recording, _NOISE)
 
 
 def misfit(recording: Recording, noise: tuple[float, float]) -> float:
-    """Root of the misfit that the twelve parameters leave of a recording without noise, in sigmas; NaN: nothing fits.
+    """Return the root of the misfit that the twelve parameters leave, in sigmas; NaN if nothing fits.
 
     Args:
-        recording: of the effects alone.
-        noise: T and rad/s per sample, of the sensors that it is judged at.
+        recording: a recording with effects but without noise.
+        noise: noise at which it is judged, T and rad/s per sample.
     """
     try:
         fit, _ = fit_field_chain(recording, noise=noise, robust=False, delay=0.0, window=0.5)
@@ -53,7 +53,7 @@ def misfit(recording: Recording, noise: tuple[float, float]) -> float:
 def table(
     seeds: int = 4, motions: Sequence[str] = MOTIONS, progress: Callable[[float], None] = lambda _: None
 ) -> dict[str, dict[str, float]]:
-    """{effect: {motion: median visibility over seeds}}."""
+    """Return {effect: {motion: median visibility over seeds}}."""
     result: dict[str, dict[str, float]] = {}
     for done, name in enumerate(EFFECTS):
         result[name] = {m: _median(name, m, seeds) for m in motions}
@@ -67,17 +67,16 @@ def _median(name: str, motion: str, seeds: int) -> float:
 
 
 def factor_in(recording: Recording, calibration: Calibration, name: str, seed: int) -> float:
-    """Factor on the published strength at which an effect stands out of a real recording as far as of a simulated one.
+    """Return the factor at which an effect stands out of a real recording as far as of a simulated one.
 
-    Out of what the recording leaves of the twelve parameters and the delay as it is, that is, its colour accounted
-    for; the simulated one is on the wide motion. At most `_LARGEST`, and of what was tried the one that comes nearest:
-    what a recording cannot show is not made to show, and of an axis that is clipped altogether less is seen than of one
-    that is clipped a little.
+    The noise of the real recording is its misfit to the twelve parameters and the delay, including its colour; the
+    simulated recording is of the wide motion. The factor is at most `_LARGEST` and the nearest of those tried, since
+    some recordings cannot show an effect, and a fully clipped axis shows less than a slightly clipped one.
 
     Args:
-        recording, calibration: as of `inject`.
-        name: of the effect.
-        seed: of what is drawn.
+        recording, calibration: as in `inject`.
+        name: name of the effect.
+        seed: seed of the random numbers.
     """
     level = short_term_noise(recording).magnetometer / _NOISE[0]
     if name == "tone":
@@ -93,7 +92,7 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
         try:
             fit, _ = fit_field_chain(changed, noise=base.chain.noise, robust=False, delay=calibration.delay)
         except MagycError:
-            return np.inf  # so much is missing that nothing fits
+            return np.inf  # the effect is so large that nothing fits
         return float(np.sqrt(max(2 * (fit.reduced.cost - base.reduced.cost) / base.colour, 0.0)))
 
     factor, wanted = 1.0, _median(name, "wide", 4)
