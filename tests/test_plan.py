@@ -61,7 +61,7 @@ def test_the_shortest_time():
 def test_what_is_no_plan_is_refused():
     with pytest.raises(MagycError, match="motion 'waltz' is not one of wide"):
         plan(motions=["waltz"])
-    with pytest.raises(MagycError, match="both must be more than 0"):
+    with pytest.raises(MagycError, match="noise must be above 0"):
         plan((0.0, 5e-3))
 
 

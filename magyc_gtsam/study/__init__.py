@@ -1,1 +1,1 @@
-"""Studies: the bound, the papers' tables and how close the methods come, simulated; all methods on one recording."""
+"""Studies: the Cramér–Rao bound, the papers' tables, the methods' efficiency, and all methods on one recording."""

@@ -1,8 +1,8 @@
-"""The simulations of the Autocal paper (section III-B) and two of its claims: Fig. 5 and 6, and one-sided data.
+"""Reproduce the simulations of the Autocal paper (section III-B): Figs 5 and 6, and one-sided data.
 
-One unit of the paper's sensor is a microtesla here. `synthetic` draws (35) to (38) as printed. One-sided data,
-which the paper blames for the failures on real tracks (section III-C3), come in two kinds: directions on one
-half of the sphere, and a vehicle that never turns over, with rates for the methods that use a gyroscope.
+One unit of the paper's sensor is a microtesla here. `synthetic` draws (35) to (38) as printed. One-sided data, to which
+the paper attributes the failures on real tracks (section III-C3), are of two kinds: directions on one half of the
+sphere, and a vehicle that never turns over, with rates for the methods that use a gyroscope.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SCALE, OFFSET, OUTLIER = 100.0, 20.0, 100.0  # σ_K, σ_b and ζ of (35), (36) a
 NOISES = (0.5, 1.0, 1.5, 2.0)  # σ of Fig. 5
 OUTLIERS = (0.0, 0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5)  # η of Fig. 6
 SHARES = (0.0, 0.01, 0.03, 0.1, 0.3)  # η of the one-sided data
-FAILED = 0.1  # model error from which a method has failed
+FAILED = 0.1  # model error above which a method has failed
 
 Rows = Mapping[str, tuple[str, Mapping[str, Any]]]
 
@@ -42,7 +42,7 @@ VARIANTS: Rows = {
     **{f"autocal, {k}": ("autocal", {"kernel": k}) for k in ("l1", "huber", "cauchy", "geman-mcclure")},
     "autocal, cauchy, τ = √3 units": ("autocal", {"width": float(np.sqrt(3)) * UNIT}),
 }
-"""Row of the tables → method and its options; those of the registry only are run."""
+"""Row of the tables → method and its options; only registered methods are run."""
 
 
 SAID = {
@@ -50,11 +50,11 @@ SAID = {
     "best and magical the best of the others; geman-mcclure falls behind as σ grows",
     "Fig. 6": "cauchy and geman-mcclure alike, huber behind as η grows; the l1 start worse than autocal",
 }
-"""What the paper's text says of its figures, which it prints as pictures only."""
+"""The paper's statements about its figures, whose numbers it does not print."""
 
 
 class AutocalCase(NamedTuple):
-    """One recording: which part of the study, the value of its condition, and the seed."""
+    """One recording: part of the study, value of its condition, and seed."""
 
     part: str
     value: float
@@ -66,8 +66,8 @@ class ModelErrors:
     """Model errors (39) of one method under one condition.
 
     Attributes:
-        median, mean: of all runs; infinite where one gave no calibration.
-        failed: share of the runs that gave none, or one that is off by more than FAILED.
+        median, mean: over all runs; a run without a calibration counts as infinite.
+        failed: share of the runs without a calibration or with an error above FAILED.
     """
 
     median: float
@@ -84,13 +84,13 @@ def synthetic(
     one_sided: bool = False,
     length: float = SCALE,
 ) -> tuple[Recording, Calibration]:
-    """A recording and its truth by (35) to (38).
+    """Return a recording and its truth by (35) to (38).
 
     Args:
-        seed: of everything.
-        samples: N.
-        noise, outliers: σ in units, η.
-        one_sided: all directions on one half of the sphere.
+        seed: seed of all random numbers.
+        samples: number of samples N.
+        noise, outliers: σ in units, and share of outliers η.
+        one_sided: whether all directions are on one half of the sphere.
         length: σ_K in units.
     """
     random = np.random.default_rng(seed)
@@ -104,8 +104,8 @@ def synthetic(
     if one_sided:
         direction[:, 2] = np.abs(direction[:, 2])
     field = direction @ matrix.T + offset + noise * random.standard_normal((samples, 3))  # (37)
-    hit = random.permutation(samples)[: round(outliers * samples)]
-    field[hit] += random.uniform(-OUTLIER, OUTLIER, (len(hit), 3))  # (38)
+    outlier = random.permutation(samples)[: round(outliers * samples)]
+    field[outlier] += random.uniform(-OUTLIER, OUTLIER, (len(outlier), 3))  # (38)
     left, stretch, _ = np.linalg.svd(matrix)
     root = (left * stretch) @ left.T * UNIT
     strength = float(np.cbrt(np.linalg.det(root)))
@@ -114,7 +114,7 @@ def synthetic(
 
 
 def triangular(calibration: Calibration) -> Array:
-    """(3, 3) K in T, upper triangular with a positive diagonal, of a calibration with field strength."""
+    """Return K (3, 3) T, upper triangular with a positive diagonal, of a calibration with field strength."""
     matrix, _ = model(calibration)
     scale = float(np.trace(matrix))
     triangle = np.linalg.cholesky((matrix @ matrix.T)[::-1, ::-1] / scale**2)[::-1, ::-1] * scale
@@ -122,12 +122,12 @@ def triangular(calibration: Calibration) -> Array:
 
 
 def model_error(estimate: Calibration, truth: Calibration) -> float:
-    """(39), with triangular matrices as in the paper."""
+    """Return the model error (39), with triangular matrices as in the paper."""
     return normalised_model_error(triangular(estimate), estimate.hard_iron, triangular(truth), truth.hard_iron)
 
 
 def variants(names: Iterable[str] | None = None) -> Rows:
-    """The rows of VARIANTS that can be run, or those of them that are named."""
+    """Return the rows of VARIANTS that can be run, or the named ones of them."""
     wanted = VARIANTS if names is None else {name: VARIANTS[name] for name in names}
     return {name: row for name, row in wanted.items() if row[0] in methods()}
 
@@ -137,12 +137,12 @@ class StudyPart:
     """One figure, or one kind of one-sided data.
 
     Attributes:
-        title: of its table.
-        symbol: of the condition.
-        values: of the condition.
+        title: title of its table.
+        symbol: symbol of the condition.
+        values: values of the condition.
         draw: (value, seed) → recording and truth.
-        error: of an estimate against the truth.
-        smoother: whether `smoother` is among the methods, beside those of VARIANTS.
+        error: (estimate, truth) → error.
+        smoother: whether to run `smoother` in addition to VARIANTS.
     """
 
     title: str
@@ -162,13 +162,13 @@ def _spoilt(value: float, seed: int, *, one_sided: bool = False) -> tuple[Record
 
 
 def _vehicle(value: float, seed: int) -> tuple[Recording, Calibration]:
-    """With gyroscope; up to 50 µT added in a share of its seconds."""
+    """Return a simulation with gyroscope, and up to 50 µT added in a share of its seconds."""
     simulation = simulate("wide", seed=seed)
     return disturb(simulation.recording, value, seed=seed), simulation.truth
 
 
 def hard_iron_error(estimate: Calibration, truth: Calibration) -> float:
-    """Length of the hard iron's error over the field strength: a vehicle's field has no known scale."""
+    """Return the hard iron error over the field strength, since the scale is not observable on a vehicle."""
     return float(np.linalg.norm(estimate.hard_iron - truth.hard_iron) / (truth.field_strength or np.nan))
 
 
@@ -192,7 +192,7 @@ PARTS: dict[str, StudyPart] = {
 def units(
     runs: int, parts: Iterable[str] | None = None, values: Sequence[float] | None = None
 ) -> list[AutocalCase]:
-    """Of so many recordings a condition (25 in the paper), seeds 0 to runs − 1, at all values of a part or at those."""
+    """Return `runs` recordings per condition (25 in the paper), for the given parts and values or all of them."""
     return [
         AutocalCase(part, value, seed)
         for part in (PARTS if parts is None else parts)
@@ -204,12 +204,12 @@ def units(
 def autocal_rows(
     chosen: Sequence[AutocalCase], running: Running = HERE, names: Sequence[str] | None = None
 ) -> list[Row]:
-    """One row for each recording and method of VARIANTS, or those of them that are named."""
+    """Return one row per recording and method of VARIANTS, or per named one of them."""
     return study_rows("autocal", partial(worked, names=names), chosen, running)
 
 
 def worked(unit: AutocalCase, names: Sequence[str] | None = None) -> Row:
-    """All methods on one recording; the error is infinite where one gave no calibration."""
+    """Run all methods on one recording; the error is infinite for a method without a calibration."""
     part = PARTS[unit.part]
     recording, truth = part.draw(unit.value, unit.seed)
     rows = dict(variants(names)) | ({"smoother": ("smoother", {})} if part.smoother else {})
@@ -217,13 +217,13 @@ def worked(unit: AutocalCase, names: Sequence[str] | None = None) -> Row:
     for method, options in rows.values():
         try:
             errors.append(part.error(calibrate(recording, method, **options), truth))
-        except MagycError:
+        except MagycError:  # a failure counts as an infinite error
             errors.append(np.inf)
     return {"method": list(rows), "model_error": errors}
 
 
 def method_scores(rows: Sequence[Row], part: str) -> dict[float, dict[str, ModelErrors]]:
-    """{value: {method: score}} of a part."""
+    """Return {value: {method: score}} of a part."""
     errors: dict[float, dict[str, list[float]]] = {}
     for row in rows:
         if row["part"] == part:
@@ -236,7 +236,7 @@ def _score(values: Array) -> ModelErrors:
 
 
 def draw(target: Path, rows: Sequence[Row]) -> None:
-    """The mean error over the condition, as the paper draws it, a panel for each part."""
+    """Draw the mean error over the condition, as in the paper, one panel per part."""
     panels = []
     for name, part in PARTS.items():
         table = method_scores(rows, name)

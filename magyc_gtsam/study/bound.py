@@ -1,4 +1,4 @@
-"""The Cramér–Rao bound of a simulated recording: what no unbiased method can beat."""
+"""The Cramér–Rao bound of a simulated recording, which no unbiased method can beat."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import Simulation
 
-_EVERY_SAMPLE = 1e-9  # rad of rotation per window: one window a sample, so that no information is lost
+_EVERY_SAMPLE = 1e-9  # rad of rotation per window: one window per sample, so that no information is lost
 
 
 def cramer_rao(simulation: Simulation) -> Array:
-    """(12, 12) bound on the covariance of vech(soft iron, det 1), hard iron T and gyroscope bias rad/s.
+    """Return the bound (12, 12) on the covariance of vech(soft iron, det 1), hard iron T and gyroscope bias rad/s.
 
-    The inverse of the information at the truth, the delay known (zero), every sample a node of its own.
+    It is the inverse of the information at the truth with known delay (zero) and one node per sample.
 
     Raises:
-        MagycError: the recording has no attitude, from which the true directions are taken, or a delay.
+        MagycError: the recording has no attitude, which gives the true directions, or has a delay.
     """
     recording, truth = simulation.recording, simulation.truth
     if recording.attitude is None or truth.gyro_bias is None or truth.field_strength is None or truth.delay:

@@ -1,4 +1,4 @@
-"""Every method on one recording: what each makes of it, at what cost, and why some cannot."""
+"""Run every method on one recording, and record its result, its run time or why it cannot run."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 Progress = Callable[[str, float], None]
 
-MOST_SAMPLES = 50_000  # of the methods that take samples in any order; more cost time and win next to nothing
-_NEEDS = {  # what a method may need, whether a recording has it, and how to say that it has not
+MOST_SAMPLES = 50_000  # for the methods that ignore the order of samples; more cost time and gain almost nothing
+_NEEDS = {  # what a method may need: a test whether a recording has it, and its name in messages
     "angular_rate": (lambda r: r.angular_rate is not None, "a gyroscope"),
     "attitude": (lambda r: r.attitude is not None and bool(np.isfinite(r.attitude).any()), "a reference attitude"),
     "acceleration": (lambda r: r.acceleration is not None, "an accelerometer"),
@@ -32,16 +32,16 @@ def compare(
     field_strength: float | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Calibrate a recording with every method that it allows: `run_methods`, then `judge`.
+    """Calibrate a recording with every method that it allows, and judge the results.
 
     Args:
-        recording: the data.
-        names: of `methods()`; None for all.
-        field_strength: T, sets the scale of every soft iron. None: det 1.
-        progress: called with the method's name and the share that it has done.
+        recording: the recording.
+        names: names from `methods()`; None for all.
+        field_strength: T, sets the scale of every soft iron; None for det 1.
+        progress: called with the method's name and the share of it that is done.
 
     Raises:
-        MagycError: an unknown method, or one that is given twice.
+        MagycError: a method is unknown or given twice.
         KeyboardInterrupt: interrupted before the first method was done.
     """
     expect_recording("mg.compare", recording)
@@ -55,10 +55,10 @@ def run_methods(
     field_strength: float | None = None,
     progress: Progress | None = None,
 ) -> list[MethodOutcome]:
-    """What each method makes of a recording, as in `compare`.
+    """Run each method on a recording; for the arguments see `compare`.
 
-    A method that fails, in whatever way, says so in its outcome and never stops the others. An interrupt does: what
-    has been done by then is kept, with the values so far of a method that has some.
+    A method that fails in any way reports it in its outcome and does not stop the others. An interrupt stops them; the
+    outcomes so far are kept, including the last values of a method that has some.
 
     Raises:
         KeyboardInterrupt: interrupted before the first method was done.
@@ -77,10 +77,10 @@ def run_methods(
 
 
 def checked_methods(names: Sequence[str] | None) -> tuple[str, ...]:
-    """The names, each of one of `methods()` and given once; None gives them all.
+    """Check that the names are unique names of methods, and return them; None gives all methods.
 
     Raises:
-        MagycError: an unknown method, or one that is given twice.
+        MagycError: a method is unknown or given twice.
     """
     known = methods()
     if names is None:
@@ -112,8 +112,8 @@ def _run(
     except MagycError as error:
         reason = str(error).removeprefix(f"method {name!r} failed: ")
         return MethodOutcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
-    except Exception as error:  # noqa: BLE001 - a method's own defect is its outcome, not the end of the others
-        if isinstance(error.__cause__, KeyboardInterrupt):  # met while an extension module was being loaded
+    except Exception as error:  # noqa: BLE001 - a defect of one method must not stop the others
+        if isinstance(error.__cause__, KeyboardInterrupt):  # raised while an extension module was being loaded
             raise error.__cause__ from None
         reason = f"{type(error).__name__}: {error}"
         return MethodOutcome(name, OutcomeStatus.FAILED, reason, note, seconds=time.perf_counter() - start)
@@ -130,7 +130,7 @@ def _lacking(recording: Recording, need: str) -> str | None:
 
 
 def _thinned(recording: Recording) -> tuple[Recording, str]:
-    """The magnetometer's own samples, every k-th where there are too many."""
+    """Return the magnetometer's samples, every k-th if there are too many, and a note about it."""
     count = int(recording.magnetic_field_fresh.sum())
     every = -(-count // MOST_SAMPLES)
     if every == 1:

@@ -1,9 +1,9 @@
-"""Fig. 3b of the MAGYC paper, simulated: calibrate on the dive, judge the heading on the survey, and back.
+"""Simulate Fig. 3b of the MAGYC paper: calibrate on a dive and judge the heading on a survey, and vice versa.
 
-The pair of seed 0 at noise 1 is that of `datasets/`. A survey hardly tilts. There the minimum of the paper's cost (7)
-with (9) is a wrong place at the published noise, since its regressors are noisy: the field is put along the axis of
-the turns, where a turn changes nothing. `magyc-ifg` is in this minimum, `magyc-bfg` in a higher one that is nearer to
-its start (column `cost`). The paper's own instrument has a tenth of the noise.
+The pair of seed 0 at noise 1 is that of `datasets/`. A survey hardly tilts. At the published noise the minimum of the
+paper's cost (7) with (9) on a survey is wrong, since its regressors are noisy: the field is placed along the axis of
+the turns, where a turn changes nothing. `magyc-ifg` ends in this minimum, `magyc-bfg` in a higher one nearer to its
+start (column `cost`). The paper's own instrument has a tenth of the noise.
 """
 
 from __future__ import annotations
@@ -34,31 +34,31 @@ SAID = (
     "calibrated on the dive magyc-bfg and magyc-ifg are best on the survey; calibrated on the survey they and "
     "magfactor3 improve the heading, which is best with the former, and no other method gives a result (degrees lost)"
 )
-"""What the paper's text says of its Fig. 3b, whose numbers are lost."""
+"""The paper's statement about its Fig. 3b, whose numbers are lost."""
 _DURATION, _RATE = 600.0, 10.0  # s, Hz
 
 
 class DivePair(NamedTuple):
-    """One pair of a dive and a survey: share of the published noise, and its seed."""
+    """One pair of a dive and a survey: share of the published noise, and seed."""
 
     noise: float
     seed: int
 
 
 def units(runs: int) -> list[DivePair]:
-    """So many pairs at each noise."""
+    """Return `runs` pairs at each noise."""
     return [DivePair(noise, seed) for noise in NOISES for seed in range(runs)]
 
 
 def dive_survey_rows(
     chosen: Sequence[DivePair], running: Running = HERE, methods: Sequence[str] = METHODS
 ) -> list[Row]:
-    """One row for each pair, method and direction; "raw" for no calibration, "truth" for what the noise leaves."""
+    """Return one row per pair, method and direction; "raw" is no calibration, "truth" shows the noise alone."""
     return study_rows("dive-survey", partial(worked, methods=methods), chosen, running)
 
 
 def pair(unit: DivePair) -> tuple[Simulation, Simulation]:
-    """The dive and the survey."""
+    """Return the dive and the survey."""
     dive, survey = (
         simulate(
             motion,
@@ -74,7 +74,7 @@ def pair(unit: DivePair) -> tuple[Simulation, Simulation]:
 
 
 def worked(unit: DivePair, methods: Sequence[str] = METHODS) -> Row:
-    """Heading deviations in degrees on the other recording."""
+    """Return the heading deviations, deg, on the other recording."""
     dive, survey = pair(unit)
     columns: dict[str, list[object]] = {name: [] for name in ("method", "way", "heading", "trusted", "cost")}
     for way, fitted, judge in (("dive to survey", dive, survey), ("survey to dive", survey, dive)):
@@ -83,7 +83,7 @@ def worked(unit: DivePair, methods: Sequence[str] = METHODS) -> Row:
             try:
                 calibration = _estimate(name, fitted)
                 values = (_heading(calibration, judge), calibration.converged, cost(calibration, fitted))
-            except MagycError:  # the row says so: infinite
+            except MagycError:  # the row shows the failure as infinite
                 pass
             for column, value in zip(columns.values(), (name, way, *values), strict=True):
                 column.append(value)
@@ -107,7 +107,7 @@ def _heading(calibration: Calibration, judge: Simulation) -> float:
 
 
 def cost(calibration: Calibration, fitted: Simulation) -> float:
-    """Sum of squares of (7) at a calibration, its C scaled to (9), over that at the truth; NaN without a bias."""
+    """Return the cost (7) at a calibration, with C scaled to (9), over that at the truth; NaN without a bias."""
 
     def squares(each: Calibration) -> float:
         assert each.gyro_bias is not None
@@ -124,7 +124,7 @@ def cost(calibration: Calibration, fitted: Simulation) -> float:
 
 @dataclass(frozen=True)
 class MethodOnDives:
-    """One method one way: medians of the heading deviation (°) and of the cost over the truth's, share trusted."""
+    """One method in one direction: medians of heading deviation (°) and cost over the truth's, share trusted."""
 
     heading: float
     cost: float
@@ -132,7 +132,7 @@ class MethodOnDives:
 
 
 def cells(rows: Sequence[Row], noise: float) -> dict[str, dict[str, MethodOnDives]]:
-    """{method: {way: what came out}}."""
+    """Return {method: {way: result}} at a noise."""
     result: dict[str, dict[str, MethodOnDives]] = {}
     own = [row for row in rows if row["noise"] == noise]
     for method in dict.fromkeys(row["method"] for row in own):
@@ -145,7 +145,7 @@ def cells(rows: Sequence[Row], noise: float) -> dict[str, dict[str, MethodOnDive
 
 
 def draw(target: Path, rows: Sequence[Row]) -> None:
-    """Median heading deviation over the noise, a panel for each way."""
+    """Draw the median heading deviation over the noise, one panel per direction."""
     each = [cells(rows, noise) for noise in NOISES]
     panels = []
     for way in next(iter(each[0].values())):

@@ -1,4 +1,4 @@
-"""Lines over a condition, one panel beside the other, as the papers draw their studies."""
+"""Draw lines over a condition in panels side by side, as the papers do."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Panel:
-    """One panel: {name: one value for each of `x`}; what is not finite is left out."""
+    """One panel: {name: one value per entry of `x`}; values that are not finite are left out."""
 
     title: str
     across: str
@@ -22,7 +22,7 @@ class Panel:
 
 
 def draw_panels(target: Path, panels: Sequence[Panel], columns: int = 3) -> None:
-    """Write the panels as SVG; lines of one name are of one colour everywhere."""
+    """Write the panels as SVG; a name has the same colour in all panels."""
     from matplotlib.figure import Figure
 
     columns = min(columns, len(panels))

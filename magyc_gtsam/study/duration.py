@@ -1,7 +1,7 @@
-"""How good a calibration of so many minutes and so large a motion is: what a navigator plans a dive with.
+"""Study the accuracy of a calibration by its duration and the size of the motion.
 
-Simulated motions of the paper's kind, with pitch and heading of several amplitudes, are calibrated after several times.
-What counts is the heading over a level turn that the calibration then gives.
+Simulated motions like the paper's, with several amplitudes of pitch and heading, are calibrated after several times.
+The result is the heading error over a level turn.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _CONTOURS = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0)  # deg
 
 
 class DurationCase(NamedTuple):
-    """One recording: amplitudes of heading and pitch in degrees, and its seed; calibrated at all times."""
+    """One recording: amplitudes of heading and pitch, deg, and seed; calibrated after all durations."""
 
     heading: float
     pitch: float
@@ -37,8 +37,14 @@ class DurationCase(NamedTuple):
 
 @dataclass(frozen=True)
 class ErrorsByDuration:
-    """Over the runs of one motion and time: heading error over a level turn (deg) and hard iron error of an axis (T),
-    both root mean square, the heading's stated sigma (deg, likewise), and the share that is not trusted."""
+    """Results over the runs of one motion and duration.
+
+    Attributes:
+        error: root-mean-square heading error over a level turn, deg.
+        hard_iron: root-mean-square hard iron error per axis, T.
+        stated: root mean square of the heading's stated sigma, deg.
+        refused: share of the runs that are not trusted.
+    """
 
     error: float
     hard_iron: float
@@ -47,19 +53,19 @@ class ErrorsByDuration:
 
 
 def units(runs: int) -> list[DurationCase]:
-    """Of the whole study."""
+    """Return the units of the whole study."""
     return [
         DurationCase(heading, pitch, seed) for seed in range(runs) for heading in HEADINGS for pitch in PITCHES
     ]
 
 
 def duration_rows(chosen: Sequence[DurationCase], running: Running = HERE) -> list[Row]:
-    """One row for each unit and time."""
+    """Return one row per unit and duration."""
     return study_rows("duration", worked, chosen, running)
 
 
 def worked(unit: DurationCase) -> Row:
-    """One row for each of `MINUTES`; errors squared."""
+    """Return one row per entry of `MINUTES`, with squared errors."""
     simulation = simulate((_ROLL, unit.pitch, unit.heading), 60 * max(MINUTES), seed=unit.seed)
     whole = replace(simulation.recording, attitude=None)
     truth = simulation.truth
@@ -83,7 +89,7 @@ def worked(unit: DurationCase) -> Row:
 
 
 def cells(rows: Sequence[Row], heading: float) -> Mapping[tuple[float, float], ErrorsByDuration]:
-    """{(pitch, minutes): what came out}."""
+    """Return {(pitch, minutes): result} at an amplitude of heading."""
     result = {}
     for pitch in PITCHES:
         for minutes in MINUTES:
@@ -101,7 +107,7 @@ def cells(rows: Sequence[Row], heading: float) -> Mapping[tuple[float, float], E
 
 
 def draw(target: Path, rows: Sequence[Row]) -> None:
-    """Contours of the heading error over minutes and pitch, a panel for each amplitude of heading."""
+    """Draw contours of the heading error over minutes and pitch, one panel per amplitude of heading."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")

@@ -1,4 +1,4 @@
-"""How close a method comes to the bound, and whether its covariance is honest."""
+"""Measure how close a method comes to the Cramér–Rao bound, and whether its covariance is consistent."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ FREEDOMS = 11  # 6 − 1 + 3 + 3
 
 @dataclass(frozen=True)
 class Efficiency:
-    """The outcome of `runs` simulated recordings of one motion.
+    """The results of `runs` simulated recordings of one motion.
 
     Attributes:
-        motion, runs: what was run.
+        motion, runs: motion, and number of runs.
         ratio: root-mean-square error over the Cramér–Rao bound, per block of BLOCKS.
         rmse: root-mean-square error of the block's norm: 1, T, rad/s.
-        nees: mean normalised estimation error squared; FREEDOMS where the covariance is honest.
-        band: its 95 % band.
-        refused: runs whose result the method itself did not trust; they count like all others.
+        nees: mean normalised estimation error squared; FREEDOMS if the covariance is consistent.
+        band: 95 % band of `nees` for a consistent covariance.
+        refused: number of runs whose result the method did not trust; they count like all others.
     """
 
     motion: str
@@ -41,7 +41,7 @@ class Efficiency:
 
 
 def error(estimate: Calibration, truth: Calibration) -> Array:
-    """(12,) vech(soft iron), hard iron T, gyroscope bias rad/s: estimate less truth."""
+    """Return the error (12,), estimate minus truth: vech(soft iron), hard iron T, gyroscope bias rad/s."""
     bias = (
         np.zeros(3)
         if estimate.gyro_bias is None or truth.gyro_bias is None
@@ -53,7 +53,7 @@ def error(estimate: Calibration, truth: Calibration) -> Array:
 
 
 def nees(deviation: Array, covariance: Array) -> float:
-    """eᵀ Σ⁺ e with the pseudo-inverse, the scale of the soft iron being fixed."""
+    """Return eᵀ Σ⁺ e, with the pseudo-inverse because the scale of the soft iron is fixed."""
     scale = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(scale, scale)
     whitened = deviation / scale
@@ -72,14 +72,15 @@ def efficiency(
     first_seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Efficiency:
-    """Calibrate `runs` recordings, of `first_seed` and the next seeds, and compare with the bound of the clean data.
+    """Calibrate `runs` recordings and compare the errors with the bound of the undisturbed data.
 
     Args:
-        motion: as `simulate`.
-        runs, duration, rate, gyroscope_noise: of the simulation; s, Hz, rad/s.
-        disturbed: share of all one-second stretches to which up to 50 µT are added.
+        motion: as in `simulate`.
+        runs: number of recordings.
+        duration, rate, gyroscope_noise: of the simulation, s, Hz and rad/s.
+        disturbed: share of the one-second stretches to which up to 50 µT are added.
         method: recording → calibration with covariance.
-        first_seed: of the first recording.
+        first_seed: seed of the first recording; the others follow.
         progress: called with the share done.
     """
     deviations, bounds, consistency, refused = [], [], [], 0

@@ -1,4 +1,4 @@
-"""How well the magnetic heading of a calibrated field agrees with a reference attitude."""
+"""Compare the magnetic heading of a calibrated field with a reference attitude."""
 
 from __future__ import annotations
 
@@ -13,28 +13,27 @@ from magyc_gtsam.recording import Array, Recording
 
 
 class HeadingError(NamedTuple):
-    """Magnetic less reference heading about its mean: time (n,) s since the first row, error (n,) deg."""
+    """Magnetic minus reference heading about its mean: time (n,) s since the first row, error (n,) deg."""
 
     time: Array
     error: Array
 
     @property
     def deviation(self) -> float:
-        """Standard deviation, deg; 0 of a perfect compass."""
+        """Return the standard deviation, deg."""
         return float(self.error.std())
 
 
 def heading_error(recording: Recording, calibration: Calibration, delay: float | None = None) -> HeadingError:
-    """Direction of the horizontal calibrated field in the reference's world axes, which should stand still.
+    """Return the direction of the horizontal calibrated field in the reference's world axes, which should be constant.
 
     Args:
-        recording: with attitude, whose world z axis is vertical.
-        calibration: of its magnetometer.
-        delay: s by which the magnetometer lags: the field of an instant is what it says so much later. None
-            takes the calibration's own.
+        recording: a recording with attitude, whose world z axis is vertical.
+        calibration: calibration of its magnetometer.
+        delay: lag of the magnetometer, s; None takes the calibration's.
 
     Raises:
-        MagycError: no reference attitude.
+        MagycError: the recording has no reference attitude.
     """
     attitude = recording.attitude
     known = np.zeros(0, dtype=bool) if attitude is None else np.isfinite(attitude).all(axis=1)

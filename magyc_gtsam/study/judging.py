@@ -1,4 +1,4 @@
-"""Outcomes of methods judged by the spread of the field, the heading's error, and each other."""
+"""Judge the outcomes of methods by the spread of the field, the heading error, and each other."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from magyc_gtsam.recording import Mask, Recording
 from magyc_gtsam.study.heading import heading_error
 from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
-ROBUST = ("autocal", "smoother")  # which tell disturbed samples from others
-_MANY = 6.0  # sigmas of both together, from which two methods contradict each other
-_MATTERS = {"hard_iron": 0.01, "gyro_bias": 1e-3}  # of the field, and rad/s: below, a contradiction does no harm
-_WORSE = 1.05  # spread after over spread before, from which a calibration made it worse
+ROBUST = ("autocal", "smoother")  # methods that detect disturbed samples
+_MANY = 6.0  # joint sigmas from which two methods contradict each other
+_MATTERS = {"hard_iron": 0.01, "gyro_bias": 1e-3}  # of the field, and rad/s: smaller differences do no harm
+_WORSE = 1.05  # ratio of the spreads after and before from which a calibration made it worse
 UNCALIBRATED = Calibration(np.eye(3), np.zeros(3), method="raw")
 
 
 def judge(recording: Recording, asked: Sequence[str], ran: Sequence[MethodOutcome]) -> Comparison:
-    """The outcomes of `run_methods` side by side: the spread of the field and the heading's error of each."""
+    """Return the outcomes of `run_methods` with the spread of the field, the heading error and any doubts of each."""
     delay, delay_from = _delay(ran)
     inlier, inlier_from = _inliers(recording, ran)
     raw = MethodOutcome("raw", OutcomeStatus.UNTRUSTED, "", calibration=UNCALIBRATED)
@@ -35,7 +35,7 @@ def judge(recording: Recording, asked: Sequence[str], ran: Sequence[MethodOutcom
 
 
 def _delay(ran: Sequence[MethodOutcome]) -> tuple[float, str]:
-    """Of the first method that estimated it and can be trusted."""
+    """Return the delay of the first trusted method that estimated it, and the method's name."""
     for outcome in ran:
         calibration = outcome.calibration
         if (
@@ -48,7 +48,7 @@ def _delay(ran: Sequence[MethodOutcome]) -> tuple[float, str]:
 
 
 def _inliers(recording: Recording, ran: Sequence[MethodOutcome]) -> tuple[Mask, str]:
-    """By the ellipsoid of the first method of ROBUST that can be trusted."""
+    """Return the inliers of the ellipsoid of the first trusted method of ROBUST, and the method's name."""
     trusted = {o.method: o.calibration for o in ran if o.status is OutcomeStatus.TRUSTED}
     for name in ROBUST:
         calibration = trusted.get(name)
@@ -58,7 +58,7 @@ def _inliers(recording: Recording, ran: Sequence[MethodOutcome]) -> tuple[Mask, 
 
 
 def _judged(recording: Recording, outcome: MethodOutcome, delay: float, inlier: Mask) -> MethodOutcome:
-    """With the spread of the field and the heading's error."""
+    """Return the outcome with the spread of the field and the heading error."""
     if outcome.calibration is None:
         return outcome
     norm = np.linalg.norm(outcome.calibration.corrected(recording.magnetometer.value), axis=1)
@@ -76,7 +76,7 @@ def _judged(recording: Recording, outcome: MethodOutcome, delay: float, inlier: 
 
 
 def _doubted(comparison: Comparison, outcome: MethodOutcome) -> MethodOutcome:
-    """With what the others show and the method itself has not noticed."""
+    """Return the outcome with the doubts that the other methods raise."""
     doubts = [] if outcome.status is OutcomeStatus.TRUSTED else [outcome.reason]
     if _varies_more(comparison, outcome):
         doubts.append("the strength of the calibrated field varies more than that of the raw field")
@@ -89,11 +89,11 @@ def _doubted(comparison: Comparison, outcome: MethodOutcome) -> MethodOutcome:
 
 
 def _varies_more(comparison: Comparison, outcome: MethodOutcome) -> bool:
-    """Whether the calibrated field varies more than the raw one, and by more than the stated errors let it.
+    """Return whether the calibrated field varies more than the raw one, beyond what the stated errors explain.
 
     An error (dA, dh) of the parameters changes a reading's length by u · A⁻¹ (dA u + dh), with u its unit vector times
-    the length: the variance that it brings is known from the covariance. The fits of ellipsoids minimise this spread
-    itself, others do not, so the least spread is no sign of the least error.
+    the length; its variance follows from the covariance. Fits of ellipsoids minimise this spread and other methods do
+    not, so the smallest spread does not indicate the smallest error.
     """
     before, after, calibration = comparison.raw.inlier_spread, outcome.inlier_spread, outcome.calibration
     if before is None or after is None or calibration is None or after <= _WORSE * before:
@@ -111,10 +111,10 @@ def _varies_more(comparison: Comparison, outcome: MethodOutcome) -> bool:
 
 
 def _contradictions(reference: MethodOutcome, calibration: Calibration, shown: tuple[float, str]) -> list[str]:
-    """Hard iron and gyroscope bias that are off those of the reference by many sigmas of both, and matter.
+    """Return messages on hard iron and gyroscope bias that differ significantly from the reference, and matter.
 
-    Which the classic methods often are: they state what sensor noise does, or nothing, and not what their own
-    shortcomings do (a biased least-squares fit, a derivative of noisy readings, a room that is not uniform).
+    This is common for the classic methods, which state the effect of sensor noise or nothing, but not that of their own
+    approximations (a biased least-squares fit, derivatives of noisy readings, a field that is not uniform).
     """
     assert reference.calibration is not None
     assert reference.strength is not None
@@ -143,7 +143,7 @@ def _contradictions(reference: MethodOutcome, calibration: Calibration, shown: t
 
 
 def _apart(comparison: Comparison, outcome: MethodOutcome) -> list[str]:
-    """Whether its hard iron is far from that of the most accurate method."""
+    """Return messages if the hard iron is far from that of the most accurate method, or contradicts it."""
     reference = comparison.reference
     if reference is None or reference.calibration is None or outcome.calibration is None:
         return []

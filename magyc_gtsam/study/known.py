@@ -1,8 +1,8 @@
-"""What is gained by what is known: skews that the data decide, an earlier calibration, the place.
+"""Study the gain from prior knowledge: misalignment, an earlier calibration, and the place.
 
-Skews: chips that are 0 to 1.5° askew in a random direction, calibrated with the skew asked of the data, always, and
-never. Facts: vehicles that hardly tilt, with what the operator knows added step by step, batch and online. Matrices: an
-earlier calibration whose matrix is off by some percent, and whether that is noticed.
+Skews: chips that are misaligned by 0 to 1.5° in a random direction, with the misalignment estimated if the data show
+one, always, and never. Facts: vehicles that hardly tilt, with the operator's knowledge added step by step, batch and
+online. Matrices: an earlier calibration whose matrix is off by some percent, and whether that is noticed.
 """
 
 from __future__ import annotations
@@ -33,15 +33,21 @@ WAYS: Mapping[str, float | str] = {"asked": "auto", "never": 0, "always": np.rad
 LIMITED = (("tiny", 60.0), ("level", 600.0), ("ship", 600.0))
 FACTS = ("alone", "+ matrix", "+ strength", "+ dip", "online + matrix", "online + strength")
 PERCENTS = (0.2, 0.5, 1.0)
-_EARLIER = 990_001  # seeds from here on are those of earlier calibrations, one a run
-_OFFSET, _ROUGH = 0.1, 0.3  # m/s², of an accelerometer's axis all the time, and from sample to sample
-_MOVED = 100e-6  # T, by which the hard iron may have changed since
+_EARLIER = 990_001  # first seed of the earlier calibrations, one per run
+_OFFSET, _ROUGH = 0.1, 0.3  # m/s², constant offset and noise of an accelerometer's axis
+_MOVED = 100e-6  # T, by which the hard iron may have changed since the earlier calibration
 
 
 @dataclass(frozen=True)
 class SkewCell:
-    """Over the runs of one motion, skew and way: root-mean-square heading error over a level turn (deg) and hard iron
-    error of an axis (T); mean NEES of `FREEDOMS`; shares of runs in which a skew was taken out, and not trusted."""
+    """Results over the runs of one motion, misalignment and way.
+
+    Attributes:
+        heading: root-mean-square heading error over a level turn, deg.
+        hard_iron: root-mean-square hard iron error per axis, T.
+        nees: mean NEES of `FREEDOMS` degrees of freedom.
+        decided, refused: shares of runs in which a misalignment was corrected, and which were not trusted.
+    """
 
     heading: float
     hard_iron: float
@@ -52,8 +58,13 @@ class SkewCell:
 
 @dataclass(frozen=True)
 class FactCell:
-    """Of one motion and what was known: hard iron error and stated sigma of an axis (T, root mean square), the squared
-    error in the stated covariance per freedom, share not trusted."""
+    """Results over the runs of one motion and prior knowledge.
+
+    Attributes:
+        error, stated: root mean squares of hard iron error and stated sigma per axis, T.
+        ratio: squared error in units of the stated covariance, per degree of freedom.
+        refused: share of the runs that are not trusted.
+    """
 
     error: float
     stated: float
@@ -71,12 +82,12 @@ class KnownCase(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of its row."""
+        """Return the name of its row."""
         return f"{self.kind}-{self.motion}-{self.size:g}-{self.seed}"
 
 
 def skewed(motion: str, degrees: float, seed: int) -> Simulation:
-    """A simulation of chips that are askew in a random direction; the truth has the symmetric soft iron."""
+    """Return a simulation of chips misaligned in a random direction; the truth has the symmetric soft iron."""
     simulation = simulate(motion, seed=seed, soft_iron=SOFT_IRON @ _turn(degrees, seed))
     symmetric = SOFT_IRON / np.cbrt(np.linalg.det(SOFT_IRON))
     return replace(simulation, truth=replace(simulation.truth, soft_iron=symmetric))
@@ -88,8 +99,14 @@ def _turn(degrees: float, seed: int) -> Array:
 
 
 class Placed(NamedTuple):
-    """A simulation with what its operator knows of the place: recording (its accelerometer off by `_OFFSET` an axis),
-    truth, the true dip rad, and `field` as `calibrate` takes it, off by the sigmas of the world's model."""
+    """A simulation with the operator's knowledge of the place.
+
+    Attributes:
+        recording: the recording, with errors of the accelerometer.
+        truth: the true calibration.
+        dip: true dip, rad.
+        field: (strength, dip) for `calibrate`, with errors of the world model's sigmas.
+    """
 
     recording: Recording
     truth: Calibration
@@ -98,7 +115,7 @@ class Placed(NamedTuple):
 
 
 def placed(motion: str, duration: float, seed: int) -> Placed:
-    """Errors drawn by the seed."""
+    """Return a simulation with random errors of the accelerometer and of the world model."""
     simulation = simulate(motion, duration, seed=seed)
     random = np.random.default_rng([seed, 17])
     north, east, down = simulation.field
@@ -113,7 +130,7 @@ def placed(motion: str, duration: float, seed: int) -> Placed:
 
 
 def heading_error(simulation: Simulation, degrees: float, seed: int, calibration: Calibration) -> float:
-    """deg, root mean square over a level turn, with the field brought to the gyroscope's axes."""
+    """Return the root-mean-square heading error over a level turn, deg, with the field in the gyroscope's axes."""
     truth = simulation.truth
     turn = turn_of(simulation.recording, truth)
     raw = turn.field @ (truth.soft_iron @ _turn(degrees, seed)).T + truth.hard_iron
@@ -128,7 +145,7 @@ def heading_error(simulation: Simulation, degrees: float, seed: int, calibration
 
 
 def units(runs: int, kinds: Iterable[str] = ("skew", "fact", "matrix")) -> list[KnownCase]:
-    """Of the whole study."""
+    """Return the units of the whole study."""
     cells = {
         "skew": [(motion, size) for motion in MOTIONS for size in SKEWS],
         "fact": list(LIMITED),
@@ -140,10 +157,10 @@ def units(runs: int, kinds: Iterable[str] = ("skew", "fact", "matrix")) -> list[
 def known_rows(
     chosen: Sequence[KnownCase], folder: Path | None = None, workers: int = 1, progress: Progress | None = None
 ) -> dict[KnownCase, Row]:
-    """The rows of all units; with a folder in `known.parquet` there, and a run that was stopped goes on.
+    """Return the rows of all units. With a folder they are written to `known.parquet`, and a stopped run continues.
 
     Raises:
-        MagycError: a folder, and the extra `parquet` is not installed.
+        MagycError: a folder is given and the extra `parquet` is not installed.
     """
     parts = None if folder is None else folder / "parts"
     found = run_many(worked, {unit.name: unit for unit in chosen}, workers=workers, parts=parts, progress=progress)
@@ -156,7 +173,7 @@ def known_rows(
 
 
 def worked(unit: KnownCase) -> Row:
-    """One row: "<way> <number>" for all ways and numbers of the unit's kind."""
+    """Return one row with a column "<way> <number>" for all ways and numbers of the unit's kind."""
     found = {"skew": _skew_row, "fact": _fact_row, "matrix": _matrix_row}[unit.kind](unit)
     return {f"{way} {name}": value for way, numbers in found.items() for name, value in numbers.items()}
 
@@ -204,7 +221,7 @@ def _fact_row(unit: KnownCase) -> dict[str, Row]:
 
 
 def _matrix_row(unit: KnownCase) -> dict[str, Row]:
-    """The earlier matrix is off by a stretch in a random direction, of which nothing is said; the place is known."""
+    """Calibrate with an earlier matrix that is off by a stretch in a random direction, and a known place."""
     run = placed(unit.motion, 60.0 if unit.motion == "tiny" else 600.0, unit.seed)
     shape = np.random.default_rng([unit.seed, 23]).normal(size=(3, 3))
     shape = shape + shape.T - np.trace(shape + shape.T) / 3 * np.eye(3)
@@ -230,7 +247,7 @@ def _hard_iron(calibration: Calibration, truth: Calibration) -> Row:
 
 
 def skew_cells(motion: str, degrees: float, rows: Mapping[KnownCase, Row]) -> dict[str, SkewCell]:
-    """{way of `WAYS`: what came out}."""
+    """Return {way of `WAYS`: result}."""
     mean = _means(rows, "skew", motion, degrees)
     return {
         way: SkewCell(
@@ -245,13 +262,13 @@ def skew_cells(motion: str, degrees: float, rows: Mapping[KnownCase, Row]) -> di
 
 
 def fact_cells(motion: str, duration: float, rows: Mapping[KnownCase, Row]) -> dict[str, FactCell]:
-    """{what was known, of `FACTS`: what came out}; the chips are known to be aligned."""
+    """Return {prior knowledge of `FACTS`: result}, with aligned chips."""
     mean = _means(rows, "fact", motion, duration)
     return {way: _fact_cell(way, mean) for way in FACTS}
 
 
 def matrix_cell(motion: str, percent: float, rows: Mapping[KnownCase, Row]) -> FactCell:
-    """Where the earlier matrix is off."""
+    """Return the result with a wrong earlier matrix."""
     return _fact_cell("wrong", _means(rows, "matrix", motion, percent))
 
 
@@ -266,6 +283,6 @@ def _means(rows: Mapping[KnownCase, Row], kind: str, motion: str, size: float) -
 
 
 def band(runs: int, freedoms: int = FREEDOMS) -> tuple[float, float]:
-    """The 95 % band of the mean of so many χ² of `freedoms`."""
+    """Return the 95 % band of the mean of `runs` χ² variables of `freedoms` degrees of freedom."""
     half = 1.96 * float(np.sqrt(2 * freedoms / runs))
     return freedoms - half, freedoms + half

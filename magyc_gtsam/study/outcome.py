@@ -1,4 +1,4 @@
-"""What became of every method on one recording, side by side."""
+"""The outcomes of all methods on one recording."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from magyc_gtsam.recording import Mask, Recording
 from magyc_gtsam.runners.status import Status
 from magyc_gtsam.study.heading import HeadingError
 
-REFERENCES = ("smoother", "autocal")  # the most accurate with and without a gyroscope
+REFERENCES = ("smoother", "autocal")  # the most accurate methods with and without a gyroscope
 
 
 class OutcomeStatus(str, Enum):
-    """What became of a method."""
+    """The outcome of a method."""
 
     TRUSTED = "trusted"
     DOUBTFUL = "doubtful"
@@ -28,19 +28,19 @@ class OutcomeStatus(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class MethodOutcome:
-    """One method on the recording.
+    """The outcome of one method on the recording.
 
     Attributes:
-        method: its name in `methods()`; "raw" for the recording as it is.
-        status: what became of it.
-        reason: why it is doubtful, not trusted, failed or is not possible; else what the method says of its end.
-        note: what was done to the data for this method only, "" for nothing.
-        calibration: None where there is none.
-        seconds: run time, wall clock; None where it did not run.
-        spread: T (or counts), standard deviation of the strength of the samples calibrated, all of them.
-        inlier_spread: likewise, of those in `Comparison.inlier`.
-        strength: T (or counts), its mean.
-        heading: against the reference attitude; None without one.
+        method: its name in `methods()`; "raw" for the uncalibrated recording.
+        status: status of the outcome.
+        reason: why it is doubtful, not trusted, failed or impossible; otherwise the method's message.
+        note: what was done to the data for this method only; "" for nothing.
+        calibration: the calibration; None without one.
+        seconds: run time, wall clock; None if it did not run.
+        spread: T (or counts), standard deviation of the strength of all calibrated samples.
+        inlier_spread: likewise, of the samples in `Comparison.inlier`.
+        strength: T (or counts), mean strength.
+        heading: heading error against the reference attitude; None without one.
     """
 
     method: str
@@ -56,7 +56,7 @@ class MethodOutcome:
 
     @property
     def interrupted(self) -> bool:
-        """Whether the method ended at an interrupt, with the values that it had, as the graphs' runners do."""
+        """Return whether an interrupt ended the method, which then keeps the values it had."""
         return self.calibration is not None and self.calibration.diagnostics.get("status") == str(
             Status.INTERRUPTED
         )
@@ -64,18 +64,18 @@ class MethodOutcome:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
-    """What `compare` returns.
+    """The result of `compare`.
 
     Attributes:
-        recording: the data.
-        raw: the recording as it is, judged like the methods.
-        outcomes: one for each method, in the order of `methods()` or as asked for.
-        delay: s by which the field was taken later wherever it is held against the reference attitude, one for
-            all methods: most do not estimate it, and it would count as their heading error.
+        recording: the recording.
+        raw: the uncalibrated recording, judged like the methods.
+        outcomes: one per method, in the order of `methods()` or as requested.
+        delay: lag of the magnetometer, s, used for all methods in the comparison with the reference attitude, since
+            most do not estimate it and it would count as their heading error.
         delay_from: the method that estimated it; "" for none.
-        inlier: (n,) of the magnetometer's own samples, whether they lie on the ellipsoid of one robust method.
-        inlier_from: that method; "" where none can be trusted, and all count as inliers.
-        not_run: methods that an interrupt (Ctrl-C) came before.
+        inlier: (n,) whether each magnetometer sample lies on the ellipsoid of one robust method.
+        inlier_from: that method; "" if none is trusted, in which case all samples are inliers.
+        not_run: methods that were not run because of an interrupt (Ctrl-C).
     """
 
     recording: Recording
@@ -89,23 +89,23 @@ class Comparison:
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C ended it before all methods were done."""
+        """Return whether Ctrl-C ended the comparison before all methods were done."""
         return bool(self.not_run) or any(o.interrupted for o in self.outcomes)
 
     @property
     def calibrated(self) -> tuple[MethodOutcome, ...]:
-        """The methods that gave parameters, trusted or not."""
+        """Return the methods that gave parameters, trusted or not."""
         return tuple(o for o in self.outcomes if o.calibration is not None)
 
     @property
     def reference(self) -> MethodOutcome | None:
-        """The result to hold the others against: the first of REFERENCES that can be trusted."""
+        """Return the outcome to compare the others with: the first trusted one of REFERENCES."""
         by_name = {o.method: o for o in self.trusted}
         return next((by_name[name] for name in REFERENCES if name in by_name), None)
 
     @property
     def recommended(self) -> MethodOutcome | None:
-        """The result to use: `reference`, else the trusted one whose calibrated field varies least."""
+        """Return the outcome to use: `reference`, otherwise the trusted one whose calibrated field varies least."""
         if self.reference is not None:
             return self.reference
         return min(self.trusted, key=lambda o: o.inlier_spread or 0.0, default=None)
@@ -122,7 +122,7 @@ class Comparison:
 
     @property
     def by_trust(self) -> tuple[MethodOutcome, ...]:
-        """All outcomes, the one to use first, then by status and by how much the calibrated field varies."""
+        """Return all outcomes, the recommended one first, then by status and spread of the calibrated field."""
         order = list(OutcomeStatus)
         return tuple(
             sorted(
@@ -133,5 +133,5 @@ class Comparison:
 
     @property
     def trusted(self) -> tuple[MethodOutcome, ...]:
-        """The methods whose result can be trusted."""
+        """Return the methods with a trusted result."""
         return tuple(o for o in self.outcomes if o.status is OutcomeStatus.TRUSTED)

@@ -1,8 +1,8 @@
-"""Which motion, and how long, for a heading that is wanted: with and without an earlier calibration and the place.
+"""Plan the motion and duration for a wanted heading accuracy, with and without prior knowledge.
 
-Each motion is simulated with the sensors' noise, and the information of its field chain taken at the minimum, for
-shares of its time; what is known beforehand is added to it. So a plan costs one fit a motion and time, and says what
-the Cramér–Rao bound allows, with a skew as boards have it left open.
+Each motion is simulated with the sensors' noise, and the information of its field chain is taken at the minimum after
+several durations. Prior knowledge is added to it. A plan thus costs one fit per motion and duration, and gives the
+Cramér–Rao bound with an unknown misalignment as boards have it.
 """
 
 from __future__ import annotations
@@ -39,15 +39,16 @@ MOTIONS: Mapping[str, str] = {
 }
 DURATIONS = (30.0, 60.0, 120.0, 300.0, 600.0, 1200.0)  # s
 WAYS = ("nothing", "the place", "an earlier calibration", "both")
-_BOARD = np.radians(0.5)  # deviation of each angle between two chips; boards are 0.4 to 0.75° an angle
+_BOARD = np.radians(0.5)  # rad, deviation of each angle between two chips; boards have 0.4 to 0.75° per angle
 
 
 @dataclass(frozen=True)
 class Planned:
-    """What a motion of so many seconds gives where `known` (of `WAYS`) is known beforehand.
+    """The expected accuracy of a motion of some duration with prior knowledge `known` (of `WAYS`).
 
     Attributes:
-        heading: deg, largest standard deviation over a level turn; hard_iron: T, of its weakest direction.
+        heading: largest standard deviation of the heading over a level turn, deg.
+        hard_iron: standard deviation of the hard iron's weakest direction, T.
         enough: whether the result would be trusted.
     """
 
@@ -68,24 +69,25 @@ def plan(
     durations: Sequence[float] = DURATIONS,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[Planned]:
-    """All motions, times and ways.
+    """Return the plan for all motions, durations and kinds of prior knowledge.
 
     Args:
-        noise: deviation per sample of magnetometer T and gyroscope rad/s.
-        options: with the earlier calibration, what may have changed since, and what is believed of a skew. Without one
-            the matrix is taken to be known to 0.2 % an element, and nothing of the hard iron.
-        rate: Hz, of both sensors.
-        motions, durations: which; s.
+        noise: standard deviation per sample of magnetometer, T, and gyroscope, rad/s.
+        options: options with the earlier calibration, its possible change since, and the prior of a misalignment.
+            Without an earlier calibration the matrix counts as known to 0.2 % per element and the hard iron as unknown.
+        rate: rate of both sensors, Hz.
+        motions, durations: names, and s.
+        progress: called with the share done.
 
     Raises:
-        MagycError: an unknown motion, or a noise that is not positive.
+        MagycError: a motion is unknown or a noise is not positive.
     """
     unknown = sorted(set(motions) - MOTIONS.keys())
     if unknown or not min(noise) > 0:
         raise MagycError(
             f"plan: motion {unknown[0]!r} is not one of {', '.join(MOTIONS)}"
             if unknown
-            else f"plan: noise {noise[0]:g} T and {noise[1]:g} rad/s, both must be more than 0"
+            else f"plan: noise must be above 0, got {noise[0]:g} T and {noise[1]:g} rad/s"
         )
     options = SmootherOptions() if options is None else options
     result: list[Planned] = []
@@ -101,7 +103,7 @@ def plan(
 
 
 def shortest(planned: Sequence[Planned], motion: str, known: str, heading: float) -> Planned | None:
-    """The shortest time of a motion that is enough for a heading in deg; None where none is."""
+    """Return the shortest duration of a motion that is enough for a heading accuracy, deg; None if none is."""
     return next(
         (p for p in planned if (p.motion, p.known) == (motion, known) and p.enough and p.heading <= heading), None
     )

@@ -1,7 +1,8 @@
-"""The papers' studies on real recordings, which need no truth: the review's Fig. 6, and Tables IV and V of Autocal.
+"""Reproduce the papers' studies on real recordings: Fig. 6 of the review, and Tables IV and V of Autocal.
 
 The first recording is the reference, M1 of the Autocal paper: one without outliers of the same unit as the others.
-An accelerometer is calibrated as a magnetometer is, gravity in place of the field (section III-C1 of that paper).
+They need no truth. An accelerometer is calibrated like a magnetometer, with gravity in place of the field (section
+III-C1 of that paper).
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 Sensor = Literal["magnetometer", "accelerometer"]
 METHODS = {**{name: (name, {}) for name in REVIEWED}, **VARIANTS}
-_GRAVITY = 50e-6 / 9.80665  # T per m/s²: an accelerometer's readings as those of a magnetometer
+_GRAVITY = 50e-6 / 9.80665  # T per m/s², to treat an accelerometer's readings as those of a magnetometer
 _THIN = 5000  # samples of a track; the papers' have 300 to 600
 
 # Autocal, Tables IV and V: deviation (40) and error (41) in % of the paper's unit of 100, without outliers (M2, A2) and
@@ -67,7 +68,7 @@ PUBLISHED: dict[Sensor, dict[str, tuple[tuple[float, float], tuple[float, float]
 
 
 class TrackPair(NamedTuple):
-    """One method on one track, and the track that it is held against."""
+    """One method on one track, and the reference track."""
 
     sensor: Sensor
     reference: str
@@ -78,7 +79,7 @@ class TrackPair(NamedTuple):
 def real_rows(
     recordings: Mapping[str, Recording], sensor: Sensor = "magnetometer", running: Running = HERE
 ) -> list[Row]:
-    """One row for each track and method.
+    """Return one row per track and method.
 
     Args:
         recordings: {name: recording}, the reference first.
@@ -86,10 +87,10 @@ def real_rows(
         running: where it runs.
 
     Raises:
-        MagycError: no recording, or one without the sensor.
+        MagycError: there are no recordings, or one lacks the sensor.
     """
     if not recordings:
-        raise MagycError("real tracks: no recordings; give one or more logs, the reference first")
+        raise MagycError("real tracks: there are no recordings; give one or more logs, the reference first")
     tracks = {name: track_of(recording, sensor) for name, recording in recordings.items()}
     names = [name for name in METHODS if name in variants() or name in REVIEWED]
     chosen = [TrackPair(sensor, next(iter(tracks)), track, method) for track in tracks for method in names]
@@ -97,7 +98,7 @@ def real_rows(
 
 
 def track_of(recording: Recording, sensor: Sensor) -> Recording:
-    """The sensor's own samples alone, thinned to what the methods can take."""
+    """Return the sensor's samples alone, thinned to a number that the methods can process."""
     if sensor == "magnetometer":
         time, value = recording.magnetometer.time, recording.magnetometer.value
     else:
@@ -111,7 +112,7 @@ def track_of(recording: Recording, sensor: Sensor) -> Recording:
 
 
 def worked(unit: TrackPair, tracks: Mapping[str, Recording]) -> Row:
-    """What a method makes of one track, by all three measures."""
+    """Run a method on one track and return all three measures."""
     reference = tracks[unit.reference]
     found, own = _calibrated(unit.method, tracks[unit.track]), _calibrated(unit.method, reference)
     samples = tracks[unit.track].magnetic_field
@@ -134,7 +135,7 @@ def worked(unit: TrackPair, tracks: Mapping[str, Recording]) -> Row:
 
 
 def over_tracks(rows: Sequence[Row], method: str) -> RunScores:
-    """Accuracy and robustness (77), (78) of a method by (81), as Fig. 6 has them; at δ = 1."""
+    """Return accuracy and robustness (77), (78) of a method by (81) at δ = 1, as in Fig. 6."""
     own = [row for row in rows if row["method"] == method]
     return scores([row["cost"] for row in own], [row["trivial"] for row in own], [np.nan] * len(own))
 
@@ -148,19 +149,19 @@ def _calibrated(name: str, track: Recording) -> Calibration | None:
 
 
 def _strength(samples: Array) -> float:
-    """Half the width of the middle of the samples."""
+    """Return half the width of the middle of the samples."""
     low, high = np.quantile(samples, [0.01, 0.99], axis=0)
     return float(np.median(np.linalg.norm(samples - 0.5 * (low + high), axis=1)))
 
 
 def _trivial_cost(samples: Array) -> float:
-    """(81) of no calibration: T = I and h = 0 in units of the mean field."""
+    """Return the cost (81) without calibration: T = I and h = 0 in units of the mean field."""
     strength = float(np.mean(np.linalg.norm(samples, axis=1)))
     return real_data_cost(np.eye(3) * strength, np.zeros(3), samples)
 
 
 def draw(target: Path, rows: list[Row]) -> None:
-    """(81), (40) and (41) of each method over the tracks, counted from 1 in their order."""
+    """Draw (81), (40) and (41) of each method over the tracks, numbered from 1."""
     tracks = list(dict.fromkeys(row["track"] for row in rows))
     methods = list(dict.fromkeys(row["method"] for row in rows))
     x = list(range(1, len(tracks) + 1))

@@ -1,4 +1,4 @@
-"""Table 2 and Figs 2 to 5 of the review (Papafotis, Nikitas and Sotiriadis, Sensors 2021, 21, 5288): seven methods.
+"""Reproduce Table 2 and Figs 2 to 5 of the review (Papafotis, Nikitas and Sotiriadis, Sensors 2021, 21, 5288).
 
 The cost J (74) is read with squared norms, without which no method can reach the printed accuracies (1/ρ of
 about 365 at best), and "bound" is one over the mean of J at the Cramér–Rao bound, 2.42e5. δ of (76) is not
@@ -67,12 +67,12 @@ FITS = {
     "magical": magical,
 }
 STRICT = 0.01  # δ: a tenth of the error without calibration, the cost being squared
-STRENGTH = 50e-6  # T, what the review's field of 1 stands for
-RATE = 10.0  # Hz; the methods do not look at the time
+STRENGTH = 50e-6  # T per unit of the review's field
+RATE = 10.0  # Hz; the methods do not use the time
 
 
 class Condition(NamedTuple):
-    """What Algorithm 8 draws; the defaults are the baseline (80)."""
+    """Parameters of Algorithm 8; the defaults are the baseline (80)."""
 
     gamma: float = 0.05
     beta: float = 0.05
@@ -87,7 +87,7 @@ FIGURES: dict[str, tuple[Condition, ...]] = {
     "samples": tuple(BASELINE._replace(samples=k) for k in (50, 150, 300)),
     "noise": tuple(BASELINE._replace(noise=s) for s in (0.0005, 0.005, 0.05)),
 }
-"""What is moved in Figs 2, 3, 4 and 5."""
+"""The parameter varied in Figs 2, 3, 4 and 5."""
 SYMBOLS = {"gamma": "γ", "beta": "β", "samples": "K", "noise": "σ"}
 SAID = {
     "gamma": "magical and ali-pso almost always; twostep and wu-shi a little less; dorveaux and crassidis to a "
@@ -97,7 +97,7 @@ SAID = {
     "samples": "no matter for robustness; high accuracy even at K = 50; time linear in K",
     "noise": "all immune in robustness; accuracy falls by an order with each order of the variance",
 }
-"""What the review's text says of its figures, which it prints as pictures only."""
+"""The review's statements about its figures, whose numbers it does not print."""
 
 
 class ReviewCase(NamedTuple):
@@ -137,7 +137,7 @@ class Sample:
 
 
 def fibonacci_sphere(count: int) -> Array:
-    """Algorithm 8, step 3: unit vectors (count, 3) spread evenly from pole to pole."""
+    """Return unit vectors (count, 3) spread evenly over the sphere, by step 3 of Algorithm 8."""
     k = np.arange(1, count + 1)
     theta = 2 * np.pi * k / ((1 + np.sqrt(5)) / 2)
     phi = np.arccos(1 - 2 * (k - 0.5) / count)
@@ -147,7 +147,7 @@ def fibonacci_sphere(count: int) -> Array:
 def draw(
     seed: int, *, samples: int = 300, beta: float = 0.05, gamma: float = 0.05, noise: float = 0.005
 ) -> Sample:
-    """Algorithm 8 with (68); the defaults are the baseline (80).
+    """Draw a data set by Algorithm 8 with (68); the defaults are the baseline (80).
 
     beta, gamma: half-widths of the distributions of the matrix's and the offset's elements.
     """
@@ -160,9 +160,9 @@ def draw(
 
 
 def bound(sample: Sample) -> float:
-    """Mean of J (74), squared, that no unbiased method can beat: the trace of the Cramér–Rao bound.
+    """Return the mean of J² (74) that no unbiased method can beat, the trace of the Cramér–Rao bound.
 
-    Of T's nine elements three are the free rotation; the pseudo-inverse leaves them out, as (72) does.
+    Three of T's nine elements are the free rotation, which the pseudo-inverse leaves out, as (72) does.
     """
     across = sample.field @ np.linalg.inv(sample.matrix)  # gradient of ‖m‖ by y
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -171,17 +171,17 @@ def bound(sample: Sample) -> float:
 
 
 def units(runs: int, conditions: Sequence[Condition]) -> list[ReviewCase]:
-    """Of `runs` data sets of each condition, seeds 0 to runs − 1; the review takes 250."""
+    """Return `runs` data sets of each condition, seeds 0 to runs − 1; the review has 250."""
     return [ReviewCase(*condition, seed) for condition in dict.fromkeys(conditions) for seed in range(runs)]
 
 
 def review_rows(chosen: Sequence[ReviewCase], running: Running = HERE) -> list[Row]:
-    """One row for each data set, method, and way of taking the samples."""
+    """Return one row per data set, method, and way of using the samples."""
     return study_rows("review", worked, chosen, running)
 
 
 def worked(unit: ReviewCase) -> Row:
-    """All methods on one data set, by `calibrate` and on the samples as drawn."""
+    """Run all methods on one data set, by `calibrate` and on the samples as drawn."""
     gamma, beta, samples, noise, seed = unit
     data = draw(seed, samples=samples, beta=beta, gamma=gamma, noise=noise)
     recording = Recording(np.arange(samples) / RATE, data.y * STRENGTH)
@@ -202,7 +202,7 @@ def worked(unit: ReviewCase) -> Row:
 def method_scores(
     rows: Sequence[Row], condition: Condition = BASELINE, *, centred: bool = True
 ) -> list[MethodScore]:
-    """One for each method."""
+    """Return one score per method."""
     result = []
     for name in PUBLISHED:
         own = [
@@ -218,7 +218,7 @@ def method_scores(
 
 
 def draw_figures(target: Path, rows: Sequence[Row]) -> None:
-    """Figs 2 to 5: accuracy and robustness over what is moved, by `calibrate` and as drawn."""
+    """Draw Figs 2 to 5: accuracy and robustness over the varied parameter, by `calibrate` and as drawn."""
     panels = []
     for parameter, conditions in FIGURES.items():
         x = [getattr(condition, parameter) for condition in conditions]
@@ -238,7 +238,7 @@ def _condition(row: Row) -> Condition:
 
 
 def _calibrated(recording: Recording, method: str, data: Sample) -> tuple[float, float, bool]:
-    """J (74), the time it took in s, and whether the method trusts its result."""
+    """Return J (74), the run time, s, and whether the method trusts its result."""
     start = time.process_time()
     try:
         calibration = calibrate(recording, method, field_strength=STRENGTH)
@@ -251,7 +251,7 @@ def _calibrated(recording: Recording, method: str, data: Sample) -> tuple[float,
 
 
 def _as_drawn(method: str, data: Sample) -> tuple[float, float, bool]:
-    """The same by the method alone, on samples that are not centred."""
+    """Return the same for the method alone, on samples that are not centred."""
     start = time.process_time()
     try:
         if method == "crassidis":

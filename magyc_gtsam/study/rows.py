@@ -1,4 +1,4 @@
-"""What a study of many runs is made of: units of work through the engine, and the rows that come out."""
+"""Run a study's units of work through the engine, and collect the rows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from magyc_gtsam.engine import DIED, Progress, Row, run_many, write_rows
 
 
 class Running(NamedTuple):
-    """Where a study runs and what it leaves: folder of its rows (None keeps none), engine, processes, progress."""
+    """How a study runs: folder for its rows (None to keep none), engine, number of processes, progress."""
 
     folder: Path | None = None
     engine: str = "local"
@@ -21,22 +21,22 @@ class Running(NamedTuple):
 
 
 HERE = Running()  # in this process, nothing kept
-_NOT_IN_NAMES = re.compile(r"[^\w.=@+-]+")  # of files
+_NOT_IN_NAMES = re.compile(r"[^\w.=@+-]+")  # characters not used in file names
 
 
 def study_rows(name: str, work: Callable[[Any], Row], units: Iterable[Any], running: Running = HERE) -> list[Row]:
-    """All rows of a study; with a folder in `<name>.parquet` there, and a run that was stopped goes on.
+    """Return all rows of a study. With a folder they are written to `<name>.parquet`, and a stopped run continues.
 
-    A unit on which a process died twice has no rows, and is warned of.
+    A unit on which a process died twice gives a warning instead of rows.
 
     Args:
-        name: of the study.
-        work: a function of a module; a unit in, {column: list} out, one entry a row.
-        units: named tuples of all that makes a unit's rows; their fields become columns too.
-        running: where it runs.
+        name: name of the study.
+        work: a module-level function that takes a unit and returns {column: list}, one entry per row.
+        units: named tuples that determine a unit's rows; their fields become columns, too.
+        running: how the study runs.
 
     Raises:
-        MagycError: as `run_many`.
+        MagycError: as in `run_many`.
     """
     named: Mapping[str, Any] = {_NOT_IN_NAMES.sub("_", "-".join(map(_text, unit))): unit for unit in units}
     parts = None if running.folder is None else running.folder / f"{name}-parts"

@@ -1,7 +1,7 @@
-"""A simulated season of dives of one instrument, for what a history says of it.
+"""Simulate a season of dives of one instrument, to test histories.
 
-Each dive is a compressed factor: the covariance is that of a calibrated simulation of its motion, the mean is the truth
-with noise of that covariance, which the efficiency study shows to be what `calibrate` gives. So a hundred seasons cost
+Each dive is a compressed factor. Its covariance is that of a calibrated simulation of its motion, and its mean is the
+truth with noise of that covariance, which matches `calibrate` by the efficiency study. A hundred seasons thus take
 seconds.
 """
 
@@ -23,15 +23,15 @@ _START = 1.7e9  # s since 1970
 
 @dataclass(frozen=True)
 class SeasonPlan:
-    """What happens in a season.
+    """The events of a season.
 
     Attributes:
-        dives: how many.
-        walk: µT per √day of the hard iron.
-        jumps: how many of the hard iron, at least three dives apart.
-        jump: µT, length of each.
-        wrecks: dives beside a wreck: soft iron off by some 3 %, hard iron by some 5 µT on each axis.
-        wrong_units: dives that were refused for their unit.
+        dives: number of dives.
+        walk: random walk of the hard iron, µT per √day.
+        jumps: number of jumps of the hard iron, at least three dives apart.
+        jump: length of each jump, µT.
+        wrecks: number of dives near a wreck, with a soft iron off by some 3 % and a hard iron by some 5 µT per axis.
+        wrong_units: number of dives that were refused for their unit.
     """
 
     dives: int = 60
@@ -44,7 +44,7 @@ class SeasonPlan:
 
 @dataclass(frozen=True, eq=False)
 class Season:
-    """The dives and the truth: shape (5,), hard iron (k, 3) T, that of a dive to come, and what happened."""
+    """The dives and the truth: shape (5,), hard iron (k, 3) T and of the next dive, and the dives of each event."""
 
     factors: tuple[LogFactor, ...]
     shape: Array
@@ -56,17 +56,17 @@ class Season:
 
 
 def dive_factors(motions: Sequence[str], duration: float = 600.0, rate: float = 10.0) -> tuple[LogFactor, ...]:
-    """The factor of one calibrated simulation of each motion."""
+    """Return the factor of one calibrated simulation per motion."""
     recordings = [simulate(motion, duration, rate, seed=1).recording for motion in motions]
     return tuple(compress(calibrate(r), motion, None) for r, motion in zip(recordings, motions, strict=True))
 
 
 def draw_season(seed: int, dives: Sequence[LogFactor], plan: SeasonPlan | None = None) -> Season:
-    """One season; `dives` are the kinds of dives, one is drawn for each day."""
+    """Draw a season; each dive is one of `dives` at random."""
     plan = plan or SeasonPlan()
     rng = np.random.default_rng(seed)
     day = np.cumsum(rng.uniform(0.5, 3.0, plan.dives))
-    events = rng.permutation(np.arange(2, plan.dives - 2, 3))  # three dives apart at least
+    events = rng.permutation(np.arange(2, plan.dives - 2, 3))  # at least three dives apart
     jumps = tuple(sorted(events[: plan.jumps].tolist()))
     wrecks = tuple(sorted(events[plan.jumps :][: plan.wrecks].tolist()))
     wrong_units = tuple(sorted(events[plan.jumps + plan.wrecks :][: plan.wrong_units].tolist()))

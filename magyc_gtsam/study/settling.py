@@ -1,4 +1,4 @@
-"""After which share of the data MAGYC-IFG has settled; the paper says it does, its printed text has lost the number."""
+"""Study after which share of the data MAGYC-IFG settles; the number is missing from the paper's printed text."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class SettlingCase(NamedTuple):
 class Settling:
     """One motion of Table I: median and 5 to 95 % range over the runs, shares of the recording.
 
-    share: after which the current estimate never again left the last one by more than 5 % of the field (hard
-    iron), 5 % (soft iron) or 15 mrad/s (bias).
+    `share` is the share after which the current estimate stays within 5 % of the field (hard iron), 5 % (soft iron) and
+    15 mrad/s (bias) of the last one.
     """
 
     motion: str
@@ -49,14 +49,14 @@ def settling_rows(
 
 
 def worked(unit: SettlingCase, samples: int) -> Row:
-    """One recording."""
+    """Run one recording."""
     noise = unit.gyroscope_noise
     recording = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=noise).recording
     return {"share": [calibrate(recording, "magyc-ifg").diagnostics["settled_after"]]}
 
 
 def settlings(rows: Sequence[Row]) -> list[Settling]:
-    """One for each motion."""
+    """Return one result per motion."""
     result = []
     for motion in PUBLISHED["raw"]:
         middle, low, high = np.percentile([row["share"] for row in rows if row["motion"] == motion], [50, 5, 95])
@@ -65,7 +65,7 @@ def settlings(rows: Sequence[Row]) -> list[Settling]:
 
 
 def draw(target: Path, rows: Sequence[Row]) -> None:
-    """Share of the runs that have settled over the share of the data."""
+    """Draw the share of settled runs over the share of the data."""
     lines = {}
     for motion in PUBLISHED["raw"]:
         own = np.array([row["share"] for row in rows if row["motion"] == motion])

@@ -1,9 +1,9 @@
-"""Table I of the MAGYC paper: calibrate on one motion, judge heading and field on another, wide one.
+"""Reproduce Table I of the MAGYC paper: calibrate on one motion, judge heading and field on another, wide one.
 
-MagFactor3 takes the attitude as known. The authors' package gives it roll and pitch as they are, but the heading
-of the raw, uncalibrated field (`MAGNETIC_HEADING`): its printed rows are reproduced with that, and with the true
-heading it is twice as good. Both, and TWOSTEP, were given the field, stronger than the truth by a number that is
-lost; here it is the true one.
+MagFactor3 takes the attitude as known. The authors' package gives it the true roll and pitch, but the heading of the
+raw, uncalibrated field (`MAGNETIC_HEADING`). This reproduces its printed rows; with the true heading it is twice as
+good. There, both and TWOSTEP were given a field stronger than the truth by a factor that is lost; here they get the
+true one.
 
 `CONVENTIONS` are this project's and the authors': their simulator gives the mean rate since the sample before, which
 they read as the rate at the sample; their notebook smooths field and rates, gives MagFactor3 an attitude and both it
@@ -49,13 +49,13 @@ PUBLISHED: dict[str, dict[str, tuple[float | None, float | None]]] = {
 }
 SAMPLES, RATE = 10_000, 25.0
 CONVENTIONS = ("ours", "authors")
-_OFF = 0.05  # deviation of the factors on what the authors' notebook gives to MagFactor3 and TWOSTEP
+_OFF = 0.05  # deviation of the factors on the inputs that the authors' notebook gives to MagFactor3 and TWOSTEP
 _SMOOTHED = 51, 2  # samples and degree of its Savitzky–Golay filter (50 there)
 _JUDGE = 1_000_000  # seed of the recording that judges
 
 
 class TableOneCase(NamedTuple):
-    """One recording: by whose conventions, of which motion, the gyroscope's noise in rad/s, and its seed."""
+    """One recording: conventions, motion, gyroscope noise in rad/s, and seed."""
 
     convention: str
     motion: str
@@ -116,7 +116,7 @@ def table_one(
 
 
 def worked(unit: TableOneCase, methods: Sequence[str], samples: int) -> Row:
-    """All methods on one recording."""
+    """Run all methods on one recording."""
     noise = unit.gyroscope_noise
     simulation = simulate(unit.motion, samples / RATE, RATE, unit.seed, gyroscope_noise=noise)
     if unit.convention == "authors":
@@ -131,7 +131,7 @@ def worked(unit: TableOneCase, methods: Sequence[str], samples: int) -> Row:
             soft_iron = estimate.soft_iron
             if (np.linalg.eigvalsh(soft_iron) > 0).all():  # as the authors leave out what is no ellipsoid
                 values = (*_score(estimate, *judges), soft_iron.ravel().tolist(), estimate.hard_iron.tolist())
-        except MagycError:  # the row says so: no parameters
+        except MagycError:  # the row shows the failure by missing parameters
             pass
         for column, value in zip(columns.values(), (name, *values), strict=True):
             column.append(value)
@@ -139,7 +139,7 @@ def worked(unit: TableOneCase, methods: Sequence[str], samples: int) -> Row:
 
 
 def _as_authors(simulation: Simulation, seed: int, gyroscope_noise: float) -> Simulation:
-    """Mean rates since the sample before, read as those at the sample; field and rates smoothed."""
+    """Return the simulation by the authors' conventions: mean rates read as instantaneous, field and rates smoothed."""
     recording = simulation.recording
     attitude = Rotation.from_quat(recording.attitude)
     rate = (attitude[:-1].inv() * attitude[1:]).as_rotvec() * RATE
@@ -169,7 +169,7 @@ def _estimate(name: str, simulation: Simulation, unit: TableOneCase) -> Calibrat
 
 
 def _with_magnetic_heading(simulation: Simulation) -> Recording:
-    """The recording with the heading that its raw field points to, roll and pitch as they are."""
+    """Return the recording with true roll and pitch, and the heading of its raw field."""
     attitude = simulation.recording.attitude
     assert attitude is not None
     angles = Rotation.from_quat(attitude).as_euler("ZYX")
@@ -178,14 +178,14 @@ def _with_magnetic_heading(simulation: Simulation) -> Recording:
 
 
 def _with_angles_off(recording: Recording, factor: float) -> Recording:
-    """Roll, pitch and the heading, counted on over full turns, times one factor."""
+    """Return the recording with roll, pitch and unwrapped heading multiplied by one factor."""
     angles = np.unwrap(Rotation.from_quat(recording.attitude).as_euler("ZYX"), axis=0)
     return replace(recording, attitude=Rotation.from_euler("ZYX", factor * angles).as_quat())
 
 
 @lru_cache(maxsize=2)
 def _judges(samples: int, gyroscope_noise: float) -> tuple[Simulation, Simulation]:
-    """The wide recording that judges, with and without noise."""
+    """Return the wide recording on which results are judged, with and without noise."""
     common: dict[str, Any] = {"seed": _JUDGE, "gyroscope_noise": gyroscope_noise}
     return (
         simulate("wide", samples / RATE, RATE, **common),
@@ -194,7 +194,7 @@ def _judges(samples: int, gyroscope_noise: float) -> tuple[Simulation, Simulatio
 
 
 def _heading_error(field: Array, simulation: Simulation) -> Array:
-    """(N,) rad: magnetic less true direction of the horizontal field, roll and pitch being the true ones."""
+    """Return the magnetic minus the true heading (N,) rad, with true roll and pitch."""
     attitude = simulation.recording.attitude
     assert attitude is not None
     declination = float(np.arctan2(simulation.field[1], simulation.field[0]))
@@ -213,7 +213,7 @@ def _score(estimate: Calibration, judge: Simulation, quiet: Simulation) -> tuple
 
 
 def _cell(rows: Sequence[Row], judges: tuple[Simulation, Simulation]) -> MethodOnMotion:
-    """Of one method and motion."""
+    """Return the result of one method and motion."""
     good = [row for row in rows if row["soft_iron"] is not None]
     lost, averaged = (np.nan, np.nan, np.nan), (np.nan, np.nan)
     heading, spread, systematic = (
@@ -233,7 +233,7 @@ def _range(values: Sequence[float]) -> tuple[float, float, float]:
 
 
 def draw(target: Path, cells: Sequence[MethodOnMotion]) -> None:
-    """Median heading error and field spread over the motions, one line a method."""
+    """Draw the median heading error and field spread over the motions, one line per method."""
     motions = list(PUBLISHED["raw"])
     panels = []
     for title, column in (("heading RMSE °", "heading"), ("field spread mG", "spread")):
