@@ -102,7 +102,7 @@ def test_it_is_said_while_it_lasts(wide: Simulation) -> None:
             after = watch.progress.sentence
             break
     assert during.startswith("angular_rate: axis y of the gyroscope cut off at ")
-    assert during.endswith("nothing is learnt across it")
+    assert during.endswith("samples are not used across it")
     assert "cut off" not in after
 
 

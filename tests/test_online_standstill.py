@@ -71,7 +71,7 @@ def test_a_stretch_is_not_learnt_from(motion: str, sensor: str, axis: Any, axes:
     during = online.progress.sentence
     assert during.startswith(f"{sensor}: ax")
     assert "stuck at " in during
-    assert during.endswith("nothing is learnt from it until it moves")
+    assert during.endswith("it is not used until it moves")
     feed(online, recording, start=200.0)
     assert online.converged
     assert online.progress.sentence == "converged"

@@ -10,13 +10,12 @@ import numpy as np
 from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
-from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, LogFactor
+from magyc_gtsam.history.log_factor import HARD_IRON, LogFactor
 from magyc_gtsam.recording import Array
 
 _UNITS = (
     ("soft iron", slice(0, SHAPE), 100.0, "%"),
     ("hard iron", HARD_IRON, 1.0, "µT"),
-    ("gyroscope bias", GYRO_BIAS, 1.0, "mrad/s"),
 )
 
 
@@ -66,7 +65,7 @@ def _largest(factor: LogFactor, instrument: Instrument, k: int) -> str:
     assert factor.covariance is not None
     posterior = instrument.posterior
     off: list[tuple[float, str]] = []
-    for name, part, unit, word in _UNITS[:2]:
+    for name, part, unit, word in _UNITS:
         expected, spread = (
             (posterior.shape, posterior.shape_covariance)
             if name == "soft iron"

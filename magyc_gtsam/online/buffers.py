@@ -1,4 +1,4 @@
-"""The samples that are still needed, and their windows; both grow at one end and are cut at the other."""
+"""Buffers of the samples that are still needed, and of their windows."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegratio
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 
-_MARGIN = 4  # gyroscope samples beyond a window's own that its integration looks at
-_LATENESS = 0.1  # s by which a magnetometer may lag, beyond the estimate
-_STEPS = 32  # gyroscope steps after which their median is taken to be known
-_WAITING = 60.0  # s, samples of one sensor kept while the other is silent
-_BLOCK = 64  # windows
-_POINT = 1e-3  # rad/s and s to which the point of integration is rounded
+_MARGIN = 4  # gyroscope samples beyond a window that its integration uses
+_LATENESS = 0.1  # s, lag of the magnetometer allowed beyond its estimate
+_STEPS = 32  # gyroscope steps from which their median is determined
+_WAITING = 60.0  # s of samples of one sensor that are kept while the other is silent
+_BLOCK = 64  # windows that are integrated together
+_POINT = 1e-3  # rad/s and s to which the bias and delay of the integration are rounded
 
 
 class SampleBuffer:
-    """Samples of both sensors and their windows, numbered as `Preintegration` numbers those of the whole log.
+    """Samples of both sensors and their windows, numbered as `Preintegration` numbers those of a whole log.
 
     Attributes:
-        length, turn: s and rad, the longest window; `cut_windows` changes them.
-        interval_mean: the rate is the mean since the previous sample.
+        length, turn: longest duration, s, and largest turn, rad, of a window; `cut_windows` changes them.
+        interval_mean: whether a rate is the mean since the previous sample.
     """
 
     def __init__(self, length: float, turn: float, interval_mean: bool) -> None:
         self.length, self.turn, self.interval_mean = length, turn, interval_mean
         self._magnetometer = GrowingRows(4)  # time, field
-        self._gyroscope = GrowingRows(5)  # time, rate, distance (in windows, holes counted) up to this sample
-        self._numbers = GrowingRows(1)  # window of each magnetometer sample, as far as the gyroscope reaches
+        self._gyroscope = GrowingRows(5)  # time, rate, distance (in windows, including holes) up to this sample
+        self._numbers = GrowingRows(1)  # window of each magnetometer sample that the gyroscope has reached
         self._measured = 0  # gyroscope samples whose distance is known
-        self._hole = np.nan  # s, a longer gyroscope step parts the chain
-        self._overlap = False  # both sensors have begun
+        self._hole = np.nan  # s, gyroscope step above which the chain is interrupted
+        self._overlap = False  # whether both sensors have begun
 
     @property
     def magnetometer(self) -> Samples:
-        """All magnetometer samples kept."""
+        """Return all magnetometer samples kept."""
         return Samples(self._magnetometer.rows[:, 0], self._magnetometer.rows[:, 1:])
 
     @property
     def gyroscope(self) -> Samples:
-        """All gyroscope samples kept."""
+        """Return all gyroscope samples kept."""
         return Samples(self._gyroscope.rows[:, 0], self._gyroscope.rows[:, 1:4])
 
     @property
     def numbers(self) -> Array:
-        """(m,) ascending window numbers of the first m magnetometer samples; the last window may be open."""
+        """Return the ascending window numbers (m,) of the first m magnetometer samples; the last window may be open."""
         return self._numbers.rows[:, 0]
 
     def append(self, magnetometer: Samples, gyroscope: Samples) -> None:
@@ -69,14 +69,14 @@ class SampleBuffer:
         self._measure()
 
     def cut_windows(self, length: float, turn: float) -> None:
-        """Number all windows afresh, with other limits."""
+        """Cut and number all windows again, with other limits."""
         self.length, self.turn = length, turn
         self._measured = 1
         self._numbers.cut(len(self._numbers))
         self._measure()
 
     def closed(self, delay: float) -> int:
-        """Number below which windows are complete, and the gyroscope known far enough beyond them."""
+        """Return the number below which windows are complete and the gyroscope is known far enough beyond them."""
         gyro, numbers = self._gyroscope.rows, self.numbers
         if len(gyro) <= _MARGIN or not len(numbers):
             return 0
@@ -85,7 +85,7 @@ class SampleBuffer:
         return int(numbers[last]) if last >= 0 else 0
 
     def windows(self, first: int, stop: int, delay: float) -> Preintegration:
-        """The windows numbered from `first` up to `stop`, cut as they are cut in the whole log."""
+        """Return the windows numbered from `first` up to `stop`, cut as in the whole log."""
         rows = self._rows(first, stop)
         span = self._span(rows, delay)
         gyro = self._gyroscope.rows[span]
@@ -102,7 +102,7 @@ class SampleBuffer:
         )
 
     def keep_from(self, number: int, delay: float) -> None:
-        """Drop what windows from `number` on do not need."""
+        """Drop the samples that windows from `number` on do not need."""
         rows = self._rows(number, number + 1)
         span = self._span(rows, delay)
         self._magnetometer.cut(rows.start)
@@ -111,7 +111,7 @@ class SampleBuffer:
         self._measured -= span.start
 
     def begin_at(self, number: int, length: float) -> None:
-        """As if the log began with window `number`: what is before goes, windows are numbered from 0."""
+        """Drop everything before window `number` and number the windows from 0, as if the log began there."""
         self.keep_from(number, 0.0)
         self.length = length
         self._begin()
@@ -120,7 +120,7 @@ class SampleBuffer:
         self._measure()
 
     def between(self, first: int | None, stop: int | None, delay: float) -> tuple[Samples, Samples]:
-        """Copies of the samples, magnetometer and gyroscope, of the windows from `first` up to `stop`; None: of all."""
+        """Return copies of both sensors' samples in the windows from `first` up to `stop`; None for no limit."""
         mag, gyro = self.magnetometer, self.gyroscope
         start, end = 0, len(gyro.time)
         rows = slice(0, len(mag.time))
@@ -157,7 +157,7 @@ class SampleBuffer:
         self._measured, self._overlap = int(state["counts"][0]), bool(state["counts"][1])
 
     def _begin(self) -> bool:
-        """Leave out what the sensor that began first measured alone."""
+        """Drop the samples before both sensors have begun; return whether both have."""
         mag, gyro = self._magnetometer.rows, self._gyroscope.rows
         if not len(mag) or not len(gyro):
             for rows in (self._magnetometer, self._gyroscope):
@@ -171,7 +171,7 @@ class SampleBuffer:
         return self._overlap
 
     def _bound(self) -> None:
-        """While one sensor is silent for long, what the other measures is of no use: keep a minute of it."""
+        """Keep only a minute of one sensor's samples while the other is silent, since they cannot be used."""
         mag, gyro = self._magnetometer.rows[:, 0], self._gyroscope.rows[:, 0]
         if mag[-1] > gyro[-1] + 2 * _WAITING:
             known = len(self._numbers)
@@ -182,12 +182,12 @@ class SampleBuffer:
             self._measured = min(self._measured, known)
 
     def _measure(self) -> None:
-        """Distances of new gyroscope samples, and numbers of the magnetometer samples they reach."""
+        """Compute distances of new gyroscope samples, and window numbers of the magnetometer samples they reach."""
         gyro, done = self._gyroscope.rows, self._measured - 1
         if done < len(gyro) - 1:
             step = np.diff(gyro[done:, 0])
             progress = windows_passed(step, gyro[done:, 1:4], self.turn, self.length)
-            progress[step > self._hole] = 2.0  # a window of its own, and parted
+            progress[step > self._hole] = 2.0  # starts a new window, not linked to the one before
             gyro[done:, 4] = np.cumsum(np.concatenate([gyro[done : done + 1, 4], progress]))
             self._measured = len(gyro)
         known = len(self._numbers)
@@ -200,9 +200,9 @@ class SampleBuffer:
         after = np.minimum(np.searchsorted(time, when[:reached], side="right"), len(time) - 1)
         inside = (time[after] - time[after - 1] > self._hole) & (time[after - 1] < when[:reached])
         inside &= when[:reached] < time[after]
-        if inside.any():  # of a hole: the attitude is unknown
+        if inside.any():  # samples in a hole, whose attitude is unknown
             kept = np.append(~inside, np.ones(len(when) - reached, dtype=bool))
-            when = when[:reached][~inside]  # a copy, before the rows behind it move
+            when = when[:reached][~inside]  # a copy, because `keep` moves the rows behind it
             reached = len(when)
             self._magnetometer.keep(known, kept)
         self._numbers.append(np.floor(np.interp(when[:reached], time, distance))[:, None])
@@ -211,7 +211,7 @@ class SampleBuffer:
         return slice(*(int(i) for i in np.searchsorted(self.numbers, [first, stop])))
 
     def _span(self, rows: slice, delay: float) -> slice:
-        """The gyroscope samples that the magnetometer samples `rows` need."""
+        """Return the gyroscope samples that the magnetometer samples `rows` need."""
         time, gyro = self._magnetometer.rows[:, 0], self._gyroscope.rows[:, 0]
         late, early = _LATENESS + max(delay, 0.0), _LATENESS - min(delay, 0.0)
         first = int(np.searchsorted(gyro, min(time[rows.start] - late, time[rows.start]))) - _MARGIN
@@ -220,11 +220,11 @@ class SampleBuffer:
 
 
 class IntegratedWindows:
-    """The windows of all samples kept, integrated block by block, each block once.
+    """Integrated windows of all samples kept, computed block by block and cached.
 
-    Reading a calibration needs the windows, not the samples. They are integrated where the last refit integrated them,
-    rounded, so that this seldom changes; the chain corrects for what is left. Everything here follows from samples and
-    state alone: it is no part of the state file, and when it was computed makes no difference.
+    Reading a calibration needs the windows, not the samples. They are integrated at the rounded bias and delay of the
+    last refit, which seldom change; the chain corrects for the difference. The cache follows from samples and state
+    alone, so it is not part of the state file and does not depend on when it was computed.
     """
 
     def __init__(self) -> None:
@@ -232,8 +232,12 @@ class IntegratedWindows:
         self._blocks: list[FieldWindows] = []
 
     def of(self, buffer: SampleBuffer, origin: Array) -> FieldWindows:
-        """All windows of a buffer, the open one with them, in one world frame, integrated about `origin` (4,) bias and
-        delay."""
+        """Return all windows of a buffer, including the open one, in one world frame.
+
+        Args:
+            buffer: the samples.
+            origin: (4,) bias and delay at which the gyroscope is integrated, to be rounded.
+        """
         origin = _POINT * np.round(origin / _POINT)
         bias, delay = origin[:3], float(origin[3])
         key = (*bias, delay, buffer.length, buffer.turn, float(buffer.magnetometer.time[0]))
@@ -243,7 +247,7 @@ class IntegratedWindows:
         parts = self._blocks[: len(numbers) // _BLOCK]
         for first in range(_BLOCK * len(parts), len(numbers), _BLOCK):
             last = min(first + _BLOCK, len(numbers))
-            begin = int(numbers[max(first - 1, 0)])  # the block before ends with this window
+            begin = int(numbers[max(first - 1, 0)])  # blocks overlap by one window
             part = buffer.windows(begin, int(numbers[last - 1]) + 1, delay).integrate(bias, delay)
             if parts:
                 part = in_frame_of(parts[-1], part)
@@ -254,8 +258,8 @@ class IntegratedWindows:
 
 
 def in_frame_of(before: FieldWindows, after: FieldWindows) -> FieldWindows:
-    """`after`, whose first window is the last one of `before`, in the world frame of `before`."""
-    # R' = Qᵀ R for all samples, so that the windows' means M = mean Rᵀ read M' = M Q.
+    """Return `after`, whose first window is the last one of `before`, rotated into the world frame of `before`."""
+    # R' = Qᵀ R for all samples, so that the windows' means M = mean Rᵀ become M' = M Q.
     left, _, right = np.linalg.svd(np.linalg.solve(before.rotation[:, :, -1], after.rotation[:, :, 0]))
     turn = left @ right
     return replace(
@@ -268,7 +272,7 @@ def in_frame_of(before: FieldWindows, after: FieldWindows) -> FieldWindows:
 
 
 def joined(parts: list[FieldWindows]) -> FieldWindows:
-    """One chain of parts in one frame, each but the first beginning with the last window of the one before."""
+    """Join parts in one world frame, each of which begins with the last window of the part before."""
 
     def windows(name: str) -> Array:
         return np.concatenate([getattr(part, name)[..., min(i, 1) :] for i, part in enumerate(parts)], axis=-1)

@@ -1,4 +1,4 @@
-"""`OnlineCalibrator`: samples in, one at a time or in blocks; a calibration out at any moment."""
+"""`OnlineCalibrator`: takes samples singly or in blocks, and gives a calibration at any time."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ _ENGINES = {  # method → "module:class"; the class takes the method's options 
     "magyc-ifg": "magyc_gtsam.online.magyc_ifg:IncrementalMagyc",
 }
 
-_TOGETHER = 16  # single samples taken at a time
+_TOGETHER = 16  # single samples that are taken together
 
 
 class OnlineCalibrator:
-    """Calibrates while the vehicle moves; time per update and memory do not grow with the mission.
+    """Calibrate while the vehicle moves, with time per update and memory independent of the mission's length.
 
         online = OnlineCalibrator()
         online.update(time, magnetic_field, angular_rate)   # one sample or a block, again and again
@@ -41,10 +41,10 @@ class OnlineCalibrator:
 
     Args:
         method: "smoother" (maximum likelihood) or "magyc-ifg" (the MAGYC paper's incremental factor graph).
-        options: the method's own, online in the saved state.
+        options: options of the method; they become part of the saved state.
 
     Raises:
-        MagycError: unknown method or option.
+        MagycError: the method or an option is unknown.
     """
 
     def __init__(self, method: str = "smoother", **options: Any) -> None:
@@ -61,24 +61,23 @@ class OnlineCalibrator:
             )
         check_field_strength(options.get("field_strength"))
         self.method = method
-        # An earlier calibration is kept as its JSON types, for the state file.
+        # The state file needs an earlier calibration as JSON types.
         self.options = {k: v.to_dict() if isinstance(v, Calibration) else v for k, v in options.items()}
         self._engine: Engine = engine(**options)
         self._intake = Intake()
         self._faults = SensorFaults()
-        self._waiting: list[tuple[float, Array, Array]] = []  # single samples, taken together
+        self._waiting: list[tuple[float, Array, Array]] = []  # single samples not yet taken
 
     def update(
         self, time: ArrayLike, magnetic_field: ArrayLike | None = None, angular_rate: ArrayLike | None = None
     ) -> None:
         """Take one sample or a block.
 
-        Sensors with stamps of their own come in calls of their own, the other argument left None
-        (`update(t, field)`, `update(t, angular_rate=rate)`), or as rows of NaN where a sensor has no sample. A
-        sensor may start late or pause, but of what one sensor measures alone only the last minute is kept. Each
-        sensor's stamps must ascend; a sample whose stamp repeats or is late by less than a second is left out and
-        counted (`progress.left_out`). Single samples are taken sixteen at a time, or when something is read; so an
-        error may be raised that many samples late.
+        Sensors with separate stamps are passed in separate calls (`update(t, field)`, `update(t, angular_rate=rate)`),
+        or with rows of NaN where a sensor has no sample. A sensor may start late or pause, but only the last minute of
+        what one sensor measures alone is kept. The stamps of each sensor must ascend; a sample whose stamp repeats or
+        is late by up to a second is left out and counted (`progress.left_out`). Single samples are taken sixteen at a
+        time, or when a result is read, so that an error may be raised up to sixteen samples late.
 
         Args:
             time: s, scalar or (N,).
@@ -86,7 +85,7 @@ class OnlineCalibrator:
             angular_rate: rad/s, (3,) or (N, 3).
 
         Raises:
-            MagycError: wrong shapes or units, or a clock that was set back. Nothing of the block is taken then.
+            MagycError: shapes or units are wrong, or a clock was set back. No sample of the block is taken then.
         """
         if isinstance(time, (float, int)) or np.ndim(time) == 0:
             stamp = float(np.asarray(time, dtype=np.float64))
@@ -100,7 +99,7 @@ class OnlineCalibrator:
         self._take(time, magnetic_field, angular_rate)
 
     def _catch_up(self) -> None:
-        """Take the single samples that wait."""
+        """Take the single samples that are waiting."""
         if self._waiting:
             rows, self._waiting = self._waiting, []
             self._take(*(np.array(column) for column in zip(*rows, strict=True)))
@@ -113,47 +112,47 @@ class OnlineCalibrator:
     @property
     @one_thread
     def calibration(self) -> Calibration | None:
-        """The current estimate with its covariance, `converged` and `message`; None before there is one."""
+        """Return the current estimate with covariance, `converged` and `message`; None before there is one."""
         self._catch_up()
         return with_left_out(self._engine.calibration(), self._faults, self._intake.duration)
 
     @property
     @one_thread
     def converged(self) -> bool:
-        """Whether the estimate may be used: its covariance is within limits and it has stood still."""
+        """Return whether the estimate may be used: its covariance is within limits and it has stopped changing."""
         self._catch_up()
         return self._engine.converged() and not refusal(self._faults)
 
     @property
     @one_thread
     def progress(self) -> Progress:
-        """How far it is, what is weak, and the motion that helps."""
+        """Return the progress, the weak directions and the motion that helps."""
         self._catch_up()
         return with_faults(self._intake.counted(self._engine.progress()), self._faults)
 
     @property
     def field(self) -> Array:
-        """(n, 3) T, the magnetometer's samples that are kept, or a part of them; a copy."""
+        """Return a copy of the magnetometer samples (n, 3) T that are kept, or of a part of them."""
         self._catch_up()
         return self._engine.field().copy()
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """Steps in hard iron found so far, oldest first."""
+        """Return the steps in hard iron found so far, oldest first."""
         self._catch_up()
         return self._engine.changes()
 
     @property
     def taken_until(self) -> tuple[float, float]:
-        """s, stamps of the last sample taken of magnetometer and gyroscope; −inf before the first.
+        """Return the stamps, s, of the last sample taken of magnetometer and gyroscope; −inf before the first.
 
-        Where a run that was saved goes on: samples up to these are in it.
+        A saved run continues after these stamps.
         """
         self._catch_up()
         return self._intake.until
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the whole state to one file, replacing it in one step: a kill at any moment loses nothing saved."""
+        """Write the whole state to one file, replacing it atomically, so that an interruption loses no saved state."""
         self._catch_up()
         state_file.write(path, self.method, self.options, self._state())
 
@@ -167,20 +166,21 @@ class OnlineCalibrator:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> OnlineCalibrator:
-        """Continue from what `save` wrote, bit for bit like a run that was never interrupted.
+        """Return the calibrator that `save` wrote; it continues bit for bit like an uninterrupted run.
 
         Raises:
-            MagycError: no such file, not a saved state, or one of another version.
+            MagycError: the file does not exist, or is not a saved state of this version.
         """
         method, options, state = state_file.read(path)
         try:
-            # What fits together only in its shapes shows when it is asked; on another one, since asking may fit.
+            # Reading the progress reveals a state whose shapes match but whose values do not. It may change the state,
+            # so the result is restored again.
             cls._restored(method, options, state).progress  # noqa: B018
             result = cls._restored(method, options, state)
         except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
             raise MagycError(
                 f"{path}: the state of method {method!r} in it is incomplete or damaged ({shortened(error)}); "
-                "remove it and begin a new one"
+                "remove the file and start a new run"
             ) from None
         return result
 

@@ -1,4 +1,4 @@
-"""What an engine of `OnlineCalibrator` offers and reports: the contract between the front end and a method."""
+"""The interface between `OnlineCalibrator` and the engine of a method, and what an engine reports."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from magyc_gtsam.sensor_faults.stuck import Stuck
 
 @dataclass(frozen=True)
 class Progress:
-    """How far an online calibration is.
+    """The progress of an online calibration.
 
     Attributes:
-        time: s, stamp of the last sample taken; None before the first.
-        duration: s from the first sample to the last.
-        windows: windows formed so far.
+        time: stamp of the last sample taken, s; None before the first.
+        duration: time from the first sample to the last, s.
+        windows: number of windows formed so far.
         converged: as `OnlineCalibrator.converged`.
-        sentence: the one thing to know now, in the user's words: what is waited for, which direction is
-            weak and which motion helps, or that it has converged.
+        sentence: the most important fact for the user: what is missing, which direction is weak and which motion helps,
+            or that the estimate has converged.
         weak: the weak directions, worst first, each with the motion that would determine it.
         coverage: share of the sphere of field directions (sensor frame) visited, 0 to 1.
-        left_out: samples left out so far: repeated or late stamps, values that are not finite, axes that stood still,
+        left_out: number of samples left out so far: repeated or late stamps, values that are not finite, stuck axes,
             turns that were cut off.
-        stuck: axes that stood still so far, or do so now, the largest share first; nothing is learnt from them.
-        clipped: what the gyroscope's full scale cut off so far; nothing is learnt across it.
-        clipped_field: what the magnetometer's full scale cut off so far, if it is enough to do harm; it is learnt from,
-            and the estimate not converged.
+        stuck: axes that were or are stuck, the largest share first; their samples are not used.
+        clipped: what the gyroscope's full scale cut off so far; windows are not linked across it.
+        clipped_field: what the magnetometer's full scale cut off so far, if it is enough to do harm; the samples are
+            used, and the estimate is not converged.
     """
 
     time: float | None
@@ -50,13 +50,13 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """A step in hard iron: payload moved, magnet attached.
+    """A step in hard iron, for example when payload is moved or a magnet attached.
 
     Attributes:
-        time: s, on the magnetometer's clock, and its standard deviation time_sigma.
-        step: (3,) T, hard iron after less before, and its standard deviation step_sigma (3,).
-        before: the calibration up to the step; None where there was none yet.
-        after: the calibration since the step, as it is now; None until there is one.
+        time, time_sigma: time of the step on the magnetometer's clock and its standard deviation, s.
+        step, step_sigma: (3,) T, hard iron after the step minus before, and its standard deviation.
+        before: the calibration before the step; None if there was none yet.
+        after: the present calibration since the step; None until there is one.
     """
 
     time: float
@@ -68,34 +68,34 @@ class Change:
 
 
 class Engine(Protocol):
-    """One method, running. Everything that decides its future is in `state`.
+    """A running method. Everything that determines its future results is in `state`.
 
-    The front end has checked and sorted the samples: per sensor the stamps ascend strictly from call to call,
-    values are finite, and magnetometer samples that repeat the one before exactly are left out. The two
-    streams may differ in rate and clock, and either may be empty in a call. A call may bring one
-    sample or thousands; how a stream is cut into calls must not matter to the result.
+    The front end has checked and sorted the samples: the stamps of each sensor ascend strictly from call to call,
+    values are finite, and magnetometer samples that repeat the one before exactly are left out. The two streams may
+    differ in rate and clock, and either may be empty in a call. The result must not depend on how a stream is cut into
+    calls.
     """
 
     def update(self, magnetometer: Samples, gyroscope: Samples) -> None:
         """Take new samples: T and rad/s at stamps in s."""
 
     def calibration(self) -> Calibration | None:
-        """The current estimate, None before there is one. Does not change the state."""
+        """Return the current estimate, None before there is one. Does not change the state."""
 
     def converged(self) -> bool:
-        """Whether covariance and stability of the estimate say that it may be used."""
+        """Return whether the estimate may be used by its covariance and stability."""
 
     def progress(self) -> Progress:
-        """How far it is and what is missing. Does not change the state."""
+        """Return the progress and what is missing. Does not change the state."""
 
     def field(self) -> Array:
-        """(n, 3) T, the samples of the magnetometer that are kept, oldest first. Does not change the state."""
+        """Return the magnetometer samples (n, 3) T that are kept, oldest first. Does not change the state."""
 
     def changes(self) -> tuple[Change, ...]:
-        """Steps in hard iron found so far, oldest first; empty where the method looks for none."""
+        """Return the steps in hard iron found so far, oldest first; empty for a method that does not look for them."""
 
     def state(self) -> Mapping[str, Array]:
-        """All of the state as named arrays of numbers, flags or text (no objects), for `restore`."""
+        """Return the whole state as named arrays of numbers, flags or text (no objects), for `restore`."""
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Continue from what `state` gave, bit for bit; called on a new engine with the same options."""
+        """Continue bit for bit from what `state` returned; called on a new engine with the same options."""

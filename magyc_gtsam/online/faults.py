@@ -1,4 +1,4 @@
-"""Faults of the sensors while samples come in: what was rejected is said in progress and calibration."""
+"""Add the sensor faults found online to the progress and the calibration."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from magyc_gtsam.sensor_faults.faults import SensorFaults
 
 
 def refusal(faults: SensorFaults) -> str:
-    """Why what is left makes no calibration; empty where it does."""
-    found = faults.clipped, faults.clipped_field
-    return "; ".join(fault.sentence for fault in found if fault is not None and fault.too_often)
+    """Return why the remaining samples allow no calibration; empty if they do."""
+    clipped = faults.clipped, faults.clipped_field
+    return "; ".join(fault.sentence for fault in clipped if fault is not None and fault.too_often)
 
 
 def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
-    """A progress with the faults of the sensors."""
+    """Return the progress with the faults of the sensors."""
     every, clipped, clipped_field = faults.stuck(progress.duration), faults.clipped, faults.clipped_field
     if not every and clipped is None and clipped_field is None and not faults.dropped:
         return progress
@@ -25,9 +25,9 @@ def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
     if refused:
         sentence = refused
     elif now:
-        sentence = f"{now[0].where}: nothing is learnt from it until it moves"
+        sentence = f"{now[0].where}: it is not used until it moves"
     elif clipped is not None and faults.cut_off.now:
-        sentence = f"{clipped.where}: nothing is learnt across it"
+        sentence = f"{clipped.where}: samples are not used across it"
     return replace(
         progress,
         sentence=sentence,
@@ -40,7 +40,7 @@ def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
 
 
 def with_left_out(calibration: Calibration | None, faults: SensorFaults, duration: float) -> Calibration | None:
-    """A calibration after `duration` s with what was left out, as the batch methods say it."""
+    """Return the calibration after `duration` s with what was left out, as the batch methods report it."""
     where = [
         fault.where
         for fault in (*faults.stuck(duration), faults.zeros.finding(), faults.clipped)

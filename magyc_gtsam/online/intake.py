@@ -1,4 +1,4 @@
-"""What comes in, checked: each sensor's own samples, ascending, finite, without repeats."""
+"""Check incoming rows and separate them into one clean stream per sensor: ascending, finite, without repeats."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from magyc_gtsam.online.engine import Progress
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.stamps import check_seconds
 
-_LATE = 1.0  # s by which a stamp may lie before the last one and be left out; more is a clock set back
-_LEAP = 3.0  # times the step before, and at least `_LATE`, by which a stamp may be ahead without being confirmed
-_CONFIRMED_BY = 5  # later stamps that confirm one which leaps ahead
+_LATE = 1.0  # s by which a late stamp is left out; a later one means that a clock was set back
+_LEAP = 3.0  # previous steps, and at least `_LATE`, by which a stamp may be ahead without confirmation
+_CONFIRMED_BY = 5  # later stamps that confirm a stamp which leaps ahead
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
 _NAMES = ("magnetic_field", "angular_rate")
@@ -23,16 +23,18 @@ _WIDTH = (_FIELD_LIMIT, _RATE_LIMIT)
 
 
 class Intake:
-    """Takes rows of both sensors apart into two clean streams; keeps the last sample of each.
+    """Separate rows of both sensors into two clean streams.
 
     Attributes:
-        repeated: (n,) s, stamps of the last rows taken at which the magnetometer repeated the one before.
+        repeated: (n,) s, stamps in the last rows taken at which the magnetometer repeated the sample before.
     """
 
     def __init__(self) -> None:
         self.repeated = np.empty(0)
         self._last = {name: (-np.inf, np.full(3, np.nan)) for name in _NAMES}
-        self._quarantine = {name: np.empty((0, 4)) for name in _NAMES}  # time and value, until they are confirmed
+        self._quarantine = {
+            name: np.empty((0, 4)) for name in _NAMES
+        }  # time and value of samples not yet confirmed
         self._step = dict.fromkeys(_NAMES, 0.0)  # s between the last two samples
         self._left_out = 0
         self._first = np.nan
@@ -40,10 +42,10 @@ class Intake:
     def take(
         self, time: ArrayLike, magnetic_field: ArrayLike | None, angular_rate: ArrayLike | None
     ) -> tuple[Samples, Samples]:
-        """The new samples of magnetometer and gyroscope.
+        """Return the new samples of magnetometer and gyroscope.
 
         Raises:
-            MagycError: wrong shapes or units, or a clock that was set back; the intake is then as before.
+            MagycError: shapes or units are wrong, or a clock was set back; the intake is then unchanged.
         """
         stamps = _array("time", time, 0)
         rows = {
@@ -69,7 +71,7 @@ class Intake:
             first = not np.isfinite(last[name][0]) and not len(quarantine[name])
             if first:
                 check_seconds("time", when)
-            if first and beyond.sum() > 0.5 * len(beyond):  # a unit; later it is a spike
+            if first and beyond.sum() > 0.5 * len(beyond):  # a wrong unit; after the first block it is a spike
                 row = int(beyond.argmax())
                 raise MagycError(
                     f"{name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} "
@@ -87,7 +89,7 @@ class Intake:
                 row = int((before - when).argmax())
                 raise MagycError(
                     f"{name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s, at most {_LATE:g} s late is "
-                    "left out; was a clock set? save the calibration and begin a new one"
+                    "left out; if a clock was set, save the calibration and start a new run"
                 )
             late = when <= before
             left_out += int(late.sum())
@@ -112,18 +114,18 @@ class Intake:
 
     @property
     def until(self) -> tuple[float, float]:
-        """s, stamps of the last sample of magnetometer and gyroscope; −inf before the first."""
+        """Return the stamps, s, of the last sample of magnetometer and gyroscope; −inf before the first."""
         (magnetometer, _), (gyroscope, _) = (self._last[name] for name in _NAMES)
         return magnetometer, gyroscope
 
     @property
     def duration(self) -> float:
-        """s from the first sample to the last."""
+        """Return the time from the first sample to the last, s."""
         last = max(self.until)
         return last - self._first if np.isfinite(last) else 0.0
 
     def counted(self, progress: Progress) -> Progress:
-        """The engine's progress with what only the intake knows."""
+        """Return the engine's progress with time, duration and count of left-out samples."""
         last = max(self.until)
         time = last if np.isfinite(last) else progress.time
         return replace(progress, time=time, duration=self.duration, left_out=self._left_out)
@@ -148,13 +150,13 @@ class Intake:
 
 
 def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
-    """The rows (n, 4) of time and value that are admitted, and those still in quarantine.
+    """Return the rows (n, 4) of time and value that are admitted, and those still in quarantine.
 
-    A stamp far ahead of the last one is a pause, or wrong. After a pause the following stamps are later still; after a
-    wrong one they fall back behind it, and it is dropped. Before the first sample every stamp is far ahead.
+    A stamp far ahead of the last one follows a pause or is wrong. After a pause the next stamps are later still; after
+    a wrong stamp they fall back behind it, and it is dropped. Before the first sample every stamp is far ahead.
     """
     if not np.isfinite(last):
-        return _begun(rows)
+        return _confirmed_first(rows)
     time = rows[:, 0]
     before = np.maximum.accumulate(np.concatenate([[last], time]))
     steps = np.concatenate([[step], np.diff(before)])[:-1]
@@ -162,7 +164,7 @@ def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
         return rows, rows[:0]
     admitted: list[int] = []
     waiting: list[int] = []
-    for i in range(len(time)):  # only where a stamp leaps ahead
+    for i in range(len(time)):  # reached only if a stamp leaps ahead
         _wait(waiting, time, i)
         while waiting:
             leap = time[waiting[0]] - last
@@ -175,10 +177,10 @@ def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:
     return rows[admitted], rows[waiting]
 
 
-def _begun(rows: Array) -> tuple[Array, Array]:
-    """As `_confirmed`, before the first sample: all wait until five later stamps confirm the first.
+def _confirmed_first(rows: Array) -> tuple[Array, Array]:
+    """Return admitted and quarantined rows before the first sample, which five later stamps must confirm.
 
-    What lies before a leap among these few is left out as well: a clock that was set right after the start.
+    Rows before a leap among these are left out as well, because a clock may have been set right after the start.
     """
     time = rows[:, 0]
     waiting: list[int] = []
@@ -196,14 +198,14 @@ def _begun(rows: Array) -> tuple[Array, Array]:
 
 
 def _wait(waiting: list[int], time: Array, i: int) -> None:
-    """Row i joins those that wait, and puts out the ones that it shows to be ahead of their time."""
+    """Add row i to the waiting rows, and drop those that it shows to be ahead of time."""
     while waiting and time[waiting[-1]] >= time[i]:
         waiting.pop()
     waiting.append(i)
 
 
 def vector(name: str, value: ArrayLike | None) -> Array:
-    """A copy (3,) of one sample, NaN for None."""
+    """Return a copy (3,) of one sample, NaN for None."""
     if value is None:
         return np.full(3, np.nan)
     array = np.array(value, dtype=np.float64)
@@ -213,7 +215,7 @@ def vector(name: str, value: ArrayLike | None) -> Array:
 
 
 def _array(name: str, value: ArrayLike, vectors: int) -> Array:
-    """(N,) or (N, 3) of what may be one sample."""
+    """Return an array (N,) or (N, 3) from one sample or a block."""
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""The likelihood ratio of one added step in hard iron, for all times at once (see `online.change_point`)."""
+"""Compute the likelihood ratio of a step in hard iron for all times at once (see `online.change_point`)."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import ContinuedChain
 
 _FINEST = 24  # parts into which a window is divided
-_UNLIKELY = 20.0  # λ below the largest at which no step is looked for inside a window
-_BEFORE, _AFTER = 3, 3  # windows before and after it, at least
+_UNLIKELY = 20.0  # λ below the largest from which a window is not divided
+_BEFORE, _AFTER = 3, 3  # least windows before and after the step
 
 
 @dataclass(frozen=True, eq=False)
 class StepProfile:
-    """A step Δ in all windows from n on, for n from 0 to one beyond the last.
+    """The linearised problem with a step Δ in all windows from n on, for n from 0 to one beyond the last.
 
     Attributes:
-        own (n + 1, 3, 3), cross (n + 1, p, 3), border (n + 1, 2n, 3), gradient (n + 1, 3): Δ's information, that
-            with θ, that with the directions times L⁻¹, and its gradient, before any is eliminated. The last three
-            are linear in what Δ adds to each window.
-        reduced: the linearisation, directions eliminated; known (p, p): its covariance of θ.
+        own: (n + 1, 3, 3) information of Δ before elimination.
+        cross: (n + 1, p, 3) information of Δ with θ.
+        border: (n + 1, 2n, 3) information of Δ with the directions, times L⁻¹.
+        gradient: (n + 1, 3) gradient of Δ; like `cross` and `border` it is linear in what Δ adds to each window.
+        reduced: the linearisation after elimination of the directions.
+        known: (p, p) covariance of θ from it.
     """
 
     own: Array
@@ -36,11 +38,11 @@ class StepProfile:
     known: Array
 
     def at_windows(self) -> tuple[Array, Array, Array]:
-        """λ (n,) of a step before each window, the step Δ (n, 3) and its covariance (n, 3, 3)."""
+        """Return λ (n,) of a step before each window, the step Δ (n, 3) and its covariance (n, 3, 3)."""
         return self._solved(self.own[:-1], self.cross[:-1], self.border[:-1], self.gradient[:-1])
 
     def inside(self, n: int, share: Array) -> tuple[Array, Array, Array]:
-        """The same of steps inside window n that have a `share` (k,) of its samples after them."""
+        """Return the same for steps inside window n with a `share` (k,) of its samples after them."""
 
         def mixed(values: Array, part: Array) -> Array:
             return values[n + 1] + part.reshape(-1, *[1] * (values.ndim - 1)) * (values[n] - values[n + 1])
@@ -53,7 +55,7 @@ class StepProfile:
         )
 
     def _solved(self, own: Array, cross: Array, border: Array, gradient: Array) -> tuple[Array, Array, Array]:
-        # The directions eliminated, then θ.
+        # Eliminate the directions, then θ.
         half, pull = self.reduced.half[:, :-1], self.reduced.half[:, -1]
         information = own - np.einsum("nri,nrj->nij", border, border)
         cross = cross - np.einsum("nri,rp->npi", border, half)
@@ -70,24 +72,24 @@ class StepProfile:
 def step_profile(
     chain: ContinuedChain, state: ChainState, weights: Weights, reduced: Reduced, column: Array
 ) -> StepProfile:
-    """The profile of a chain, linearised.
+    """Return the profile of a linearised chain.
 
     Args:
         chain, state, weights, reduced: the chain's linearisation at `state`, which need not be a minimum.
-        column: (3, 3, n) what Δ adds to the field of each window it applies to.
+        column: (3, 3, n) derivative of each window's field by Δ.
     """
     n = len(chain.windows)
     scale = chain.window_scale * np.sqrt(weights.window)
     column = column * scale
     residual = chain.residuals(state).window * scale
-    # Δ's border with the directions, window by window; L⁻¹ of it; a step before n moves n and all that follow.
+    # Border of Δ with the directions per window, times L⁻¹; a step before n applies to n and all windows after.
     border = np.zeros((n, 2, n, 3))
     every = np.arange(n)
     border[every, :, every] = np.einsum("kan,kin->nai", reduced.on_direction, column)
     border = np.cumsum(border[:, :, ::-1], axis=2)[:, :, ::-1]
     half, _ = dtbtrs(reduced.factor, border.reshape(2 * n, 3 * n), uplo="L")
     free = np.diag(reduced.information) > 0
-    free[PARAMETERS:] = False  # a skew is held
+    free[PARAMETERS:] = False  # the misalignment is held
     return StepProfile(
         own=_from(np.einsum("kin,kjn->nij", column, column)),
         cross=_from(np.einsum("pkn,kin->npi", reduced.on_parameters, column)),
@@ -100,8 +102,13 @@ def step_profile(
 
 @dataclass(frozen=True, eq=False)
 class ChangeTime:
-    """When a step happened: inside which window, and the share of its samples after the step, both most likely; the
-    time and its sigma in s, the step (3,) T and its covariance (3, 3), averaged over all times that are likely."""
+    """The time of a step.
+
+    Attributes:
+        window, share: most likely window of the step, and the share of its samples after the step.
+        time, time_sigma: s, averaged over all likely times.
+        value, covariance: (3,) T and (3, 3) of the step, averaged likewise.
+    """
 
     window: int
     share: float
@@ -111,7 +118,7 @@ class ChangeTime:
     covariance: Array
 
     def removed_from(self, chain: ContinuedChain) -> ContinuedChain:
-        """The chain as if the step had not been."""
+        """Return the chain with the step subtracted from its windows."""
         field = chain.windows.field.copy()
         field[:, self.window] -= self.share * self.value
         field[:, self.window + 1 :] -= self.value[:, None]
@@ -119,7 +126,7 @@ class ChangeTime:
 
 
 def change_time(chain: ContinuedChain, profile: StepProfile, colour: float) -> ChangeTime:
-    """The time of a step, to a part of a window; of all windows that are not out of the question."""
+    """Return the time of a step, to a part of a window, from all windows that can contain it."""
     windows, coarse = chain.windows, profile.at_windows()[0]
     possible = np.arange(_BEFORE, len(windows) - _AFTER)
     at_edges = np.maximum(coarse[possible], coarse[possible + 1])
@@ -155,10 +162,10 @@ def change_time(chain: ContinuedChain, profile: StepProfile, colour: float) -> C
 
 
 def _edge(time: Array, count: Array, n: int) -> float:
-    """Between windows n − 1 and n, whose samples follow each other evenly."""
+    """Return the time between windows n − 1 and n, whose samples are evenly spaced."""
     return float(time[n - 1] + (time[n] - time[n - 1]) * count[n - 1] / (count[n - 1] + count[n]))
 
 
 def _from(values: Array) -> Array:
-    """Sums over the first axis from each index on, and none."""
+    """Return the sums over the first axis from each index on, and a last sum of zero."""
     return np.concatenate([np.cumsum(values[::-1], axis=0)[::-1], np.zeros((1, *values.shape[1:]))])

@@ -1,4 +1,4 @@
-"""MAGYC-IFG online: windows of one second are formed as samples come in, each makes one step of the graph."""
+"""MAGYC-IFG online: form windows of one second from incoming samples, and add each to the factor graph."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.runners.isam import Method
 
-_WAITING = 60.0  # s, samples of one sensor kept while the other is silent
-_VISITED = 512  # samples remembered of the whole mission
-_STILL = 0.5  # of the limits, how far the estimate may be from the mean of the last fifth to have settled
+_WAITING = 60.0  # s of samples of one sensor that are kept while the other is silent
+_VISITED = 512  # samples kept as representatives of the whole mission
+_STILL = 0.5  # of the limits, largest difference of a settled estimate from the mean of the last fifth
 
 
 class IncrementalMagyc:
     """The engine of `OnlineCalibrator(method="magyc-ifg")`.
 
     Args:
-        field_strength, robust, optimizer, prior, window, compressed, estimate, residual_sigma, prior_sigma: as
+        field_strength, robust, optimizer, prior, window, compressed, estimate, residual_sigma, prior_sigma: as in
             `calibrate_magyc_ifg`. With `compressed=False` time and memory grow with the mission.
 
     Raises:
-        MagycError: an option that is wrong.
+        MagycError: an option is invalid.
     """
 
     def __init__(
@@ -65,10 +65,10 @@ class IncrementalMagyc:
         )
         self._window, self._estimate, self._field_strength = window, estimate, field_strength
         self._waiting = (GrowingRows(4), GrowingRows(4))  # samples of windows still open: time, value
-        self._begun, self._last = np.full(2, np.nan), np.full(2, -np.inf)  # first and last stamp of either sensor
+        self._begun, self._last = np.full(2, np.nan), np.full(2, -np.inf)  # first and last stamp of each sensor
         self._closed = -np.inf  # number of the first window still open
-        self._visited = np.empty((0, 4))  # magnetometer samples from all over the mission: time, field
-        self._every, self._windows = 1, 0  # of so many windows the first sample is among them
+        self._visited = np.empty((0, 4))  # representative magnetometer samples of the mission: time, field
+        self._every, self._windows = 1, 0  # one representative per `_every` windows; number of windows
         self._cached: Calibration | None = None
         self._fresh = False
 
@@ -82,7 +82,7 @@ class IncrementalMagyc:
                 if np.isnan(self._begun[index]):
                     self._begun[index] = new.time[0]
         start = float(self._begun.max())  # NaN until both have begun
-        # A window is complete when both sensors are past it, or one has been silent for too long.
+        # A window is complete when both sensors have passed it, or one has been silent for too long.
         complete = max(float(self._last.min()), float(self._last.max()) - _WAITING)
         if np.isnan(start):
             for rows in self._waiting:
@@ -102,7 +102,7 @@ class IncrementalMagyc:
             self._graph.add(*sample)
 
     def _remember(self, magnetometer: Samples, start: float) -> None:
-        """Add the first sample of every so many windows to those that stand for the mission."""
+        """Add the first sample of one in `_every` windows to the representatives of the mission."""
         _, first = np.unique(window_index(magnetometer.time, start, self._window), return_index=True)
         for row in np.column_stack(magnetometer)[first]:
             if self._windows % self._every == 0:
@@ -137,7 +137,7 @@ class IncrementalMagyc:
         )
 
     def converged(self) -> bool:
-        """See `Engine.converged`: observable, and no longer away from the mean over the last fifth."""
+        """See `Engine.converged`: observable, and near the mean over the last fifth of the estimates."""
         calibration = self.calibration()
         return calibration is not None and calibration.converged and self._settled()
 
@@ -158,7 +158,7 @@ class IncrementalMagyc:
         if converged:
             sentence = "converged"
         elif calibration.converged:
-            sentence = "the estimate still changes: go on turning"
+            sentence = "the estimate still changes: keep turning"
         else:
             sentence = calibration.message
         weak = calibration.observability.weak if calibration.observability else ()
@@ -170,7 +170,7 @@ class IncrementalMagyc:
         return self._visited[:, 1:]
 
     def changes(self) -> tuple[Change, ...]:
-        """See `Engine.changes`; this method looks for none."""
+        """See `Engine.changes`; this method does not look for any."""
         return ()
 
     def state(self) -> Mapping[str, Array]:

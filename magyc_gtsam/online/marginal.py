@@ -1,10 +1,9 @@
-"""The past marginalised: a chain of windows, eliminated but for θ and its last direction; eighteen numbers and their
-information.
+"""Marginalise the past of a chain onto θ and the direction of its last window.
 
-A `Marginal` is a quadratic cost on θ (16, a skew with it whether or not the chain carries one, so that it can be asked
-for at any time) and the tangent (2) of the last window's direction. The direction is kept as
-that window's mean field direction in the sensor frame, M g, which does not depend on the world frame in which the
-gyroscope was integrated; so the chain continues from it in a frame of its own.
+A `Marginal` is a quadratic cost on θ (16, which always includes a misalignment, so that it can be estimated at any
+time) and the tangent (2) of the last window's direction. The direction is stored as that window's mean field direction
+in the sensor frame, M g, which does not depend on the world frame in which the gyroscope was integrated, so that the
+chain can continue in another frame.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from magyc_gtsam.factors.chain.field_chain import (
 )
 from magyc_gtsam.factors.chain.rotations import Array
 
-_UNMEASURED = 1e-3  # scale of the first window's field, which the marginal holds already
+_UNMEASURED = 1e-3  # scale of the first window's field, which the marginal already contains
 HARD_IRON = slice(6, 9)
 BIAS = slice(9, 12)
 
 
 class Marginal(NamedTuple):
-    """½ xᵀ information x + gradientᵀ x, x = (θ − parameters, tangent of the last direction).
+    """The cost ½ xᵀ information x + gradientᵀ x of x = (θ − parameters, tangent of the last direction).
 
     parameters (16,); body (3,) and tangent (3, 2): the last window's M g and M times its tangent basis;
     information (18, 18); gradient (18,).
@@ -47,7 +46,7 @@ class Marginal(NamedTuple):
 
     @property
     def minimum(self) -> Array:
-        """θ of least cost, the skew held where it is: (13,) where that is 0, else (16,)."""
+        """Return θ of least cost at the present misalignment: (13,) if that is 0, otherwise (16,)."""
         rows = np.r_[:PARAMETERS, WITH_SKEW : WITH_SKEW + 2]
         information = self.information[np.ix_(rows, rows)]
         scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -58,11 +57,11 @@ class Marginal(NamedTuple):
         return result if result[SKEW].any() else result[:PARAMETERS]
 
     def forget(self, rows: slice) -> Marginal:
-        """Nothing is known of these parameters any more; what they say of the others is marginalised."""
+        """Return the marginal without any knowledge of these parameters, which are marginalised."""
         return self.widen(rows, np.inf)
 
     def widen(self, rows: slice, sigma: float) -> Marginal:
-        """These three parameters have since walked by `sigma` each."""
+        """Return the marginal after a random walk of three parameters by `sigma` each."""
         if sigma == 0.0:
             return self
         information, gain = widened(self.information, rows, sigma)
@@ -70,10 +69,12 @@ class Marginal(NamedTuple):
 
 
 def widened(information: Array, rows: slice, sigma: float) -> tuple[Array, Array]:
-    """The information when three parameters have walked by `sigma` each; and what to take off the gradient per unit
-    of theirs."""
+    """Return the information after a random walk of three parameters by `sigma` each, and the gradient's gain.
+
+    The gain times the gradient of the three parameters is to be subtracted from the gradient.
+    """
     cross, block = information[:, rows], information[rows, rows]
-    # Λ' = Λ − Λ_w (Λ_ww + Q⁻¹)⁻¹ Λ_w; scaled, for fields are 1e-6 and rates 1e-3.
+    # Λ' = Λ − Λ_w (Λ_ww + Q⁻¹)⁻¹ Λ_w, scaled, because fields are of order 1e-6 and rates of 1e-3.
     scale = 1 / np.sqrt(np.maximum(np.diag(block), 1e-300))
     inner = block * scale * scale[:, None] + np.diag(scale**2 / sigma**2 + 1e-14)
     gain = (cross * scale) @ np.linalg.inv(inner) * scale
@@ -82,12 +83,12 @@ def widened(information: Array, rows: slice, sigma: float) -> tuple[Array, Array
 
 @dataclass(frozen=True, eq=False)
 class ContinuedChain(FieldChain):
-    """A field chain whose first window is the last one of `past`, the marginal of all before it."""
+    """A field chain whose first window is the last one of `past`, the marginal of all windows before."""
 
     past: Marginal | None = None
     origin: tuple[Array, Array] = field(
         init=False
-    )  # the past's last direction and its tangents in this chain's frame
+    )  # the past's last direction and its tangents, in this chain's frame
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,14 +100,14 @@ class ContinuedChain(FieldChain):
 
     @property
     def window_sigma(self) -> Array:
-        """(n,) T, standard deviation of a window's mean, the first one's too."""
+        """Return the standard deviation (n,) T of each window's mean field, including the first."""
         sigma = 1 / self.window_scale
         if self.past is not None:
             sigma[0] *= _UNMEASURED
         return sigma
 
     def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
-        """The past, on θ and on the first direction as this chain sees it."""
+        """Return the past as a prior on θ and on the first direction of this chain."""
         if self.past is None:
             return None
         size = len(state.parameters)
@@ -118,26 +119,26 @@ class ContinuedChain(FieldChain):
         return QuadraticPrior(self.past_cost(state), _symmetric(onto.T @ information @ onto), onto.T @ slope[rows])
 
     def part(self, first: int, stop: int) -> ContinuedChain:
-        """See `FieldChain`; what is before `first` is in none but the first part."""
+        """See `FieldChain.part`; only a part from the first window has the past."""
         return replace(self, windows=self.windows.part(first, stop), past=None if first else self.past)
 
     def seen(self, parameters: Array) -> Array:
-        """(3, 3, n) T, what the windows read per unit of a field fixed in the world."""
+        """Return the reading (3, 3, n) T of each window per unit of a field fixed in the world."""
         return np.einsum("ij,jkn->ikn", iron_matrix(parameters), self.rotation(parameters))
 
     def past_cost(self, state: ChainState) -> float:
-        """The past's share of the cost at `state`, relative to the point of its marginal."""
+        """Return the cost of the past at `state`, relative to the point of its marginal."""
         if self.past is None:
             return 0.0
         away = self._away(state)
         return float(self.past.gradient @ away + 0.5 * away @ self.past.information @ away)
 
     def marginalise(self, state: ChainState, weights: Weights, last: int) -> Marginal:
-        """The windows up to `last` (and the past) as the past of those that follow."""
+        """Return the marginal of the windows up to `last` (and the past) for a chain of the following windows."""
         part = self.part(0, last + 1)
         state = ChainState(with_angles(state.parameters), state.direction[:, : last + 1])
         state, reduced = part.settle(state, Weights(weights.window[: last + 1], weights.link[:last]))
-        # The last direction comes last in the elimination: its corner of the factor is its Schur complement.
+        # The last direction is eliminated last, so its corner of the factor is its Schur complement.
         corner = np.array([[reduced.factor[0, -2], 0.0], [reduced.factor[1, -2], reduced.factor[0, -1]]])
         last_rows = np.concatenate([reduced.half[-2:, :WITH_SKEW], corner.T], axis=1)  # (2, 18)
         pull = reduced.half[-2:, WITH_SKEW]
@@ -150,7 +151,7 @@ class ContinuedChain(FieldChain):
         )
 
     def _away(self, state: ChainState) -> Array:
-        """x of `state` (18,), seen from the marginal's point."""
+        """Return x (18,) of `state`, relative to the marginal's point."""
         assert self.past is not None
         direction, tangent = self.origin
         return np.concatenate(

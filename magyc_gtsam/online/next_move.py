@@ -1,4 +1,4 @@
-"""The next move: which turn of the vehicle, from where it is, shows the sensor most of the directions not seen yet."""
+"""Find the next move of the vehicle that shows the sensor most of the directions it has not seen yet."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from magyc_gtsam.online.coverage import cell_of
 from magyc_gtsam.recording import Array, Mask
 
-_TILTS = (0.0, 20.0, 45.0, 90.0)  # deg, either way; less than 20° is not done by hand
-_STEP = 5.0  # deg of the turn between two looks
-_EFFORT = 20.0  # deg of tilt that must gain one more cell of the sixty
-_LEAST = 2  # cells that a move must gain
+_TILTS = (0.0, 20.0, 45.0, 90.0)  # deg, in both directions; smaller tilts are hard to do by hand
+_STEP = 5.0  # deg between evaluated attitudes
+_EFFORT = 20.0  # deg of tilt that must gain one more cell
+_LEAST = 2  # least cells that a move must gain
 _NAMES = {"x": "roll", "y": "pitch"}
 
 
 @dataclass(frozen=True)
 class NextMove:
-    """A tilt about one of the sensor's axes, by the right-hand rule, then one turn about its z axis.
+    """A tilt about one of the sensor's axes, by the right-hand rule, followed by a turn about its z axis.
 
     Attributes:
-        axis: "x" or "y", "" for no tilt.
-        degrees: of the tilt.
-        gain: cells of the sixty that are seen on the way and were not before.
+        axis: axis of the tilt, "x" or "y"; "" without tilt.
+        degrees: angle of the tilt.
+        gain: number of new cells, of sixty, that the move shows.
     """
 
     axis: str
@@ -33,29 +33,26 @@ class NextMove:
 
     @property
     def sentence(self) -> str:
-        """One line."""
+        """Return the move as an instruction."""
         if not self.axis:
             return "turn once about z"
-        way = "+" if self.degrees > 0 else "−"
-        return f"{_NAMES[self.axis]} by {way}{abs(self.degrees):.0f}° about {self.axis}, then turn once about z"
+        sign = "+" if self.degrees > 0 else "−"
+        return f"{_NAMES[self.axis]} by {sign}{abs(self.degrees):.0f}° about {self.axis}, then turn once about z"
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types."""
+        """Return the move as JSON types."""
         return asdict(self) | {"sentence": self.sentence}
 
 
 def next_move(now: Array, seen: Mask) -> NextMove | None:
-    """The move that gains most.
+    """Return the move that gains most, or None if no move gains two cells.
 
-    A vehicle that turns by φ about an axis of its own turns the field in its axes by −φ. The tilt comes first, from the
-    present attitude; the turn goes on from there.
+    A rotation of the vehicle by φ about one of its axes rotates the field in its axes by −φ. The tilt starts from the
+    present attitude, and the turn from the tilted one.
 
     Args:
         now: (3,) unit vector, the calibrated field in sensor axes.
-        seen: (60,) as `coverage.cells`.
-
-    Returns:
-        None where no move gains two cells.
+        seen: (60,) whether each cell was visited, as from `coverage.cells`.
     """
     best, most = None, 0.0
     for axis in ("x", "y"):
@@ -69,7 +66,7 @@ def next_move(now: Array, seen: Mask) -> NextMove | None:
 
 
 def _path(now: Array, axis: int, degrees: float) -> Array:
-    """(n, 3) directions of the field on the way."""
+    """Return the directions (n, 3) of the field during a move."""
     count = max(int(abs(degrees) // _STEP), 1)
     tilted = _about(now[None], axis, -np.radians(np.linspace(0.0, degrees, count + 1)))
     turned = _about(tilted[-1:], 2, -np.radians(np.arange(0.0, 360.0, _STEP)))
@@ -77,7 +74,7 @@ def _path(now: Array, axis: int, degrees: float) -> Array:
 
 
 def _about(vector: Array, axis: int, angle: Array) -> Array:
-    """(n, 3): one vector (1, 3) turned by each angle, rad, about a coordinate axis."""
+    """Return one vector (1, 3) rotated by each angle, rad, about a coordinate axis, (n, 3)."""
     a, b = (axis + 1) % 3, (axis + 2) % 3
     result = np.repeat(vector, len(angle), axis=0)
     result[:, a] = np.cos(angle) * vector[0, a] - np.sin(angle) * vector[0, b]

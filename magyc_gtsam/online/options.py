@@ -1,4 +1,4 @@
-"""What the user of the online smoother may choose, checked."""
+"""The checked options of the online smoother."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OF_BATCH = ("noise", "robust", "delay", "window", "turn", "misalignment", "fiel
 
 @dataclass(frozen=True)
 class OnlineOptions:
-    """The options of `OnlineSmoother`, which says what they mean."""
+    """The options of `OnlineSmoother`, which documents them."""
 
     field_strength: float | None
     noise: tuple[float, float] | None
@@ -57,36 +57,34 @@ class OnlineOptions:
 
     @property
     def options(self) -> SmootherOptions:
-        """The options of the batch method, checked."""
-        own: dict[str, Any] = {
-            "field_strength": self.field_strength,
-            "clock_drift": self.clock_drift,
-        }
-        return SmootherOptions(**self.fit, **own, **self.known)
+        """Return the options as those of the batch method, checked."""
+        return SmootherOptions(
+            **self.fit, field_strength=self.field_strength, clock_drift=self.clock_drift, **self.known
+        )
 
     @property
     def fit(self) -> dict[str, Any]:
-        """The options of the batch method."""
+        """Return the options that a fit of the batch method takes."""
         return {name: getattr(self, name) for name in _OF_BATCH}
 
     @property
     def known(self) -> dict[str, Any]:
-        """What is known beforehand, as the batch method takes it."""
+        """Return the prior knowledge as options of the batch method."""
         return {} if self.prior is None else {"prior": self.prior, "hard_iron_walk": self.prior_walk}
 
     @property
     def reject(self) -> bool:
-        """Whether disturbed windows are weighed down."""
+        """Return whether disturbed windows are downweighted."""
         return self.robust is not False
 
     def free(self, parameters: Array) -> np.ndarray:
-        """(p,) bool, of θ (p,) the parameters that are estimated; a skew is held between two refits."""
+        """Return (p,) bool: the estimated parameters of θ (p,); a misalignment is held between two refits."""
         free = np.arange(len(parameters)) < PARAMETERS
         free[DELAY] = self.delay is None
         return free
 
     @property
     def walks(self) -> tuple[tuple[slice, float], ...]:
-        """Which parameters walk, and by how much per √h."""
+        """Return the parameters that walk at random, and by how much per √h."""
         every = ((HARD_IRON, self.hard_iron_walk), (BIAS, self.gyro_bias_walk))
         return tuple((rows, walk) for rows, walk in every if walk)

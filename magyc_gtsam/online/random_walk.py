@@ -1,9 +1,8 @@
-"""Hard iron and gyroscope bias that walk at random: the end of the chain, taken block by block.
+"""Estimate hard iron and gyroscope bias that walk at random, by filtering the end of the chain block by block.
 
-Within a block of some seconds the parameters stand still. A block begins with the marginal of all before it, the
-parameters widened by what they may have walked since (`Marginal.widen`), and its fit is the estimate now: an
-information filter whose measurements are blocks of windows. Head and tail of the smoother
-go on beside it, to look for steps.
+Within a block of some seconds the parameters are constant. A block begins with the marginal of all windows before,
+widened by the random walk since (`Marginal.widen`), and its fit is the present estimate: an information filter whose
+measurements are blocks of windows. Head and tail of the smoother are maintained beside it to look for steps.
 """
 
 from __future__ import annotations
@@ -20,64 +19,66 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, widened
 from magyc_gtsam.online.state import SmootherState
 
-_SHORTEST, _LONGEST = 2, 6  # windows of a block, in which the parameters are taken to stand still
-_PART = 0.4  # of its sigma by which a parameter may walk in a block
-_SEGMENT = 20  # windows with a hard iron of their own, from which the noise levels are learnt
-_PASSES = 2  # over all windows kept, for a walk bends the estimate of a fit without one
+_SHORTEST, _LONGEST = 2, 6  # windows of a block, in which the parameters are constant
+_PART = 0.4  # of its sigma that a parameter may walk in a block
+_SEGMENT = 20  # windows that share one hard iron when the noise levels are estimated
+_PASSES = 2  # passes over all windows kept, because a walk distorts the first estimate, of a fit without one
 _NOISE_ROUNDS = 4
 
 
 def filter_walk(online: SmootherState) -> None:
-    """All windows kept, filtered anew; there is an estimate to linearise about."""
-    m, last = online.belief, online.last
+    """Filter all windows kept again, linearised at the present estimate."""
+    belief, last = online.belief, online.last
     numbers, parameters = online.numbers(), last.parameters
-    samples = online.buffer.windows(int(numbers[0]), m.done, online.delay)
+    samples = online.buffer.windows(int(numbers[0]), belief.done, online.delay)
     windows = samples.integrate(parameters[BIAS], online.delay)
-    tail, stop = int(np.searchsorted(numbers, m.tail)), len(numbers) - 1 - _SHORTEST
+    tail, stop = int(np.searchsorted(numbers, belief.tail)), len(numbers) - 1 - _SHORTEST
     for _ in range(_PASSES):
         if online.settings.noise is None:
             noise, colour, freedom = _local_noise(windows, online.last.noise, parameters)
-            m.estimate = last._replace(noise=noise, colour=colour, noise_freedom=freedom)
-        chain = ContinuedChain(windows, online.last.noise, m.past, facts=online.facts(len(parameters)))
-        m.head = _filtered(online, replace(chain, windows=windows.part(0, tail + 1)), parameters)
-        rest = replace(chain, windows=windows.part(tail, stop + 1), past=m.head, facts=())
-        m.front, m.front_at = _filtered(online, rest, parameters), int(numbers[stop])
-        parameters = m.front.minimum
-    m.estimate = online.last._replace(parameters=parameters)
+            belief.estimate = last._replace(noise=noise, colour=colour, noise_freedom=freedom)
+        chain = ContinuedChain(windows, online.last.noise, belief.past, facts=online.facts(len(parameters)))
+        belief.head = _filtered(online, replace(chain, windows=windows.part(0, tail + 1)), parameters)
+        following = replace(chain, windows=windows.part(tail, stop + 1), past=belief.head, facts=())
+        belief.front, belief.front_at = _filtered(online, following, parameters), int(numbers[stop])
+        parameters = belief.front.minimum
+    belief.estimate = online.last._replace(parameters=parameters)
 
 
 def fit_random_walk(online: SmootherState, stop: int) -> Fit:
-    """Up to window `stop`: θ and its information are those of the last block, all else is of the whole tail."""
-    fit, last = online.asked(online.fit_tail(stop)), _filtered_end(online, stop)[0]
+    """Return a fit up to window `stop` with θ and its information from the last block, the rest from the whole tail."""
+    fit, last = online.with_misalignment(online.fit_tail(stop)), _filtered_end(online, stop)[0]
     information, time = last.reduced.information, last.chain.windows.time
     for rows, walk in online.settings.walks:
-        # The end of a walk of length T is T/3 (in variance) away from its mean, which the block estimates.
+        # The block estimates the walk's mean; the end of a walk of length T differs from it by T/3 in variance.
         information, _ = widened(information, rows, walk * np.sqrt((time[-1] - time[0]) / 3 / 3600))
     reduced = fit.reduced._replace(information=information)
     return replace(fit, state=ChainState(last.state.parameters, fit.state.direction), reduced=reduced)
 
 
 def advance_filter(online: SmootherState) -> None:
-    """All windows taken give the estimate; all but the last block of them join what is before the front."""
-    m = online.belief
-    fit, m.front, first = _filtered_end(online, m.done)
-    m.estimate = online.last._replace(parameters=fit.state.parameters, covariance=fit.covariance)
-    m.front_at = int(online.numbers(m.front_at)[first])
+    """Update the estimate from all windows taken, and move the front up to the last block."""
+    belief = online.belief
+    fit, belief.front, first = _filtered_end(online, belief.done)
+    belief.estimate = online.last._replace(parameters=fit.state.parameters, covariance=fit.covariance)
+    belief.front_at = int(online.numbers(belief.front_at)[first])
 
 
 def _filtered_end(online: SmootherState, stop: int) -> tuple[Fit, Marginal, int]:
-    """The last block of the windows from the front on; the marginal with which it begins, and its index."""
-    m, last = online.belief, online.last
-    assert m.front is not None
-    windows = online.buffer.windows(m.front_at, stop, online.delay).integrate(last.parameters[BIAS], online.delay)
-    chain, parameters, past, first = ContinuedChain(windows, last.noise), last.parameters, m.front, 0
+    """Filter the windows from the front on; return the last block's fit, its initial marginal and its first window."""
+    belief, last = online.belief, online.last
+    assert belief.front is not None
+    windows = online.buffer.windows(belief.front_at, stop, online.delay).integrate(
+        last.parameters[BIAS], online.delay
+    )
+    chain, parameters, past, first = ContinuedChain(windows, last.noise), last.parameters, belief.front, 0
     length = _block_length(online)
     while True:
         final = len(windows) - first <= 2 * length
         end = len(windows) if final else first + length + 1
         block = replace(chain, windows=windows.part(first, end), past=past)
-        begun = begin(block, parameters, online.settings.free(parameters))
-        fit = adapt(descend(begun, NEAR), online.settings.reject, None)
+        start = begin(block, parameters, online.settings.free(parameters))
+        fit = adapt(descend(start, NEAR), online.settings.reject, None)
         if final:
             return fit, past, first
         past, parameters = _widened(online, block, fit.state, fit.weights), fit.state.parameters
@@ -85,18 +86,18 @@ def _filtered_end(online: SmootherState, stop: int) -> tuple[Fit, Marginal, int]
 
 
 def _block_length(online: SmootherState) -> int:
-    """Windows in which no parameter walks by more than a part of its sigma."""
+    """Return the number of windows in which no parameter walks by more than a part of its sigma."""
     variance = np.diag(online.last.covariance)
     time = min((_PART / walk) ** 2 * float(variance[rows].mean()) * 3600 for rows, walk in online.settings.walks)
     return int(np.clip(time / online.settings.window, _SHORTEST, _LONGEST))
 
 
 def _filtered(online: SmootherState, chain: ContinuedChain, parameters: Array) -> Marginal:
-    """All of a chain as the past of its last window, the parameters walked until then; linearised at θ."""
+    """Return the marginal of a whole chain at its last window, including the random walk; linearised at θ."""
     count, past = len(chain.windows), chain.past
     edges = np.linspace(0, count - 1, max((count - 1) // _block_length(online), 1) + 1).astype(int)
     for first, last in pairwise(edges):  # neighbours share a window
-        facts = () if first else chain.facts  # they are in the marginal then
+        facts = () if first else chain.facts  # later blocks have them in the marginal
         block = replace(chain, windows=chain.windows.part(int(first), int(last) + 1), past=past, facts=facts)
         fit = weigh(block, parameters, 1)
         weights = fit.weights if online.settings.reject else block.unweighted()
@@ -106,7 +107,7 @@ def _filtered(online: SmootherState, chain: ContinuedChain, parameters: Array) -
 
 
 def _widened(online: SmootherState, block: ContinuedChain, state: ChainState, weights: Weights) -> Marginal:
-    """A block as the past of its last window, the parameters walked meanwhile."""
+    """Return the marginal of a block at its last window, including the random walk."""
     marginal = block.marginalise(state, weights, len(block.windows) - 1)
     elapsed = float(block.windows.time[-1] - block.windows.time[0])
     for rows, walk in online.settings.walks:
@@ -115,9 +116,9 @@ def _widened(online: SmootherState, block: ContinuedChain, state: ChainState, we
 
 
 def _local_noise(windows: FieldWindows, noise: SensorNoise, parameters: Array) -> tuple[SensorNoise, float, float]:
-    """The noise levels that short segments show, whatever the hard iron does from one to the next.
+    """Estimate the noise levels from short segments, each with its own hard iron.
 
-    Each group's variance becomes its weighted squares over its redundancy, again and again.
+    Each group's variance is iterated as its weighted squares over its redundancy.
 
     Returns:
         The noise, the residuals' colour, and the links' redundancy.
@@ -136,7 +137,7 @@ def _local_noise(windows: FieldWindows, noise: SensorNoise, parameters: Array) -
 
 
 def _squares(fit: Fit) -> tuple[Array, Array]:
-    """Weighted squares of windows and links, and the redundancy of both, as `improved_noise` counts them."""
+    """Return the weighted squares of windows and links and their redundancies, as `improved_noise` counts them."""
     chain, weights = fit.chain, fit.weights
     window, link = chain.squares(chain.residuals(fit.state))
     absorbed = chain.absorbed(fit.reduced, fit.covariance)

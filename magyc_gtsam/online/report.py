@@ -1,4 +1,4 @@
-"""What the online smoother reports: calibration, convergence, progress and changes."""
+"""Derive what the online smoother reports: calibration, convergence, progress and changes."""
 
 from __future__ import annotations
 
@@ -10,41 +10,44 @@ from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
 from magyc_gtsam.estimators.smoother.search import disturbed, moved, short_term_noise, suitable_turn, with_skew
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain
 from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.online.belief import FIRST
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.coverage import coverage
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.online.random_walk import fit_random_walk
 from magyc_gtsam.online.refit import REFIT_GROWTH, drift_of, fit_samples, testable
-from magyc_gtsam.online.state import FIRST, SmootherState
+from magyc_gtsam.online.state import SmootherState
 
-_MOST_REFITTED = 2400  # windows; the noise levels of longer logs are those of the last refit
-_LEAST_CONVERGED = 120  # windows of the last refit; noise levels from fewer make no honest covariance
+_MOST_REFITTED = (
+    2400  # most windows that are fitted when read; a longer log keeps the noise levels of the last refit
+)
+_LEAST_CONVERGED = 120  # least windows of the last refit; noise levels from fewer give no reliable covariance
 
 
 def current_calibration(online: SmootherState, integrated: IntegratedWindows) -> Calibration | None:
-    """As the batch method would fit all samples so far; of a long log, the tail given all before it."""
-    m = online.belief
-    if m.head is None:
-        return m.report
-    ending = online.recording(None, m.tail)
-    if m.past is None and m.front is None and len(online.numbers()) <= _MOST_REFITTED:
+    """Return the calibration from all samples so far, or in a long log that of the tail given all windows before."""
+    belief = online.belief
+    if belief.head is None:
+        return belief.report
+    ending = online.recording(None, belief.tail)
+    if belief.past is None and belief.front is None and len(online.numbers()) <= _MOST_REFITTED:
         well_cut = (
             online.settings.turn is not None
             or suitable_turn(online.buffer.magnetometer.value) == online.buffer.turn
         )
-        fit = _refit_all(online, integrated.of(online.buffer, m.origin)) if well_cut else None
+        fit = _refit_all(online, integrated.of(online.buffer, belief.origin)) if well_cut else None
         if fit is not None:
             return _with_clocks(online, online.result(ending, fit), fit)
         recording = online.recording(None)
         fit, rival, _ = fit_samples(online, recording, False)
         return _with_clocks(online, online.result(recording, fit, rival), fit)
     stop = int(online.buffer.numbers[-1]) + 1
-    fit = online.fit_tail(stop) if m.front is None else fit_random_walk(online, stop)
-    return with_drift(online.result(ending, fit, None, m.tail, online.last), m.drift)
+    fit = online.fit_tail(stop) if belief.front is None else fit_random_walk(online, stop)
+    return with_drift(online.result(ending, fit, None, belief.tail, online.last), belief.drift)
 
 
 def _with_clocks(online: SmootherState, calibration: Calibration, fit: Fit) -> Calibration:
-    """With what the clocks did: as the last refit found, or else as all windows say now."""
+    """Return the calibration with the clock drift of the last refit, or of all windows if that found none."""
     drift = online.belief.drift
     if drift is None and testable(online, len(fit.chain.windows)) and speaks(fit):
         drift = drift_of(online, online.recording(None), fit, calibration.converged)
@@ -52,15 +55,14 @@ def _with_clocks(online: SmootherState, calibration: Calibration, fit: Fit) -> C
 
 
 def _refit_all(online: SmootherState, windows: FieldWindows) -> Fit | None:
-    """All windows at their minimum, with their own noise levels and weights; None where they must be cut or integrated
-    anew."""
+    """Fit all windows with their noise levels and weights; return None if they must be cut or integrated again."""
     settings, parameters = online.settings, online.last.parameters[:PARAMETERS]
     short_term = short_term_noise(online.buffer) if settings.noise is None else None
-    # From the sensors' short-term noise, as the batch method: what its tolerances leave is then the same.
+    # Start from the sensors' short-term noise, as the batch method does, so that both end at the same tolerance.
     chain = FieldChain(windows, short_term or online.last.noise, facts=online.facts())
-    begun = begin(chain, parameters, settings.free(parameters))
-    fit = adapt(descend(begun, NEAR), settings.reject, short_term)
-    # Once more: a start so near leaves the directions where their own windows saw them.
+    initial = begin(chain, parameters, settings.free(parameters))
+    fit = adapt(descend(initial, NEAR), settings.reject, short_term)
+    # Descend once more, since a start this near leaves the directions at their initial values.
     fit = descend(replace(fit, reduced=fit.chain.eliminate(fit.state, fit.weights)))
     prior, known = online.skew
     if prior is not None:
@@ -70,32 +72,32 @@ def _refit_all(online: SmootherState, windows: FieldWindows) -> Fit | None:
 
 
 def has_converged(online: SmootherState) -> bool:
-    """Whether the last refit held enough, and stood still."""
+    """Return whether the last refit had enough windows and changed the estimate little."""
     return online.belief.stable and online.belief.next_refit >= int(REFIT_GROWTH * _LEAST_CONVERGED)
 
 
 def progress_of(online: SmootherState, calibration: Calibration | None) -> Progress:
-    """How far it is, given the current calibration."""
-    m = online.belief
-    windows = m.given_up + len(online.numbers())
+    """Return the progress, given the current calibration."""
+    belief = online.belief
+    windows = belief.given_up + len(online.numbers())
     seen = 0.0 if calibration is None else coverage(calibration, online.buffer.magnetometer.value)
     weak = calibration.observability.weak if calibration and calibration.observability else ()
     converged = has_converged(online)
-    if m.problem:
-        sentence = m.problem
+    if belief.problem:
+        sentence = belief.problem
     elif calibration is None:
         sentence = f"collecting: {windows} of {FIRST} windows"
     elif not calibration.converged:
         sentence = calibration.message
     elif not converged:
-        sentence = f"the estimate still changes: {weak[0].sentence if weak else 'go on turning'}"
+        sentence = f"the estimate still changes: {weak[0].sentence if weak else 'keep turning'}"
     else:
         sentence = "converged"
     return Progress(None, 0.0, windows, converged, sentence, weak, seen)
 
 
 def changes_until(online: SmootherState, calibration: Calibration | None) -> tuple[Change, ...]:
-    """The steps found; after each, what held until the next, after the last what holds now."""
-    found = online.belief.changes
-    after = [change.before for change in found[1:]] + [calibration]
-    return tuple(replace(change, after=now) for change, now in zip(found, after[: len(found)], strict=True))
+    """Return the steps found, each with the calibration that followed it."""
+    changes = online.belief.changes
+    after = [change.before for change in changes[1:]] + [calibration]
+    return tuple(replace(change, after=now) for change, now in zip(changes, after[: len(changes)], strict=True))

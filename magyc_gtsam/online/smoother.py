@@ -1,15 +1,15 @@
-"""`smoother` online: the field chain of the batch method, its past eliminated as the mission goes on.
+"""The online smoother: the field chain of the batch method, with its past marginalised as the mission proceeds.
 
 Windows are cut as the batch method cuts them. The chain falls into three parts:
 
-    past   a marginal (`online.marginal`): the information of all windows that are given up;
-    head   windows whose samples are still here; marginalised, and now and then fitted afresh from the samples;
-    tail   the last 24 to 56 windows; fitted anew, from the samples, for every six windows.
+    past   a marginal (`online.marginal`) of all windows whose samples were dropped;
+    head   windows whose samples are kept; marginalised, and refitted from the samples from time to time;
+    tail   the last 24 to 56 windows; fitted from the samples after every six windows.
 
-Until the estimate has converged and an hour is over there is no past: every 25 % more windows (`online.refit`) the
-whole chain is fitted as the batch method does, noise levels and robust weights with it, and until it has converged
-every 50 % more the start is searched again, so that no early estimate decides a later one. Then the head joins the
-past, linearised within a small part of a sigma, and the cost of an update depends no more on how long the mission is.
+Until the estimate has converged and an hour has passed there is no past. After every 25 % more windows (`online.refit`)
+the whole chain is fitted as by the batch method, including noise levels and robust weights. Until it has converged, it
+is also fitted from several starts after every 50 % more windows, so that a poor early estimate does not persist. Then
+the head joins the past, linearised within a small part of a sigma, and an update takes constant time.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.online.belief import Belief
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.change_point import SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
@@ -28,32 +29,31 @@ from magyc_gtsam.online.options import OnlineOptions
 from magyc_gtsam.online.random_walk import advance_filter
 from magyc_gtsam.online.refit import SHORTEST_TAIL, on_one_clock, refit, restart
 from magyc_gtsam.online.report import changes_until, current_calibration, has_converged, progress_of
-from magyc_gtsam.online.state import Belief, SmootherState, continued
+from magyc_gtsam.online.state import SmootherState, continued
 from magyc_gtsam.recording import Array, Samples
 
 _EVERY = 6  # windows between two fits of the tail
 _LONGEST_TAIL, _LONGEST_UNDECIDED = 56, 168  # windows
-_MOST_SAMPLES = 131072  # kept of a sensor, whatever the horizon
-_NO_WALK = 6.0  # sigmas of a walk that are taken to be a step
-_MOST_WALKED = 400  # windows kept, where parameters walk
+_MOST_SAMPLES = 131072  # most samples kept per sensor, whatever the horizon
+_NO_WALK = 6.0  # sigmas of a random walk from which a change counts as a step
+_MOST_WALKED = 400  # most windows kept if parameters walk at random
 
 
 class OnlineSmoother:
     """The engine of `OnlineCalibrator(method="smoother")`.
 
     Args:
-        field_strength, noise, robust, delay, window, turn: as `calibrate_smoother`.
-        clock_drift: as there, from the first sample of the magnetometer on.
-        hard_iron_walk: T per √h, by which the hard iron walks at random; likewise gyro_bias_walk, rad/s per √h.
-        detect_changes: look for steps in hard iron.
-        angular_rate_is: as `Recording`.
-        horizon: s of samples that are kept to be fitted afresh.
-        prior: an earlier calibration of the same instrument, with covariance (or what its `to_dict` gives); it holds
-            until a step in hard iron is found.
+        field_strength, noise, robust, delay, window, turn: as in `calibrate_smoother`.
+        clock_drift: as there, counted from the first sample of the magnetometer.
+        hard_iron_walk, gyro_bias_walk: random walk of the hard iron, T per √h, and of the gyroscope bias, rad/s per √h.
+        detect_changes: whether to look for steps in hard iron.
+        angular_rate_is: as in `Recording`.
+        horizon: duration of the samples that are kept for refits, s.
+        prior: an earlier calibration of the same instrument with covariance (or its `to_dict`); it is used until a step
+            in hard iron is found.
         prior_walk: T, by which each axis of the hard iron may have changed since.
-        field: (strength T, dip rad) at the place, as there; the dip says nothing here, where nothing says which way is
-            up.
-        misalignment: as there; asked at every refit, and whenever something is read.
+        field: (strength T, dip rad) at the place, as there; the dip is not used, because the vertical is unknown.
+        misalignment: as there; estimated at every refit, and when a result is read.
     """
 
     def __init__(
@@ -98,72 +98,72 @@ class OnlineSmoother:
         )
         self._integrated = IntegratedWindows()
         self._read: Calibration | None = None
-        self._fresh = False  # `_read` is the result of all samples
+        self._fresh = False  # whether `_read` is the result of all samples
 
     def update(self, magnetometer: Samples, gyroscope: Samples) -> None:
         """See `Engine.update`."""
-        online, m = self._online, self._online.belief
+        online, belief = self._online, self._online.belief
         self._fresh = False
         online.buffer.append(on_one_clock(online, magnetometer), gyroscope)
-        # What the motion has not determined yet has an infinite covariance, which is meant.
+        # Parameters that the motion has not determined yet have an infinite covariance on purpose.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            while online.buffer.closed(online.delay) >= m.done + _EVERY:
-                m.done += _EVERY
+            while online.buffer.closed(online.delay) >= belief.done + _EVERY:
+                belief.done += _EVERY
                 self._advance()
 
     def _advance(self) -> None:
-        """Six more windows."""
-        m = self._online.belief
-        if m.head is not None:
+        """Take six more windows."""
+        belief = self._online.belief
+        if belief.head is not None:
             self._follow()
-        if not m.settled:
-            if len(self._online.numbers()) >= m.next_refit:
+        if not belief.settled:
+            if len(self._online.numbers()) >= belief.next_refit:
                 refit(self._online)
             self._give_up()
 
     def _follow(self) -> None:
-        """Fit the tail; look for a step; hand the tail's beginning to the head."""
-        online, m, estimate = self._online, self._online.belief, self._online.last
-        fit = online.fit_tail(m.done)
-        if online.settings.detect_changes and m.stable:
-            step, m.undecided = find_step(fit, estimate.colour, self._smallest_step(fit))
+        """Fit the tail, look for a step, and move the beginning of a long tail to the head."""
+        online, belief, estimate = self._online, self._online.belief, self._online.last
+        fit = online.fit_tail(belief.done)
+        if online.settings.detect_changes and belief.stable:
+            step, belief.undecided = find_step(fit, estimate.colour, self._smallest_step(fit))
             if step is not None:
-                restart(online, online.numbers(m.tail), step)
+                restart(online, online.numbers(belief.tail), step)
                 return
-        if m.front is None:
-            m.estimate = estimate._replace(parameters=fit.state.parameters, covariance=fit.covariance)
+        if belief.front is None:
+            belief.estimate = estimate._replace(parameters=fit.state.parameters, covariance=fit.covariance)
         else:
             advance_filter(online)
         count = len(fit.chain.windows)
-        # What is undecided stays in the tail until it is known.
-        if count > (_LONGEST_UNDECIDED if m.undecided else _LONGEST_TAIL):
+        # A possible step stays in the tail until it is decided.
+        if count > (_LONGEST_UNDECIDED if belief.undecided else _LONGEST_TAIL):
             self._shorten(fit, count - SHORTEST_TAIL)
 
     def _smallest_step(self, fit: Fit) -> float:
-        """T, beyond what the hard iron may walk within the tail."""
+        """Return the smallest step, T, that exceeds the random walk of the hard iron within the tail."""
         elapsed = float(fit.chain.windows.time[-1] - fit.chain.windows.time[0])
         return max(SMALLEST, _NO_WALK * self._online.settings.hard_iron_walk * np.sqrt(elapsed / 3600))
 
     def _shorten(self, fit: Fit, first: int) -> None:
-        """The tail begins with its window `first`; the head takes those before."""
-        online, m, chain = self._online, self._online.belief, continued(fit)
-        m.head = chain.marginalise(fit.state, fit.weights, first)
-        m.tail = int(online.numbers(m.tail)[first])
-        if m.front is not None:
+        """Let the tail begin with its window `first`, and the head take those before."""
+        online, belief, chain = self._online, self._online.belief, continued(fit)
+        belief.head = chain.marginalise(fit.state, fit.weights, first)
+        belief.tail = int(online.numbers(belief.tail)[first])
+        if belief.front is not None:
             elapsed = float(chain.windows.time[first] - chain.windows.time[0])
             for rows, walk in online.settings.walks:
-                m.head = m.head.widen(rows, walk * np.sqrt(elapsed / 3600))
-        if m.settled:
+                belief.head = belief.head.widen(rows, walk * np.sqrt(elapsed / 3600))
+        if belief.settled:
             online.close()
 
     def _give_up(self) -> None:
-        """Bound what is kept: to the past, once the estimate has converged; else the oldest quarter goes."""
-        online, m = self._online, self._online.belief
+        """Limit the samples kept: move the head to the past once converged, otherwise drop the oldest quarter."""
+        online, belief = self._online, self._online.belief
         mag, gyro = online.buffer.magnetometer.time, online.buffer.gyroscope.time
         full = gyro[-1] - gyro[0] > online.settings.horizon or max(len(mag), len(gyro)) > _MOST_SAMPLES
-        walked = m.front is not None and len(online.numbers()) >= _MOST_WALKED
-        if m.stable and (full or walked):
-            m.settled = True
+        walked = belief.front is not None and len(online.numbers()) >= _MOST_WALKED
+        if belief.stable and (full or walked):
+            belief.settled = True
             online.close()
         elif full:
             numbers = online.numbers()

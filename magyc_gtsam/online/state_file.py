@@ -1,4 +1,4 @@
-"""The state of an online calibration in one file: numbers and text only, replaced in one step."""
+"""Write and read the state of an online calibration as one file of numbers and text."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _FORMAT = "magyc-gtsam online state 8"
 def write(
     path: str | os.PathLike[str], method: str, options: Mapping[str, Any], state: Mapping[str, Array]
 ) -> None:
-    """Write to a file beside `path`, then put it in its place.
+    """Write a state, replacing the file atomically.
 
     Raises:
-        MagycError: the options are no JSON types, or the file cannot be written.
+        MagycError: the file cannot be written.
     """
     path = Path(path)
     header = json.dumps({"format": _FORMAT, "method": method, "options": dict(options)})
@@ -42,10 +42,10 @@ def write(
 
 
 def read(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any], dict[str, Array]]:
-    """Method, options and state, bit for bit as written.
+    """Return method, options and state bit for bit as written.
 
     Raises:
-        MagycError: no such file, not a saved state, damaged, or of another version.
+        MagycError: the file does not exist, is damaged, or is not a saved state of this version.
     """
     path = Path(path)
     try:
@@ -84,22 +84,22 @@ def read(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any], dict[str, A
 
 
 def _within_limits(path: Path) -> None:
-    """Refuse arrays that are packed: what is written here is not, and what is small on disk is small in memory."""
+    """Refuse compressed arrays, which `write` never writes and which could expand to any size in memory."""
     with zipfile.ZipFile(path) as file:
         packed = [member.filename for member in file.infolist() if member.compress_type != zipfile.ZIP_STORED]
     if packed:
-        raise ValueError(f"its array {packed[0]!r} is packed, which a saved state's are not")
+        raise ValueError(f"its array {packed[0]!r} is compressed, which a saved state's are not")
 
 
 def compare(expected: Mapping[str, Array], found: Mapping[str, Array]) -> None:
-    """Refuse a state whose arrays are not of the kind and shape of those of a new one.
+    """Check that the arrays of a state have the kinds and shapes of a new one.
 
     Args:
-        expected: of a calibrator that has seen nothing.
-        found: as read; lengths may differ where things are collected, along the first axis.
+        expected: the state of a new calibrator.
+        found: the state that was read; lengths along the first axis may differ.
 
     Raises:
-        ValueError: a name is missing or not known, or an array has another type or shape.
+        ValueError: an array is missing, or has another kind or shape.
     """
     if missing := sorted(expected.keys() - found.keys()):
         raise ValueError(f"arrays are missing: {', '.join(missing[:5])}")
