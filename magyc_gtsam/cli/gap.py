@@ -93,6 +93,7 @@ def run(
                 param_hint="--plan",
             )
         return _plan(plan, quiet, json)
+    names = None if candidates is None else [name.strip() for name in candidates.split(",")]
     if many(reading.log, more):
         from magyc_gtsam.cli.gap_many import gap_of_logs
         from magyc_gtsam.io.many import find_logs
@@ -101,15 +102,12 @@ def run(
             raise typer.BadParameter(
                 "--simulated, --validate and --calibration are for one LOG", param_hint="LOGS"
             )
-        listed = None if candidates is None else [name.strip() for name in candidates.split(",")]
         logs = find_logs([reading.log, *(more or [])])
-        return gap_of_logs(reading, logs, listed, output, open_page, quiet, json)
+        return gap_of_logs(reading, logs, names, output, open_page, quiet, json)
     from magyc_gtsam import Calibration, MagycError, find_gap
-    from magyc_gtsam.report.gap_page import render_gap
     from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
 
     start = None if calibration is None else Calibration.load(calibration)
-    names = None if candidates is None else [name.strip() for name in candidates.split(",")]
     folder = output or dated_folder(reading.log, "-gap")
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording = reading.recording(stage("reading"))
@@ -128,19 +126,10 @@ def run(
         verdict = judged_gap(gap, validation, unjudged)
         gap = as_judged(gap, verdict)
         page = stage("drawing the page")
-        (part / "gap.json").write_text(
-            _json(_values(gap, validation, verdict)), encoding="utf-8", errors="backslashreplace"
-        )
-        gap.calibration.save(part / "calibration.yaml")
-        chosen = {
-            "candidates": names,
-            "simulated": None if simulated is None else str(simulated),
-            "validate": None if validate is None else str(validate),
-            "calibration": None if calibration is None else str(calibration),
-        }
+        files = {"simulated": simulated, "validate": validate, "calibration": calibration}
+        chosen = {"candidates": names} | {k: None if v is None else str(v) for k, v in files.items()}
         write_yaml(part / "configuration.yaml", run_description(reading, recording, context.obj) | chosen)
-        page_text = render_gap(replace(recording, name=reading.log.name), gap, validation, verdict)
-        (part / "report.html").write_text(page_text, encoding="utf-8", errors="backslashreplace")
+        _write_result(part, replace(recording, name=reading.log.name), gap, validation, verdict)
         page(1.0)
     if open_page:
         show_page(folder / "report.html")
@@ -158,6 +147,20 @@ def run(
             f"page: {folder / 'report.html'}",
         )
     return concluded(verdict, shown=not (quiet or json))
+
+
+def _write_result(
+    folder: Path, recording: Recording, gap: Gap, validation: Validation | None, verdict: Verdict
+) -> None:
+    """Write gap.json, calibration.yaml and report.html."""
+    from magyc_gtsam.report.gap_page import render_gap
+
+    (folder / "gap.json").write_text(
+        _json(_values(gap, validation, verdict)), encoding="utf-8", errors="backslashreplace"
+    )
+    gap.calibration.save(folder / "calibration.yaml")
+    page = render_gap(recording, gap, validation, verdict)
+    (folder / "report.html").write_text(page, encoding="utf-8", errors="backslashreplace")
 
 
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
