@@ -22,6 +22,7 @@ import gtsam
 
 from magyc_gtsam.factors.alignment import AlignmentLimits
 from magyc_gtsam.factors.delivered import Delivered, sorted_factors
+from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.entrance import Entrance, Optimize
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
@@ -156,7 +157,7 @@ class NativeFactors:
                 pushed.push_back(admission.pull)
             for each in placed:
                 pushed.push_back(each.native)
-        last = _eliminated_last(new.others, entering, renewed)
+        last = eliminated_last(new.others, entering, renewed)
         result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove, last)
         if pushed is not new.others:
             self._place(solver, placed, new_slots(solver, result), pushed.size() - len(placed))
@@ -314,25 +315,3 @@ class NativeFactors:
             details.width = width
         if width == 1.0:  # those before need no more care
             del self._robust[:-_RECENT_KERNELS]
-
-
-def _eliminated_last(
-    others: gtsam.NonlinearFactorGraph, entering: list[Delivered], renewed: list[Delivered]
-) -> list[set[int]]:
-    """Groups of keys that iSAM2 eliminates last; empty where its own choice is better.
-
-    By itself it puts the keys of all new factors last, so that a calibration shares a clique with poses. Each time that
-    these move, all poses of that calibration are then solved for again. Eliminated before the newest poses, soft and
-    hard iron have a clique of their own. Where older blocks are renewed its own choice shortens the way to them.
-    """
-    placed = entering + renewed
-    newest = set(others.keyVector()) if placed else set()
-    if not all(each.details is not None and each.details.attitude_key in newest for each in placed):
-        return []
-    calibrations = {
-        key
-        for each in entering
-        if each.details
-        for key in (each.details.soft_iron_key, each.details.hard_iron_key)
-    }
-    return [calibrations, newest - calibrations] if placed else []

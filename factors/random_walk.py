@@ -35,17 +35,29 @@ def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
 def hard_iron_walk(
     first_key: int, second_key: int, elapsed: float, sigma: ArrayLike, *, field_unit: float = MICROTESLA
 ) -> gtsam.BetweenFactorPoint3:
-    """Random walk between two hard irons (3-vectors or `Point3`, `field_unit`); `sigma` in T per √hour."""
+    """Random walk between two hard irons (3-vectors or `Point3`, `field_unit`).
+
+    Args:
+        first_key, second_key: of the two nodes.
+        elapsed: s between the two nodes.
+        sigma: T per √hour, one or three.
+        field_unit: T per unit of the keys.
+    """
     return gtsam.BetweenFactorPoint3(
         first_key, second_key, np.zeros(3), _grown(np.asarray(sigma, dtype=float) / field_unit, 3, elapsed)
     )
 
 
 def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorPoint3:
-    """Random walk between two gyroscope biases (3-vectors or `Point3`); `sigma` in rad/s per √hour.
+    """Random walk between two gyroscope biases (3-vectors or `Point3`).
 
     A graph whose bias is an `imuBias.ConstantBias` has its own (`CombinedImuFactor`,
     `BetweenFactorConstantBias`) and needs no other.
+
+    Args:
+        first_key, second_key: of the two nodes.
+        elapsed: s between the two nodes.
+        sigma: rad/s per √hour, one or three.
     """
     return gtsam.BetweenFactorPoint3(first_key, second_key, np.zeros(3), _grown(sigma, 3, elapsed))
 
