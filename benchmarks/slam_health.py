@@ -116,25 +116,29 @@ class Drive:
         return self.error @ np.linalg.solve(covariance, self.error)
 
 
-def starts(seeds: range, step: int) -> None:
+METHODS = {"without": {}, "native": {}, "python": {"quadratic": False}}
+
+
+def starts(seeds: range, step: int, methods: list[str]) -> None:
     """Print heading errors and NEES by how far the heading is off at the start."""
     print(f"{len(seeds)} seeds each, 60 s; root mean square heading error over the second half, worst; NEES (9)")
     band = 1.96 * np.sqrt(2 * 9 / len(seeds))
     for heading in range(0, 181, step):
         runs = {
-            name: [Drive(seed, heading, magnetometer=name != "without").run(**options) for seed in seeds]
-            for name, options in (("without", {}), ("native", {}), ("python", {"quadratic": False}))
+            name: [Drive(seed, heading, magnetometer=name != "without").run(**METHODS[name]) for seed in seeds]
+            for name in methods
         }
         parts = [f"{heading:4d}°"]
-        base = np.array([run.heading_error for run in runs["without"]])
         for name, drives in runs.items():
             error = np.array([run.heading_error for run in drives])
             text = f"{name} {np.sqrt(np.mean(error**2)):.2f}° (worst {error.max():.2f}°"
             if name != "without":
                 consistent = [run for run in drives if run.native.health.word == "consistent"]
                 nees = np.mean([run.nees for run in consistent]) if consistent else np.nan
-                text += f", worse than without {np.sum(error > base)}"
                 text += f"; NEES {nees:.2f} of {len(consistent)} consistent"
+            if name != "without" and "without" in runs:
+                base = np.array([run.heading_error for run in runs["without"]])
+                text += f"; worse than without {np.sum(error > base)}"
             parts.append(text + ")")
         print("   ".join(parts), flush=True)
     print(f"band of the NEES {9 - band:.2f} to {9 + band:.2f}")
@@ -198,6 +202,7 @@ def main() -> None:
     option = commands.add_parser("starts")
     option.add_argument("--seeds", type=int, default=10)
     option.add_argument("--step", type=int, default=30)
+    option.add_argument("--methods", nargs="+", choices=METHODS, default=list(METHODS))
     option = commands.add_parser("words")
     option.add_argument("--seeds", type=int, default=20)
     option = commands.add_parser("clean")
@@ -208,7 +213,7 @@ def main() -> None:
     arguments = parser.parse_args()
     seeds = range(arguments.first, arguments.first + arguments.seeds)
     if arguments.command == "starts":
-        starts(seeds, arguments.step)
+        starts(seeds, arguments.step, arguments.methods)
     elif arguments.command == "words":
         words(seeds)
     else:

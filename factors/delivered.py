@@ -130,6 +130,13 @@ class Delivered:
             self.place = replace(self.place, shift=shift, angle=place.angle + angle, iron=place.iron + iron)
         return shift
 
+    def lag(self, view: View) -> float:
+        """By how many standard deviations the solver's own linearisation of the Python factor is stale."""
+        keys = self.factor.keys()
+        point, before = view.values(keys), view.linearized(keys)
+        stale = gtsam.LinearContainerFactor(self.factor.linearize(before), before)
+        return _shift(self.factor.linearize(point), stale.linearize(point))
+
 
 def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.LinearContainerFactor:
     """The factor's quadratic at `point`, which must hold its keys: native, picklable, free of Python.

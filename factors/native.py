@@ -270,11 +270,12 @@ class NativeFactors:
             delivered.make(view)
 
     def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
-        """Those of the quadratics that were stale; they are new ones now."""
-        if not self.quadratic:
-            return []
-        shifts = [each.renew(view, self.tolerance) for each in delivered]
-        renewed = [each for each, shift in zip(delivered, shifts, strict=True) if shift > self.tolerance]
+        """Those of the quadratics that were stale; they are new ones now. Python factors are the solver's to renew."""
+        if self.quadratic:
+            shifts = [each.renew(view, self.tolerance) for each in delivered]
+            renewed = [each for each, shift in zip(delivered, shifts, strict=True) if shift > self.tolerance]
+        else:
+            shifts, renewed = [each.lag(view) for each in delivered], []
         self.replaced += len(renewed)
         self._staleness.found(shifts)
         examiner = self._examiner

@@ -49,6 +49,11 @@ class View:
             point.insert(self.new)
         return point
 
+    def linearized(self, keys: Sequence[int]) -> gtsam.Values:
+        """Where the solver has linearised its factors on these keys, all of which it holds."""
+        held = self.solver if isinstance(self.solver, gtsam.Values) else self.solver.getLinearizationPoint()
+        return held.extract(list(keys))
+
     def estimate(self) -> gtsam.Values:
         """All values that the solver holds, without those of the coming update."""
         return self.solver if isinstance(self.solver, gtsam.Values) else self.solver.calculateEstimate()

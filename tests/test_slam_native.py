@@ -51,6 +51,14 @@ def test_python_factors_wait_for_the_heading_too():
     assert drive.nees < 27.9
 
 
+def test_python_factors_are_not_judged_while_they_settle():
+    """The turn of this graph was taken for a disturbance of 24 s, whose blocks left it."""
+    drive = Drive(301, 150).run(quadratic=False)
+    assert {health.word for health in drive.words} == {"waiting", "consistent"}
+    assert drive.native.withdrawn == 0
+    assert drive.heading_error < 0.5
+
+
 def test_a_prior_that_is_sure_and_wrong_is_overruled():
     """Blocks enter at once, contradict each other, leave again, and the graph is turned."""
     drive = Drive(18, 172, prior=0.1).run()
