@@ -118,7 +118,8 @@ class Delivered:
             # second order in how far these are from where it was made, and so is what it lacks beyond the last look.
             angle, iron = place.moved(point, details)
             lost = angle * (place.angle + 0.5 * angle + place.iron + iron) + iron * place.angle  # of the field
-            shift = place.shift + lost * details.field_over_noise
+            # The samples' noise acts through Jacobians that have changed by as much, twice its deviation counting.
+            shift = place.shift + lost * details.field_over_noise + 2 * (angle + iron)
             if shift < tolerance:
                 return shift
         exact = self.factor.linearize(point)

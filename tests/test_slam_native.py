@@ -34,13 +34,13 @@ def test_a_wrong_start_ends_where_a_right_one_does(heading, seed):
 
 
 def test_blocks_follow_the_bias_that_they_share():
-    """While this graph turns, its bias is off, and so are blocks that stay where they were integrated."""
+    """While this graph turns, its bias is off, and with it where its blocks are integrated."""
     drive = Drive(300, 180).run()
     blocks = [each.details.block for each in drive.native._delivered]
     now = drive.values.atConstantBias(B(40)).gyroscope()
     assert max(np.linalg.norm(block.bias - now) for block in blocks) > 5e-3
     assert drive.heading_error < 0.5
-    assert drive.nees < 27.9  # 250 where they stay
+    assert drive.nees < 27.9
     assert drive.native.health.word == "consistent"
 
 
