@@ -1,4 +1,4 @@
-"""The effects, by the part of the signal's way in which they act, and their published strengths."""
+"""The simulated effects, by the part of the signal path at which they act, and their published strengths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ __all__ = ["EFFECTS", "FOREIGN", "NAMED", "STRENGTHS", "Strength", "chosen"]
 
 
 def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen]:
-    """The effects asked for, with their sizes.
+    """Return the requested effects with their sizes.
 
     Raises:
         MagycError: a name that is not known, twice the same, or a factor that is not more than 0.
@@ -35,9 +35,9 @@ def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen
         if name not in EFFECTS:
             raise MagycError(f"effects: {name!r} is not one of {', '.join(EFFECTS)}")
         if name in (c.name for c in result):
-            raise MagycError(f"effects: {name!r} is asked for twice; give it once with its factor")
+            raise MagycError(f"effects: {name!r} is given twice; give it once with its factor")
         if not 0 < factor < float("inf"):
-            raise MagycError(f"effects: factor {factor:g} of {name!r}, it must be more than 0")
+            raise MagycError(f"effects: factor of {name!r} must be finite and above 0, got factor {factor:g}")
         strength = STRENGTHS[name]
         result.append(Chosen(name, EFFECTS[name], factor, factor * strength.size, strength.unit, seed))
     return result

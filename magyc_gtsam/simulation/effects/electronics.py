@@ -1,4 +1,4 @@
-"""The magnetometer's core and electronics."""
+"""Effects of the magnetometer's core and electronics."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _timing(field: Array, scene: Scene, size: float, random: np.random.Generator
 
 
 def _saturation(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A core that goes into saturation softly, like a hyperbolic tangent, the same on all axes."""
+    """Saturate the core softly, like a hyperbolic tangent, equally on all axes."""
     full = (1 - size) * float(np.abs(field).max())
     knee = 0.85 * full
     beyond = np.clip(np.abs(field) - knee, 0, None)
@@ -29,7 +29,7 @@ def _saturation(field: Array, scene: Scene, size: float, random: np.random.Gener
 
 
 def _cubic(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """An odd response that is cubic for small fields and flattens."""
+    """Add an odd response that is cubic for small fields and flattens."""
     share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
     part = field / _LARGE
     return field + size * share * 1.2 * part**3 / (1 + 0.2 * part**2), {"share": share}

@@ -1,4 +1,4 @@
-"""The Earth's field on its way to the sensor: where the vehicle is, what it passes, plates, the mounting."""
+"""Effects on the field before the sensor: the place, passed objects, plates, and the mounting."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Result = tuple[Array, dict[str, Any]]
 
 
 def _gradient(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A source deep below: the strength grows with the inverse cube of the distance to it."""
+    """Add a deep source, whose field grows with the inverse cube of the distance."""
     sign = random.choice([-1.0, 1.0])
     depth = scene.environment.depth
     below = 300.0 - (depth - depth.mean())
@@ -23,7 +23,7 @@ def _gradient(field: Array, scene: Scene, size: float, random: np.random.Generat
 
 
 def _anomaly(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A dipole at the sea bed that is passed once, 8 m away, on the vehicle's own path."""
+    """Add a dipole on the sea bed that the vehicle passes once at 8 m."""
     at = scene.time[0] + random.uniform(0.25, 0.75) * (scene.time[-1] - scene.time[0])
     position = scene.environment.position
     nearest = np.array([np.interp(at, scene.time, axis) for axis in position.T])
@@ -38,7 +38,7 @@ def _anomaly(field: Array, scene: Scene, size: float, random: np.random.Generato
 
 
 def _eddy_plane(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A plate: the flux through it changes as the vehicle turns, its currents oppose that and die in 30 ms."""
+    """Add a plate's eddy currents, which oppose the change of flux during a turn and decay in 30 ms."""
     normal = direction(random)
     way = normal + 0.1 * direction(random)
     way /= np.linalg.norm(way)
@@ -47,7 +47,7 @@ def _eddy_plane(field: Array, scene: Scene, size: float, random: np.random.Gener
 
 
 def _misalignment(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """The magnetometer is turned against the gyroscope."""
+    """Rotate the magnetometer relative to the gyroscope."""
     turned = size * direction(random)
     return Rotation.from_rotvec(turned).apply(field), {"rotation_vector": turned}
 

@@ -1,4 +1,4 @@
-"""Effects that no catalogue has: a diagnosis must call them unknown."""
+"""Effects outside the catalogue, which a diagnosis must call unknown."""
 
 from __future__ import annotations
 

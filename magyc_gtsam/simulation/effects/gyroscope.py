@@ -1,4 +1,4 @@
-"""Errors of the gyroscope beyond a constant bias."""
+"""Effects on the gyroscope beyond a constant bias."""
 
 from __future__ import annotations
 

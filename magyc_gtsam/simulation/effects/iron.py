@@ -1,4 +1,4 @@
-"""Iron and currents on the vehicle: fields that are added in the sensor frame."""
+"""Effects of iron and currents on the vehicle, which add fields in the sensor frame."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _temperature(field: Array, scene: Scene, size: float, random: np.random.Gene
 
 
 def _step(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Something slips, within a third of a second."""
+    """Add a step in hard iron within a third of a second, as of slipping payload."""
     way = direction(random)
     at = scene.time[0] + random.uniform(0.25, 0.75) * (scene.time[-1] - scene.time[0])
     moved = 0.5 * (1 + np.tanh((scene.time - at) / 0.15))

@@ -1,4 +1,4 @@
-"""What sampling, bus and logger do to the magnetometer's numbers, and the gyroscope's axes."""
+"""Effects of sampling, bus and logger on the magnetometer's readings, and exchanged axes of the gyroscope."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The published strengths: what factor 1 means for each effect, and why.
+"""The published strength (factor 1) of each effect, and its reason.
 
 `sigma` is the smallest size that shows at one standard deviation in 600 s at 10 Hz with a magnetometer of
 10 mG and a gyroscope of 5 mrad/s, at pitch ±45° and ±5°, None where it has not been derived. The strengths
@@ -20,14 +20,14 @@ _MRAD = 1e-3
 
 @dataclass(frozen=True)
 class Strength:
-    """What factor 1 means.
+    """The strength of an effect at factor 1.
 
     Attributes:
-        size: in `unit`.
-        unit: SI, and what it is counted per.
-        shown: the same as a navigator says it.
-        reason: why this much.
-        sigma: (pitch ±45°, pitch ±5°) size at one standard deviation, `unit`.
+        size: size in `unit`.
+        unit: SI unit, with its reference quantity.
+        shown: the size in customary units.
+        reason: reason for the size.
+        sigma: (pitch ±45°, pitch ±5°) size at one standard deviation, in `unit`.
     """
 
     size: float

@@ -1,4 +1,4 @@
-"""All faults by name, each at two strengths."""
+"""The catalogue of faults by name, each at two strengths."""
 
 from __future__ import annotations
 

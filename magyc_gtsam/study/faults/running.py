@@ -1,4 +1,4 @@
-"""Runs the study on the engine for many, with a part for each row: an interrupted study goes on where it was."""
+"""Run the study of faults through the engine, one file per row, so that an interrupted study continues."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class OutcomeCounts:
 
 @dataclass(frozen=True)
 class SigmaCoverage:
-    """How many calibrations, and shares in which the largest error is within one stated sigma."""
+    """Number of calibrations, and shares in which the largest error is within one stated sigma."""
 
     count: int
     hard_iron: float
@@ -60,7 +60,7 @@ class SigmaCoverage:
 
 
 def cases(names: Sequence[str], motions: Sequence[str], seeds: Sequence[int]) -> list[Case]:
-    """Every fault at both strengths; "clean" once.
+    """Return the cases of every fault at both strengths, and of "clean" once.
 
     Raises:
         MagycError: an unknown fault.
@@ -84,7 +84,7 @@ def run(
     workers: int = 2,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """One row for every case and method, and all of them in `folder`; what is there already is not done again.
+    """Return one row per case and method and write them to `folder`; rows that exist are not computed again.
 
     Args:
         folder: of `faults.parquet`, and of a part for each row.
@@ -130,7 +130,7 @@ class CaseByMethod:
 
 
 def work(job: CaseByMethod) -> Row:
-    """The row of a job."""
+    """Return the row of a job."""
     case, fault = job.case, FAULTS[job.case.fault]
     log = record(case.motion, case.seed, fault, getattr(fault, case.strength), case.fault)
     try:
@@ -149,7 +149,7 @@ def _calibrated(job: CaseByMethod, log: LoggedSamples) -> tuple[Calibration | No
 
 
 def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
-    """The rows by fault, strength, motion and method; the worst first."""
+    """Return cells by fault, strength, motion and method, the worst first."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["fault"], row["strength"], row["motion"], row["method"]), []).append(row)

@@ -1,4 +1,4 @@
-"""What a result is worth beside the truth: right, wrong or refused."""
+"""Classify a result by the truth as right, wrong or refused."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from magyc_gtsam.level_turn import Askew, LevelTurn
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import FIELD, GYRO_BIAS, HARD_IRON, SOFT_IRON
 
-SIGMAS = 3.0  # stated ones, beyond which an error is wrong
+SIGMAS = 3.0  # stated sigmas beyond which a result is wrong
 HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
 HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
@@ -40,24 +40,24 @@ class FaultScore:
     message: str
 
     def row(self) -> dict[str, Any]:
-        """By name."""
+        """Return the score by name."""
         return asdict(self)
 
 
 def refused(message: str) -> FaultScore:
-    """Of a method that gave no calibration."""
+    """Return the score of a method without a calibration."""
     return FaultScore("refused", np.nan, np.nan, np.nan, np.nan, message)
 
 
 def crashed(error: Exception) -> FaultScore:
-    """Of a method that ended in an error of its own: a defect."""
+    """Return the score of a method that ended in an unexpected exception, which is a defect."""
     return FaultScore("crashed", np.nan, np.nan, np.nan, np.nan, f"{type(error).__name__}: {error}")
 
 
 def score(
     calibration: Calibration | None, message: str = "", body_R_sensor: Array = _ALIGNED, end: float = 0.0
 ) -> FaultScore:
-    """A calibration with its terms beside the truth of `signals.record` at the end of the log.
+    """Score a calibration with its terms by the truth of `signals.record` at the end of the log.
 
     Args:
         calibration: the result.
@@ -88,7 +88,7 @@ def score(
 
 
 def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
-    """(n, 3) T, readings (n, 3) as calibrated when the log ends, one after the other, of an instrument at rest."""
+    """Return readings (n, 3) T of an instrument at rest, calibrated as at the end of the log."""
     at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name != "timing"))
     time = end + _APART * np.arange(len(readings))
     return at_rest.corrected(readings, time=time, angular_rate=np.tile(GYRO_BIAS, (len(readings), 1)))
@@ -116,7 +116,7 @@ def _of_terms(calibration: Calibration, end: float) -> Array:
 
 
 def _heading(calibration: Calibration, covariance: Array, body_R_sensor: Array, end: float) -> tuple[Array, Array]:
-    """(n,) deg, error of the calibrated heading over a level turn, and its stated sigma."""
+    """Return the error (n,) deg of the calibrated heading over a level turn, and its stated sigma."""
     heading = np.arange(0.0, 360.0, 10.0)
     angle = np.deg2rad(heading)
     north, east, down = FIELD  # level: a turn about the body's z

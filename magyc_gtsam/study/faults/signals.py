@@ -41,7 +41,7 @@ class TrueMotion:
 
     @property
     def step(self) -> float:
-        """s between points of the fine grid."""
+        """Return the interval between points of the fine grid, s."""
         return float(self.time[1] - self.time[0])
 
 
@@ -59,7 +59,7 @@ class LoggedSamples:
     body_R_sensor: Array = attribute(default_factory=lambda: np.eye(3))
 
     def recording(self, name: str) -> Recording:
-        """As a reader gives it."""
+        """Return the log as a reader would."""
         if len(self.field_time) == len(self.rate_time) and (self.field_time == self.rate_time).all():
             return Recording(self.field_time, self.field, self.rate, name=name)
         return Recording.from_streams((self.field_time, self.field), (self.rate_time, self.rate), name=name)
@@ -102,7 +102,7 @@ def record(
     name: str = "",
     duration: float = 600.0,
 ) -> LoggedSamples:
-    """The log of an instrument with a fault, on one of the simulator's motions."""
+    """Return the log of an instrument with a fault, on one of the simulator's motions."""
     random = np.random.default_rng([seed, crc32(motion.encode())])
     own = np.random.default_rng([seed, crc32(name.encode())])
     rate = fault.rate if fault else 10.0
@@ -133,27 +133,27 @@ def _turned(angles: tuple[Array, Array]) -> tuple[Array, Rotation, Array]:
 
 
 def direction(random: np.random.Generator) -> Array:
-    """(3,) unit vector, all directions alike."""
+    """Return a unit vector (3,) with uniformly distributed direction."""
     vector = random.standard_normal(3)
     return np.asarray(vector / np.linalg.norm(vector))
 
 
 def slow(scene: TrueMotion, random: np.random.Generator, correlation: float) -> Array:
-    """(n,) a random walk that is drawn back, of unit deviation, correlated over so many s."""
+    """Return an Ornstein–Uhlenbeck process (n,) of unit deviation, correlated over `correlation` s."""
     white = random.standard_normal(len(scene.time))
     walk = lagged(white, scene.step, correlation)
     return np.asarray((walk - walk.mean()) / walk.std())
 
 
 def stretches(count: int, share: float, length: int, random: np.random.Generator) -> np.ndarray:
-    """(count,) bool, stretches of `length` rows in random places that cover about a share of all."""
+    """Return (count,) bool: stretches of `length` rows at random places that cover about a share of all."""
     blocks = int(np.ceil(count / length))
     chosen = random.permutation(blocks) < round(share * blocks)
     return np.repeat(chosen, length)[:count]
 
 
 def one_stretch(count: int, share: float, random: np.random.Generator) -> slice:
-    """One stretch of a share of all rows."""
+    """Return one random stretch of a share of all rows."""
     length = round(share * count)
     first = int(random.integers(0, count - length + 1))
     return slice(first, first + length)

@@ -1,1 +1,1 @@
-"""The leaderboard: every method calibrates on one public recording and is judged on others of the same unit."""
+"""The leaderboard: calibrate by every method on a public recording, and judge it on others of the same unit."""

@@ -1,11 +1,11 @@
-"""The public collections of the leaderboard: what each recording is of, its licence, and what may judge."""
+"""The public collections of the leaderboard: unit, licence and role of each recording."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 
-_BROAD_UNITS = {  # a reading of the data: gyroscope biases, skews and hard irons fall into these clusters
+_BROAD_UNITS = {  # inferred from the data: gyroscope biases, misalignments and hard irons form these clusters
     "A": (1, 4, 6, 8, 10, 15),
     "B": (2, 5, 7, 11, 16, 18, 21, 28, 29, 30, 31),
     "C": (3, 24, 25, 26, 27),
@@ -32,15 +32,15 @@ _BROAD_TRIALS = """
 
 @dataclass(frozen=True)
 class Collection:
-    """Recordings that were published together.
+    """A set of recordings that were published together.
 
     Attributes:
-        name: what they are called.
-        licence: of the data.
-        source: where they are from.
-        citation: of the paper.
-        address: of the folder that holds `files`; "" where the originals are not read, and a mirror is needed.
-        files: there.
+        name: name of the collection.
+        licence: licence of the data.
+        source: origin of the data.
+        citation: citation of the paper.
+        address: address of the folder with `files`; "" if the originals cannot be read and a mirror is needed.
+        files: files at the address.
     """
 
     name: str
@@ -69,7 +69,7 @@ COLLECTIONS = (BROAD, PHONES)
 
 _TRIAL = re.compile(r"^(?:broad_)?(\d\d)_")
 _WALK = re.compile(r"^(Guillaume|Jakob|Thibaud)_(Nexus5|iPhone4S|iPhone5)_(NoDist|Dist)_")
-_NAMED = {  # files that were renamed: the hard iron is that of this person's walks
+_NAMED = {  # renamed files; their hard iron is that of this person's walks
     "nexus5_augmented_reality": ("phone Nexus5 Thibaud", True),
     "nexus5_calibration_d1": ("phone Nexus5 Thibaud", False),
 }
@@ -77,12 +77,12 @@ _NAMED = {  # files that were renamed: the hard iron is that of this person's wa
 
 @dataclass(frozen=True)
 class Kind:
-    """What a recording is.
+    """Collection, unit and role of a recording.
 
     Attributes:
-        collection: it belongs to.
-        unit: the instrument; recordings of one unit are calibrated and judged against each other.
-        judges: whether it may judge: undisturbed, and turned in all directions rather than moved about.
+        collection: the collection it belongs to.
+        unit: the instrument; calibrations are judged on other recordings of the same unit.
+        judges: whether calibrations may be judged on it: undisturbed, and turned in all directions.
     """
 
     collection: Collection
@@ -91,7 +91,7 @@ class Kind:
 
 
 def kind_of(name: str) -> Kind | None:
-    """What a recording is, by its file's name without suffix; None where its unit is not known.
+    """Return the kind of a recording from its file name without suffix; None if its unit is unknown.
 
     The hard iron of the Nexus 5 moved by 20 µT between the days of two persons, so that these count as two units;
     those of the iPhones stayed within two sigmas.

@@ -1,4 +1,4 @@
-"""The recordings of the leaderboard on this machine: those of a folder, or fetched once and checked ever after."""
+"""Find the recordings of the leaderboard in a folder, or fetch them once and check them afterwards."""
 
 from __future__ import annotations
 
@@ -14,19 +14,17 @@ from magyc_gtsam.storage.whole_file import whole_file
 from magyc_gtsam.study.leaderboard.collections import COLLECTIONS
 from magyc_gtsam.study.leaderboard.reading import FORMS
 
-CHECKSUMS = "registry.txt"  # in pooch's form: a file's name and its SHA-256 a line
+CHECKSUMS = "registry.txt"  # in pooch's format: per line a file name and its SHA-256
 
 
 def local(folder: Path) -> list[Path]:
-    """The recordings in a folder and below it, by name.
+    """Return the recordings in a folder and its subfolders by name.
 
     Raises:
         MagycError: no such folder, or none in it.
     """
     if not folder.is_dir():
-        raise MagycError(
-            f"{folder}: is no folder; give the one that holds the recordings, or leave it out to fetch"
-        )
+        raise MagycError(f"{folder}: is no folder; give the folder with the recordings, or omit it to fetch them")
     found = sorted((p for p in folder.rglob("*") if p.suffix in FORMS), key=lambda p: p.name)
     if not found:
         raise MagycError(f"{folder}: holds no recording ({', '.join(FORMS)})")
@@ -34,14 +32,14 @@ def local(folder: Path) -> list[Path]:
 
 
 def fetch(folder: Path | None = None, address: str | None = None, progress: Progress | None = None) -> list[Path]:
-    """All recordings of the collections, fetched where they are not there yet.
+    """Return all recordings of the collections, fetching the missing ones.
 
     The checksums of a mirror are in its `registry.txt`. The published originals have none: their addresses name a
     commit, and the checksum of the first fetch is written down and held against all later ones.
 
     Args:
-        folder: to keep them; None for the user's cache.
-        address: of a mirror that holds recordings and `registry.txt`; None for the collections' own addresses.
+        folder: folder to store them in; None for the user's cache.
+        address: address of a mirror with recordings and `registry.txt`; None for the collections' own addresses.
         progress: called with the share done.
 
     Raises:
@@ -86,16 +84,16 @@ def _retrieved(base: str, name: str, known: str | None, folder: Path) -> Path:
         return Path(_pooch().retrieve(base + name, known, fname=name, path=folder))
     except ValueError:
         raise MagycError(
-            f"{base}{name}: its SHA-256 is not the {known} that is written down; what was fetched was not kept"
+            f"{base}{name}: its SHA-256 differs from the stored {known}; the file was not kept"
         ) from None
-    except OSError as error:  # requests' errors are such
+    except OSError as error:  # the base of requests' errors
         raise MagycError(
             f"{base}{name}: cannot be fetched ({type(error).__name__}); check the network, or give --folder"
         ) from None
 
 
 def _registry_at(base: str) -> Mapping[str, str]:
-    """Of a mirror, as it is now."""
+    """Fetch the present registry of a mirror."""
     with tempfile.TemporaryDirectory() as folder:
         try:
             file = _pooch().retrieve(base + CHECKSUMS, None, fname=CHECKSUMS, path=folder)
@@ -108,7 +106,7 @@ def _registry_at(base: str) -> Mapping[str, str]:
 
 
 def _registry(file: Path) -> Mapping[str, str]:
-    """{name: SHA-256}; empty where there is no file."""
+    """Return {name: SHA-256}; empty if there is no file."""
     if not file.exists():
         return {}
     rows: Sequence[list[str]] = [line.split() for line in file.read_text(encoding="utf-8").splitlines() if line]

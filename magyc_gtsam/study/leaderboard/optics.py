@@ -1,4 +1,4 @@
-"""The calibration that optics find: what a recording itself says when its attitude is known."""
+"""Calibrate a recording by its optical attitude, as a reference."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from magyc_gtsam.recording import Array, Recording
 
 @dataclass(frozen=True)
 class OpticsLimits:
-    """What decides here.
+    """Constants of the fit.
 
     Attributes:
-        turning: rad/s. Rows in which the reference turns slower say nothing of the directions beside it: BROAD rests
-            for a quarter to a half of a trial in one attitude, and turns at 0.3 to 16 rad/s in between.
-        interval: s, over which that is measured; the cameras' noise of 0.5° is 0.02 rad/s over it.
-        rows: used of a recording, evenly spaced; 6,000 leave the hard iron its third digit.
-        fewest: samples without which nothing is fitted.
-        latest: s, range of the magnetometer's delay behind the cameras, to both sides. Phones: 0.06 at most.
-        hole: s between two rows of the reference, more of which is not interpolated.
-        block: s. Residuals closer than this are taken as one draw: the room's field varies with the path.
+        turning: rad/s, least rate of the rows used: BROAD rests in one attitude for a quarter to a half of a trial, and
+            turns at 0.3 to 16 rad/s in between.
+        interval: s, over which the rate is measured; the cameras' noise of 0.5° is 0.02 rad/s over it.
+        rows: most rows used of a recording, evenly spaced; 6,000 keep the third digit of the hard iron.
+        fewest: least samples for a fit.
+        latest: s, largest delay of the magnetometer relative to the cameras, on both sides; phones have at most 0.06.
+        hole: s, longest gap of the reference that is interpolated.
+        block: s, distance within which residuals count as one draw, because the room's field varies along the path.
     """
 
     turning: float = 0.1
@@ -38,19 +38,19 @@ class OpticsLimits:
 
 
 LIMITS = OpticsLimits()
-_PASSES = 4  # of Gauss–Newton; the start is off by a hundredth of a radian
+_PASSES = 4  # Gauss–Newton steps; the start is off by a hundredth of a radian
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A recording as its optics see it.
+    """The calibration of a recording by its optical attitude.
 
     Attributes:
-        calibration: the affine fit with a field that stands still in the world.
-        covariance: (3, 3) T², of its hard iron, by a sandwich over blocks.
-        delay: s, of the magnetometer behind the cameras.
-        time: (n,) s of the magnetometer's samples while it turns, evenly spaced.
-        rotation: (n, 3, 3) sensor to world when their field was there, by the delay earlier.
+        calibration: affine fit with a constant field in the world.
+        covariance: (3, 3) T², of its hard iron, by a sandwich estimator over blocks.
+        delay: delay of the magnetometer relative to the cameras, s.
+        time: (n,) s, evenly spaced magnetometer samples while the sensor turns.
+        rotation: (n, 3, 3) sensor to world at these samples, earlier by the delay.
     """
 
     calibration: Calibration
@@ -92,7 +92,7 @@ def reference_of(recording: Recording) -> Reference:
 
 
 def _forward(rotation: Array, direction: Array, field: Array, block: Array) -> tuple[Array, Array, Array]:
-    """m = A Rᵀ f + h by least squares over A, h and the direction f, from a start of f; covariance of h."""
+    """Fit m = A Rᵀ f + h by least squares over A, h and the direction f from a start of f; return also cov(h)."""
     count = len(field)
     for _ in range(_PASSES):
         body = np.einsum("nji,j->ni", rotation, direction)
@@ -146,7 +146,7 @@ def _turning(recording: Recording) -> tuple[Slerp, Array, Array]:
 
 
 def _direction(rotation: Array, field: Array) -> tuple[float, Array]:
-    """Share of the calibrated field that stands still in the world at best, and its direction there."""
+    """Return the largest share of the calibrated field that is constant in the world, and its direction."""
     scaled = field / np.sqrt(np.mean(field**2))
     lever = np.concatenate([scaled, -np.ones((len(field), 1))], axis=1)  # (n, 4): G = lever ⊗ R
     mean = np.einsum("na,nij->iaj", lever, rotation).reshape(3, 12) / len(field)

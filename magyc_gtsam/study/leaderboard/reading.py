@@ -1,4 +1,4 @@
-"""Recordings of the public collections, in the forms in which they are published."""
+"""Read recordings of the public collections in their published formats."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _of_arrays(values: Mapping[str, Any], name: str) -> tuple[Recording, Array]:
 
 
 def _of_broad(values: Mapping[str, Any], name: str) -> tuple[Recording, Array]:
-    """As published: µT, rad/s, m/s², quaternions w first, one rate for all."""
+    """Return a trial of BROAD from its arrays: µT, rad/s, m/s², quaternions w first, one rate for all."""
     field = np.asarray(values["imu_mag"], dtype=np.float64) * _MICROTESLA
     time = np.arange(len(field)) / float(values["sampling_rate"])
     whole = np.isfinite(field).all(axis=1)
@@ -80,6 +80,6 @@ def _of_broad(values: Mapping[str, Any], name: str) -> tuple[Recording, Array]:
 
 
 def _attitude(time: Array, quaternion: Array) -> tuple[Array, Array]:
-    """Without the rows in which the cameras lost the sensor: zero, or not a number."""
+    """Return attitude rows without those in which the cameras lost the sensor (zero or NaN)."""
     seen = np.linalg.norm(quaternion, axis=1) > 0.5
     return time[seen], quaternion[seen]

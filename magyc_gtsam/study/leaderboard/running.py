@@ -1,4 +1,4 @@
-"""One row for each recording and method: the calibration, and how it does on the unit's other recordings."""
+"""Run every method on every recording, and judge the calibration on the unit's other recordings."""
 
 from __future__ import annotations
 
@@ -24,12 +24,15 @@ from magyc_gtsam.study.leaderboard.optics import Reference, reference_of
 from magyc_gtsam.study.leaderboard.reading import Reader, read_public
 from magyc_gtsam.study.outcome import OutcomeStatus
 
-DELIVERED, OPTICS = "as delivered", "own optics"  # beside the methods: the reading as it is, and the floor
+DELIVERED, OPTICS = (
+    "as delivered",
+    "own optics",
+)  # in addition to the methods: the reading as delivered, and the floor
 
 
 @dataclass(frozen=True)
 class LeaderboardLog:
-    """A recording of the leaderboard: its name, where it is, and what `Kind` says of it."""
+    """A recording of the leaderboard: name, file, collection, unit and role."""
 
     name: str
     file: Path
@@ -40,7 +43,7 @@ class LeaderboardLog:
 
 @dataclass(frozen=True)
 class MethodOnLog:
-    """A unit of work: calibrate `log` by `method`, judge on `others`; `same` judges of the unit hold the truth."""
+    """A unit of work: calibrate `log` by `method` and judge on `others`; `same` of the unit give the reference."""
 
     log: LeaderboardLog
     method: str
@@ -50,14 +53,14 @@ class MethodOnLog:
 
 
 class HeadingScore(NamedTuple):
-    """deg: circular deviation of the magnetic heading, and root mean square of the direction's angle to its mean."""
+    """Circular deviation of the magnetic heading, and rms angle of the direction to its mean, deg."""
 
     heading: float
     direction: float
 
 
 def logs_of(files: Sequence[Path]) -> tuple[list[LeaderboardLog], list[Path]]:
-    """The recordings whose unit is known, and the files that are not recordings."""
+    """Return the recordings with a known unit, and the names of the other files."""
     logs, unknown = [], []
     for file in files:
         kind = kind_of(file.stem)
@@ -126,7 +129,7 @@ _COLUMNS = (
 
 
 def worked(task: MethodOnLog) -> Row:
-    """Calibrate and judge."""
+    """Calibrate one recording by one method, and judge the calibration."""
     recording, device = _read(task.log.file, task.reader)
     if task.method == DELIVERED:
         return _judged(
@@ -134,7 +137,7 @@ def worked(task: MethodOnLog) -> Row:
         )
     if task.method == OPTICS:
         return _judged(task, None, str(OutcomeStatus.TRUSTED), "each judged by its own optics", None)
-    blind = replace(recording, attitude=None)  # what judges is not shown
+    blind = replace(recording, attitude=None)  # the reference is hidden from the method
     outcome = run_methods(blind, [task.method])[0]
     if outcome.calibration is None:
         return {"status": str(outcome.status), "reason": outcome.reason, "seconds": outcome.seconds}
@@ -163,10 +166,10 @@ def _judged(
 
 
 def score(recording: Recording, reference: Reference, calibration: Calibration) -> HeadingScore:
-    """How still the calibrated field stands in the world of the optics, with their delay for all alike."""
+    """Return how constant the calibrated field is in the world of the optics, with the same delay for all methods."""
     time, field = recording.magnetometer
     rows = np.searchsorted(time, reference.time)
-    with warnings.catch_warnings():  # a bad calibration is what is looked for here
+    with warnings.catch_warnings():  # bad calibrations are expected here
         warnings.simplefilter("ignore", UserWarning)
         calibrated = calibration.apply(field[rows])
     world = np.einsum("nij,nj->ni", reference.rotation, calibrated)
@@ -179,7 +182,7 @@ def score(recording: Recording, reference: Reference, calibration: Calibration) 
 
 
 def _coverage(task: MethodOnLog, calibration: Calibration) -> Row:
-    """Of the stated hard iron by the optics': components within 1.96 sigmas of both, and squared error per freedom."""
+    """Return the components of the hard iron within 1.96 joint sigmas of the optics', and its squared error."""
     if calibration.covariance is None:
         return {}
     truth, covariance = _truth(task)

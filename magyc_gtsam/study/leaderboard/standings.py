@@ -1,4 +1,4 @@
-"""The table of the leaderboard: what a user of each method gets, its losses like its wins."""
+"""The table of the leaderboard: the result that a user of each method gets, with losses and wins."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class Pair:
-    """A method calibrated on one recording and judged on another, deg."""
+    """The errors, deg, of a method calibrated on one recording and judged on another."""
 
     method: str
     calibrated_on: str
@@ -62,7 +62,7 @@ class Pair:
 
 
 def pairs_of(rows: Iterable[Row]) -> list[Pair]:
-    """All pairs; where a method gave nothing, the reading as delivered, not trusted."""
+    """Return all pairs; a method without a result counts as the untrusted reading as delivered."""
     listed = list(rows)
     delivered = {row["recording"]: row for row in listed if row["method"] == DELIVERED}
     pairs = []
@@ -76,7 +76,7 @@ def pairs_of(rows: Iterable[Row]) -> list[Pair]:
 
 
 def standings(rows: Sequence[Row]) -> list[Standing]:
-    """Of one collection: as delivered and the optics' floor first, then the methods, the best heading first."""
+    """Return the standings of one collection: the optics' floor, as delivered, then the methods by heading."""
     pairs = pairs_of(rows)
     before = {(p.calibrated_on, p.judged_on): p.heading for p in pairs if p.method == DELIVERED}
     least = _least(pair for pair in pairs if pair.method != OPTICS)
