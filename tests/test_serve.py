@@ -190,7 +190,7 @@ def test_a_foreign_name_that_points_here(served: Served) -> None:
         ({"kind": "calibrate", "logs": ["{log}"], "start": "0; rm"}, "start"),
         ({"kind": "calibrate", "logs": ["{log}"], "start": float("nan")}, "start"),
         ({"kind": "calibrate", "logs": ["{log}"], "reading": {"output": "/tmp/x"}}, "reading"),
-        ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_unit": "--force"}}, "not known"),
+        ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_unit": "--force"}}, "is unknown"),
         ({"kind": "calibrate", "logs": ["{log}"], "reading": {"magnetic_field": "a\n--force"}}, "printable text"),
     ],
 )
