@@ -76,6 +76,7 @@ def test_terms_count_as_they_stand_at_the_end() -> None:
     """A step that was named, before which the hard iron was another one, beside a delay and scales of the gyroscope."""
     step = np.array([4e-6, -2e-6, 1e-6])
     others = (Term("timing", [0.03], [[1e-6]]), Term("gyro-scale", np.full(6, 0.01), 1e-6 * np.eye(6)))
+    loop = Term("hysteresis", np.full(3, 1e-7), 1e-16 * np.eye(3), {"width": 2e-6})
 
     def named(size: np.ndarray, sigma: float) -> mg.Calibration:
         terms = (Term("hard-iron-step", size, sigma**2 * np.eye(3), {"time": 300.0}), *others)
@@ -90,6 +91,8 @@ def test_terms_count_as_they_stand_at_the_end() -> None:
     off = score(named(0.5 * step, 2e-6), end=600.0)
     assert off.outcome == "right and trusted"  # within the step's own sigma
     assert off.hard_iron_sigmas == pytest.approx(2e-6 / np.hypot(1e-7, 2e-6))
+    remembering = replace(named(step, 1e-7), terms=(*named(step, 1e-7).terms, loop))
+    assert score(remembering, end=600.0).hard_iron < 1e-9  # a loop needs what came before
 
 
 def test_the_stated_heading_is_that_of_a_draw() -> None:

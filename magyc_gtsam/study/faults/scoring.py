@@ -96,7 +96,7 @@ def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
 
 def _left(calibration: Calibration, end: float) -> Array:
     """(3,) T, what is left of the true hard iron: its error, and that of terms which then add to it, such as a step."""
-    left: Array = calibration.soft_iron @ _standing(calibration, HARD_IRON[None], end)[0]
+    left: Array = calibration.soft_iron @ _standing(calibration, np.stack([HARD_IRON, HARD_IRON]), end)[-1]
     return left
 
 
