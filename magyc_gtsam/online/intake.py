@@ -60,40 +60,14 @@ class Intake:
             if name not in rows:
                 taken[name] = Samples(np.empty(0), np.empty((0, 3)))
                 continue
-            value = rows[name]
-            if len(value) != len(stamps):
-                raise MagycError(f"{name}: {len(value)} rows for {len(stamps)} stamps")
-            absent = np.isnan(value).all(axis=1)
-            good = np.isfinite(stamps) & np.isfinite(value).all(axis=1)
-            left_out += int((~good & ~absent).sum())
-            when, value = stamps[good], value[good]
-            beyond = np.abs(value).max(axis=1, initial=0.0) > limit
             first = not np.isfinite(last[name][0]) and not len(quarantine[name])
-            if first:
-                check_seconds("time", when)
-            if first and beyond.sum() > 0.5 * len(beyond):  # a wrong unit; after the first block it is a spike
-                row = int(beyond.argmax())
-                raise MagycError(
-                    f"{name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} "
-                    f"{'T' if name == 'magnetic_field' else 'rad/s'}; convert it, or say the unit "
-                    f"({'--magnetic-unit' if name == 'magnetic_field' else '--angular-unit'})"
-                )
-            left_out += int(beyond.sum())
-            when, value = when[~beyond], value[~beyond]
+            when, value, refused = _within_limits(name, stamps, rows[name], limit, first)
+            left_out += refused
             incoming = np.vstack([quarantine[name], np.column_stack([when, value])])
             admitted, quarantine[name] = _confirmed(incoming, last[name][0], steps[name])
             left_out += len(incoming) - len(admitted) - len(quarantine[name])
-            when, value = admitted[:, 0], admitted[:, 1:]
-            before = np.maximum.accumulate(np.concatenate([[last[name][0]], when]))[:-1]
-            if len(when) and (before - when).max() > _LATE:
-                row = int((before - when).argmax())
-                raise MagycError(
-                    f"{name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s, at most {_LATE:g} s late is "
-                    "left out; if a clock was set, save the calibration and start a new run"
-                )
-            late = when <= before
-            left_out += int(late.sum())
-            when, value = when[~late], value[~late]
+            when, value = _ascending(name, admitted, last[name][0])
+            left_out += len(admitted) - len(when)
             if len(when):
                 if len(when) > 1 or np.isfinite(last[name][0]):
                     steps[name] = float(when[-1] - (when[-2] if len(when) > 1 else last[name][0]))
@@ -147,6 +121,57 @@ class Intake:
         self._first, self._left_out = float(state["count"][0]), int(state["count"][1])
         self._step = dict(zip(_NAMES, state["step"].tolist(), strict=True))
         self._quarantine = {name: state[f"quarantine/{name}"] for name in _NAMES}
+
+
+def _within_limits(name: str, stamps: Array, value: Array, limit: float, first: bool) -> tuple[Array, Array, int]:
+    """Return stamps and values that are finite and within `limit`, and the number of rows left out.
+
+    Rows of NaN stand for no sample and are not counted.
+
+    Args:
+        name: of the sensor.
+        stamps, value: (n,) s and (n, 3).
+        limit: largest absolute value.
+        first: whether no sample came before, so that values beyond the limit mean a wrong unit.
+
+    Raises:
+        MagycError: the numbers of rows differ, or the unit is wrong.
+    """
+    if len(value) != len(stamps):
+        raise MagycError(f"{name}: {len(value)} rows for {len(stamps)} stamps")
+    absent = np.isnan(value).all(axis=1)
+    good = np.isfinite(stamps) & np.isfinite(value).all(axis=1)
+    refused = int((~good & ~absent).sum())
+    when, value = stamps[good], value[good]
+    beyond = np.abs(value).max(axis=1, initial=0.0) > limit
+    if first:
+        check_seconds("time", when)
+    if first and beyond.sum() > 0.5 * len(beyond):  # a wrong unit; after the first block it is a spike
+        row = int(beyond.argmax())
+        raise MagycError(
+            f"{name}: {np.abs(value[row]).max():.4g} at {when[row]:.3f} s is beyond {limit:g} "
+            f"{'T' if name == 'magnetic_field' else 'rad/s'}; convert it, or say the unit "
+            f"({'--magnetic-unit' if name == 'magnetic_field' else '--angular-unit'})"
+        )
+    return when[~beyond], value[~beyond], refused + int(beyond.sum())
+
+
+def _ascending(name: str, rows: Array, last: float) -> tuple[Array, Array]:
+    """Return stamps and values of the rows (n, 4) that ascend after the stamp `last`.
+
+    Raises:
+        MagycError: a stamp is later than `_LATE` allows, because a clock was set back.
+    """
+    when, value = rows[:, 0], rows[:, 1:]
+    before = np.maximum.accumulate(np.concatenate([[last], when]))[:-1]
+    if len(when) and (before - when).max() > _LATE:
+        row = int((before - when).argmax())
+        raise MagycError(
+            f"{name}: time goes back from {before[row]:.3f} to {when[row]:.3f} s, at most {_LATE:g} s late is "
+            "left out; if a clock was set, save the calibration and start a new run"
+        )
+    late = when <= before
+    return when[~late], value[~late]
 
 
 def _confirmed(rows: Array, last: float, step: float) -> tuple[Array, Array]:

@@ -49,7 +49,7 @@ class Events:
         finally:
             self._open.discard(event)
             sender.cancel()
-            # Cancelled just above, or sending to a page that has left, of which Starlette raises either error.
+            # The sender was cancelled just above, or its page has left, for which Starlette raises either error.
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await sender
 

@@ -129,7 +129,7 @@ class Store:
         self._arriving.add(place)
         try:
             yield f"u{key}", place / safe_name(name)
-        except BaseException:
+        except BaseException:  # also a cancelled request: nothing incomplete stays
             shutil.rmtree(place, ignore_errors=True)
             raise
         finally:
@@ -194,7 +194,7 @@ class Store:
         kind = next((kind for name, kind in _KINDS.items() if (folder / name).exists()), "live")
         try:
             record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError):  # results of the command line have no record
             record = {}
         record = record if isinstance(record, dict) else {}
         return {

@@ -260,7 +260,7 @@ def _as_drawn(method: str, data: Sample) -> tuple[float, float, bool]:
                 fitted.update(sample)
         else:
             fitted = FITS[method](data.y)
-    except (MagycError, np.linalg.LinAlgError):
+    except (MagycError, np.linalg.LinAlgError):  # a failure counts as an infinite cost
         return np.inf, time.process_time() - start, False
     seconds = time.process_time() - start
     cost = model_cost(fitted.matrix, fitted.offset, data.matrix, data.offset)
