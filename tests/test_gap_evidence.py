@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,7 +16,9 @@ from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
+from magyc_gtsam.gap.evidence.colour import colour_of
 from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN, marginals
+from magyc_gtsam.gap.evidence.posterior import kept
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
@@ -28,6 +33,12 @@ def normal(residual: np.ndarray, columns: np.ndarray, variance: np.ndarray, nois
     """Log density of white noise and of columns with a prior."""
     covariance = noise**2 * np.eye(ROWS) + (columns.T * variance) @ columns
     return float(multivariate_normal.logpdf(residual, cov=covariance))
+
+
+def stated_of(recording: mg.Recording) -> Mapping[str, float]:
+    """What is said of a recording, by the evidence alone."""
+    noise = short_term_noise(recording)
+    return marginals(answer(recording, base_model(recording, None, noise), noise, NAMES, problem_of).posterior)
 
 
 @pytest.mark.parametrize("noise", [1.0, 1.7])
@@ -73,8 +84,7 @@ def test_a_field_that_varies_is_in_the_hypotheses() -> None:
     for name, added in (("world", Rotation.from_quat(recording.attitude).inv().apply(slow)), ("sensor", slow)):
         field = recording.magnetic_field + 0.4e-6 * added
         own = mg.Recording(recording.time, field, recording.angular_rate)
-        noise = short_term_noise(own)
-        stated[name] = marginals(answer(own, base_model(own, None, noise), noise, NAMES, problem_of).posterior)
+        stated[name] = stated_of(own)
     assert stated["world"][FIELD_VARIATION] > 0.95
     assert stated["world"][UNKNOWN] + stated["world"][NOTHING] < 0.5
     assert stated["sensor"].get(FIELD_VARIATION, 0.0) < 0.5
@@ -115,3 +125,49 @@ def test_what_is_weak_may_be_a_part_of_something_unknown() -> None:
     assert late[UNKNOWN] < 0.03
     assert odd[UNKNOWN] > 0.9
     assert odd.get("timing", 0.0) < 0.5
+
+
+def test_colour_beside_white_noise_is_weighed_as_its_density() -> None:
+    """Against the exact density of the power and time that it has, less what the average over all costs."""
+    random, n, time, share = np.random.default_rng(5), 400, 2.0, 1.0
+    lag = np.abs(np.arange(n)[:, None] - np.arange(n))
+    covariance = (np.eye(n) + share * np.exp(-lag / time)) / (1 + share)
+    rows = random.multivariate_normal(np.zeros(n), covariance, size=3)
+    exact = float(multivariate_normal.logpdf(rows, cov=covariance).sum() + 0.5 * (rows**2).sum())
+    exact += 0.5 * rows.size * np.log(2 * np.pi)
+    nats = colour_of(rows.ravel()).alike
+    assert exact - 12 < nats < exact + 2
+    assert colour_of(random.standard_normal(3 * n)).alike < 0
+
+
+def test_a_second_step_is_no_form_of_the_first() -> None:
+    """It explains a fiftieth of what the first does, but at another time."""
+    recording = mg.simulate("wide", 200, seed=4).recording
+    since = recording.time - recording.time[0]
+    steps = 30e-6 * (since > 50) + 4e-6 * (since > 140)
+    field = recording.magnetic_field + steps[:, None] * np.array([1.0, 0.0, 0.0])
+    stepped = replace(recording, magnetic_field=field)
+    noise = short_term_noise(stepped)
+    names = ("hard-iron-step", "timing", "misalignment")
+    best = answer(stepped, base_model(stepped, None, noise), noise, names, problem_of).tree.best
+    assert [term.name for term in best.fit.model.terms].count("hard-iron-step") == 2
+    steps_of = [place for place, term in enumerate(best.fit.model.terms) if term.name == "hard-iron-step"]
+    assert set(steps_of) <= set(kept(best))
+    weak, strong = sorted(best.powers[place, place] for place in steps_of)
+    assert weak < PRIOR.form * strong
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_saturation_is_no_cubic_beside_it(seed: int) -> None:
+    """The core saturates softly, in a form that is not that of the catalogue."""
+    said = stated_of(mg.simulate("wide", 200, seed=seed, effects=["saturation"]).recording)
+    assert said["saturation"] > 0.9
+    assert said.get("cubic", 0.0) < 0.3
+
+
+def test_coarse_steps_are_no_saturation() -> None:
+    """Of three times the noise, beside a misalignment."""
+    effects = ["misalignment", ("quantisation", 2.0)]
+    said = stated_of(mg.simulate("wide", 300, seed=2, effects=effects).recording)
+    assert min(said["misalignment"], said["quantisation"]) > 0.9
+    assert said.get("saturation", 0.0) < 0.3

@@ -185,7 +185,9 @@ def _corrected(
     result: Search, last: Look, held: Refit, open_places: Collection[int], short_term: SensorNoise
 ) -> tuple[Refit, Fine]:
     """The model without the terms that are named, not corrected, and its innovations sample by sample."""
-    corrected = last.refit
+    corrected, first = last.refit, result.first
+    if 0 < len(open_places) == len(held.model.terms) and result.problem is first.refit.twin.problem:
+        return widened(first.refit), first.fine  # nothing is corrected, and stays as it was
     if open_places:
         model = held.model
         for index in sorted(open_places, reverse=True):

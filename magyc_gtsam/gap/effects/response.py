@@ -13,6 +13,8 @@ from magyc_gtsam.gap.twin import Twin
 _CLIPPED = 0.12  # of what is beyond a level, lost where it clips; less is a slight bend, and a gain none at all
 _BENT = 0.3  # of it, lost where it saturates over a knee; less is what a cubic loses
 _KNEES = (0.05, 0.15)  # of the largest reading, over which a core saturates
+_NEAR = np.linspace(0.9, 1.1, 41)  # of the likeliest level: those that are tried with each of these knees
+_FINE_KNEES = (0.0, 0.025, 0.05, 0.075, 0.1, 0.125, 0.15)  # of the largest reading
 _FOOT = 2.0  # knees below the level, where an eighth of what is lost in the end is lost
 _LOOP = 0.3  # of the field's span, that a loop may be wide
 _WIDTHS = (0.1, 0.33, 1.0)  # of the widest, that are tried
@@ -33,10 +35,8 @@ def _levels(twin: Twin) -> list[dict[str, float]]:
 
 def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     largest = float(_reading(twin).max())
-    widest = largest * max(_KNEES, default=0.0)
-    near = [{"level": setting["level"] * share, "knee": setting["knee"]} for share in np.linspace(0.93, 1.07, 15)]
-    knees = [min(setting["knee"] * share, widest) for share in (0.5, 0.7, 1.4, 2.0) if setting["knee"]]
-    return _read_beyond([*near, *({"level": setting["level"], "knee": knee} for knee in knees)], largest)
+    tried = [{"level": setting["level"] * near, "knee": largest * knee} for near in _NEAR for knee in _FINE_KNEES]
+    return _read_beyond(tried, largest)
 
 
 def _read_beyond(tried: list[dict[str, float]], largest: float) -> list[dict[str, float]]:

@@ -10,10 +10,11 @@ import numpy as np
 from magyc_gtsam.factors.chain.field_chain import DELAY, SensorNoise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
-from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, noise_of, without
+from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, noise_of, smoothed, without
 from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
+from magyc_gtsam.gap.fine import fine_innovations
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model, Problem
 from magyc_gtsam.gap.refit import Refit, refit
@@ -54,26 +55,36 @@ def answer(
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
     given, problem, model = recording, base.twin.problem, base.model
     level = short_term
-    for _ in range(_ROUNDS):
+    fine, found = noise_of(given, model)
+    coarse = found["quantisation"]
+    stepped = coarse.significant and coarse.name in names
+    if stepped:  # which is seen at once, and passes for a reading that is bent
+        said[coarse.name] = PRIOR.certain
+        # Steps wider than the noise hide it between neighbours.
+        level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.level))
+        recording = smoothed(given, model, coarse, fine)
+        problem = prepare(recording)
+    for turn in range(_ROUNDS):
         start = refit(problem, _bare(base.model, level), None)
         tree = Tree(start, allowed, base.model.terms)
         before, model = recording, tree.best.fit.model
+        if stepped and not turn:  # once more, by a better model
+            recording = smoothed(given, model, coarse, fine_innovations(given, model))
+            problem = prepare(recording)
         fine, found = noise_of(recording, model)
         for name in SINGLE:
             score, known = found[name], said.get(name, -np.inf)
             odds = log_odds(score)
-            form = score.statistic < PRIOR.form * tree.best.of_field and name != "quantisation"
+            form = score.statistic < PRIOR.form * tree.best.of_field
             if name not in names or (known > 0 and name != "tone") or odds < _HARDLY or form:
                 continue
             said[name] = max(odds, known)
             if odds > 0:
-                recording = without(recording, given, model, fine, score)
+                recording = without(recording, model, fine, score)
                 problem = prepare(recording)
                 fine, found = noise_of(recording, model)
         if recording is before:
             break
-        if said.get("quantisation", 0.0) > 0:  # steps wider than the noise hide it between neighbours
-            level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.level))
     return Answer(recording, tree, _posterior(tree, said, COLOUR in names))
 
 

@@ -7,11 +7,14 @@ is something that moves, and unknown.
 from __future__ import annotations
 
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.fft import dct
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
+from scipy.special import logsumexp
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.beside import Beside
@@ -20,9 +23,10 @@ from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 
 _ORDERS = (1, 2, 3, 4, 6)
+_TIMES = (0.5, 1.0, 2.0, 4.0)  # windows, about s, in which colour beside white noise decays
+_SHARES = (0.1, 0.2, 0.5, 1.0, 2.0)  # of its power, of the white noise's
 _NAMES = 2  # beside colour
 _HARDLY = -2.0  # nats, from which a name is worth a look there
-_QUIETER = 1.04  # mean square of white innovations: above, more than their level is wrong
 
 
 class Colour(NamedTuple):
@@ -37,9 +41,10 @@ class Colour(NamedTuple):
 def colour_of(innovation: Array) -> Colour:
     """Of (3n,) innovations, against white noise of the sensors' level (which may be less than thought)."""
     rows = innovation.reshape(3, -1)
-    level = np.sqrt(min(float((rows**2).mean()), _QUIETER))
+    level = np.sqrt(min(float((rows**2).mean()), 1.0))
     rows = rows / level
     alike, polynomial, sigma = _autoregression(rows)
+    alike = float(np.logaddexp(alike, _beside_white(rows))) - float(np.log(2))
     direction = np.linalg.eigh(rows @ rows.T)[1]
     one_way = sum(_autoregression(row[None])[0] for row in direction.T @ rows)
     return Colour(alike, one_way, polynomial, sigma * level)
@@ -64,6 +69,24 @@ def _autoregression(rows: Array) -> tuple[float, Array, float]:
         if log > best[0]:
             best = (log, polynomial, np.sqrt(variance))
     return best
+
+
+def _beside_white(rows: Array) -> float:
+    """Nats, against white of unit variance, of (k, n) rows being white with an Ornstein–Uhlenbeck process on top.
+
+    By Whittle's likelihood: the cosine transform of either is independent, of the variance of its spectrum. Powers and
+    times are averaged over; their sum is as large as the rows.
+    """
+    n = rows.shape[1]
+    power = (dct(rows, norm="ortho", axis=1) ** 2).mean(axis=0)
+    angle = np.pi * np.arange(n) / n
+    logs = []
+    for time, share in product(_TIMES, _SHARES):
+        decay = np.exp(-1 / time)
+        spectrum = 1 + share * (1 - decay**2) / (1 - 2 * decay * np.cos(angle) + decay**2)
+        level = float((power / spectrum).mean())
+        logs.append(0.5 * len(rows) * float((power - np.log(level * spectrum) - 1).sum()))
+    return float(logsumexp(logs) - np.log(len(logs)) - 0.5 * np.log(rows.size))
 
 
 def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:

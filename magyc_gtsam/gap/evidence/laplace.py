@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.special import logsumexp
@@ -69,11 +70,15 @@ class Terms:
         return cls(base, columns, pulls[places] * scale, np.concatenate(of_term), residual)
 
 
-def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, tuple[float, ...], float]:
-    """Nats of the terms beside the rest, their likeliest scales, their powers, and the square that is left."""
+def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Array, float]:
+    """Nats of the terms beside the rest, their likeliest scales, (t, t) what each explains, and the square left.
+
+    What two of them explain together is worth as much, as a form of the one, as the other looks like it: (i, j) is that
+    power times the share of the signature of i that j absorbs; (i, i) is what i explains beside all others.
+    """
     count = len(fit.model.terms)
     if not count:
-        return 0.0, np.zeros(0), (), plain.square
+        return 0.0, np.zeros(0), np.zeros((0, 0)), plain.square
     seen = plain.see(terms.columns, terms.pull)
     information = terms.columns @ terms.columns.T / plain.noise**2 - seen.reach @ seen.reach.T
     score = seen.score
@@ -96,8 +101,13 @@ def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, tup
     total = nats(scale) + sum(float(logsumexp(t) - t.max() - np.log(len(t))) for t in each)
     inverse = np.linalg.pinv(information, rcond=1e-12, hermitian=True)
     value = inverse @ score
-    powers = []
-    for i in range(count):
-        own = terms.of_term == i
-        powers.append(float(value[own] @ np.linalg.pinv(inverse[np.ix_(own, own)], hermitian=True) @ value[own]))
-    return total, scale, tuple(powers), plain.square - float(score @ value)
+    powers = np.zeros((count, count))
+    for i, j in product(range(count), repeat=2):
+        own, other = terms.of_term == i, terms.of_term == j
+        both = own | other
+        powers[i, j] = value[both] @ np.linalg.pinv(inverse[np.ix_(both, both)], hermitian=True) @ value[both]
+        if i != j:
+            across = information[np.ix_(own, other)]
+            absorbed = across @ np.linalg.pinv(information[np.ix_(other, other)], hermitian=True) @ across.T
+            powers[i, j] *= np.trace(absorbed) / max(np.trace(information[np.ix_(own, own)]), 1e-300)
+    return total, scale, powers, plain.square - float(score @ value)

@@ -14,14 +14,11 @@ from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
-SINGLE = ("spikes", "tone", "quantisation")  # seen sample by sample; the rest hangs together over windows
-_PASSES = 2  # of the model, from readings with steps to one without
+SINGLE = ("spikes", "tone")  # seen sample by sample; the rest hangs together over windows
 
 
 def log_odds(score: NoiseScore) -> float:
     """Of an effect on single samples being there, by its gain in likelihood beyond chance."""
-    if score.name == "quantisation":
-        return PRIOR.certain if score.significant else -PRIOR.certain
     # Of the p-value of the largest of many lines: −ln(e p ln(1/p)) at most (Sellke, Bayarri and Berger 2001).
     of_search = 1 + np.log(max(score.evidence, 1.0)) if score.name == "tone" else 0.0
     gain = score.evidence - of_search
@@ -34,12 +31,15 @@ def noise_of(recording: Recording, model: Model) -> tuple[Fine, dict[str, NoiseS
     return fine, {score.name: score for score in noise_scores(recording, fine, 0.0)}
 
 
-def without(recording: Recording, given: Recording, model: Model, fine: Fine, score: NoiseScore) -> Recording:
-    """A recording without an effect on single samples; `given` is it as it was read."""
+def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -> Recording:
+    """A recording without an effect on single samples."""
     if score.name == "tone":
         return silenced(recording, [heard(recording, model, score.setting["frequency"])])
-    if score.name == "spikes":
-        assert score.rows is not None
-        wrong = np.isin(recording.time, fine.time[score.rows])
-        return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong)
-    return unrounded(recording, given, model, float(score.value[0]), fine.level)
+    assert score.rows is not None
+    wrong = np.isin(recording.time, fine.time[score.rows])
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong)
+
+
+def smoothed(given: Recording, model: Model, score: NoiseScore, fine: Fine) -> Recording:
+    """A recording without the steps of its resolution, as far as a model knows them; `fine` is beside it."""
+    return unrounded(given, given, model, float(score.value[0]), fine.level)

@@ -70,9 +70,11 @@ def _families(tree: Tree, node: Node) -> tuple[float, float]:
 
 def _products(node: Node) -> Iterator[float]:
     """Nats of what looks like a name being a product of it with another signal alone, each as likely as the other."""
+    least = PRIOR.form * node.explained
     for name in {product_of(each) for each in node.found} - {None, *node.names}:
-        logs = [each.log for each in node.found.values() if product_of(each.name) == name]
-        yield PRIOR.named + PRIOR.imitated + float(logsumexp(logs)) - float(np.log(len(logs)))
+        found = [each for each in node.found.values() if product_of(each.name) == name]
+        large = np.concatenate([*(each.by_scale[each.power > least] for each in found), [-np.inf]])
+        yield PRIOR.named + PRIOR.imitated + float(logsumexp(large)) - float(np.log(len(found)))
 
 
 def _nameless(node: Node) -> list[Weighed]:
@@ -93,7 +95,7 @@ def _imitated(node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...
     hidden = float(logsumexp([min(each.tied, 0.0) for each in families])) - share
     powers = dict.fromkeys(key, 0.0)
     for index in kept(node):
-        powers[node.fit.model.terms[index].name] += node.powers[index]
+        powers[node.fit.model.terms[index].name] += float(node.powers[index, index])
     if node.variation is not None:
         powers[FIELD_VARIATION] = node.of_field
     parts = [(set(key) - {name}, power, name != FIELD_VARIATION) for name, power in powers.items()]
@@ -119,17 +121,16 @@ def _beyond(tree: Tree, node: Node, family: str) -> float:
 
 
 def kept(node: Node) -> list[int]:
-    """Its terms, without those that are no more than the form of a related one, or of a field that varies."""
+    """Its terms, without those that are no more than the form of a related one before, or of a field that varies."""
     result: list[int] = []
-    terms = node.fit.model.terms
+    terms, powers = node.fit.model.terms, node.powers
     names = [term.name for term in terms]
-    least = PRIOR.form * node.of_field
-    for index in sorted(range(len(names)), key=lambda i: -node.powers[i]):
-        strong = [node.powers[i] for i in result if related(names[index], names[i])]
+    for index in range(len(names)):
+        strong = [powers[index, i] for i in result if related(names[index], names[i])]
         passed = any(_one_passing(terms[index], terms[i]) for i in result)
-        if not passed and node.powers[index] > max([least, *(PRIOR.form * power for power in strong)]):
+        if not passed and powers[index, index] > PRIOR.form * max([node.of_field, *strong]):
             result.append(index)
-    return sorted(result)
+    return result
 
 
 def _one_passing(one: Active, other: Active) -> bool:

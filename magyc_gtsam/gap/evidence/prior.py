@@ -37,7 +37,7 @@ class Prior:
             better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
         profile_field, profile_rate: T and rad/s, what matters of a profile without a name.
         modes: of a random walk; what is beyond them is 3 % of it.
-        depth, beam: names in one set, and tried beside each.
+        depth, beam: names in one set, beside a field that varies, and tried beside each.
         nodes, most: sets that are fitted, and with those in which rivals were exchanged.
         close: nats behind the best set, from which none is followed.
         certain: nats for what is seen at once, or not at all.
@@ -53,7 +53,7 @@ class Prior:
     profile_field: float = 0.3e-6
     profile_rate: float = 1e-3
     modes: int = 24
-    depth: int = 4
+    depth: int = 6
     nodes: int = 10
     most: int = 16
     beam: int = 3

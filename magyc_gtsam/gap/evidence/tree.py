@@ -46,7 +46,7 @@ class Node:
         search: nats, that the searches over settings cost, in `log`.
         misfit: mean square of what is left, of its noise.
         explained: power of all that the set explains.
-        powers: of each term of the model, beside the others.
+        powers: (t, t) of each term of the model, beside the others, and of each as a form of another (`marginal`).
         beside: the set, beside which everything else is weighed.
         found: what else explains the data there.
         moving: nats of what varies as the field of a place does, but in the sensor's axes: of something unknown.
@@ -59,7 +59,7 @@ class Node:
     search: float
     misfit: float
     explained: float
-    powers: tuple[float, ...]
+    powers: Array
     beside: Beside
     found: dict[str, Weighed] = field(default_factory=dict)
     moving: list[float] = field(default_factory=list)
@@ -107,7 +107,7 @@ class Tree:
         first = self._node((), root, None, 0.0)
         self.nodes[first.key] = first
         self._grow([first, *self._given(root, given)])
-        while self._exchanged():
+        while self._exchanged() or self._deepened():
             pass
 
     @property
@@ -128,7 +128,7 @@ class Tree:
         while frontier and len(self.nodes) < PRIOR.nodes:
             node = max(frontier, key=lambda each: each.log)
             frontier.remove(node)
-            if len(node.names) >= PRIOR.depth or node.log < self.best.log - PRIOR.close:
+            if len(node.fit.model.terms) >= PRIOR.depth or node.log < self.best.log - PRIOR.close:
                 continue
             for child in self._children(node):
                 self.nodes[child.key] = child
@@ -153,11 +153,26 @@ class Tree:
                     self._fitted(one, more)
         return self.best is not best
 
+    def _deepened(self) -> bool:
+        """Whether the best set is likelier with one more name."""
+        best = self.best
+        options = [each for each in best_of(best.found, len(TERMS)) if not self._full(best, each.name)][:1]
+        for option in options if len(best.fit.model.terms) < PRIOR.depth else []:
+            key = tuple(sorted((*best.names, option.name)))
+            child = self._child(best, option) if key not in self.nodes and option.log + PRIOR.named > 0 else None
+            if child is not None:
+                self.nodes[key] = child
+        return self.best is not best
+
+    @staticmethod
+    def _full(node: Node, name: str) -> bool:
+        return node.names.count(name) >= TERMS[name].most
+
     def _fitted(self, node: Node, option: Weighed) -> Node | None:
         """A set with one more name, which is kept; None where it has no fit, or there are enough."""
         key = tuple(sorted((*node.names, option.name)))
-        held = node.names.count(option.name) >= TERMS[option.name].most
-        if key not in self.nodes and not held and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
+        full = self._full(node, option.name)
+        if key not in self.nodes and not full and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
             child = self._child(node, option)
             if child is not None:
                 self.nodes[key] = child
@@ -187,7 +202,7 @@ class Tree:
             if option.log + PRIOR.named < -1.0 or option.log < options[0].log - PRIOR.close:
                 continue
             key = tuple(sorted((*node.names, option.name)))
-            if key in self.nodes or node.names.count(option.name) >= TERMS[option.name].most:
+            if key in self.nodes or self._full(node, option.name):
                 continue
             if len(self.nodes) < PRIOR.nodes:
                 child = self._child(node, option)
