@@ -20,6 +20,7 @@ from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.dip import dip_of
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
@@ -56,6 +57,10 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     fit, rival = fit_field_chain(recording, options, progress=report)
     doubts = _contradictions(recording, options)
     calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
+    change = hard_iron_change(recording, fit, calibration, options)
+    if change is not None:
+        doubts = [change.sentence(recording), *doubts]
+        calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
 
     def refit(again: Recording, start: Array | None) -> tuple[Fit, bool]:
         fit, rival = fit_field_chain(again, options, start=start)

@@ -1,0 +1,57 @@
+"""A hard iron that changes within a recording is told from a disturbance by the place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
+from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
+
+CHANGE = np.array([2e-6, -1e-6, 2e-6])
+
+
+def wide(seed: int) -> mg.Recording:
+    return mg.simulate("wide", 400, seed=seed).recording
+
+
+def with_field(recording: mg.Recording, added: np.ndarray) -> mg.Recording:
+    return replace(recording, magnetic_field=recording.magnetic_field + added)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("start", "end"), [(0.0, 130.0), (120.0, 250.0)])
+def test_a_change_in_the_smaller_part_is_found(seed: int, start: float, end: float) -> None:
+    recording = wide(seed)
+    inside = (recording.time >= start) & (recording.time < end)
+    changed = with_field(recording, inside[:, None] * 3 * CHANGE)
+    calibration = mg.calibrate(changed)
+    assert not calibration.trusted
+    assert "the hard iron changed at" in calibration.message
+    found = hard_iron_change(changed, fitted(changed), mg.calibrate(recording), SmootherOptions())
+    assert found is not None
+    assert abs(found.start - start) < 4
+    assert abs(found.end - end) < 4
+    np.testing.assert_allclose(found.change, 3 * CHANGE, atol=1.2e-6)
+
+
+def fitted(recording: mg.Recording) -> Fit:
+    return fit_field_chain(recording, SmootherOptions())[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_another_field_at_the_place_is_none(seed: int) -> None:
+    """A steel wall turns and strengthens the field for two minutes, in the world's axes."""
+    recording = wide(seed)
+    assert recording.attitude is not None
+    inside = (recording.time >= 120) & (recording.time < 240)
+    wall = Rotation.from_quat(recording.attitude).inv().apply([6e-6, -5e-6, 6e-6])
+    calibration = mg.calibrate(with_field(recording, inside[:, None] * wall))
+    assert "hard iron changed" not in calibration.message
+    assert "hard iron changed" not in mg.calibrate(recording).message
