@@ -19,7 +19,7 @@ def test_amplitudes_are_a_motion() -> None:
         mg.simulate((5.0, 45.0, 90.0), 20, seed=3).recording.magnetic_field,
     )
     assert recording.name == "5° 10° 90°-1"
-    with pytest.raises(mg.MagycError, match="over 0 to 360 degrees"):
+    with pytest.raises(mg.MagycError, match="above 0 and at most 360 degrees"):
         mg.simulate((0.0, 10.0, 90.0))
 
 

@@ -209,7 +209,7 @@ def test_injection_into_a_recording_is_what_simulation_gives():
             change = getattr(injected, attribute) - getattr(plain.recording, attribute)
             assert (np.abs(change).max() > scale) == (np.abs(effect).max() > scale)
     blind = simulate("wide", 60).recording
-    with pytest.raises(MagycError, match="local-anomaly needs the attitude"):
+    with pytest.raises(MagycError, match="local-anomaly needs an attitude"):
         inject(type(blind)(blind.time, blind.magnetic_field, blind.angular_rate), plain.truth, ("local-anomaly",))
 
 

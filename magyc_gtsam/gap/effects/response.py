@@ -62,9 +62,10 @@ def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
-    knee = setting.get("knee", 0.0)
-    how = "saturates softly from" if knee else "clips at"
-    level = setting["level"] - _FOOT * knee
+    level, knee = setting["level"], setting.get("knee", 0.0)
+    soft = knee >= _KNEES[0] * level  # a smaller knee is what noise makes of a sharp level
+    how = "saturates softly from" if soft else "clips at"
+    level -= _FOOT * knee if soft else 0.0
     return f"the magnetometer {how} about {level * 1e6:.0f} µT: raise its range, or move the magnet away"
 
 
