@@ -8,6 +8,7 @@ import stat
 from pathlib import Path
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.foreign_text import shortened
 
 _NAME = re.compile(r"/dev/[\w./-]{1,200}")
 _DRIVERS, _PROCESSES = Path("/proc/tty/drivers"), Path("/proc")
@@ -39,28 +40,34 @@ def checked_port(asked: object) -> str:
     """
     if isinstance(asked, str) and asked in serial_ports():
         return asked
+    problem = "not the name of a device under /dev"
     if isinstance(asked, str) and _NAME.fullmatch(asked):
         device = os.path.realpath(asked)
-        if _NAME.fullmatch(device) and _is_serial_line(device):
+        problem = _why_no_serial_line(device)
+        if not problem and _NAME.fullmatch(device):
             return device
     raise MagycError(
-        "port: no such serial port; plug it in and choose it again, or name a serial device under /dev"
+        f"port: no such serial port, {shortened(asked)!r} is {problem}; plug it in and choose it again, or name a "
+        "serial device under /dev"
     )
 
 
-def _is_serial_line(device: str) -> bool:
+def _why_no_serial_line(device: str) -> str:
+    """Return why a device may not be read as a serial line; "" if it may."""
     try:
         found = os.stat(device)
         drivers = _DRIVERS.read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError:
-        return False
+    except OSError as error:
+        return f"not there ({error.strerror})"
     if not stat.S_ISCHR(found.st_mode):
-        return False
+        return "no device of characters"
     major, minor = os.major(found.st_rdev), os.minor(found.st_rdev)
     rows = (line.split() for line in drivers)
     lines = [row for row in rows if len(row) > _KIND_FIELD and row[_KIND_FIELD] in _LINES]
-    known = any(int(row[_MAJOR_FIELD]) == major and _within(minor, row[_MINOR_FIELD]) for row in lines)
-    return known and not _controls_a_process(found.st_rdev)
+    if not any(int(row[_MAJOR_FIELD]) == major and _within(minor, row[_MINOR_FIELD]) for row in lines):
+        return "no serial line by its driver"
+    process = _controlled_by(device, found)
+    return f"the terminal of process {process}" if process else ""
 
 
 def _within(minor: int, span: str) -> bool:
@@ -69,7 +76,9 @@ def _within(minor: int, span: str) -> bool:
     return int(first) <= minor <= int(last or first)
 
 
-def _controls_a_process(device: int) -> bool:
+def _controlled_by(device: str, found: os.stat_result) -> str:
+    """Return the number of a process whose terminal a device is, "" if there is none."""
+    number = found.st_rdev
     for name in filter(str.isdecimal, os.listdir(_PROCESSES)):
         try:
             text = (_PROCESSES / name / "stat").read_text(encoding="ascii", errors="replace")
@@ -77,7 +86,17 @@ def _controls_a_process(device: int) -> bool:
             continue
         fields = text.rpartition(")")[2].split()
         # Packed as by the kernel's `new_encode_dev`: low byte of the minor number, major, rest of the minor number.
-        packed = os.minor(device) & 0xFF | os.major(device) << 8 | (os.minor(device) & ~0xFF) << 12
-        if int(fields[_TERMINAL_FIELD]) == packed:
-            return True
-    return False
+        packed = os.minor(number) & 0xFF | os.major(number) << 8 | (os.minor(number) & ~0xFF) << 12
+        if int(fields[_TERMINAL_FIELD]) == packed and _has(name, device, found):
+            return name
+    return ""
+
+
+def _has(process: str, device: str, found: os.stat_result) -> bool:
+    """Return whether a process has this device: in another container one of the same number is another terminal."""
+    try:
+        return os.path.samestat(os.stat(f"{_PROCESSES}/{process}/root{device}"), found)
+    except FileNotFoundError:
+        return False
+    except OSError:  # not to be seen: it may be the same
+        return True
