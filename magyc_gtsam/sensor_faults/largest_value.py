@@ -36,6 +36,26 @@ class SideOfBlock(NamedTuple):
     stamps: Array
 
 
+class _Levels(NamedTuple):
+    """The largest value so far, the level, at each of n samples.
+
+    Attributes:
+        level: (n,) the largest value so far.
+        rises: (n,) bool, samples that are larger than all before.
+        at: (n,) bool, samples at the level.
+        was: (n,) bool, samples whose neighbour before is at the same level.
+        number: (n,) how often the level has risen in this block.
+        begin: (n,) the row at which the level was reached; 0 for that of the blocks before.
+    """
+
+    level: Array
+    rises: np.ndarray
+    at: np.ndarray
+    was: np.ndarray
+    number: np.ndarray
+    begin: np.ndarray
+
+
 class LargestValue:
     """The largest value of one side of an axis, and the statistics of the samples near it.
 
@@ -72,55 +92,77 @@ class LargestValue:
         allowed: np.ndarray,
     ) -> SideOfBlock | None:
         """Take samples (n,) of this side; return None where none is near the largest value."""
-        first = int(np.isnan(change[0]))  # the first sample of all has no neighbour
         if self.is_far(float(x.max()), step_before):
             self.pass_by(len(x), int((change == 0).sum()))
             return None
+        levels = self._follow(x)
+        counts, away = self._count(x, change, moved, step, levels)
+        possible = allowed & _may_be_full_scale(levels, counts, away)
+        self._count_earlier(x, step, levels, counts, possible)
+        sure = np.zeros(len(x), dtype=bool)
+        # Binomial tail, with all values in the band equally likely.
+        sure[possible] = betainc(counts[0, possible], counts[4, possible] + 1, 1 / (_BAND + 1)) < _CHANCE
+        total = np.cumsum(sure)
+        known = np.where(levels.number > 0, total - (total - sure)[levels.begin] > 0, self._known | (total > 0))
+        side = self._side(time, levels, known)
+        self._keep(time, x, step, levels, known)
+        self._counts, self._away = counts[:, -1].copy(), away[:, -1].copy()
+        return side
+
+    def _follow(self, x: Array) -> _Levels:
+        """Return the largest value so far at each sample."""
         record = np.maximum.accumulate(np.concatenate([[self._level], x]))
         level, rises = record[1:], record[1:] > record[:-1]
         at = x == level
-        continued = at & np.concatenate([[self._at], at[:-1]]) & ~rises
         was = np.concatenate([[self._at], at[:-1]]) & ~rises
-        edge, away = at != was, ~(at | was)
-        edge[:first] = away[:first] = False
-        number = np.cumsum(rises)  # of the current level
         begin = np.maximum.accumulate(np.where(rises, np.arange(len(x)), 0))
-        near = ~at & (x > level - _BAND * step)
-        kinds = np.stack([at, continued & moved, edge, edge & (change >= _STEEP * step), near])
+        return _Levels(level, rises, at, was, np.cumsum(rises), begin)
+
+    def _count(
+        self, x: Array, change: Array, moved: np.ndarray, step: Array, levels: _Levels
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return at each sample the counts (5, n) of its level and those (2, n) away from any, as in the state."""
+        at, was, begin = levels.at, levels.was, levels.begin
+        edge, away = at != was, ~(at | was)
+        first = int(np.isnan(change[0]))  # the first sample of all has no neighbour
+        edge[:first] = away[:first] = False
+        near = ~at & (x > levels.level - _BAND * step)
+        kinds = np.stack([at, at & was & moved, edge, edge & (change >= _STEEP * step), near])
         counts = np.cumsum(kinds, axis=1)
-        counts = counts - np.where(number > 0, (counts - kinds)[:, begin], -self._counts[:, None])
-        others, repeats = self._away[:, None] + np.cumsum([away, away & (change == 0)], axis=1)
-        count, pairs, edges, steep, _ = counts
-        possible = allowed & (at | was) & (count >= LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)
-        possible &= (others == 0) | (repeats < _EVEN * others)
-        asked = begin[possible & (number > 0)]
-        for row in np.unique(
-            np.append(asked, begin[-1]) if number[-1] else asked
-        ):  # add the samples near it before
-            low = level[row] - _BAND * step[row]
+        counts = counts - np.where(levels.number > 0, (counts - kinds)[:, begin], -self._counts[:, None])
+        return counts, self._away[:, None] + np.cumsum([away, away & (change == 0)], axis=1)
+
+    def _count_earlier(
+        self, x: Array, step: Array, levels: _Levels, counts: np.ndarray, possible: np.ndarray
+    ) -> None:
+        """Add to `counts` the samples near a level from before it was reached, where they are needed."""
+        rows = levels.begin[possible & (levels.number > 0)]
+        for row in np.unique(np.append(rows, levels.begin[-1]) if levels.number[-1] else rows):
+            low = levels.level[row] - _BAND * step[row]
             before = int(self._near[self._near[:, 0] > low, 1].sum()) + int((x[:row] > low).sum())
-            counts[4, begin == row] += before
-        sure = np.zeros(len(x), dtype=bool)
-        # Binomial tail, with all values in the band equally likely.
-        sure[possible] = betainc(count[possible], counts[4, possible] + 1, 1 / (_BAND + 1)) < _CHANCE
-        total = np.cumsum(sure)
-        known = np.where(number > 0, total - (total - sure)[begin] > 0, self._known | (total > 0))
-        decisive = set(np.flatnonzero(known & (rises | ~np.concatenate([[self._known], known[:-1]]))).tolist())
-        full_scale = np.isin(number, number[known])
-        stamps = time[at & full_scale]
-        if full_scale[0] and not number[0] and not self._known:
+            counts[4, levels.begin == row] += before
+
+    def _side(self, time: Array, levels: _Levels, known: np.ndarray) -> SideOfBlock:
+        """Return what is known of each sample of a block."""
+        became = known & (levels.rises | ~np.concatenate([[self._known], known[:-1]]))
+        full_scale = np.isin(levels.number, levels.number[known])
+        stamps = time[levels.at & full_scale]
+        if full_scale[0] and not levels.number[0] and not self._known:
             stamps = np.concatenate([self._stamps, stamps])
+        return SideOfBlock(levels.at, levels.at & levels.was, known, set(np.flatnonzero(became).tolist()), stamps)
+
+    def _keep(self, time: Array, x: Array, step: Array, levels: _Levels, known: np.ndarray) -> None:
+        """Keep the last level of a block, its stamps, and the values near it."""
         if known.any():
-            self.full_scale = float(np.fmax(self.full_scale, level[known].max()))
-        earlier = self._stamps if not number[-1] else np.empty(0)
-        self._stamps = np.concatenate([earlier, time[at & (number == number[-1])]])[-_REMEMBERED:]
-        self._level, self._at, self._known = float(level[-1]), bool(at[-1]), bool(known[-1])
-        self._counts, self._away = counts[:, -1].copy(), np.array([others[-1], repeats[-1]])
+            self.full_scale = float(np.fmax(self.full_scale, levels.level[known].max()))
+        last = levels.number[-1]
+        earlier = self._stamps if not last else np.empty(0)
+        self._stamps = np.concatenate([earlier, time[levels.at & (levels.number == last)]])[-_REMEMBERED:]
+        self._level, self._at, self._known = float(levels.level[-1]), bool(levels.at[-1]), bool(known[-1])
         values, where = np.unique(np.concatenate([self._near[:, 0], x]), return_inverse=True)
         often = np.bincount(where, np.concatenate([self._near[:, 1], np.ones(len(x))]))
         kept = values > self._level - _BAND * step[-1]
         self._near = np.column_stack([values[kept], often[kept]])
-        return SideOfBlock(at, continued, known, decisive, stamps)
 
     def state(self) -> Mapping[str, Array]:
         """Return the state for `restore`."""
@@ -137,3 +179,11 @@ class LargestValue:
         self._at, self._known = (bool(v) for v in state["numbers"][2:])
         self._counts, self._away = state["counts"][:5].copy(), state["counts"][5:].copy()
         self._near, self._stamps = state["near"], state["stamps"]
+
+
+def _may_be_full_scale(levels: _Levels, counts: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Return (n,) bool: samples from which on a level has the form of a full scale, whatever its probability."""
+    count, pairs, edges, steep, _ = counts
+    others, repeats = away
+    possible = (levels.at | levels.was) & (count >= LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)
+    return possible & ((others == 0) | (repeats < _EVEN * others))

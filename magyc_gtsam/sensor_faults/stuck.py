@@ -89,6 +89,24 @@ class Stuck:
         )
 
 
+class _Compared(NamedTuple):
+    """Samples compared with those before.
+
+    Attributes:
+        rows: (n, 4) time and value.
+        same: (n, 3) bool, axes that repeat their value.
+        run: (n, 3) consecutive equal values up to here.
+        begun: (n, 3) s, stamp from which each axis has its value.
+        step: (n,) smallest change of any axis so far.
+    """
+
+    rows: Array
+    same: np.ndarray
+    run: np.ndarray
+    begun: Array
+    step: Array
+
+
 class StuckAxes:
     """Find the stuck axes of one sensor; a `gate.Detector`.
 
@@ -130,63 +148,81 @@ class StuckAxes:
             self._examine()
 
     def _take(self, rows: Array) -> None:
-        time, n = rows[:, 0], len(rows)
-        change = np.abs(np.diff(rows[:, 1:], axis=0, prepend=self._last[None, 1:]))
-        same, place = change == 0, np.arange(n)[:, None]
-        moved = np.maximum.accumulate(np.where(same, -1, place), axis=0)  # row from which an axis has its value
-        run = np.where(moved >= 0, place - moved + 1, self._run + place + 1)
-        begun = np.where(moved >= 0, time[moved], self._begun)
-        smallest = np.where(change > 0, change, np.inf).min(axis=1)
-        step = np.minimum(np.minimum.accumulate(smallest), self._step)
-        suspect = (run >= _SUSPECT).any(axis=1)
-
-        def note(row: int) -> None:
-            self._run, self._begun = run[row], begun[row]
-            self._last, self._step = rows[row].copy(), float(step[row])
-
+        """Take samples (n, 4) of time and value until one waits for the other sensor."""
+        block, n = self._compared(rows), len(rows)
+        suspect = np.any(block.run >= _SUSPECT, axis=1)
         if not len(self._held) and not self._stuck.any() and not suspect.any():
-            note(n - 1)
+            self._note(block, n - 1)
             return
-        # A short stretch of suspects that begins and ends in this block can be ignored.
-        edges = np.flatnonzero(np.diff(suspect.astype(int), prepend=0, append=0)).reshape(-1, 2)
-        size = edges[:, 1] - edges[:, 0]
-        carried = (edges[:, 0] == 0) & (len(self._held) > 0)
-        asked = edges[carried | (size >= LEAST_SAMPLES) | (edges[:, 1] == n)]
+        asked = self._suspects(suspect)
         i = 0
         while i < n:
             if self._stuck.any():
-                moving = ~same[i:, self._stuck].all(axis=1)
-                stop = i + int(moving.argmax()) if moving.any() else n
-                if stop > i:
-                    note(stop - 1)
-                    self._stretches[-1] = self._stretches[-1]._replace(end=float(time[stop - 1]))
-                if stop < n:
-                    self._stuck = self._stuck & same[stop]
-                    if self._stuck.any():
-                        note(stop)
-                        self._open(float(time[stop]))
-                i = stop
+                i = self._follow(block, i)
                 continue
             following = asked[asked[:, 1] > i]
-            first, end = following[0] if len(following) else (n, n)
+            first, end = following[0].tolist() if len(following) else (n, n)
             if first > i:
                 self._held, self._examined = self._held[:0], 0
-                i = int(first)
+                i = first
                 continue
-            # At least one more, since rounding may make two seconds slightly less than two.
-            need = max(max(LEAST_SAMPLES, 2 * self._examined) - len(self._held), 1)
-            since = self._held[0, 0] if len(self._held) else time[i]
-            stop = max(i + need, int(np.searchsorted(time, since + LEAST_DURATION)) + 1)
-            stop = min(stop, int(end))
-            self._held = np.vstack([self._held, rows[i:stop]])
-            note(stop - 1)
-            i = stop
+            i = self._hold(block, i, end)
             if self._due() and not self._examine():
-                self._waiting = rows[stop:].copy()
+                self._waiting = rows[i:].copy()
                 return
-            if stop == end < n and not self._stuck.any():
+            if i == end < n and not self._stuck.any():
                 self._held, self._examined = self._held[:0], 0
-        note(n - 1)
+        self._note(block, n - 1)
+
+    def _compared(self, rows: Array) -> _Compared:
+        """Compare samples with those before."""
+        change = np.abs(np.diff(rows[:, 1:], axis=0, prepend=self._last[None, 1:]))
+        same, place = change == 0, np.arange(len(rows))[:, None]
+        moved = np.maximum.accumulate(np.where(same, -1, place), axis=0)  # row from which an axis has its value
+        run = np.where(moved >= 0, place - moved + 1, self._run + place + 1)
+        begun = np.where(moved >= 0, rows[moved, 0], self._begun)
+        smallest = np.where(change > 0, change, np.inf).min(axis=1)
+        return _Compared(rows, same, run, begun, np.minimum(np.minimum.accumulate(smallest), self._step))
+
+    def _note(self, block: _Compared, row: int) -> None:
+        """Keep what is known at a row as the state."""
+        self._run, self._begun = block.run[row], block.begun[row]
+        self._last, self._step = block.rows[row].copy(), float(block.step[row])
+
+    def _suspects(self, suspect: np.ndarray) -> np.ndarray:
+        """Return the stretches (k, 2) of suspects, first row and end, that may be stuck.
+
+        A short stretch that begins and ends in this block can be ignored.
+        """
+        edges = np.flatnonzero(np.diff(suspect.astype(int), prepend=0, append=0)).reshape(-1, 2)
+        size = edges[:, 1] - edges[:, 0]
+        carried = (edges[:, 0] == 0) & (len(self._held) > 0)
+        return edges[carried | (size >= LEAST_SAMPLES) | (edges[:, 1] == len(suspect))]
+
+    def _follow(self, block: _Compared, i: int) -> int:
+        """Extend the open stretch from row `i` on until a stuck axis moves; return that row."""
+        moving = np.any(~block.same[i:, self._stuck], axis=1)
+        stop = i + int(moving.argmax()) if moving.any() else len(moving) + i
+        if stop > i:
+            self._note(block, stop - 1)
+            self._stretches[-1] = self._stretches[-1]._replace(end=float(block.rows[stop - 1, 0]))
+        if stop < len(block.rows):
+            self._stuck = self._stuck & block.same[stop]
+            if self._stuck.any():
+                self._note(block, stop)
+                self._open(float(block.rows[stop, 0]))
+        return stop
+
+    def _hold(self, block: _Compared, i: int, end: int) -> int:
+        """Hold suspects from row `i` on until the next examination or `end`; return the row after them."""
+        # At least one more, since rounding may make two seconds slightly less than two.
+        need = max(max(LEAST_SAMPLES, 2 * self._examined) - len(self._held), 1)
+        time = block.rows[:, 0]
+        since = self._held[0, 0] if len(self._held) else time[i]
+        stop = min(max(i + need, int(np.searchsorted(time, since + LEAST_DURATION)) + 1), end)
+        self._held = np.vstack([self._held, block.rows[i:stop]])
+        self._note(block, stop - 1)
+        return stop
 
     def _due(self) -> bool:
         """Return whether enough samples are held for the next examination."""

@@ -12,6 +12,7 @@ from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
@@ -94,44 +95,28 @@ def simulate(
     path, called = _path(motion)
     wanted = chosen(effects, seed if effects_seed is None else effects_seed)
     recorded = _channels(channels, [need for w in wanted for need in w.effect.needs])
-    if not 2.5 < duration * rate <= _MOST_SAMPLES:
-        raise MagycError(
-            f"duration, rate: {duration:g} s at {rate:g} Hz give {duration * rate:.0f} samples, must be at least 3 and "
-            f"at most {_MOST_SAMPLES:,}"
-        )
-    samples = round(duration * rate)
-    random = np.random.default_rng(seed)
+    samples = _samples(duration, rate)
     finer = max(1, int(np.ceil(_GRID / rate))) if wanted or recorded else 1
     time = np.arange(samples * finer) / (rate * finer)
-    rows = np.arange(samples) * finer
-    angles = path(random)
-    attitude, angular_rate = kinematics(*angles(time))
-    then, _ = kinematics(*angles(time - delay))
+    random = np.random.default_rng(seed)
+    angles = path(random)  # drawn before the noise
+    attitude, body_rate = kinematics(*angles(time))
+    late, _ = kinematics(*angles(time - delay))
+    noise = random.standard_normal((2, samples, 3)) * np.reshape([magnetometer_noise, gyroscope_noise], (2, 1, 1))
     field, soft_iron, hard_iron, gyro_bias = (
         np.asarray(v, dtype=float) for v in (field, soft_iron, hard_iron, gyro_bias)
     )
-    noise = random.standard_normal((2, samples, 3)) * np.reshape([magnetometer_noise, gyroscope_noise], (2, 1, 1))
-    scene = Scene(time, attitude, angular_rate, field, rows, seed)
+    scene = Scene(time, attitude, body_rate, field, np.arange(samples) * finer, seed)
     chain = Chain(wanted, scene)
-
-    world = chain.pass_through(Stage.WORLD, np.tile(field, (len(time), 1)))
-    body = chain.pass_through(Stage.BODY, then.inv().apply(world))
-    iron = chain.pass_through(Stage.IRON, body @ soft_iron.T + hard_iron)
-    seen = chain.pass_through(Stage.ELECTRONICS, iron)
-    shown = chain.pass_through(Stage.SAMPLING, rows)
-    _, first, again = np.unique(shown, return_index=True, return_inverse=True)
-    reading = chain.pass_through(Stage.READING, seen[shown] + noise[0])
-    magnetic_field = chain.pass_through(Stage.QUANTISED, reading[first[again]])
-    felt = chain.pass_through(Stage.GYROSCOPE, angular_rate)
-    angular_rate = chain.pass_through(Stage.AXES, felt[rows] + gyro_bias + noise[1])
-
     recording = Recording(
-        time[rows],
-        magnetic_field,
-        angular_rate,
+        time[scene.rows],
+        _magnetometer(chain, late, soft_iron, hard_iron, noise[0]),
+        chain.pass_through(
+            Stage.AXES, chain.pass_through(Stage.GYROSCOPE, body_rate)[scene.rows] + gyro_bias + noise[1]
+        ),
         acceleration=_acceleration(scene, seed, dynamic=bool(wanted or recorded)),
-        attitude=attitude[rows].as_quat(),
-        channels={name: measured(scene.environment, name, rows, seed) for name in recorded},
+        attitude=attitude[scene.rows].as_quat(),
+        channels={name: measured(scene.environment, name, scene.rows, seed) for name in recorded},
         name="-".join([called, str(seed), *(w.name for w in wanted)]),
     )
     scale = float(np.cbrt(np.linalg.det(soft_iron)))
@@ -145,6 +130,29 @@ def simulate(
         field_strength=scale * float(np.linalg.norm(field)),
     )
     return Simulation(recording, truth, field, tuple(chain.applied))
+
+
+def _samples(duration: float, rate: float) -> int:
+    """Return the number of samples."""
+    if not 2.5 < duration * rate <= _MOST_SAMPLES:
+        raise MagycError(
+            f"duration, rate: {duration:g} s at {rate:g} Hz give {duration * rate:.0f} samples, must be at least 3 and "
+            f"at most {_MOST_SAMPLES:,}"
+        )
+    return round(duration * rate)
+
+
+def _magnetometer(chain: Chain, attitude: Rotation, soft_iron: Array, hard_iron: Array, noise: Array) -> Array:
+    """Return the readings (rows, 3) T at the `attitude` that the magnetometer sees, stage by stage."""
+    scene = chain.scene
+    world = chain.pass_through(Stage.WORLD, np.tile(scene.field, (len(scene.time), 1)))
+    body = chain.pass_through(Stage.BODY, attitude.inv().apply(world))
+    iron = chain.pass_through(Stage.IRON, body @ soft_iron.T + hard_iron)
+    seen = chain.pass_through(Stage.ELECTRONICS, iron)
+    shown = chain.pass_through(Stage.SAMPLING, scene.rows)
+    _, first, again = np.unique(shown, return_index=True, return_inverse=True)
+    reading = chain.pass_through(Stage.READING, seen[shown] + noise)
+    return chain.pass_through(Stage.QUANTISED, reading[first[again]])
 
 
 def _path(motion: str | tuple[float, float, float]) -> tuple[Motion, str]:
