@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -147,8 +148,7 @@ def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.L
     return gtsam.LinearContainerFactor(_square_root(factor.linearize(point)), point)
 
 
-@dataclass(frozen=True, eq=False)
-class Sorted:
+class Sorted(NamedTuple):
     """The factors of a graph by what happens to them.
 
     Attributes:
@@ -166,23 +166,22 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
     """Sort the factors of a graph, which is not changed."""
     fresh: list[Delivered] = []
     holding: list[gtsam.NonlinearFactor] = []
-    own: list[int] = []
-    for i in range(graph.size()):
-        factor = graph.at(i)
+    kept: list[gtsam.NonlinearFactor] = []
+    for factor in map(graph.at, range(graph.size())):
         kind = type(factor)
         if kind is gtsam.CustomFactor:
             details = factor_details(factor)
             if details is not None:
-                own.append(i)
                 fresh.append(Delivered(factor, details if isinstance(details, BlockDetails) else None, factor))
+                continue
         elif kind in _HOLDING:
             holding.append(factor)
+        kept.append(factor)
     if not fresh:
         return Sorted(graph, fresh, holding)
     others = gtsam.NonlinearFactorGraph()
-    for i in range(graph.size()):
-        if i not in own:
-            others.push_back(graph.at(i))
+    for factor in kept:
+        others.push_back(factor)
     return Sorted(others, fresh, holding)
 
 
