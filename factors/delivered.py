@@ -16,6 +16,7 @@ from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array, choose, gyro_bias
 
 _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
+_AT_FIRST = 0.1  # of the tolerance, from which a quadratic is made anew at the first look, when that costs least
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +85,7 @@ class Delivered:
     slot: int = -1
     place: _Place | None = None  # where it was made, or looked at last
     beside: _Beside | None = None  # of the native one
+    looked_at: bool = False  # whether it has been since it entered
 
     @property
     def is_block(self) -> bool:
@@ -110,9 +112,15 @@ class Delivered:
         return plain, None if beside is None else beside.joined(plain, self.factor.keys(), point)
 
     def renew(self, view: View, tolerance: float) -> float:
-        """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was."""
+        """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was.
+
+        At the first look, in the update after its own, a tenth of that will do: made where the graph has settled, it is
+        less often near the tolerance later, when it is linearised only to be found fresh.
+        """
         point = view.values(self.factor.keys())
         place, details = self.place, self.details
+        if not self.looked_at:
+            self.looked_at, tolerance = True, _AT_FIRST * tolerance
         angle = iron = 0.0
         if place is not None and details is not None and details.width == 1.0:
             # The residual is linear in soft iron, attitude (to first order) and bias each: what a quadratic lacks is of

@@ -37,7 +37,6 @@ from magyc_gtsam.factors.units import check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
 
 _DELAY = 12  # first of y's columns on the delay
-_SMALLEST = 1e-12  # T; columns are scaled by at least this
 _IDENTITY = np.eye(3)
 _REST = {axes: np.eye(axes)[1:, :, None] for axes in (4, 5)}  # of the weights of y all but the first, which is 1
 
@@ -143,10 +142,7 @@ class KeyframeField:
         if len(self.share) <= columns + 4:
             return self
         rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
-        length = np.sqrt(np.einsum("ij,ij->i", rows, rows))
-        scale = np.maximum(length, _SMALLEST)  # tesla beside numbers of order one
-        rows /= scale[:, None]
-        root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)]) * scale
+        root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)])  # each column to its own rounding
         return replace(
             self,
             design=root[:, :columns].reshape(-1, 3, columns // 3),
