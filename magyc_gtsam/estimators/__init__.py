@@ -13,6 +13,7 @@ from magyc_gtsam.estimators.method import Method
 from magyc_gtsam.estimators.outside import methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
+from magyc_gtsam.kept_memory import keep_freed_memory
 from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
@@ -154,6 +155,7 @@ def calibrate(
     Raises:
         MagycError: unknown method or option, a sensor that is stuck, or data that the method cannot use.
     """
+    keep_freed_memory()
     entry = _METHODS.get(method) or methods().get(method)
     if entry is None:
         raise MagycError(f"method: {method!r} is not one of {', '.join(methods())}")
