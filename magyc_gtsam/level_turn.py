@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 import numpy as np
 
 from magyc_gtsam.factors.chain.field_chain import UPPER
+from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.recording import Array, Recording
 
@@ -21,6 +22,8 @@ _MOST_ROWS = 1000  # used for the vertical and the dip
 _UPRIGHT = 0.5  # length of the mean vertical above which the vehicle has an axis that points up
 _DEFAULT_DIP = 60.0  # deg, of the middle latitudes; used if the recording has no vertical
 _STEPS = 120  # headings of a turn
+_HEADING = np.linspace(0.0, 360.0, _STEPS + 1)
+_HEADING.flags.writeable = False
 
 
 class Askew(NamedTuple):
@@ -77,14 +80,21 @@ class LevelTurn:
             soft_iron: (3, 3) A.
             askew: uncertainty of the rotation between magnetometer and gyroscope.
         """
+        return self.spread(covariance, self.slopes(soft_iron), askew)
+
+    def slopes(self, soft_iron: Array) -> Array:
+        """Return the derivative (n, 9) of heading, rad, with respect to vech(soft_iron) and hard_iron."""
         gain, (rows, columns) = self._gain(soft_iron), UPPER
         mirrored = (rows != columns) * (gain[:, columns] * self.field[:, rows])
-        jacobian = np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
-        variance = np.einsum("na,na->n", jacobian @ covariance[:9, :9], jacobian)
+        return np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
+
+    def spread(self, covariance: Array, slopes: Array, askew: Askew | None = None) -> Array:
+        """Return what `systematic` returns, with the `slopes` of the soft iron at hand."""
+        variance = np.einsum("na,na->n", slopes @ covariance[:9, :9], slopes)
         if askew is not None:
-            turned = cross(self._across.T, self.field.T).T
-            variance += np.einsum("na,na->n", turned @ askew.covariance - 2 * jacobian @ askew.cross, turned)
-        return cast(Array, np.degrees(np.sqrt(np.clip(variance, 0.0, None))))
+            turned = self._turned
+            variance += np.einsum("na,na->n", turned @ askew.covariance - 2 * slopes @ askew.cross, turned)
+        return cast(Array, np.degrees(np.sqrt(np.maximum(variance, 0.0))))
 
     def per_sample(self, noise: float, soft_iron: Array) -> Array:
         """Return the standard deviation (n,) deg of heading of one sample with `noise` T per axis."""
@@ -93,6 +103,11 @@ class LevelTurn:
     def _gain(self, soft_iron: Array) -> Array:
         """Return the derivative (n, 3) rad/T of heading with respect to the measured field."""
         return cast(Array, self._across @ np.linalg.inv(soft_iron))
+
+    @cached_property
+    def _turned(self) -> Array:
+        """Derivative (n, 3) of heading, rad, with respect to a rotation between magnetometer and gyroscope."""
+        return cross(self._across.T, self.field.T).T
 
     @cached_property
     def _across(self) -> Array:
@@ -161,25 +176,24 @@ def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strengt
         None if recording.acceleration is None else recording.acceleration[rows],
     )
     axis, about, dip = None, "the sensor's z axis", _DEFAULT_DIP
-    if up is not None:
-        known = np.isfinite(up[:, 0])
+    known = np.zeros(0, dtype=bool) if up is None else np.isfinite(up[:, 0])
+    if up is not None and known.any():
         up, seen = (up, field) if known.all() else (up[known], field[known])
         mean = up.mean(axis=0)
         if np.linalg.norm(mean) > _UPRIGHT:  # otherwise the instrument was tumbled and no axis stayed vertical
             axis, about = mean / np.linalg.norm(mean), "the mean vertical of this recording"
-        dip = float(np.median(inclination(seen, up)))
+        dip = median(inclination(seen, up))
     if axis is None:  # the field points down on the northern hemisphere
         axis = np.array([0.0, 0.0, -1.0 if np.median(field[:, 2]) > 0 else 1.0])
-    dip = float(np.clip(dip, -85.0, 85.0))  # at a steeper dip heading has no meaning
+    dip = min(max(dip, -85.0), 85.0)  # at a steeper dip heading has no meaning
     ahead = np.eye(3)[np.abs(axis).argmin()] if abs(axis[0]) > 0.9 else np.array([1.0, 0.0, 0.0])
     ahead = ahead - axis * (axis @ ahead)
     ahead /= np.linalg.norm(ahead)
-    left = np.cross(axis, ahead)
-    heading = np.linspace(0.0, 360.0, _STEPS + 1)
-    angle = np.radians(heading)[:, None]
+    left = cross(axis, ahead)
+    angle = np.radians(_HEADING)[:, None]
     horizontal = np.cos(angle) * ahead + np.sin(angle) * left
     sine, cosine = np.sin(np.radians(dip)), np.cos(np.radians(dip))
-    return LevelTurn(heading, strength * (cosine * horizontal - sine * axis), ahead, left, dip, about)
+    return LevelTurn(_HEADING, strength * (cosine * horizontal - sine * axis), ahead, left, dip, about)
 
 
 def calibrated(field: Array, soft_iron: Array, hard_iron: Array) -> Array:
@@ -203,7 +217,7 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
         # The world's z axis in sensor axes: the last row of the rotation matrix.
         up = (np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), along - across]) / (across + along)).T
         if acceleration is not None:
-            upright = (up * acceleration).sum(axis=1)
+            upright = _dot(up, acceleration)
             if np.count_nonzero(upright < 0) > np.count_nonzero(upright > 0):
                 up = -up
         return up
@@ -216,8 +230,14 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
 
 def inclination(field: Array, up: Array) -> Array:
     """Return the angle (n,) deg of `field` (n, 3) below the horizontal, with the vertical `up` (n, 3)."""
-    sine = -np.einsum("ni,ni->n", field, up) / np.sqrt(np.einsum("ni,ni->n", field, field))
-    return cast(Array, np.degrees(np.arcsin(np.clip(sine, -1, 1))))
+    sine = -_dot(field, up) / np.sqrt(_dot(field, field))
+    return cast(Array, np.degrees(np.arcsin(np.minimum(np.maximum(sine, -1.0), 1.0))))
+
+
+def _dot(first: Array, second: Array) -> Array:
+    """Return the products (n,) of vectors (n, 3)."""
+    (a, b, c), (x, y, z) = first.T, second.T
+    return cast(Array, a * x + b * y + c * z)
 
 
 def _known(sigma: Array) -> float | None:

@@ -114,8 +114,13 @@ class Assessor:
         return Observability(
             observable=all(w.sigma <= w.limit for w in weak),
             weak=tuple(weak),
-            heading_sigma=float(self._turn.systematic(covariance, self.soft_iron, self.askew).max()),
+            heading_sigma=float(self._turn.spread(covariance, self._slopes, self.askew).max()),
         )
+
+    @cached_property
+    def _slopes(self) -> Array:
+        """Of the heading over that turn."""
+        return self._turn.slopes(self.soft_iron)
 
     @cached_property
     def _turn(self) -> LevelTurn:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
+_MIRRORED = np.where(UPPER[0] == UPPER[1], 1.0, 2.0)  # entries of a matrix that one of its vech stands for
 _SCALE = 2.5  # by which an instrument's own scale may be off
 
 
@@ -42,6 +43,38 @@ def doubt_strength(strength: float) -> str:
     )
 
 
+class IronScale(NamedTuple):
+    """The split of B = field strength · soft iron, for any covariance of what B was estimated with.
+
+    soft_iron (3, 3); strength T; slopes (6, 6) of vech(soft iron) on vech(B); sigma T, of a strength that is given.
+    """
+
+    soft_iron: Array
+    strength: float
+    slopes: Array
+    sigma: float
+
+    @classmethod
+    def of(cls, scaled: Array, field_strength: float | None = None, sigma: float = 0.0) -> IronScale:
+        """Arguments as of `fix_scale`."""
+        strength = float(np.cbrt(abs(np.linalg.det(scaled)))) if field_strength is None else field_strength
+        slopes = np.eye(6) / strength
+        if field_strength is None:  # the strength moves with B: d∛det B = ∛det B / 3 · tr(B⁻¹ dB)
+            slope = strength / 3 * np.linalg.inv(scaled)[UPPER] * _MIRRORED
+            slopes -= np.outer(scaled[UPPER], slope) / strength**2
+        return cls(scaled / strength, strength, slopes, sigma)
+
+    def covariance(self, covariance: Array) -> Array:
+        """Of vech(soft iron) and the rest, from that of vech(B) T and the rest."""
+        jacobian = np.eye(len(covariance))
+        jacobian[:6, :6] = self.slopes
+        result: Array = jacobian @ covariance @ jacobian.T
+        if self.sigma:  # A = B/F
+            shape = self.soft_iron[UPPER]
+            result[:6, :6] += np.outer(shape, shape) * (self.sigma / self.strength) ** 2
+        return result
+
+
 def fix_scale(
     scaled: Array, covariance: Array, field_strength: float | None = None, sigma: float = 0.0
 ) -> tuple[Array, float, Array]:
@@ -57,14 +90,5 @@ def fix_scale(
         Soft iron (3, 3), field strength T, and the covariance, of the given size, of vech(soft iron), hard iron
         and gyroscope bias; of a rank less by one where the determinant was fixed.
     """
-    strength = float(np.cbrt(abs(np.linalg.det(scaled)))) if field_strength is None else field_strength
-    jacobian = np.eye(len(covariance))
-    jacobian[:6, :6] /= strength
-    if field_strength is None:  # the strength moves with B: d∛det B = ∛det B / 3 · tr(B⁻¹ dB)
-        slope = strength / 3 * np.linalg.inv(scaled)[UPPER] * np.where(UPPER[0] == UPPER[1], 1.0, 2.0)
-        jacobian[:6, :6] -= np.outer(scaled[UPPER], slope) / strength**2
-    result = jacobian @ covariance @ jacobian.T
-    if sigma:  # A = B/F
-        shape = scaled[UPPER] / strength
-        result[:6, :6] += np.outer(shape, shape) * (sigma / strength) ** 2
-    return scaled / strength, strength, result
+    scale = IronScale.of(scaled, field_strength, sigma)
+    return scale.soft_iron, scale.strength, scale.covariance(covariance)

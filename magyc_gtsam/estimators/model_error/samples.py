@@ -53,15 +53,16 @@ def one_sided(recording: Streams) -> Outliers | None:
     axes = np.ascontiguousarray(field.T)
     standing = axes[:, 2:-2] - _median_of_five(axes)
     shift = standing.mean(axis=1)
-    sigma = np.maximum(standing.std(axis=1), 1e-12) / np.sqrt(standing.shape[1])
+    standing -= shift[:, None]
+    scatter = np.sqrt(np.einsum("in,in->i", standing, standing) / standing.shape[1])
+    sigma = np.maximum(scatter, 1e-12) / np.sqrt(standing.shape[1])
     return Outliers(shift, sigma) if np.abs(shift / sigma).max() > _CERTAIN else None
 
 
 def flickers(recording: Streams) -> str:
     """Which sensor's axis has but two values for long while it shows noise elsewhere; "" where none does."""
     for name, samples in (("magnetometer", recording.magnetometer), ("gyroscope", recording.gyroscope)):
-        for letter, axis in zip("xyz", samples.value.T, strict=True):
-            share = _share_of_two_values(axis)
+        for letter, share in zip("xyz", _shares_of_two_values(samples.value), strict=True):
             if share:
                 return (
                     f"axis {letter} of the {name} has but two values for {share:.0%} of the recording, and noise "
@@ -70,30 +71,37 @@ def flickers(recording: Streams) -> str:
     return ""
 
 
-def _share_of_two_values(axis: Array) -> float:
-    """The share of an axis (n,) in which it has but two values while it shows noise elsewhere; 0 where little of it."""
-    count = len(axis) // _BLOCK
+def _shares_of_two_values(values: Array) -> list[float]:
+    """For each axis of (n, 3), the share in which it has but two values while it shows noise elsewhere; 0 where
+    little of it."""
+    count = len(values) // _BLOCK
+    result = [0.0] * values.shape[1]
     if not count:
-        return 0.0
-    low, high = np.empty(count), np.empty(count)
+        return result
+    low, high = np.empty((2, values.shape[1], count))
     for first in range(0, count, _PIECE):
         own = slice(first, min(first + _PIECE, count))
-        piece = np.ascontiguousarray(axis[own.start * _BLOCK : own.stop * _BLOCK]).reshape(-1, _BLOCK)
-        piece.min(axis=1, out=low[own])
-        piece.max(axis=1, out=high[own])
+        piece = np.ascontiguousarray(values[own.start * _BLOCK : own.stop * _BLOCK].T)
+        piece = piece.reshape(len(piece), -1, _BLOCK)
+        piece.min(axis=2, out=low[:, own])
+        piece.max(axis=2, out=high[:, own])
     step = high - low
     middle = count // 2
-    suspect = np.flatnonzero((step > 0) & (step < _NARROW * np.partition(step, middle)[middle]))
-    if not len(suspect):
-        return 0.0
-    values = axis[suspect[:, None] * _BLOCK + np.arange(_BLOCK)]
-    two = suspect[((values == low[suspect, None]) | (values == high[suspect, None])).all(axis=1)]
-    share = len(two) / count
-    if share < _LOST:
-        return 0.0
-    blocks = axis[: count * _BLOCK].reshape(-1, _BLOCK)
-    noise = white_noise(np.delete(blocks, two, axis=0).reshape(-1, 1))
-    return 0.0 if noise < _NOISY * float(np.median(step[two])) else share
+    typical = np.partition(step, middle, axis=1)[:, middle, None]
+    axis, block = np.nonzero((step > 0) & (step < _NARROW * typical))
+    if not len(axis):
+        return result
+    seen = values[block[:, None] * _BLOCK + np.arange(_BLOCK), axis[:, None]]
+    two = ((seen == low[axis, block, None]) | (seen == high[axis, block, None])).all(axis=1)
+    for each in np.flatnonzero(np.bincount(axis[two], minlength=1) >= _LOST * count).tolist():
+        own_two = block[two & (axis == each)]
+        if not len(own_two):
+            continue
+        blocks = values[: count * _BLOCK, each].reshape(-1, _BLOCK)
+        noise = white_noise(np.delete(blocks, own_two, axis=0).reshape(-1, 1))
+        if noise >= _NOISY * float(np.median(step[each, own_two])):
+            result[each] = len(own_two) / count
+    return result
 
 
 def too_slow(recording: Streams) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.estimators.gauge import IronScale
 from magyc_gtsam.estimators.model_error import ModelError
 from magyc_gtsam.estimators.model_error.samples import flickers, too_slow
 from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
@@ -67,10 +67,10 @@ def judge(
         strength: T, of the field, where it is known; strength_sigma: its standard deviation.
     """
     parameters, sensors, skew = known
-    soft = unvech(parameters[:6])
+    scale = IronScale.of(unvech(parameters[:6]), strength, strength_sigma)
+    soft_iron, unit = scale.soft_iron, scale.strength
     covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]
-    soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12], strength, strength_sigma)
-    of_sensors = fix_scale(soft, sensors[:12, :12], strength, strength_sigma)[2]
+    reported, of_sensors = scale.covariance(covariance[:12, :12]), scale.covariance(sensors[:12, :12])
     askew = _askew(skew, unit, unexplained.covariance)
     assessor = Assessor(soft_iron, unit, recording, parameters[6:9], askew)
     observability = assessor.of(of_sensors)
@@ -80,8 +80,7 @@ def judge(
     probable = whole
     if whole.weak and unexplained.possible:  # what is merely possible widens the sigmas and leaves the verdict
         of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
-        of_probable = fix_scale(soft, of_probable[:12, :12], strength, strength_sigma)[2]
-        probable = assessor.of(of_probable)
+        probable = assessor.of(scale.covariance(of_probable[:12, :12]))
     reasons = (flickers(samples), too_slow(samples), reason(unexplained, probable, observability))
     return Judgement(
         soft_iron,

@@ -17,6 +17,7 @@ out, over all s, is carried into their covariance by da/dε = −Λ_aa⁻¹ Λ_a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -69,7 +70,7 @@ class SkewPrior:
         """rad, the largest deviation: what holds ε where the motion does not show it."""
         return max(self.deviations)
 
-    @property
+    @cached_property
     def cautious(self) -> Array:
         """(k,) the weights where aligned chips are believed by `aligned`; those given where none may be."""
         weights, none = np.array(self.weights), np.array(self.deviations) == 0

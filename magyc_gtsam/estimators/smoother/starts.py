@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, UPPER
-from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
+from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.vech import unvech
 
@@ -24,13 +25,14 @@ def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) ->
 def from_prior(windows: FieldWindows, soft_iron: Array, hard_iron: Array, bias: Array) -> Array:
     """θ of an earlier calibration, vech(soft_iron) (6,), with the median strength of the field."""
     straight = np.linalg.solve(unvech(soft_iron), windows.field - hard_iron[:, None])
-    strength = float(np.median(np.linalg.norm(straight, axis=0)))
+    strength = median(np.linalg.norm(straight, axis=0))
     return parameters(unvech(soft_iron) * strength, hard_iron, bias, windows.delay)
 
 
 def spherical(windows: FieldWindows, hard_iron: Array, bias: Array) -> Array:
     """θ with a spherical field around `hard_iron`, of the median radius."""
-    radius = float(np.median(np.linalg.norm(windows.field - hard_iron[:, None], axis=0)))
+    away = windows.field - hard_iron[:, None]
+    radius = median(np.sqrt(np.einsum("in,in->n", away, away)))
     return parameters(np.eye(3) * radius, hard_iron, bias, windows.delay)
 
 
@@ -41,8 +43,8 @@ def from_gyroscope(windows: FieldWindows) -> Array:
     y' − y = [y]× ΔK b. Noise is additive here, so a large hard iron or noisy data do not bias it, and
     it needs no tilt: it is right where an ellipsoid fit sees only an arc.
     """
-    spacing = max(float(np.median(np.diff(windows.time))), 1e-9)
-    lag = int(np.clip(round(_LAG / spacing), 1, (len(windows) - 1) // 2))
+    spacing = max(median(np.diff(windows.time)), 1e-9)
+    lag = min(max(round(_LAG / spacing), 1), (len(windows) - 1) // 2)
     turned_back = np.einsum("ijn,in->jn", windows.rotation, windows.field)
     total = np.zeros((3, 3, len(windows)))
     np.cumsum(windows.lever, axis=2, out=total[:, :, 1:])
@@ -55,25 +57,34 @@ def from_gyroscope(windows: FieldWindows) -> Array:
         weight[:] = 1.0
 
     constant = turned_back[:, last] - turned_back[:, first]
-    on_hard_iron = np.swapaxes(windows.rotation[:, :, last] - windows.rotation[:, :, first], 0, 1)
     before = windows.rotation[:, :, first]
+    design = np.empty((6, *constant.shape))  # of hard iron and bias
+    np.subtract(windows.rotation[:, :, last], before, out=design[:3])
     hard_iron, bias = windows.field.mean(axis=1), np.zeros(3)
     for _ in range(_PASSES):
         still = turned_back[:, first] - np.einsum("ijn,i->jn", before, hard_iron)
-        design = np.concatenate(
-            [on_hard_iron.swapaxes(0, 1), cross(still[:, None], lever).swapaxes(0, 1)]
-        )  # (6, 3, n)
+        design[3:] = cross(still[:, None], lever).swapaxes(0, 1)
         flat = design.reshape(6, -1)
         weighted = (design * weight).reshape(6, -1)
         normal = weighted @ flat.T
         normal.flat[::7] *= 1 + 1e-9
-        solution = np.linalg.lstsq(normal, weighted @ constant.ravel(), rcond=None)[0]
+        solution = _solved(normal, weighted @ constant.ravel())
         hard_iron, bias = solution[:3], solution[3:]
         misfit = constant - (solution @ flat).reshape(3, -1)
         square = np.einsum("in,in->n", misfit, misfit)
-        scale = float(np.median(square[weight > 0])) or 1.0
-        weight = (weight > 0) / (1 + square / (2 * scale))  # Cauchy
+        counts = weight > 0
+        scale = median(square if counts.all() else square[counts]) or 1.0
+        weight = counts / (1 + square / (2 * scale))  # Cauchy
     return spherical(windows, hard_iron, bias)
+
+
+def _solved(normal: Array, right: Array) -> Array:
+    """The solution of normal equations, of least norm where there are many."""
+    try:
+        solution = np.linalg.solve(normal, right)
+    except np.linalg.LinAlgError:
+        solution = np.linalg.lstsq(normal, right, rcond=None)[0]
+    return solution.astype(np.float64, copy=False)
 
 
 def others(windows: FieldWindows, bias: Array) -> list[Array]:
