@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.estimators.smoother.smoother import calibrate_smoother
 from magyc_gtsam.factors import MagycError, unvech, vech
-from magyc_gtsam.factors.chain.banded import solved
+from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, forward_solved
 from magyc_gtsam.factors.chain.field_chain import (
     DELAY,
     PARAMETERS,
@@ -532,6 +532,9 @@ def test_columns_through_a_banded_factor(count: int) -> None:
     band = np.concatenate([np.full((1, 40), 6.0), random.normal(size=(3, 40))])
     factor = dpbtrf(band, lower=1)[0]
     dense = sum(np.diag(factor[k, : 40 - k], -k) for k in range(4))
-    columns = random.normal(size=(count, 40))
-    np.testing.assert_allclose(solved(factor, columns) @ dense.T, columns, atol=1e-13)
-    np.testing.assert_allclose(solved(factor, columns, transposed=True) @ dense, columns, atol=1e-13)
+    border = random.normal(size=(count, 2, 20))
+    columns = border.swapaxes(1, 2).reshape(count, 40)
+    half = forward_solved(UnitFactor.of(factor), border)
+    np.testing.assert_allclose(half @ dense.T, columns, atol=1e-13)
+    whole = backward_solved(UnitFactor.of(factor), half).swapaxes(1, 2).reshape(count, 40)
+    np.testing.assert_allclose(whole @ (dense @ dense.T), columns, atol=1e-12)

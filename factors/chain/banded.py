@@ -2,26 +2,65 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, ztbtrs
 
-from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.rotations import Array, Complex
 
 
-def solved(factor: Array, columns: Array, transposed: bool = False) -> Array:
-    """L⁻¹ c, or L⁻ᵀ c, of columns c (k, m), a row each.
+class UnitFactor(NamedTuple):
+    """A Cholesky factor L = U D as the solutions want it: U (4, m), complex, with a diagonal of ones, and 1/D (m,)."""
+
+    unit: Complex
+    inverse: Array
+
+    @classmethod
+    def of(cls, factor: Array) -> UnitFactor:
+        """Of L (4, m), lower form, diagonal first."""
+        inverse = 1 / factor[0]
+        unit = np.empty(factor.shape, complex, order="F")
+        unit.imag = 0.0
+        np.multiply(factor, inverse, out=unit.real)
+        return cls(unit, inverse)
+
+
+def forward_solved(factor: UnitFactor, border: Array) -> Array:
+    """(k, 2n) L⁻¹ c of columns c, given by the two tangents of each window (k, 2, n).
 
     Two at a time, as real and imaginary part: LAPACK takes one column after the other through a short loop of calls,
-    so that a complex one costs little more than a real one.
-
-    Args:
-        factor: (4, m) Cholesky factor L, lower form, diagonal first; complex where it is used often.
+    so that a complex one costs little more than a real one; and without a division by every entry of the diagonal.
     """
-    pairs = -(-len(columns) // 2)
-    both = np.zeros((pairs, columns.shape[1]), complex)
-    both.real, both.imag[: len(columns) - pairs] = columns[:pairs], columns[pairs:]
-    ztbtrs(factor.astype(complex, copy=False), both.T, uplo="L", trans="T" if transposed else "N", overwrite_b=1)
-    result: Array = np.concatenate([both.real, both.imag[: len(columns) - pairs]])
+    count, _, n = border.shape
+    pairs, rest = -(-count // 2), count // 2
+    both = np.empty((pairs, n, 2), complex)
+    if rest < pairs:
+        both.imag[-1] = 0.0
+    for a in (0, 1):  # not both at once, which would be a loop over two numbers
+        both.real[:, :, a], both.imag[:rest, :, a] = border[:pairs, a], border[pairs:, a]
+    both = both.reshape(pairs, 2 * n)
+    ztbtrs(factor.unit, both.T, uplo="L", diag="U", overwrite_b=1)
+    result = np.empty((count, 2 * n))
+    np.multiply(both.real, factor.inverse, out=result[:pairs])
+    np.multiply(both.imag[:rest], factor.inverse, out=result[pairs:])
+    return result
+
+
+def backward_solved(factor: UnitFactor, columns: Array) -> Array:
+    """(k, 2, n) L⁻ᵀ c of columns c (k, 2n), likewise."""
+    count, size = columns.shape
+    pairs, rest = -(-count // 2), count // 2
+    both = np.empty((pairs, size), complex)
+    if rest < pairs:
+        both.imag[-1] = 0.0
+    np.multiply(columns[:pairs], factor.inverse, out=both.real)
+    np.multiply(columns[pairs:], factor.inverse, out=both.imag[:rest])
+    ztbtrs(factor.unit, both.T, uplo="L", trans="T", diag="U", overwrite_b=1)
+    both = both.reshape(pairs, -1, 2)
+    result = np.empty((count, 2, size // 2))
+    for a in (0, 1):
+        result[:pairs, a], result[pairs:, a] = both.real[:, :, a], both.imag[:rest, :, a]
     return result
 
 

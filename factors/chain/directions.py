@@ -9,54 +9,72 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.rotations import Array, tangent_basis
+from magyc_gtsam.factors.chain.rotations import Array, tangent_frame
 
 
 class LinearDirections(NamedTuple):
     """Whitened residuals and their Jacobians on the directions, linearised at some.
 
-    basis (3, 2, n) of the tangent planes; window (3, n) and on_direction (3, 2, n); link (3, n − 1), before and
-    after (3, 2, n − 1); ahead (3, n − 1): the directions turned on to the next window; square (n − 1,).
+    frame (3, 3, n): the directions and their tangent bases; body (3, n): M g whitened; window (3, 3, n): the windows'
+    residual, then its Jacobian on the two tangents; turned (3, 3, n − 1): the frame turned on to the next window,
+    whitened; link (3, 3, n − 1): the links' residual, then its Jacobian on the tangents of the window after;
+    square (n − 1,).
     """
 
-    basis: Array
+    frame: Array
+    body: Array
     window: Array
-    on_direction: Array
+    turned: Array
     link: Array
-    before: Array
-    after: Array
-    ahead: Array
     square: Array
 
+    @property
+    def basis(self) -> Array:
+        """(3, 2, n) of the tangent planes."""
+        return self.frame[:, 1:]
+
+    @property
+    def on_direction(self) -> Array:
+        """(3, 2, n) of the windows' residuals."""
+        return self.window[:, 1:]
+
+    @property
+    def after(self) -> Array:
+        """(3, 2, n − 1) of the links' residuals on the direction after them."""
+        return self.link[:, 1:]
+
     def normal_equations(self) -> tuple[Array, Array]:
-        """The matrix in its lower band (2n, 4), diagonal first, and the gradient (n, 2)."""
-        _, _, n = self.basis.shape
-        on, before, after = self.on_direction, self.before, self.after
+        """The matrix in its lower band (2n, 4), diagonal first, and the gradient (2, n)."""
+        n = self.frame.shape[2]
         band = np.zeros((2 * n, 4))
-        own, across = np.einsum("ian,ibn->abn", on, on), np.einsum("ian,ibn->abn", before, after)
+        own = np.einsum("ian,ibn->abn", self.on_direction, self.window)
+        # Of the direction before, but for the sign.
+        across = np.einsum("ian,ibn->abn", self.turned[:, 1:], self.link)
         for a in (0, 1):
             diagonal = band[a::2, 0]
-            diagonal[:] = own[a, a]
+            diagonal[:] = own[a, 1 + a]
             diagonal[1:] += self.square  # the tangent bases are orthonormal
             diagonal[:-1] += self.square
-            band[a:-2:2, 2] = across[a, a]
-        band[::2, 1] = own[0, 1]
-        band[:-2:2, 3] = across[0, 1]
-        band[1:-2:2, 1] = across[1, 0]
-        gradient = np.einsum("ian,in->na", on, self.window)
-        gradient[1:] += np.einsum("ian,in->na", after, self.link)
-        gradient[:-1] += np.einsum("ian,in->na", before, self.link)
+            np.negative(across[a, 1 + a], out=band[a:-2:2, 2])
+        band[::2, 1] = own[0, 2]
+        np.negative(across[0, 2], out=band[:-2:2, 3])
+        np.negative(across[1, 1], out=band[1:-2:2, 1])
+        gradient = own[:, 0]
+        gradient[:, 1:] += np.einsum("ian,in->an", self.after, self.link[:, 0])
+        gradient[:, :-1] -= across[:, 0]
         return band, gradient
 
 
 class Sight(NamedTuple):
     """What θ, the noise and the weights say of the directions.
 
-    seen (3, 3, n): B M, whitened; field (3, n): mean(m) − h, whitened; turn (3, 3, n − 1): from one window to the
-    next; link_scale (n − 1,); answer: see `FieldChain`.
+    matrix (3, 3): B; rotation (3, 3, n): M; scale (n,): what whitens windows; field (3, n): mean(m) − h, whitened;
+    turn (3, 3, n − 1): from one window to the next; link_scale (n − 1,); answer: see `FieldChain`.
     """
 
-    seen: Array
+    matrix: Array
+    rotation: Array
+    scale: Array
     field: Array
     turn: Array
     link_scale: Array
@@ -64,18 +82,19 @@ class Sight(NamedTuple):
 
     def at(self, direction: Array) -> LinearDirections:
         """Linearised at directions (3, n)."""
-        g, scale = direction, self.link_scale
-        basis = tangent_basis(g)
-        window = np.einsum("ijn,jn->in", self.seen, g) - self.field
-        on_direction = np.einsum("ijn,jan->ian", self.seen, basis)
+        frame, scale = tangent_frame(direction), self.link_scale
+        body = np.einsum("ijn,jkn->ikn", self.rotation, frame)
+        body *= self.scale
+        window = (self.matrix @ body.reshape(3, -1)).reshape(body.shape)
+        window[:, 0] -= self.field
         if self.answer is not None:
-            on_direction *= self.answer[:, None]
+            window[:, 1:] *= self.answer[:, None]
         # e = g' − E g.
-        ahead = np.einsum("ijn,jn->in", self.turn, g[:, :-1])
-        link = (g[:, 1:] - ahead) * scale
-        before = -np.einsum("ijn,jan->ian", self.turn, basis[:, :, :-1]) * scale
-        after = basis[:, :, 1:] * scale
-        return LinearDirections(basis, window, on_direction, link, before, after, ahead, scale**2)
+        turned = np.einsum("ijn,jkn->ikn", self.turn, frame[:, :, :-1])
+        turned *= scale
+        link = frame[:, :, 1:] * scale
+        link[:, 0] -= turned[:, 0]
+        return LinearDirections(frame, body[:, 0], window, turned, link, scale**2)
 
 
 class QuadraticPrior(NamedTuple):
@@ -90,11 +109,11 @@ class QuadraticPrior(NamedTuple):
         band[0, 0] += self.information[-2, -2]
         band[0, 1] += self.information[-1, -2]
         band[1, 0] += self.information[-1, -1]
-        pull[0] += self.gradient[-2:]
+        pull[:, 0] += self.gradient[-2:]
 
 
 def stepped(direction: Array, basis: Array, tangent: Array) -> Array:
     """(3, n) directions after a step −tangent (2n,) in their tangent planes."""
-    g = direction - basis[:, 0] * tangent[::2] - basis[:, 1] * tangent[1::2]
-    result: Array = g / np.sqrt(np.einsum("in,in->n", g, g))
-    return result
+    g: Array = direction - np.einsum("ian,an->in", basis, np.ascontiguousarray(tangent.reshape(-1, 2).T))
+    g /= np.sqrt(np.einsum("in,in->n", g, g))
+    return g

@@ -24,15 +24,14 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrf, dpbtrs
+from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
-from magyc_gtsam.factors.chain.banded import inverse_blocks, solved
+from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, forward_solved, inverse_blocks
 from magyc_gtsam.factors.chain.directions import QuadraticPrior, Sight, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
-from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import (
     Array,
-    along,
     cross,
     exponential_matrices,
     right_jacobian,
@@ -85,7 +84,7 @@ class Reduced(NamedTuple):
     gradient (p,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
     on_parameters (p, 3, n): whitened window Jacobians; before, after (3, 2, n − 1) and on_bias (3, 3, n − 1), the
     bias along the second axis: those of the links; band and factor (4, 2n): the directions' matrix and
-    its Cholesky factor L; right (p + 1, 2n): its border with θ, and the directions' gradient; half (2n, p + 1):
+    its Cholesky factor L; border (p + 1, 2, n): its border with θ, and the directions' gradient; half (2n, p + 1):
     L⁻¹ of it.
     """
 
@@ -100,7 +99,7 @@ class Reduced(NamedTuple):
     on_bias: Array
     band: Array
     factor: Array
-    right: Array
+    border: Array
     half: Array
 
 
@@ -137,11 +136,9 @@ class FieldChain:
         w = self.windows
         object.__setattr__(self, "window_scale", np.sqrt(w.count) / self.noise.magnetometer)
         # A floor of a thousandth of the magnetometer's own angle keeps a perfect gyroscope solvable.
-        away = w.field - w.field.mean(axis=1)[:, None]
-        spread = float(np.sqrt(np.einsum("in,in->n", away, away)).mean()) + 1e-9
-        floor = (0.001 * self.noise.magnetometer / spread) ** 2 / w.count.mean()
+        floor = (0.001 * self.noise.magnetometer / (w.spread + 1e-9)) ** 2 / w.count.mean()
         variance = self.noise.gyroscope**2 * w.link_time + floor
-        object.__setattr__(self, "link_scale", np.where(w.linked, 1 / np.sqrt(variance), 0.0))
+        object.__setattr__(self, "link_scale", w.linked / np.sqrt(variance))
 
     @property
     def window_sigma(self) -> Array:
@@ -192,39 +189,37 @@ class FieldChain:
         """
         parameters, g = state
         size, n = len(parameters), g.shape[1]
-        scale = self.window_scale * np.sqrt(weights.window)
-        rotation = self.rotation(parameters)
-        sight = self._sight(state, weights, rotation)
+        sight = self._sight(state, weights)
         linear = sight.at(g)
-        on_direction, residual, link = linear.on_direction, linear.window, linear.link
-        columns = self._on_parameters(parameters, g, rotation, scale)
-        columns[size] = residual
+        on_direction = linear.on_direction
+        columns = self._on_parameters(parameters, g, linear.body, sight.scale)
+        columns[size] = linear.window[:, 0]
         on_parameters = columns[:size]
 
         # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
-        on_bias = cross(self.windows.lever, linear.ahead[:, None] * sight.link_scale)
-        bias_first = on_bias.swapaxes(0, 1)
+        links = np.empty((4, 3, n - 1))  # on the bias, and the residual
+        on_bias = cross(self.windows.lever, linear.turned[:, 0, None], out=links[:3].swapaxes(0, 1))
+        links[3] = linear.link[:, 0]
 
         # The directions' matrix H in 2×2 blocks, and its border [C, gradient].
-        right = np.empty((size + 1, n, 2))
-        band, right[size] = linear.normal_equations()
-        for a in (0, 1):
-            right[:size, :, a] = along(on_direction[:, a], on_parameters)
-            right[9:12, 1:, a] += along(linear.after[:, a], bias_first)
-            right[9:12, :-1, a] += along(linear.before[:, a], bias_first)
+        border = np.empty((size + 1, 2, n))
+        band, border[size] = linear.normal_equations()
+        np.einsum("ian,pin->pan", on_direction, on_parameters, out=border[:size])
+        border[9:12, :, 1:] += np.einsum("ian,pin->pan", linear.after, links[:3])
+        border[9:12, :, :-1] -= np.einsum("ian,pin->pan", linear.turned[:, 1:], links[:3])
         # Never a matrix with its own transpose: BLAS has a routine for that, which is half as fast at this size.
-        flat = columns.reshape(size + 1, -1)
+        flat, flat_links = columns.reshape(size + 1, -1), links.reshape(4, -1)
         products = flat[:size] @ flat.T
         information, gradient = products[:, :size], products[:, size]
-        of_links = np.ascontiguousarray(bias_first).reshape(3, -1)
-        information[9:12, 9:12] += of_links @ of_links.T
-        gradient[9:12] += of_links @ link.ravel()
-        cost = 0.5 * (float(np.vdot(residual, residual)) + float(np.vdot(link, link)))
+        of_links = flat_links[:3] @ flat_links.T
+        information[9:12, 9:12] += of_links[:, :3]
+        gradient[9:12] += of_links[:, 3]
+        cost = 0.5 * float(flat[size] @ flat[size] + flat_links[3] @ flat_links[3])
 
         known = self._known(state, linear.basis)
         if known is not None:
-            known.onto_first(band, right[size])
-            right[:size, 0] += known.information[:size, size:]
+            known.onto_first(band, border[size])
+            border[:size, :, 0] += known.information[:size, size:]
             information += known.information[:size, :size]
             gradient += known.gradient[:size]
             cost += known.cost
@@ -234,9 +229,8 @@ class FieldChain:
             gradient += believed[1]
             information += believed[2]
 
-        border = right.reshape(size + 1, 2 * n)
         factor = self._factor(band)
-        absorbed = solved(factor, border)  # (L⁻¹ [C, gradient])ᵀ
+        absorbed = forward_solved(UnitFactor.of(factor), border)  # (L⁻¹ [C, gradient])ᵀ
         products -= absorbed[:size] @ absorbed.T
         return Reduced(
             cost,
@@ -244,7 +238,7 @@ class FieldChain:
             gradient,
             linear.basis,
             on_direction,
-            linear.before,
+            -linear.turned[:, 1:],
             linear.after,
             on_parameters,
             on_bias,
@@ -254,20 +248,22 @@ class FieldChain:
             absorbed.T,
         )
 
-    def _on_parameters(self, parameters: Array, g: Array, rotation: Array, scale: Array) -> Array:
-        """The windows' Jacobian on θ, r = S Exp(ε) M g + h − m, whitened: (p + 1, 3, n), the last for the residual."""
+    def _on_parameters(self, parameters: Array, g: Array, body: Array, scale: Array) -> Array:
+        """The windows' Jacobian on θ, r = S Exp(ε) M g + h − m, whitened: (p + 1, 3, n), the last for the residual.
+
+        `body` is M g times `scale`.
+        """
         size, n = len(parameters), g.shape[1]
-        matrix = iron_matrix(parameters)
-        body = np.einsum("ijn,jn->in", rotation, g) * scale
+        matrix, whitened = iron_matrix(parameters), g * scale
         x, y, z = body if size == PARAMETERS else _turn_of(parameters) @ body
         result = np.zeros((size + 1, 3, n))
         result[0, 0] = result[1, 1] = result[2, 2] = x
         result[1, 0] = result[3, 1] = result[4, 2] = y
         result[2, 0] = result[4, 1] = result[5, 2] = z
         result[6, 0] = result[7, 1] = result[8, 2] = scale
-        swung = np.einsum("ijkn,jn->ikn", self.windows.rotation_bias, g * scale)
+        swung = np.einsum("ijkn,jn->ikn", self.windows.rotation_bias, whitened)
         result[9:12] = (matrix @ swung.reshape(3, -1)).reshape(3, 3, n).swapaxes(0, 1)
-        result[DELAY] = matrix @ np.einsum("ijn,jn->in", self.windows.rotation_rate, g * scale)
+        result[DELAY] = matrix @ np.einsum("ijn,jn->in", self.windows.rotation_rate, whitened)
         if size == WITH_SKEW:
             # Exp(ε + δ) v = Exp(ε) (v + J δ × v), J the right Jacobian.
             axes = skew(right_jacobian(parameters[SKEW]).T)
@@ -278,8 +274,8 @@ class FieldChain:
 
     def move(self, state: ChainState, reduced: Reduced, step: Array) -> ChainState:
         """The state after a step on θ; the directions follow by back-substitution."""
-        pull = reduced.right[-1] + step @ reduced.right[:-1]
-        tangent, _ = dpbtrs(reduced.factor, pull, lower=1)
+        pull = reduced.half[:, -1] + reduced.half[:, :-1] @ step
+        tangent, _ = dtbtrs(reduced.factor, pull, uplo="L", trans="T")
         return ChainState(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
 
     def settle(self, state: ChainState, weights: Weights) -> tuple[ChainState, Reduced]:
@@ -289,14 +285,14 @@ class FieldChain:
 
     def settled(self, state: ChainState, weights: Weights) -> ChainState:
         """The directions at their best for the state's θ, which stays as it is."""
-        sight = self._sight(state, weights, self.rotation(state.parameters))
+        sight = self._sight(state, weights)
         for _ in range(_SETTLING):
             linear = sight.at(state.direction)
             band, pull = linear.normal_equations()
             known = self._known(state, linear.basis)
             if known is not None:
                 known.onto_first(band, pull)
-            tangent, _ = dpbtrs(self._factor(band), pull.ravel(), lower=1)
+            tangent, _ = dpbtrs(self._factor(band), pull.T.ravel(), lower=1)
             ahead = stepped(state.direction, linear.basis, tangent)
             moved = float(np.square(ahead - state.direction).max())
             state = ChainState(state.parameters, ahead)
@@ -315,24 +311,27 @@ class FieldChain:
         inner = np.vdot((j0 * j0).sum(axis=0), s00) + np.vdot((j1 * j1).sum(axis=0), s11)
         inner += 2 * np.vdot((j0 * j1).sum(axis=0), s01)
         solve = _solve(reduced)
-        across = reduced.on_parameters.copy()
-        for i in range(3):
-            across[:, i] -= (
-                reduced.on_direction[i, 0] * solve[:, :, 0] + reduced.on_direction[i, 1] * solve[:, :, 1]
-            )
+        across = reduced.on_parameters - np.einsum("ian,pan->pin", reduced.on_direction, solve)
         flat = across.reshape(len(covariance), -1)
-        return float(inner + np.vdot(covariance, flat @ flat.T))
+        return float(inner + np.vdot(covariance @ flat, flat))
 
     def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
         """What is known of θ and the first direction besides the windows; here nothing."""
         return None
 
-    def _sight(self, state: ChainState, weights: Weights, rotation: Array) -> Sight:
+    def _sight(self, state: ChainState, weights: Weights) -> Sight:
         parameters = state.parameters
         scale = self.window_scale * np.sqrt(weights.window)
-        seen = (iron_matrix(parameters) @ rotation.reshape(3, -1)).reshape(rotation.shape) * scale
         field = (self.windows.field - parameters[6:9, None]) * scale
-        return Sight(seen, field, self.turn(parameters), self.link_scale * np.sqrt(weights.link), self.answer)
+        return Sight(
+            iron_matrix(parameters),
+            self.rotation(parameters),
+            scale,
+            field,
+            self.turn(parameters),
+            self.link_scale * np.sqrt(weights.link),
+            self.answer,
+        )
 
     def _factor(self, band: Array) -> Array:
         """The Cholesky factor (4, 2n) of a band (2n, 4)."""
@@ -348,18 +347,11 @@ class FieldChain:
 
     def rotation(self, parameters: Array) -> Array:
         """M at θ, (3, 3, n): the integrated world as the windows see it."""
-        late = parameters[DELAY] - self.windows.delay
-        moved = parameters[9:12] - self.windows.bias
-        return (
-            self.windows.rotation
-            + late * self.windows.rotation_rate
-            + np.einsum("ijkn,k->ijn", self.windows.rotation_bias, moved)
-        )
+        return self.windows.rotation_at(parameters[9:12], float(parameters[DELAY]))
 
     def turn(self, parameters: Array) -> Array:
         """E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
-        moved = self.windows.bias - parameters[9:12]
-        return exponential_matrices(np.einsum("ijn,j->in", self.windows.lever, moved))
+        return self.windows.turn_at(parameters[9:12])
 
 
 def iron_matrix(parameters: Array) -> Array:
@@ -375,11 +367,10 @@ def _turn_of(parameters: Array) -> Array:
 
 def direction_slopes(reduced: Reduced) -> Array:
     """(p, 3, n) dg/dθ, every direction at its best for θ: −T H⁻¹ C."""
-    slopes: Array = -np.einsum("ian,pna->pin", reduced.basis, _solve(reduced))
+    slopes: Array = -np.einsum("ian,pan->pin", reduced.basis, _solve(reduced))
     return slopes
 
 
 def _solve(reduced: Reduced) -> Array:
-    """H⁻¹ C: (p, n, 2)."""
-    columns = solved(reduced.factor, reduced.half[:, :-1].T, transposed=True)
-    return columns.reshape(len(columns), -1, 2)
+    """H⁻¹ C: (p, 2, n)."""
+    return backward_solved(UnitFactor.of(reduced.factor), reduced.half[:, :-1].T)

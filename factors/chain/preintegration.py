@@ -18,10 +18,11 @@ order in δ: when the bias has moved far, integrate again. A delay τ of the mag
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, matrices
 from magyc_gtsam.factors.errors import MagycError
@@ -40,55 +41,6 @@ def windows_passed(step: Array, rate: Array, turn: float, length: float) -> Arra
     speed = np.sqrt(x * x + y * y + z * z)
     passed: Array = np.maximum(0.5 * (speed[1:] + speed[:-1]) / turn, 1 / length) * step
     return passed
-
-
-@dataclass(frozen=True, eq=False)
-class FieldWindows:
-    """n windows integrated at one bias and delay; the windows run along the last axis, contiguous.
-
-    Attributes:
-        time: (n,) s, mean stamp.
-        count: (n,) magnetometer samples.
-        field: (3, n) T, mean measured field.
-        rotation: (3, 3, n) mean of R_jᵀ, integrated world→sensor.
-        rotation_bias: (3, 3, 3, n) its derivative with respect to the bias (third axis), s.
-        rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s.
-        lever: (3, 3, n − 1) s, K̄' − K̄ between neighbours.
-        link_time: (n − 1,) s², Σ dt² between neighbours; the link's variance is σ_g² times it.
-        linked: (n − 1,) False where a hole in the gyroscope parts two windows.
-        bias: (3,) rad/s and delay: s, where the gyroscope was integrated.
-    """
-
-    time: Array
-    count: Array
-    field: Array
-    rotation: Array
-    rotation_bias: Array
-    rotation_rate: Array
-    lever: Array
-    link_time: Array
-    linked: np.ndarray
-    bias: Array
-    delay: float
-
-    def __len__(self) -> int:
-        return len(self.time)
-
-    def part(self, first: int, stop: int) -> FieldWindows:
-        """The windows from `first` up to `stop`, in the same world frame."""
-        rows, links = slice(first, stop), slice(first, stop - 1)
-        return replace(
-            self,
-            time=self.time[rows],
-            count=self.count[rows],
-            field=self.field[:, rows],
-            rotation=self.rotation[:, :, rows],
-            rotation_bias=self.rotation_bias[:, :, :, rows],
-            rotation_rate=self.rotation_rate[:, :, rows],
-            lever=self.lever[:, :, links],
-            link_time=self.link_time[links],
-            linked=self.linked[links],
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +126,11 @@ class Preintegration:
         starts, last = [], -1
         for first in range(0, len(self.magnetometer_time), _CHUNK):
             when = self.magnetometer_time[first : first + _CHUNK]
-            window = np.floor(np.interp(when, time, ended)).astype(np.int64)
-            window += np.searchsorted(ends, when, side="right")
+            own = slice(first, first + len(when))
+            same = np.array_equal(when, time[own])
+            window = np.floor(ended[own] if same else np.interp(when, time, ended)).astype(np.int64)
+            if len(ends):
+                window += np.searchsorted(ends, when, side="right")
             starts.append(first + np.flatnonzero(np.diff(window, prepend=last)))
             last = window[-1]
         return np.concatenate(starts)

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
-from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration
+from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
 

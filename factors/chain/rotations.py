@@ -88,12 +88,11 @@ def chain(steps: Spinor) -> Spinor:
     blocks = -(-n // _BLOCK)
     inside_p = np.ones((_BLOCK + 1, blocks), complex)
     inside_q = np.zeros((_BLOCK + 1, blocks), complex)
-    padded_p = np.concatenate([p, np.ones(blocks * _BLOCK - n)]).reshape(blocks, _BLOCK).T
-    padded_q = np.concatenate([q, np.zeros(blocks * _BLOCK - n)]).reshape(blocks, _BLOCK).T
+    rest = blocks * _BLOCK - n
+    padded_p = np.ascontiguousarray(np.append(p, np.ones(rest)).reshape(blocks, _BLOCK).T)
+    padded_q = np.ascontiguousarray(np.append(q, np.zeros(rest)).reshape(blocks, _BLOCK).T)
     for k in range(_BLOCK):
-        inside_p[k + 1], inside_q[k + 1] = multiply(
-            (inside_p[k], inside_q[k]), (np.ascontiguousarray(padded_p[k]), np.ascontiguousarray(padded_q[k]))
-        )
+        inside_p[k + 1], inside_q[k + 1] = multiply((inside_p[k], inside_q[k]), (padded_p[k], padded_q[k]))
     if blocks > 1:
         start = chain((inside_p[-1, :-1], inside_q[-1, :-1]))
         inside_p, inside_q = multiply(start, (inside_p, inside_q))
@@ -143,12 +142,13 @@ def skew(vector: Array) -> Array:
     return result
 
 
-def cross(first: Array, second: Array) -> Array:
+def cross(first: Array, second: Array, out: Array | None = None) -> Array:
     """Cross product along the first axis."""
-    result = np.empty(np.broadcast_shapes(first.shape, second.shape))
-    result[0] = first[1] * second[2] - first[2] * second[1]
-    result[1] = first[2] * second[0] - first[0] * second[2]
-    result[2] = first[0] * second[1] - first[1] * second[0]
+    result = np.empty(np.broadcast_shapes(first.shape, second.shape)) if out is None else out
+    (a, b, c), (x, y, z) = first, second
+    np.subtract(b * z, c * y, out=result[0, ...])
+    np.subtract(c * x, a * z, out=result[1, ...])
+    np.subtract(a * y, b * x, out=result[2, ...])
     return result
 
 
@@ -160,21 +160,23 @@ def along(vector: Array, columns: Array) -> Array:
 
 def exponential_matrices(rotation_vector: Array) -> Array:
     """Rotation matrices (3, 3, n) of rotation vectors (3, n)."""
-    x, y, z = rotation_vector
-    xx, yy, zz = x * x, y * y, z * z
-    square = xx + yy + zz
+    square = np.einsum("in,in->n", rotation_vector, rotation_vector)
     if square.max(initial=0.0) < 1e-3:  # series, to rounding
         a = 1 - square * (1 / 6 - square * (1 / 120 - square / 5040))
         b = 0.5 - square * (1 / 24 - square * (1 / 720 - square / 40320))
     else:
         angle = np.maximum(np.sqrt(square), 1e-8)
         a, b = np.sin(angle) / angle, 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2
-    bxy, bxz, byz = b * x * y, b * x * z, b * y * z
-    ax, ay, az = a * x, a * y, a * z
-    result = np.empty((3, 3, len(x)))
-    result[0, 0], result[0, 1], result[0, 2] = 1 - b * (yy + zz), bxy - az, bxz + ay
-    result[1, 0], result[1, 1], result[1, 2] = bxy + az, 1 - b * (xx + zz), byz - ax
-    result[2, 0], result[2, 1], result[2, 2] = bxz - ay, byz + ax, 1 - b * (xx + yy)
+    # (1 − b v²) I + a [v]× + b v vᵀ
+    result: Array = (b * rotation_vector)[:, None] * rotation_vector
+    result.reshape(9, -1)[::4] += 1 - b * square
+    x, y, z = a * rotation_vector
+    result[0, 1] -= z
+    result[1, 0] += z
+    result[0, 2] += y
+    result[2, 0] -= y
+    result[1, 2] -= x
+    result[2, 1] += x
     return result
 
 
@@ -189,13 +191,27 @@ def right_jacobian(rotation_vector: Array) -> Array:
     return np.eye(3) - first * across + second * across @ across
 
 
-def tangent_basis(direction: Array) -> Array:
-    """Orthonormal tangent bases (3, 2, n) of unit vectors (3, n) (Duff et al. 2017, without branches)."""
+def tangent_frame(direction: Array) -> Array:
+    """Unit vectors (3, n) and their orthonormal tangent bases: (3, 3, n) (Duff et al. 2017, without branches)."""
     x, y, z = direction
-    sign = np.where(z >= 0, 1.0, -1.0)
+    sign = np.copysign(1.0, z)
+    frame = np.empty((3, 3, len(x)))
+    frame[:, 0] = direction
     a = -1 / (sign + z)
-    b = x * y * a
-    basis = np.empty((3, 2, len(x)))
-    basis[0, 0], basis[1, 0], basis[2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
-    basis[0, 1], basis[1, 1], basis[2, 1] = b, sign + y * y * a, -y
-    return basis
+    xa = x * a
+    b = y * xa
+    np.multiply(sign, x, out=frame[2, 1])
+    np.multiply(frame[2, 1], xa, out=frame[0, 1])
+    frame[0, 1] += 1
+    np.negative(frame[2, 1], out=frame[2, 1])
+    np.multiply(sign, b, out=frame[1, 1])
+    frame[0, 2] = b
+    np.multiply(y * y, a, out=frame[1, 2])
+    frame[1, 2] += sign
+    np.negative(y, out=frame[2, 2])
+    return frame
+
+
+def tangent_basis(direction: Array) -> Array:
+    """Orthonormal tangent bases (3, 2, n) of unit vectors (3, n)."""
+    return tangent_frame(direction)[:, 1:]

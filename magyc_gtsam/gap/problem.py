@@ -14,7 +14,8 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.search import short_term_noise
 from magyc_gtsam.factors.chain.field_chain import DELAY, ChainState, FieldChain, Reduced, SensorNoise
-from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
+from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS, Setting

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.preintegration import FieldWindows, Preintegration, windows_passed
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
+from magyc_gtsam.factors.chain.preintegration import Preintegration, windows_passed
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 

@@ -9,7 +9,7 @@ from magyc_gtsam.estimators.smoother.clock_drift import speaks, with_drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
 from magyc_gtsam.estimators.smoother.search import disturbed, moved, short_term_noise, suitable_turn, with_skew
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain
-from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.online.belief import FIRST
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.coverage import coverage

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.estimators.model_error.motion import ALIKE, SLOW, WindowMotion
-from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, UnmodelledColumns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
@@ -54,7 +54,7 @@ class ColumnFamily:
 
     name: str
     place: str
-    columns: Callable[[WindowMotion], UnmodelledColumns | Products]
+    columns: Callable[[WindowMotion], Columns]
     most: float
     functions: int = 1
     first: bool = False
@@ -192,14 +192,14 @@ def _speeds(motion: WindowMotion) -> UnmodelledColumns:
     return _split(motion, np.sign(speed - np.median(speed)))
 
 
-def _bent_rate(motion: WindowMotion) -> UnmodelledColumns:
+def _bent_rate(motion: WindowMotion) -> RateErrors:
     """Squares and products of the rate, and each rate times its size."""
     w = motion.relative
     products = np.array([w[i] * w[j] for i in range(3) for j in range(i, 3)] + [row * abs(row) for row in w])
     return motion.about_each_axis(motion.spread * products)
 
 
-def _bias(motion: WindowMotion, profiles: Array) -> UnmodelledColumns:
+def _bias(motion: WindowMotion, profiles: Array) -> RateErrors:
     return motion.about_each_axis(profiles)
 
 
@@ -218,7 +218,7 @@ def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
 def _in_time(
     name: str,
     place: str,
-    put: Callable[[WindowMotion, Array], UnmodelledColumns | Products],
+    put: Callable[[WindowMotion, Array], Columns],
     most: float,
     waves: tuple[int, int],
     **more: Any,

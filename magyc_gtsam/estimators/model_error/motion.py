@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dpttrf, dpttrs
 
-from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import Products, RateErrors, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.vech import unvech
 
@@ -76,8 +77,8 @@ class WindowMotion:
             strength=float(np.cbrt(abs(np.linalg.det(soft)))),
             soft_iron=soft,
             delay=float(parameters[DELAY]),
-            gyroscope_step=float(np.median(windows.link_time / step)),
-            rate_noise=fit.chain.noise.gyroscope * float(np.sqrt(np.median(windows.link_time / step**2))),
+            gyroscope_step=median(windows.link_time / step),
+            rate_noise=fit.chain.noise.gyroscope * float(np.sqrt(median(windows.link_time / step**2))),
         )
 
     @cached_property
@@ -123,14 +124,14 @@ class WindowMotion:
     def _world_axes(self) -> Array:
         return self.seen.swapaxes(0, 1)
 
-    def on_gyroscope(self, profiles: Array) -> UnmodelledColumns:
+    def on_gyroscope(self, profiles: Array) -> RateErrors:
         """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""
-        return UnmodelledColumns(None, self._links(np.einsum("jin,kjn->kin", self.rotation, profiles)))
+        return RateErrors(np.einsum("jin,kjn->kin", self.rotation, profiles), self._links)
 
-    def about_each_axis(self, profiles: Array) -> UnmodelledColumns:
+    def about_each_axis(self, profiles: Array) -> RateErrors:
         """Errors of the rate, profiles (k, n) rad/s about each of the sensor's axes: 3k columns."""
         turned = profiles[:, None, None] * self.rotation
-        return UnmodelledColumns(None, self._links(turned.reshape(-1, *turned.shape[2:])))
+        return RateErrors(turned.reshape(-1, *turned.shape[2:]), self._links)
 
     def gyroscope_matrix(self) -> UnmodelledColumns:
         """Shares of the rate about each axis as errors about each: 9 columns, row by row of a matrix on the rate."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, USUAL, ColumnFamily
 from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
-from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import RateErrors, UnmodelledColumns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -84,16 +84,16 @@ def _gain_at_end(motion: WindowMotion) -> Array:
     return result
 
 
-def _gyroscope_bend(motion: WindowMotion) -> UnmodelledColumns:
+def _gyroscope_bend(motion: WindowMotion) -> RateErrors:
     share = motion.rate / max(float(np.abs(motion.rate).max()), ALIKE)
     return motion.on_gyroscope(_one(motion.rate * share * share))
 
 
-def _dead_band(motion: WindowMotion) -> UnmodelledColumns:
+def _dead_band(motion: WindowMotion) -> RateErrors:
     return motion.on_gyroscope(_one(np.clip(motion.rate / _BAND, -1.0, 1.0)))
 
 
-def _gyroscope_filter(motion: WindowMotion) -> UnmodelledColumns:
+def _gyroscope_filter(motion: WindowMotion) -> RateErrors:
     """Per s²: also what samples too far apart leave of a rate's integral, a twelfth of their step squared."""
     return motion.on_gyroscope(_one(motion.derivative(motion.derivative(motion.rate))))
 

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dsyevd
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import MagycError
 
 
 class Principal(NamedTuple):
@@ -20,7 +22,12 @@ class Principal(NamedTuple):
 
 def principal(normal: Array, score: Array) -> Principal:
     """Of one group."""
-    value, vector = np.linalg.eigh(normal) if len(score) > 1 else (normal[0], np.ones((1, 1)))
+    if len(score) > 1:
+        value, vector, failed = dsyevd(normal, lower=1)
+        if failed:
+            raise MagycError("model error: the products of a group of columns are not finite")
+    else:
+        value, vector = normal[0], np.ones((1, 1))
     return Principal(np.maximum(value, 0.0), vector, score @ vector)
 
 

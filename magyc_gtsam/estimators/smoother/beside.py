@@ -20,17 +20,18 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.blas import dgemm
 
-from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
+from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, joined
 from magyc_gtsam.estimators.smoother.estimated import ROUNDING, Estimated
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.factors.chain.banded import solved
+from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.rotations import Array, along
 
 # Columns times windows that go through the elimination at a time: few calls, and all that is at hand in the cache.
 _TOGETHER = 1 << 15
 
-Make = Callable[[], "UnmodelledColumns | Products"]
+Make = Callable[[], Columns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,19 +103,18 @@ class ColumnProducts:
             left.absorbed @ left.absorbed + left.explained @ left.explained
         )
 
-    def of(self, columns: UnmodelledColumns | Products) -> New:
+    def of(self, columns: Columns) -> New:
         """What is new in columns."""
         return self.of_each([lambda: columns])[0]
 
     def of_each(self, groups: Sequence[Make]) -> list[New]:
         """What is new in each of some groups; those alike are taken through the elimination together."""
         result: dict[int, tuple[Array, Array, Array]] = {}
-        waiting: dict[object, dict[int, UnmodelledColumns | Products]] = {}
+        waiting: dict[object, dict[int, Columns]] = {}
         windows = len(self.fit.chain.windows)
         for i, make in enumerate(groups):
             group = make()
-            kind = id(group.axes) if isinstance(group, Products) else (group.window is None, group.link is None)
-            alike = waiting.setdefault(kind, {})
+            alike = waiting.setdefault(_kind(group), {})
             alike[i] = group
             if sum(each.size for each in alike.values()) * windows >= _TOGETHER:
                 result |= self._of_alike(alike)
@@ -123,38 +123,39 @@ class ColumnProducts:
             result |= self._of_alike(alike)
         return [New(*result[i], make, self) for i, make in enumerate(groups)]
 
-    def _of_alike(self, groups: dict[int, UnmodelledColumns | Products]) -> dict[int, tuple[Array, Array, Array]]:
+    def _of_alike(self, groups: dict[int, Columns]) -> dict[int, tuple[Array, Array, Array]]:
         """G, s and what the parameters explain, of groups all on the same sensors, or products with the same axes."""
         if not groups:
             return {}
         left, each = self._left, list(groups.values())
         part = self._products(each) if isinstance(each[0], Products) else self._dense(each)
-        absorbed = solved(self._factor, part.border)
+        absorbed = forward_solved(self._factor, part.border)
         explained = self._estimated.explained(part.pull - self._estimated.half @ absorbed.T)
         score = absorbed @ left.absorbed + explained.T @ left.explained - part.score
         result, first = {}, 0
         for i, group in groups.items():
             own = slice(first, first + group.size)
             first = own.stop
-            of_own, explained_of_own = absorbed[own], explained[:, own]
-            square = of_own @ of_own.T
+            explained_of_own = explained[:, own]
+            square = _gram(absorbed[own])
             normal = part.square(own) - square
             normal.flat[:: len(normal) + 1] += ROUNDING * (normal.diagonal() + square.diagonal())
             normal -= explained_of_own.T @ explained_of_own
             result[i] = normal, score[own], explained_of_own
         return result
 
-    def absorbed(self, columns: UnmodelledColumns | Products) -> Array:
+    def absorbed(self, columns: Columns) -> Array:
         """(k, 2n) Zᵀ of columns."""
         part = self._products([columns]) if isinstance(columns, Products) else self._dense([columns])
-        return solved(self._factor, part.border)
+        return forward_solved(self._factor, part.border)
 
-    def _dense(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
+    def _dense(self, groups: Sequence[Columns]) -> _Part:
         """The products of any columns."""
         own, left = self._estimated, self._left
-        window = _whitened([group.window for group in groups], self.window_scale)
-        link = _whitened([group.link for group in groups], self.link_scale)
-        count = sum(group.size for group in groups)
+        together = joined(groups)
+        window = None if together.window is None else together.window * self.window_scale
+        link = None if together.link is None else together.link * self.link_scale
+        count = together.size
         border = self._border(count, window, link)
         pull, score = np.zeros((len(own.free), count)), np.zeros(count)
         if window is not None:
@@ -168,14 +169,14 @@ class ColumnProducts:
         parts = [part for part in (window, link) if part is not None]
 
         def square(own: slice) -> Array:
-            result: Array = parts[0][own] @ parts[0][own].T
+            result = _gram(parts[0][own])
             for part in parts[1:]:
-                result += part[own] @ part[own].T
+                result += _gram(part[own])
             return result
 
         return _Part(border, pull, score, square)
 
-    def _products(self, groups: Sequence[UnmodelledColumns | Products]) -> _Part:
+    def _products(self, groups: Sequence[Columns]) -> _Part:
         """Those of profiles along the same axes: what the axes have is the same for all profiles."""
         own, size = self._estimated, len(self._estimated.free)
         products = [group for group in groups if isinstance(group, Products)]
@@ -185,17 +186,21 @@ class ColumnProducts:
         )
         (count, _, n), transposed = axes.shape, profiles.T
         of_axes = self._border(count, axes, None)
-        border = (np.repeat(profiles, 2, axis=1)[:, None] * of_axes).reshape(-1, 2 * n)
+        border = (profiles[:, None, None] * of_axes).reshape(-1, 2, n)
         on_parameters = np.einsum("pin,bin->pbn", own.window, axes)
         pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
         score = along(self._left.window.reshape(3, n), axes) @ transposed
         between = np.einsum("ain,bin->abn", axes, axes)
+        pairs = [(a, b) for a in range(count) for b in range(a, count) if between[a, b].any()]
 
         def square(own: slice) -> Array:
             some = profiles[own.start // count : own.stop // count]
-            result = (between[:, :, None] * some).reshape(-1, n) @ some.T
-            result = result.reshape(count, count, len(some), -1).transpose(2, 0, 3, 1)
-            return np.ascontiguousarray(result).reshape(len(some) * count, -1)
+            result = np.zeros((len(some), count, len(some), count))
+            for a, b in pairs:
+                result[:, a, :, b] = (between[a, b] * some) @ some.T
+                if a != b:
+                    result[:, b, :, a] = result[:, a, :, b]
+            return result.reshape(len(some) * count, -1)
 
         return _Part(border, pull.swapaxes(1, 2).reshape(size, -1), score.T.ravel(), square)
 
@@ -212,21 +217,19 @@ class ColumnProducts:
         return np.split(result, np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
 
     def _border(self, count: int, window: Array | None, link: Array | None) -> Array:
-        """(k, 2n) products of the directions' Jacobian with whitened columns."""
+        """(k, 2, n) products of the directions' Jacobian with whitened columns."""
         reduced = self.fit.reduced
-        border = np.zeros((count, reduced.basis.shape[2], 2))
-        for a in (0, 1):
-            if window is not None:
-                border[:, :, a] = along(reduced.on_direction[:, a], window)
-            if link is not None:
-                border[:, 1:, a] += along(reduced.after[:, a], link)
-                border[:, :-1, a] += along(reduced.before[:, a], link)
-        return border.reshape(count, -1)
+        border = np.zeros((count, 2, reduced.basis.shape[2]))
+        if window is not None:
+            np.einsum("ian,kin->kan", reduced.on_direction, window, out=border)
+        if link is not None:
+            border[:, :, 1:] += np.einsum("ian,kin->kan", reduced.after, link)
+            border[:, :, :-1] += np.einsum("ian,kin->kan", reduced.before, link)
+        return border
 
     @cached_property
-    def _factor(self) -> Array:
-        result: Array = self.fit.reduced.factor.astype(complex)
-        return result
+    def _factor(self) -> UnitFactor:
+        return UnitFactor.of(self.fit.reduced.factor)
 
     @cached_property
     def _left(self) -> _Left:
@@ -234,7 +237,7 @@ class ColumnProducts:
         residuals = fit.residuals
         window = residuals.window * self._residual_scale
         link = residuals.link * self.link_scale
-        absorbed = solved(self._factor, self._border(1, window[None], link[None]))[0]
+        absorbed = forward_solved(self._factor, self._border(1, window[None], link[None]))[0]
         own = self._estimated
         pull = own.window.reshape(len(own.free), -1) @ window.ravel() - own.half @ absorbed
         pull[own.linked] += own.link @ link.ravel()
@@ -261,7 +264,7 @@ class ColumnProducts:
     @cached_property
     def _estimated(self) -> Estimated:
         def absorb(count: int, window: Array, link: Array) -> Array:
-            return solved(self._factor, self._border(count, window, link))
+            return forward_solved(self._factor, self._border(count, window, link))
 
         return Estimated.of(self.fit, self._residual_scale, self.link_scale, absorb)
 
@@ -276,8 +279,8 @@ class _Left(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Of whitened columns X: border (k, 2n) with the directions' Jacobian, pull (P, k) with the parameters', score (k,)
-    with the residual, and square: XᵀX of some of them."""
+    """Of whitened columns X: border (k, 2, n) with the directions' Jacobian, pull (P, k) with the parameters',
+    score (k,) with the residual, and square: XᵀX of some of them."""
 
     border: Array
     pull: Array
@@ -285,16 +288,21 @@ class _Part(NamedTuple):
     square: Callable[[slice], Array]
 
 
+def _gram(rows: Array) -> Array:
+    """(k, k) products of rows (k, m) with each other, by the general routine: the one that BLAS has for a matrix with
+    its own transpose takes twice as long for so few rows."""
+    result: Array = dgemm(1.0, rows.T, rows.T, trans_a=1)
+    return result
+
+
 def _flat(columns: Array | None, scale: Array) -> Array | None:
     return None if columns is None else (columns * scale).reshape(len(columns), -1)
 
 
-def _whitened(parts: Sequence[Array | None], scale: Array) -> Array | None:
-    """Columns (k, 3, n) of all groups times `scale`; None where they have none there."""
-    given = [part for part in parts if part is not None]
-    if not given:
-        return None
-    result = np.empty((sum(len(part) for part in given), *given[0].shape[1:]))
-    np.concatenate(given, out=result)
-    result *= scale
-    return result
+def _kind(group: Columns) -> object:
+    """What groups have in common that are taken through the elimination together."""
+    if isinstance(group, Products):
+        return id(group.axes)
+    if isinstance(group, RateErrors):  # which would be integrated for the asking
+        return True, False
+    return group.window is None, group.link is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -83,3 +84,51 @@ class Products:
     def dense(self) -> UnmodelledColumns:
         """The same as any columns."""
         return UnmodelledColumns(self.window, None)
+
+
+@dataclass(frozen=True, eq=False)
+class RateErrors:
+    """Columns of the links by errors of the rate, which are integrated for many groups at once.
+
+    turned (k, 3, n) rad/s per unit, in the integrated world; links: what the links have of such errors,
+    (k, 3, n − 1) rad.
+    """
+
+    turned: Array
+    links: Callable[[Array], Array]
+
+    @property
+    def size(self) -> int:
+        """k."""
+        return len(self.turned)
+
+    @property
+    def window(self) -> Array | None:
+        """None: they are on the gyroscope."""
+        return None
+
+    @property
+    def link(self) -> Array:
+        """(k, 3, n − 1) as `UnmodelledColumns` has them."""
+        return self.links(self.turned)
+
+    @property
+    def dense(self) -> UnmodelledColumns:
+        """The same as any columns."""
+        return UnmodelledColumns(None, self.link)
+
+
+Columns = UnmodelledColumns | Products | RateErrors
+
+
+def joined(groups: Sequence[Columns]) -> UnmodelledColumns:
+    """Columns of one group after the other, on the same sensors."""
+    errors = [group for group in groups if isinstance(group, RateErrors)]
+    integrated: Iterator[Array] = iter(())
+    if errors:
+        every = errors[0].links(np.concatenate([each.turned for each in errors]))
+        integrated = iter(np.split(every, np.cumsum([each.size for each in errors[:-1]])))
+    windows = [group.window for group in groups]
+    links = [next(integrated) if isinstance(group, RateErrors) else group.link for group in groups]
+    parts = ([part for part in each if part is not None] for each in (windows, links))
+    return UnmodelledColumns(*(np.concatenate(part) if part else None for part in parts))

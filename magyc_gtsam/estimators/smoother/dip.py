@@ -20,7 +20,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA, PlaceField
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.field_chain import WITH_SKEW, ChainState, direction_slopes
-from magyc_gtsam.factors.chain.preintegration import FieldWindows
+from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.level_turn import vertical
 from magyc_gtsam.recording import Recording

@@ -298,8 +298,9 @@ def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
     gᵀ K⁻¹ g for the gradient g that it leaves in them, by the elimination at hand.
     """
     reduced = fit.reduced
-    on_direction = np.einsum("ian,in->na", reduced.on_direction, whitened).ravel()
+    on_direction = np.einsum("ian,in->an", reduced.on_direction, whitened)
     on_parameters = reduced.on_parameters.reshape(len(covariance), -1) @ whitened.ravel()
-    solved, _ = dpbtrs(reduced.factor, on_direction, lower=1)
-    left = on_parameters - reduced.right[:-1] @ solved
-    return float(on_direction @ solved + left @ covariance @ left)
+    tangent, _ = dpbtrs(reduced.factor, on_direction.T.ravel(), lower=1)
+    solved = tangent.reshape(-1, 2).T.ravel()
+    left = on_parameters - reduced.border[:-1].reshape(len(covariance), -1) @ solved
+    return float(on_direction.ravel() @ solved + left @ covariance @ left)
