@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -15,6 +16,7 @@ from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array, choose, gyro_bias
 
 _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
+_AT_FIRST = 0.1  # of the tolerance, from which a quadratic is made anew at the first look, when that costs least
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +85,7 @@ class Delivered:
     slot: int = -1
     place: _Place | None = None  # where it was made, or looked at last
     beside: _Beside | None = None  # of the native one
+    looked_at: bool = False  # whether it has been since it entered
 
     @property
     def is_block(self) -> bool:
@@ -109,9 +112,15 @@ class Delivered:
         return plain, None if beside is None else beside.joined(plain, self.factor.keys(), point)
 
     def renew(self, view: View, tolerance: float) -> float:
-        """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was."""
+        """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was.
+
+        At the first look, in the update after its own, a tenth of that will do: made where the graph has settled, it is
+        less often near the tolerance later, when it is linearised only to be found fresh.
+        """
         point = view.values(self.factor.keys())
         place, details = self.place, self.details
+        if not self.looked_at:
+            self.looked_at, tolerance = True, _AT_FIRST * tolerance
         angle = iron = 0.0
         if place is not None and details is not None and details.width == 1.0:
             # The residual is linear in soft iron, attitude (to first order) and bias each: what a quadratic lacks is of
@@ -147,8 +156,7 @@ def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.L
     return gtsam.LinearContainerFactor(_square_root(factor.linearize(point)), point)
 
 
-@dataclass(frozen=True, eq=False)
-class Sorted:
+class Sorted(NamedTuple):
     """The factors of a graph by what happens to them.
 
     Attributes:
@@ -166,23 +174,22 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
     """Sort the factors of a graph, which is not changed."""
     fresh: list[Delivered] = []
     holding: list[gtsam.NonlinearFactor] = []
-    own: list[int] = []
-    for i in range(graph.size()):
-        factor = graph.at(i)
+    kept: list[gtsam.NonlinearFactor] = []
+    for factor in map(graph.at, range(graph.size())):
         kind = type(factor)
         if kind is gtsam.CustomFactor:
             details = factor_details(factor)
             if details is not None:
-                own.append(i)
                 fresh.append(Delivered(factor, details if isinstance(details, BlockDetails) else None, factor))
+                continue
         elif kind in _HOLDING:
             holding.append(factor)
+        kept.append(factor)
     if not fresh:
         return Sorted(graph, fresh, holding)
     others = gtsam.NonlinearFactorGraph()
-    for i in range(graph.size()):
-        if i not in own:
-            others.push_back(graph.at(i))
+    for factor in kept:
+        others.push_back(factor)
     return Sorted(others, fresh, holding)
 
 

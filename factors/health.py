@@ -128,12 +128,15 @@ def block_fit(
         rows: of r, before any compression.
         hard_iron: the columns of h.
     """
-    weight, direction = np.linalg.eigh(information)
+    used = np.flatnonzero(
+        np.diag(information)
+    )  # no block acts on a pose's translation or the accelerometer's bias
+    weight, direction = np.linalg.eigh(information[used][:, used])
     kept = weight > 1e-9 * weight[-1]
-    length, direction = np.sqrt(weight[kept]), direction[:, kept]
-    along = direction.T @ gradient / length
+    root = direction[:, kept] * np.sqrt(weight[kept])
+    along = gradient[used] @ root / weight[kept]
     scatter = np.sqrt(max(square - float(along @ along), 0.0) / max(rows - len(along), 1))
-    share = np.eye(len(along)) - (direction * length).T @ covariance @ (direction * length)
+    share = np.eye(len(along)) - root.T @ covariance[used][:, used] @ root
     seen, axes = np.linalg.eigh(0.5 * (share + share.T))
     clear = seen > _SEEN
     projected = axes.T[clear] @ along

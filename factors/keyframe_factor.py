@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,6 +22,7 @@ from magyc_gtsam.factors.units import check_noise, check_rate_noise
 from magyc_gtsam.factors.variables import Array, attitude, direction, gyro_bias, mounting, scalar, vector
 
 _EARTH_FIELD = 50e-6  # T, only to widen a block's sigma where the field is a variable
+_TURNS = skew(np.eye(3)).transpose(2, 0, 1)  # [p]× = Σ p_e [e]×; by its columns first
 _MEDIAN = 1.5382  # of the norm of three independent standard normal numbers
 
 
@@ -143,12 +144,12 @@ def keyframe_field_factor(
         (gyro_bias_key, gyro_bias), (field_key, vector(3)), (mounting_key, mounting), (delay_key, scalar)
     )
     late = delay_key is not None
-    whole = block if late else block.without_delay()
-    rows = whole if robust is not None else block.compressed(delay=late)
+    whole = block.with_delay() if late else block
+    rows = whole.compressed() if robust is None else whole
     share = rows.share / rows.samples  # a compression keeps the columns' products, and so the samples' means
+    mean_turn = (share @ rows.design.reshape(len(share), -1)).reshape(3, -1)[:, :3]
     details = BlockDetails(
-        attitude_key, soft_iron_key, hard_iron_key, field_key, rows,
-        np.tensordot(share, rows.design[:, :, :3], 1), share @ rows.field, whole_sigma,
+        attitude_key, soft_iron_key, hard_iron_key, field_key, rows, mean_turn, share @ rows.field, whole_sigma,
         None if known is None else known * field_unit, field_unit, robust, gyro_bias_key,
         len(extra) > (gyro_bias_key is not None),
     )  # fmt: skip
@@ -163,6 +164,7 @@ def keyframe_field_factor(
 
         details.freed = freed
     mounted = rows.body_R_sensor
+    on_h = np.eye(3)[:, None] * (rows.share / sigma)[:, None]
     optional = [key for key, _ in extra]
 
     def error(first: Array, a: Array, h: Array, *rest: Array) -> Residual:
@@ -180,38 +182,40 @@ def keyframe_field_factor(
         soft_iron = unvech(a)
         turned = None if mounting_key is None else found[mounting_key].reshape(3, 3).T @ mounted
         iron = soft_iron if turned is None else soft_iron @ turned
-        residual, parts = rows.error(field_unit, v, iron, h, b, tau, bool(want))
-        residual = residual / sigma
-        jacobians: Sequence[Array] = []
+        residual, parts = rows.error(field_unit * sigma, v, iron / sigma, h / sigma, b, tau, bool(want))
+        jacobians: list[Array] = []  # each (columns, k, 3)
         if want:
-            on_v, on_iron, on_h, on_b, *on_tau = parts
-            on_first = on_v * f if rotation is None else on_v[:, :, None] * f[:, None]
-            jacobians = [
-                on_first.reshape(len(residual), 3, -1),
-                np.einsum(
-                    "kie,ae->kia",
-                    on_iron,
-                    (SYMMETRIC_UNITS if turned is None else SYMMETRIC_UNITS @ turned).reshape(6, 9),
-                ),
-                on_h,
-            ]
+            seen, on_v, on_b, *on_tau = parts
+            if rotation is None:
+                jacobians.append(on_v * f)
+            else:
+                jacobians.append((f[:, None, None, None] * on_v).reshape(9, -1, 3))
+            # Of the soft iron, and of a mounting that is held: A Exp(φ)ᵀ p = A p + A [p]× φ, p = G y.
+            units = SYMMETRIC_UNITS
+            if details.freed is not None:
+                units = np.concatenate([units, _TURNS @ soft_iron])
+            on_iron = (seen if turned is None else seen @ turned.T) @ (units / sigma)
+            jacobians += [on_iron[:6], on_h]
             if gyro_bias_key is not None:
                 jacobians.append(on_b)
             if field_key is not None and rotation is not None:
-                jacobians.append(on_v @ rotation.T)
+                jacobians.append(np.tensordot(rotation, on_v, 1))
             if mounting_key is not None:
                 # B = A Sᵀ S₀: ∂B_ij/∂S_kl = A_il (S₀)_kj
-                on_mounting = np.einsum("il,kj->ijkl", soft_iron, mounted).reshape(9, 9)
-                jacobians.append(on_iron @ on_mounting)
+                at_rest = (seen @ mounted.T).T
+                on_mounting = at_rest[:, None, :, None] * (soft_iron / sigma)[None, :, None, :]
+                jacobians.append(on_mounting.reshape(9, -1, 3))
             jacobians += on_tau
-            if details.freed is not None:  # A Exp(φ)ᵀ p = A p + A [p]× φ, p = G y
-                jacobians.append(soft_iron @ skew(on_iron[:, 0, :3]))
-            jacobians = [jacobian / sigma for jacobian in jacobians]
+            if details.freed is not None:
+                jacobians.append(on_iron[6:])
         if robust is not None and constant is not None:
             norms = np.sqrt(np.einsum("ki,ki->k", residual, residual))
             details.misfit = float(np.median(norms)) / _MEDIAN
-            residual, jacobians = robustify(robust, residual, jacobians, constant * details.width)
-        flat = [jacobian.reshape(residual.size, -1) for jacobian in jacobians]
+            by_sample = [jacobian.transpose(1, 2, 0) for jacobian in jacobians]
+            residual, by_sample = robustify(robust, residual, by_sample, constant * details.width)
+            flat = [jacobian.reshape(residual.size, -1) for jacobian in by_sample]
+        else:
+            flat = [jacobian.reshape(-1, residual.size).T for jacobian in jacobians]
         if want and details.freed is not None:
             details.on_mounting = flat.pop()
         return residual.ravel(), flat

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -36,8 +37,8 @@ from magyc_gtsam.factors.units import check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
 
 _DELAY = 12  # first of y's columns on the delay
-_SMALLEST = 1e-12  # T; columns are scaled by at least this
 _IDENTITY = np.eye(3)
+_REST = {axes: np.eye(axes)[1:, :, None] for axes in (4, 5)}  # of the weights of y all but the first, which is 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class KeyframeField:
     """The magnetometer around one keyframe.
 
     Attributes:
-        design: (k, 3, 15) G, of k samples or of the rows that stand for them; (k, 3, 12) with the delay held.
+        design: (k, 3, 12) G, of k samples or of the rows that stand for them; (k, 3, 15) with the delay among y.
         share: (k,) coefficient of the hard iron: 1 for a sample.
         field: (k, 3) T, measured.
         bias: (3,) rad/s, b₀, where the gyroscope was integrated.
@@ -54,6 +55,7 @@ class KeyframeField:
         body_R_sensor: (3, 3) ᵇRₛ, the mounting that is in G.
         delay: s, τ₀, by which the stamps were moved.
         time: s, mean stamp of the samples, the delay taken out.
+        angular_rate: (k, 3) rad/s of the samples in the sensor's frame, less b₀; None of rows that stand for them.
     """
 
     design: Array
@@ -65,6 +67,7 @@ class KeyframeField:
     body_R_sensor: Array = dataclasses.field(default_factory=lambda: np.eye(3))
     delay: float = 0.0
     time: float = 0.0
+    angular_rate: Array | None = None
 
     @classmethod
     def from_samples(
@@ -111,39 +114,41 @@ class KeyframeField:
             )
         turn, lever, spin, spread = _about(keyframe, when, time, rate, b, interval_mean)
         mounting = sensor_rotation(body_R_sensor)
-        design = np.empty((3, 5, 3, len(when)))  # samples last, so that each operation runs along them
+        design = np.empty((3, 4, 3, len(when)))  # samples last, so that each operation runs along them
         design[:, 0] = (mounting.T @ turn.swapaxes(0, 1).reshape(3, -1)).reshape(3, 3, -1)
         # p = ᵇRₛᵀ ΔRᵀ (v − [K δ]× v), its part in δ_k being −ᵇRₛᵀ ΔRᵀ [K e_k]× v.
-        _cross(lever.swapaxes(0, 1)[None], design[:, None, 0], out=design[:, 1:4])
-        slips = np.empty((3, 3, len(when)))  # d/dτ ΔR(t − τ)ᵀ = [ω]× ΔRᵀ, transposed
-        _cross(spin.T[None], turn, out=slips)
-        design[:, 4] = (mounting.T @ slips.swapaxes(0, 1).reshape(3, -1)).reshape(3, 3, -1)
+        _cross(lever.swapaxes(0, 1)[None], design[:, None, 0], out=design[:, 1:])
         return cls(
-            design.reshape(3, 15, -1).transpose(2, 0, 1),
-            np.ones(len(when)), field, b, len(when), spread, mounting, delay, float(when.mean()),
+            design.reshape(3, _DELAY, -1).transpose(2, 0, 1), np.ones(len(when)), field, b, len(when), spread, mounting,
+            delay, float(when.mean()), spin @ mounting,
         )  # fmt: skip
 
-    def without_delay(self) -> KeyframeField:
-        """The same samples with the delay held."""
-        return replace(self, design=self.design[:, :, :_DELAY])
+    def with_delay(self) -> KeyframeField:
+        """The same samples with the delay among the numbers of y."""
+        if self.design.shape[2] > _DELAY:
+            return self
+        if self.angular_rate is None:
+            raise MagycError(
+                "keyframe field: rows without angular rates cannot have a delay; give the samples' own"
+            )
+        # d/dτ ΔR(t − τ)ᵀ = [ω]× ΔRᵀ
+        slips = np.cross(self.angular_rate[:, :, None], self.design[:, :, :3], axis=1)
+        return replace(self, design=np.concatenate([self.design, slips], axis=2))
 
-    def compressed(self, *, delay: bool = False) -> KeyframeField:
-        """At most 40 rows with the same sum of squares for every R, A, h, b and f; 49 where the delay may move, too."""
-        kept = self if delay else self.without_delay()
-        design = kept.design
+    def compressed(self) -> KeyframeField:
+        """At most 40 rows with the same sum of squares for every R, A, h, b and f; 49 where the delay is in y, too."""
+        design = self.design
         columns = 3 * design.shape[2]
         if len(self.share) <= columns + 4:
-            return kept
+            return self
         rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
-        length = np.sqrt(np.einsum("ij,ij->i", rows, rows))
-        scale = np.maximum(length, _SMALLEST)  # tesla beside numbers of order one
-        rows /= scale[:, None]
-        root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)]) * scale
+        root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)])  # each column to its own rounding
         return replace(
             self,
             design=root[:, :columns].reshape(-1, 3, columns // 3),
             share=root[:, columns],
             field=root[:, columns + 1 :],
+            angular_rate=None,
         )
 
     def error(
@@ -156,7 +161,7 @@ class KeyframeField:
         delay: float | None = None,
         want_jacobians: bool = False,
     ) -> tuple[Array, list[Array]]:
-        """B G y + h − m in units of `unit` T: (k, 3), and its Jacobians on v, B by rows, h, b and τ, (k, 3, columns).
+        """B G y + h − m in units of `unit` T: (k, 3), and what its Jacobians follow from.
 
         Args:
             unit: T.
@@ -165,24 +170,33 @@ class KeyframeField:
             h: (3,) `unit`.
             b: (3,) rad/s.
             delay: s; None holds it at the block's own.
-            want_jacobians: else the list is empty; that on τ is only there where `delay` is.
+            want_jacobians: else the list is empty.
+
+        Returns:
+            The residual, and G y (k, 3), of which row i of B makes component i of the residual; then the Jacobians on
+            v (3, k, 3), on b (3, k, 3) and, where `delay` is given, on τ (1, k, 3), a column first.
         """
-        moved = b - self.bias
-        y = [v, np.outer(moved, v).ravel()]
+        columns, axes, k = self._columns, len(self._columns) // 3, len(self.share)
+        weight = np.zeros(axes)  # y = weight ⊗ v
+        weight[0], weight[1:4] = 1.0, b - self.bias
         if delay is not None:
-            y.append((delay - self.delay) * v)
-        seen = self.design @ np.concatenate(y)
-        residual = seen @ iron.T + self.share[:, None] * h - self.field / unit
+            weight[4] = delay - self.delay
         if not want_jacobians:
-            return residual, []
-        parts = (iron @ self.design).reshape(len(seen), 3, -1, 3)
-        on_v = parts[:, :, 0] + np.einsum("kiba,b->kia", parts[:, :, 1:4], moved)
-        on_iron = (_IDENTITY[None, :, :, None] * seen[:, None, None, :]).reshape(-1, 3, 9)
-        jacobians = [on_v, on_iron, self.share[:, None, None] * _IDENTITY, parts[:, :, 1:4] @ v]
-        if delay is not None:
-            on_v += (delay - self.delay) * parts[:, :, 4]
-            jacobians.append((parts[:, :, 4] @ v)[:, :, None])
-        return residual, jacobians
+            seen = (np.outer(weight, v).ravel() @ columns).reshape(k, 3)
+            return seen @ iron.T + self.share[:, None] * h - self.field / unit, []
+        y = np.empty((axes + 3, axes, 3))  # itself, and its Jacobians on v and on the rest of `weight`
+        np.outer(weight, v, out=y[0])
+        np.multiply(_IDENTITY[:, None], weight[:, None], out=y[1:4])
+        np.multiply(_REST[axes], v, out=y[4:])
+        seen = y.reshape(len(y), -1) @ columns
+        on = (seen.reshape(-1, 3) @ iron.T).reshape(-1, k, 3)
+        residual = on[0] + self.share[:, None] * h - self.field / unit
+        return residual, [seen[0].reshape(k, 3), on[1:4], on[4:7], *([] if delay is None else [on[7:]])]
+
+    @cached_property
+    def _columns(self) -> Array:
+        """(12 or 15, k · 3) the design with what multiplies each number of y in a row."""
+        return np.ascontiguousarray(self.design.reshape(-1, self.design.shape[2]).T)
 
 
 def _about(

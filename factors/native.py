@@ -272,8 +272,9 @@ class NativeFactors:
     def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
         """Those of the quadratics that were stale; they are new ones now. Python factors are the solver's to renew."""
         if self.quadratic:
+            before = [each.native for each in delivered]
             shifts = [each.renew(view, self.tolerance) for each in delivered]
-            renewed = [each for each, shift in zip(delivered, shifts, strict=True) if shift > self.tolerance]
+            renewed = [each for each, native in zip(delivered, before, strict=True) if each.native is not native]
         else:
             shifts, renewed = [each.lag(view) for each in delivered], []
         self.replaced += len(renewed)

@@ -103,9 +103,9 @@ def test_a_delay_that_moves_is_followed_to_first_order():
         KeyframeField.from_samples((when, field), (time, rate), 0.5, body_R_sensor=MOUNTING, delay=delay)
         for delay in (0.0, 0.02)
     )
-    expected, _ = moved.without_delay().error(1e-6, v, np.eye(3), np.zeros(3), np.zeros(3))
-    found, _ = plain.error(1e-6, v, np.eye(3), np.zeros(3), np.zeros(3), 0.02)
-    held, _ = plain.without_delay().error(1e-6, v, np.eye(3), np.zeros(3), np.zeros(3))
+    expected, _ = moved.error(1e-6, v, np.eye(3), np.zeros(3), np.zeros(3))
+    found, _ = plain.with_delay().error(1e-6, v, np.eye(3), np.zeros(3), np.zeros(3), 0.02)
+    held, _ = plain.error(1e-6, v, np.eye(3), np.zeros(3), np.zeros(3))
     assert np.abs(held - expected).max() > 0.3
     assert np.abs(found - expected).max() < 0.03  # µT; (ω τ)²/2 of 44
 
@@ -154,8 +154,8 @@ def test_bias_is_followed_to_first_order():
     goal = np.array([0.013, 0.018, 0.033])
     differences = []
     for share in (1.0, 0.5):
-        far = block(bias=goal + share * np.array([0.04, -0.03, 0.05])).without_delay()
-        here = block(bias=goal).without_delay()
+        far = block(bias=goal + share * np.array([0.04, -0.03, 0.05]))
+        here = block(bias=goal)
         differences.append(np.abs(far.error(1e-6, v, a, h, goal)[0] - here.error(1e-6, v, a, h, goal)[0]).max())
     assert differences[0] < 0.1  # µT of 44
     assert differences[0] / differences[1] > 3  # 4 but for the lever's trapezoids
@@ -172,7 +172,7 @@ def test_keyframe_anywhere_is_the_same_field():
         rotation = gtsam.Rot3.Quaternion(*recording.attitude[row][[3, 0, 1, 2]])
         v = rotation.matrix().T @ simulation.field * 1e6
         scale = truth.field_strength / np.linalg.norm(simulation.field)
-        residual, _ = rows.without_delay().error(
+        residual, _ = rows.error(
             1e-6, v, truth.soft_iron * scale, truth.hard_iron * 1e6, np.asarray(truth.gyro_bias)
         )
         assert np.abs(residual).max() < 1e-3  # µT

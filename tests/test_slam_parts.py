@@ -147,7 +147,7 @@ def test_a_quadratic_is_no_staler_than_what_has_moved_allows(scale):
         rate = 0.5 * random.normal(size=3) + 0.1 * random.normal(size=(200, 3))
         bias, rotation = 0.01 * random.normal(size=3), gtsam.Rot3.Expmap(random.normal(size=3))
         soft_iron, hard_iron = np.r_[1.1, 0.02, -0.03, 0.9, 0.01, 1.05], np.array([5.0, -3, 2])
-        bare = KeyframeField.from_samples((time, np.full((200, 3), 1e-9)), (time, rate), 1.98).without_delay()
+        bare = KeyframeField.from_samples((time, np.full((200, 3), 1e-9)), (time, rate), 1.98)
         seen, _ = bare.error(1e-6, rotation.matrix().T @ FIELD, unvech(soft_iron), hard_iron, bias)
         block = replace(bare, field=1e-6 * (seen + random.normal(size=seen.shape)))
         graph, fitting = gtsam.NonlinearFactorGraph(), gtsam.Values()
