@@ -14,14 +14,19 @@ LONGEST_HOLD = 0.2  # s; a rate that repeats for longer is measured: the instrum
 
 
 def row_mask(name: str, mask: Any, rows: int) -> Mask:
-    """Return a read-only copy of a mask (rows,); every row where it is None.
+    """Return a read-only copy of a mask (rows,); every row where it is None. A mask of every row takes no memory.
 
     Raises:
         MagycError: another shape; the message starts with `name`.
     """
-    result = np.ones(rows, dtype=bool) if mask is None else np.array(mask, dtype=bool)
+    every: Mask = np.broadcast_to(np.True_, rows)
+    if mask is None:
+        return every
+    result = np.array(mask, dtype=bool)
     if result.shape != (rows,):
         raise MagycError(f"{name}: shape {result.shape}, expected ({rows},), one flag per row")
+    if result.all():
+        return every
     result.flags.writeable = False
     return result
 
