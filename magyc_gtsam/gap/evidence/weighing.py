@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import logsumexp
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
@@ -95,7 +94,7 @@ def _by_scale(
     variance = PRIOR.shares[:, None] * explained / np.maximum(whole, 1e-12)
     spread = 1 + variance * value
     tied = 0.5 * (pull**2 * variance / spread - np.log(spread)).sum(axis=2)
-    return log, power, logsumexp(tied, axis=1) - np.log(len(PRIOR.shares))
+    return log, power, np.logaddexp.reduce(tied, axis=1) - np.log(len(PRIOR.shares))
 
 
 def scales_of(name: str) -> np.ndarray:
@@ -107,16 +106,16 @@ def scales_of(name: str) -> np.ndarray:
 
 def _averaged(name: str, many: list[_Part]) -> Weighed:
     log = np.array([each.log for each in many])
-    by_scale = logsumexp(log, axis=0)
+    by_scale = np.logaddexp.reduce(log, axis=0)
     weight = np.exp(log - np.where(np.isfinite(by_scale), by_scale, 0.0))
     power = (weight * np.array([each.power for each in many])).sum(axis=0)
-    of_setting = logsumexp(log, axis=1)
+    of_setting = np.logaddexp.reduce(log, axis=1)
     # Of a name each setting is as likely as the other, and the likeliest is fitted.
     best = int(np.argmax(of_setting))
     scales = float(np.log(len(PRIOR.scales)))
-    total = float(logsumexp(by_scale)) - scales
+    total = float(np.logaddexp.reduce(by_scale)) - scales
     search = float(of_setting[best]) - many[best].prior - scales - total
-    tied = float(logsumexp([each.tied for each in many]))
+    tied = float(np.logaddexp.reduce([each.tied for each in many]))
     return Weighed(name, total, by_scale - scales, power, many[best].setting, search, tied)
 
 
