@@ -22,7 +22,7 @@ from magyc_gtsam.io import write_mcap
 def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
     """On the command line as in Python, from a file to a file."""
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
-    write_mcap(log, mg.simulate("wide", 150, seed=8, effects=[(effect, 3.0)]).recording)
+    write_mcap(log, mg.simulate("wide", 100, seed=8, effects=[(effect, 4.0)]).recording)
     recording = mg.read(log)
     gap = mg.find_gap(recording)
     assert effect in [e.name for e in gap.effects]
@@ -128,9 +128,9 @@ def test_channels_are_known_by_words_not_by_letters() -> None:
 
 def test_a_channel_that_stands_still_beside_one_that_moves() -> None:
     """It tells nothing and is left alone; gaps of the other are filled. Where more currents flow, it is refused."""
-    recording = mg.simulate("wide", 150, seed=3, effects=[("motor-current", 3.0)]).recording
+    recording = mg.simulate("wide", 100, seed=3, effects=[("motor-current", 4.0)]).recording
     gone = recording.channels["current"].copy()
-    gone[1000:1020] = np.nan
+    gone[700:720] = np.nan
     both = replace(recording, channels={"current": gone, "current_of_light": np.full(len(recording.time), 0.5)})
     gap = mg.find_gap(both)
     assert [effect.name for effect in gap.effects] == ["motor-current"]

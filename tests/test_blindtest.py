@@ -324,7 +324,7 @@ def test_what_a_real_recording_holds_anyway_is_not_judged(tmp_path: Path) -> Non
     real = simulate("wide", 120, seed=3, effects=(("timing", 4.0),)).recording
     every = real_scenarios(["log"], 1)
     chosen = [s for s in every if not s.names][:2] + [s for s in every if s.label in ("hard-iron-step", "timing")]
-    run(tmp_path, chosen, {"log": real})
+    run(tmp_path, chosen, {"log": real}, workers=1)
     outcomes = {o.scenario.label: o for o in score(tmp_path)}
     assert outcomes.keys() == {"nothing", "hard-iron-step"}
     assert [name for name, _ in outcomes["nothing"].named] == ["timing"]

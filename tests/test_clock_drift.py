@@ -71,7 +71,7 @@ def test_a_drift_without_effect_harms_no_trust(motion: str, rate: float) -> None
 
 @pytest.mark.parametrize("motion", AMPLITUDES)
 def test_neither_disturbances_nor_a_short_log_pass_for_a_drift(motion: str) -> None:
-    for seed in range(3):
+    for seed in range(2):
         for recording in (
             disturb(mg.simulate(motion, seed=seed).recording, 0.2, seed=seed),
             mg.simulate(motion, duration=90, seed=seed).recording,

@@ -58,10 +58,9 @@ def test_a_term_of_another_log_is_contradicted(clean: mg.Recording) -> None:
     assert "does not fit" in gap.sentence
 
 
-@pytest.mark.parametrize("seed", [50, 51])
-def test_where_the_search_begins_does_not_decide(seed: int) -> None:
+def test_where_the_search_begins_does_not_decide() -> None:
     """Without g-sensitivity in its model `calibrate` takes some of it for a delay, which is none beside it."""
-    recording = mg.simulate("wide", 200, seed=seed, effects=[("g-sensitivity", 4.0)]).recording
+    recording = mg.simulate("wide", 200, seed=50, effects=[("g-sensitivity", 4.0)]).recording
     begun = mg.calibrate(recording)
     gap = mg.find_gap(recording, calibration=begun)
     assert gap.names == mg.find_gap(recording).names == ("g-sensitivity",)
@@ -70,10 +69,9 @@ def test_where_the_search_begins_does_not_decide(seed: int) -> None:
     assert abs(begun.delay) > 2 * abs(late.value[0])
 
 
-@pytest.mark.parametrize("seed", [60, 61])
-def test_a_calibration_with_its_effects_closes_the_gap_again(seed: int) -> None:
+def test_a_calibration_with_its_effects_closes_the_gap_again() -> None:
     """A saturation too, whose form leaves something beside it."""
-    recording = mg.simulate("wide", 200, seed=seed).recording
+    recording = mg.simulate("wide", 200, seed=60).recording
     level = 0.94 * np.abs(recording.magnetic_field).max()
     clipped = replace(recording, magnetic_field=np.clip(recording.magnetic_field, -level, level))
     gap = mg.find_gap(clipped)

@@ -25,10 +25,10 @@ from magyc_gtsam.simulation.effects import FOREIGN, NAMED
 EDITION = 26
 CLEAN, PAIRS = 3, 2
 WITHHELD = {
-    "motor-current": ("current",),
-    "temperature-hard-iron": ("temperature",),
-    "field-gradient": ("depth", "position"),
-    "temperature-gyro": ("temperature",),
+    ("motor-current", "wide"): ("current",),
+    ("temperature-hard-iron", "moderate"): ("temperature",),
+    ("field-gradient", "moderate"): ("depth", "position"),
+    ("temperature-gyro", "wide"): ("temperature",),
 }
 STANDING = {"rejected", "not enough information"}
 
@@ -78,7 +78,7 @@ def chosen(motion: str, part: slice) -> list[Scenario]:
         *(one("single", 2.0, name) for name in visible),
         *(one("foreign", 2.0, name) for name in FOREIGN[part]),
         *(one("pair", 2.0, *names) for names in pairs),
-        *(one("withheld", 1.5, name, without=c) for name, c in WITHHELD.items() if motion != "multi"),
+        *(one("withheld", 1.5, name, without=c) for (name, on), c in WITHHELD.items() if on == motion),
     ]
 
 
@@ -90,7 +90,7 @@ def diagnosed(scenario: Scenario) -> Case:
 
 @pytest.mark.parametrize(
     ("motion", "part"),
-    [("wide", slice(0, None, 2)), ("moderate", slice(1, None, 2)), ("multi", slice(1, None, 2))],
+    [("wide", slice(0, None, 3)), ("moderate", slice(1, None, 3)), ("multi", slice(2, None, 3))],
 )
 def test_a_catalogue_on_a_motion(motion: str, part: slice) -> None:
     """Named, silent and unknown as it should be; what is corrected is better, what is not stays as it was."""
@@ -101,7 +101,7 @@ def test_a_catalogue_on_a_motion(motion: str, part: slice) -> None:
 
     assert count["none"][SILENT] >= CLEAN - 1, said
     assert count["none"][WRONG] == 0, said
-    assert count["single"][RIGHT] + count["single"][IN_SET] >= 0.9 * len(cases["single"]), said
+    assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - 1, said
     assert count["single"][WRONG] <= 1, said
     assert count["foreign"][UNKNOWN] >= len(cases["foreign"]) - 1, said
     assert count["pair"][RIGHT] + count["pair"][IN_SET] + count["pair"][PARTIAL] >= PAIRS - 1, said

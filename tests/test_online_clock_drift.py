@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_clock_drift import drifting
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
@@ -16,13 +17,6 @@ from magyc_gtsam.simulation import AMPLITUDES, disturb
 from magyc_gtsam.study.efficiency import error, nees
 
 CHI2_11 = 31.3  # 99.9 % point of χ² of 11 degrees of freedom
-
-
-def drifting(recording: mg.Recording, rate: float) -> mg.Recording:
-    """The same with a magnetometer whose clock gains `rate` s/s from the first row on."""
-    time = recording.time
-    stamps = time[0] + (time - time[0]) * (1 + rate)
-    return mg.Recording.from_streams((stamps, recording.magnetic_field), (time, recording.angular_rate))
 
 
 def feed(online: mg.OnlineCalibrator, recording: mg.Recording, step: float = 5.0, after: Any = None) -> Any:
@@ -39,7 +33,7 @@ def feed(online: mg.OnlineCalibrator, recording: mg.Recording, step: float = 5.0
     return online
 
 
-@pytest.mark.parametrize(("motion", "rate"), [("moderate", 1e-3), ("low", -5e-3), ("tiny", 1e-3)])
+@pytest.mark.parametrize(("motion", "rate"), [("moderate", 1e-3), ("low", -5e-3)])
 def test_a_drift_is_named_as_by_the_batch_and_taken_out(motion: str, rate: float) -> None:
     """Unnoticed, 0.1 % put the hard iron of `moderate` 9 µT off, 9 of its sigmas, in a converged result."""
     simulation = mg.simulate(motion, 300, seed=1)
@@ -93,7 +87,7 @@ def test_clocks_that_keep_step_are_not_accused(motion: str) -> None:
         calibration = online.calibration
         said.append("" if calibration is None else calibration.message)
 
-    feed(mg.OnlineCalibrator(), recording, step=20.0, after=look)
+    feed(mg.OnlineCalibrator(), recording, step=40.0, after=look)
     assert not any("clock" in message for message in said)
 
 
@@ -114,9 +108,11 @@ def test_it_is_said_when_it_speaks_not_only_at_the_next_refit() -> None:
     assert feed(mg.OnlineCalibrator(), recording).calibration.to_dict() == online.calibration.to_dict()
 
 
-@pytest.mark.parametrize("options", [{}, {"clock_drift": 1.9e-3}])
-def test_how_it_is_cut_and_resumed_does_not_matter(tmp_path: Path, options: dict[str, Any]) -> None:
-    recording = drifting(mg.simulate("tiny", 240, seed=2).recording, 2e-3)
+@pytest.mark.parametrize(("options", "duration"), [({}, 150), ({"clock_drift": 1.9e-3}, 240)])
+def test_how_it_is_cut_and_resumed_does_not_matter(
+    tmp_path: Path, options: dict[str, Any], duration: float
+) -> None:
+    recording = drifting(mg.simulate("tiny", duration, seed=2).recording, 2e-3)
     expected = feed(mg.OnlineCalibrator(**options), recording)
 
     def killed(online: mg.OnlineCalibrator) -> mg.OnlineCalibrator:

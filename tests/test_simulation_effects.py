@@ -49,7 +49,7 @@ def test_the_names_are_those_of_the_catalogue():
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_an_effect_changes_its_own_sensor_only(name):
-    changed, plain, applied = pair(name)
+    changed, plain, applied = pair(name, duration=100)
     rate, field = (changed.angular_rate - plain.angular_rate), (changed.magnetic_field - plain.magnetic_field)
     assert (np.abs(rate).max() > 1e-6) == (name in GYROSCOPIC)
     assert (np.abs(field).max() > 1e-9) == (name not in GYROSCOPIC)
@@ -59,13 +59,13 @@ def test_an_effect_changes_its_own_sensor_only(name):
     np.testing.assert_array_equal(changed.acceleration, plain.acceleration)
     assert applied.name == name
     assert applied.size == STRENGTHS[name].size
-    again, _, _ = pair(name)
+    again, _, _ = pair(name, duration=100)
     np.testing.assert_array_equal(again.magnetic_field, changed.magnetic_field)
 
 
 @pytest.mark.parametrize("name", [n for n in EFFECTS if n not in ("axis-order", "sample-hold", "quantisation")])
 def test_twice_the_factor_is_about_twice_the_effect(name):
-    single, double = (pair(name, factor, **EXACT) for factor in (1.0, 2.0))
+    single, double = (pair(name, factor, 100, **EXACT) for factor in (1.0, 2.0))
     attribute = "angular_rate" if name in GYROSCOPIC else "magnetic_field"
     small, large = (rms(getattr(a, attribute) - getattr(b, attribute)) for a, b, _ in (single, double))
     assert large / small == pytest.approx(2.0, rel=0.35 if name in ("saturation", "timing") else 0.05)
