@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -86,10 +87,14 @@ def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
         along = float(np.sqrt((shapes[shape] ** 2).sum() / 3))
         return np.concatenate([shapes[shape], np.full(turned, _SHARES[share] * along)])
 
+    @cache  # of a sweep that changes nothing the next one asks the same
+    def log_of(shape: int, share: int) -> float:
+        return search.log(deviations(shape, share))[0]
+
     shape, share = len(shapes) // 2, 1
     for _ in range(_SWEEPS):
-        shape = _best([search.log(deviations(i, share))[0] for i in range(len(shapes))])
-        share = _best([search.log(deviations(shape, i))[0] for i in range(len(_SHARES))])
+        shape = _best([log_of(i, share) for i in range(len(shapes))])
+        share = _best([log_of(shape, i) for i in range(len(_SHARES))])
     chosen = deviations(shape, share)
     log, noise = search.log(chosen)
     still, _ = search.log(np.zeros(len(raw)), fixed=True)

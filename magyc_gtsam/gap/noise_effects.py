@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import next_fast_len
 from scipy.ndimage import maximum_filter1d, median_filter, uniform_filter1d
 from scipy.special import gammaincc
 
@@ -104,7 +105,7 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     elif edge and (np.diff(cell) != _CELLS).any():
         rows = max(int(0.5 / edge * len(time) / (time[-1] - time[0])), 1)
         innovation = innovation - uniform_filter1d(innovation, rows, axis=1)
-    grid = np.zeros((4, cell[-1] + _CELLS))
+    grid = np.zeros((4, next_fast_len(int(cell[-1]) + _CELLS)))
     np.add.at(grid.T, cell, np.concatenate([innovation, np.ones((1, len(time)))]).T)
     power, frequency = _periodogram(grid[:3], 1 / step)
     pattern, _ = _periodogram(grid[3:], 1 / step)
