@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 import shutil
 import signal
 import sys
@@ -172,6 +173,8 @@ def test_reload_and_a_killed_server_in_the_middle(tmp_path: Path, visit: Callabl
 
     page.locator("[data-run=calibrate]").click()
     page.locator(".job", has_text="Calibrating from").wait_for()
+    begun = page.locator(".job .soft").filter(has_not_text=re.compile("waiting|starting"))
+    begun.or_(page.locator("#result header.good")).first.wait_for()
     server.stop(signal.SIGKILL)
     page.locator("#link").wait_for()
     server = Served(tmp_path, port=server.port)
