@@ -163,7 +163,8 @@ def calibrate(
         raise MagycError(f"method {method!r}: {entry.problem}")
     check_field_strength(field_strength)
     expect_recording("mg.calibrate", recording)
-    if (recording.magnetic_field == recording.magnetic_field[0]).all():
+    field = recording.magnetic_field
+    if (field[-1] == field[0]).all() and (field == field[0]).all():
         raise MagycError("magnetic_field: all rows are the same; the sensor is stuck, or was not turned")
     counts = recording.magnetic_field_unit == "counts"
     if counts and (entry.needs or field_strength is not None):

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.fit import BRIEF, Fit
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.facts import field_strength
@@ -80,7 +80,7 @@ def hard_iron_change(
             delay=calibration.delay,
             clock_drift=0.0,
         )
-        other, _ = fit_field_chain(recording.between(start, end), own)
+        other, _ = fit_field_chain(recording.between(start, end), own, patience=BRIEF)
     except MagycError:  # too short, or without motion: it determines no hard iron; or the fit is none
         return None
     strength, size = (field_strength(each.state.parameters[:6])[0] for each in (fit, other))

@@ -11,7 +11,7 @@ import numpy as np
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.smoother import axes, starts
 from magyc_gtsam.estimators.smoother.dip import dip_fact, dip_of, relinearised
-from magyc_gtsam.estimators.smoother.fit import NEAR, ROUNDS, Fit, adapt, begin, descend, misfit, weigh
+from magyc_gtsam.estimators.smoother.fit import NEAR, PATIENCE, ROUNDS, Fit, adapt, begin, descend, misfit, weigh
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, asked, given, on_skew, skew_of, widened
@@ -46,6 +46,7 @@ def fit_field_chain(
     *,
     start: Array | None = None,
     progress: Progress = lambda _: None,
+    patience: int = PATIENCE,
     **chosen: Any,
 ) -> tuple[Fit, Fit | None]:
     """The chain at its lowest minimum, and the best different minimum if one is close.
@@ -55,6 +56,7 @@ def fit_field_chain(
         options: of the smoother; without them, those that are `chosen` by name, and no skew.
         start: θ near the minimum; then no other start is tried.
         progress: called with the share done.
+        patience: see `Fit`.
     """
     if options is None:
         options = SmootherOptions(**{"misalignment": 0, **chosen})
@@ -84,7 +86,7 @@ def fit_field_chain(
         begun = starts.from_gyroscope(windows)
         if known.soft_iron is not None and known.hard_iron is not None:
             begun = starts.from_prior(windows, known.soft_iron, known.hard_iron, begun[9:12])
-        best = _descended(samples, begin(chain, begun, free))
+        best = _descended(samples, begin(chain, begun, free, patience))
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
         if not explained or level.magnetometer > 0.1 * _strength(best):
@@ -98,7 +100,7 @@ def fit_field_chain(
                 return best, None
         best = _adapted(samples, best, reject, short_term)
     else:
-        near = begin(chain, start[:PARAMETERS], free)
+        near = begin(chain, start[:PARAMETERS], free, patience)
         best, rival, explained = refit_field_chain(samples, near, reject, short_term), None, True
     best = skewed(best)
     if not explained and best.skew is not None and best.skew.decided:
@@ -108,7 +110,7 @@ def fit_field_chain(
         fits = [best]
         for parameters in starts.others(windows, best.state.parameters[9:12]):
             progress(0.4 + 0.1 * len(fits))
-            fit = _descended(samples, begin(chain, parameters, free))
+            fit = _descended(samples, begin(chain, parameters, free, patience))
             if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # else it ran away
                 fits.append(_adapted(samples, fit, reject, short_term))
         best, rival = _lowest(fits)
@@ -229,6 +231,8 @@ def _adapted(
         fit, settled = relinearised(_upright(fit))
         if settled and not moved(fit):
             return fit
+        if fit.hopeless:
+            break
         fit = _descended(samples, fit)
     return replace(_upright(fit), converged=False)
 
@@ -294,7 +298,7 @@ def _descended(samples: Preintegration, fit: Fit) -> Fit:
     """At the minimum for the noise and weights at hand, the gyroscope integrated close to it."""
     fit = descend(fit, settled=NEAR)
     for _ in range(8):
-        if not moved(fit):
+        if not moved(fit) or fit.hopeless:
             break
         parameters = fit.state.parameters
         chain = replace(fit.chain, windows=samples.integrate(parameters[9:12], parameters[DELAY]))

@@ -19,7 +19,7 @@ from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.dip import dip_of
-from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.fit import BRIEF, Fit, inverse_information
 from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
@@ -63,7 +63,7 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
 
     def refit(again: Recording, start: Array | None) -> tuple[Fit, bool]:
-        fit, rival = fit_field_chain(again, options, start=start)
+        fit, rival = fit_field_chain(again, options, start=start, patience=BRIEF)
         return fit, calibration_of(again, fit, rival, options).converged
 
     drift = find_drift(recording, fit, calibration.converged, refit)
