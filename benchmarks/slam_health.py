@@ -17,6 +17,7 @@ import numpy as np
 from gtsam.symbol_shorthand import A, B, H, M, V, X
 
 from magyc_gtsam.factors import KeyframeField, NativeFactors, keyframe_field_factor, mounting_prior, vech
+from magyc_gtsam.factors.alignment import heading_sigma
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 from vehicle import Vehicle
@@ -105,6 +106,13 @@ class Drive:
         return self.vehicle.heading_error(self.values, len(self.vehicle.poses) // 2)
 
     @property
+    def heading_sigma(self):
+        """Degrees, root mean square of what the graph states over the poses of `heading_error`."""
+        keys = [X(k) for k in range(len(self.vehicle.poses) // 2, len(self.vehicle.poses))]
+        sigmas = [heading_sigma(self.values, key, self.isam.marginalCovariance(key)) for key in keys]
+        return np.degrees(np.sqrt(np.mean(np.square(sigmas))))
+
+    @property
     def error(self):
         truth, strength = self.vehicle.simulation.truth, np.linalg.norm(self.vehicle.field)
         true = np.r_[vech(truth.soft_iron) * truth.field_strength / strength, truth.hard_iron / UNIT]
@@ -120,28 +128,46 @@ METHODS = {"without": {}, "native": {}, "python": {"quadratic": False}}
 
 
 def starts(seeds: range, step: int, methods: list[str]) -> None:
-    """Print heading errors and NEES by how far the heading is off at the start."""
+    """Print heading errors and NEES by how far the heading is off at the start.
+
+    By chance alone a graph whose errors are normal with the standard deviation a is worse than one with b in a share of
+    2/π atan(a / b) of all runs; more says something only if the excess is above what the graph itself states.
+    """
     print(f"{len(seeds)} seeds each, 60 s; root mean square heading error over the second half, worst; NEES (9)")
-    band = 1.96 * np.sqrt(2 * 9 / len(seeds))
+    band, total = 1.96 * np.sqrt(2 * 9 / len(seeds)), {}
     for heading in range(0, 181, step):
-        runs = {
-            name: [Drive(seed, heading, magnetometer=name != "without").run(**METHODS[name]) for seed in seeds]
-            for name in methods
-        }
-        parts = [f"{heading:4d}°"]
-        for name, drives in runs.items():
+        parts, base = [f"{heading:4d}°"], None
+        for name in methods:
+            drives = [Drive(seed, heading, magnetometer=name != "without").run(**METHODS[name]) for seed in seeds]
             error = np.array([run.heading_error for run in drives])
-            text = f"{name} {np.sqrt(np.mean(error**2)):.2f}° (worst {error.max():.2f}°"
-            if name != "without":
+            sigma = np.array([run.heading_sigma for run in drives])
+            text = f"{name} {rms(error):.2f}° (worst {error.max():.2f}°; stated {rms(sigma):.2f}°"
+            if name == "without":
+                base = error
+            else:
                 consistent = [run for run in drives if run.native.health.word == "consistent"]
                 nees = np.mean([run.nees for run in consistent]) if consistent else np.nan
                 text += f"; NEES {nees:.2f} of {len(consistent)} consistent"
-            if name != "without" and "without" in runs:
-                base = np.array([run.heading_error for run in runs["without"]])
-                text += f"; worse than without {np.sum(error > base)}"
+                if base is not None:
+                    excess = error - base
+                    total.setdefault(name, []).append(np.stack([error, base, sigma]))
+                    text += f"; worse than without {np.sum(excess > 0)}, above sigma {np.sum(excess > sigma)}"
             parts.append(text + ")")
         print("   ".join(parts), flush=True)
     print(f"band of the NEES {9 - band:.2f} to {9 + band:.2f}")
+    for name, rows in total.items():
+        error, base, sigma = np.concatenate(rows, axis=1)
+        excess = error - base
+        print(
+            f"{name}: worse than without in {np.sum(excess > 0)} of {len(error)}, by chance "
+            f"{2 / np.pi * np.arctan(rms(error) / rms(base)) * len(error):.1f}; by more than its own sigma in "
+            f"{np.sum(excess > sigma)}; largest excess {excess.max():.2f}°, {(excess / sigma).max():.2f} sigma"
+        )
+
+
+def rms(numbers: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(numbers))))
 
 
 def words(seeds: range) -> None:

@@ -14,7 +14,7 @@ Complex = NDArray[np.complex128]
 Spinor = tuple[Complex, Complex]
 
 _BLOCK = 16  # rotations chained one after the other before the blocks themselves are chained
-_SHORT = 512  # rotations below which doubling is faster than blocks
+_SHORT = 3000  # rotations below which doubling is faster than blocks
 _HOLE = 10  # times the shorter one of two neighbouring steps, from which the longer one is a hole
 
 
