@@ -174,22 +174,23 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
     """Sort the factors of a graph, which is not changed."""
     fresh: list[Delivered] = []
     holding: list[gtsam.NonlinearFactor] = []
-    kept: list[gtsam.NonlinearFactor] = []
-    for factor in map(graph.at, range(graph.size())):
+    own: list[int] = []
+    for i in range(graph.size()):
+        factor = graph.at(i)
         kind = type(factor)
         if kind is gtsam.CustomFactor:
             details = factor_details(factor)
             if details is not None:
+                own.append(i)
                 fresh.append(Delivered(factor, details if isinstance(details, BlockDetails) else None, factor))
-                continue
         elif kind in _HOLDING:
             holding.append(factor)
-        kept.append(factor)
     if not fresh:
         return Sorted(graph, fresh, holding)
     others = gtsam.NonlinearFactorGraph()
-    for factor in kept:
-        others.push_back(factor)
+    for i in range(graph.size()):
+        if i not in own:
+            others.push_back(graph.at(i))
     return Sorted(others, fresh, holding)
 
 

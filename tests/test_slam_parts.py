@@ -171,6 +171,30 @@ def test_a_quadratic_is_no_staler_than_what_has_moved_allows(scale):
         assert true.max() < bound < 100 * true.max()
 
 
+def test_a_quadratic_is_made_anew_at_its_first_look_where_it_is_less_stale_than_later():
+    """Which spares looks at one that is always near the tolerance."""
+    random, time = np.random.default_rng(9), np.arange(0, 2, 0.01)
+    rate, soft_iron = 0.5 * random.normal(size=(200, 3)), np.r_[1.1, 0.02, -0.03, 0.9, 0.01, 1.05]
+    hard_iron, rotation = np.array([5.0, -3, 2]), gtsam.Rot3.Expmap(random.normal(size=3))
+    bare = KeyframeField.from_samples((time, np.full((200, 3), 1e-9)), (time, rate), 1.98)
+    seen, _ = bare.error(1e-6, rotation.matrix().T @ FIELD, unvech(soft_iron), hard_iron, np.zeros(3))
+    block = replace(bare, field=1e-6 * (seen + random.normal(size=seen.shape)))
+    graph, fitting, step = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.VectorValues()
+    graph.push_back(keyframe_field_factor(1, 2, 3, block, 1e-6, field=FIELD * 1e-6))
+    for key, value in ((1, rotation), (2, soft_iron), (3, hard_iron)):
+        fitting.insert(key, value)
+        step.insert(key, 3e-3 * random.normal(size=fitting.extract([key]).dim()))
+    moved = fitting.retract(step)
+    delivered, stale = (sorted_factors(graph).fresh[0] for _ in range(2))
+    stale.make(View(moved))
+    shift = stale.renew(View(fitting), 1e-9)
+    delivered.make(View(moved))
+    for end, anew in ((fitting, True), (moved, False), (fitting, False)):
+        native = delivered.native
+        delivered.renew(View(end), 3 * shift)
+        assert (delivered.native is not native) is anew
+
+
 @pytest.mark.parametrize("options", [{}, {"delay_key": 5}, {"gyro_bias_key": 4}, {"robust": "cauchy"}])
 def test_a_block_tells_what_its_held_mounting_would_do(options):
     """The columns that it keeps beside its own are those of the factor with the mounting as a variable."""
