@@ -8,7 +8,7 @@ from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff, inside
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
 from magyc_gtsam.sensor_faults.gate import SampleGate
-from magyc_gtsam.sensor_faults.stuck import SMALL, Stuck
+from magyc_gtsam.sensor_faults.stuck_finding import SMALL, Stuck
 
 
 def find_stuck(recording: mg.Recording) -> list[Stuck]:

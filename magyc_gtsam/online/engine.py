@@ -11,7 +11,7 @@ from magyc_gtsam.observability import Weakness
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.cut_off import Clipped
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
-from magyc_gtsam.sensor_faults.stuck import Stuck
+from magyc_gtsam.sensor_faults.stuck_finding import Stuck
 
 
 @dataclass(frozen=True)

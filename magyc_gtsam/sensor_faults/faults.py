@@ -12,7 +12,8 @@ from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
 from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.repeats import Repeats
-from magyc_gtsam.sensor_faults.stuck import Stretch, Stuck, StuckAxes, field_turned, named
+from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes, field_turned
+from magyc_gtsam.sensor_faults.stuck_finding import Stuck, named
 from magyc_gtsam.sensor_faults.zeros import Zeros
 
 _WAITING = 60.0  # s, longest wait for the samples of the other sensor

@@ -13,7 +13,7 @@ from magyc_gtsam.sensor_faults.cut_off import Clipped, inside
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 from magyc_gtsam.sensor_faults.screen import may_be_faulty
-from magyc_gtsam.sensor_faults.stuck import MOST, SMALL, Stuck
+from magyc_gtsam.sensor_faults.stuck_finding import MOST, SMALL, Stuck
 from magyc_gtsam.sensor_faults.zeros import NoValues
 
 
