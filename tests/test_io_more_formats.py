@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 import zipfile
 from pathlib import Path
@@ -89,6 +90,24 @@ def test_damaged_bags(bags: dict[str, Path], kind: str, tmp_path: Path) -> None:
         except MagycError as error:
             found = str(error)
         assert found
+
+
+def test_a_record_of_an_impossible_length(bags: dict[str, Path], tmp_path: Path) -> None:
+    """The messages before it are kept."""
+    data = bytearray(bags["db3"].read_bytes())
+    with contextlib.closing(sqlite3.connect(bags["db3"])) as base:
+        (message,) = base.execute("SELECT data FROM messages WHERE id = ?", (N,)).fetchone()
+        (stamp,) = base.execute("SELECT timestamp FROM messages WHERE id = ?", (N,)).fetchone()
+    place = data.index(stamp.to_bytes(8, "big") + message)
+    record = data.rindex(b"\x06\x00\x09\x06", 0, place) - 3  # its length and key come before the kinds of columns
+    data[record : record + 12] = bytes.fromhex("ffffffff696d7500b62999bc")
+    bad = tmp_path / "bad.db3"
+    bad.write_bytes(data)
+    with contextlib.closing(sqlite3.connect(bad)) as base, pytest.raises(MemoryError):
+        base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id").fetchall()
+    back = read(bad)
+    assert any("impossible length" in note for note in back.notes)
+    np.testing.assert_array_equal(back.magnetic_field, FIELD[: N - 1])
 
 
 def test_a_database_that_is_no_bag(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import contextlib
+import itertools
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -72,14 +73,29 @@ def _sqlite(path: Path, notes: list[str], report: Callable[[float], None]) -> It
             (count,) = base.execute("SELECT COUNT(*) FROM messages").fetchone()
             place = base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY id")
             done = 0
-            while rows := place.fetchmany(_BLOCK):
+            for rows in _in_blocks(place):
                 whole = [r for r in rows if isinstance(r[2], bytes) and 0 < len(r[2]) <= _LARGEST]
                 yield from _blocks([(int(t), int(at), data) for t, at, data in whole])
                 done += len(rows)
                 report(done / max(count, 1))
+    except MemoryError:  # how sqlite3 reports a record whose length cannot be; nothing of that size was asked for
+        notes.append("the bag is damaged (a record of an impossible length)")
     except (sqlite3.Error, ValueError, TypeError, OverflowError) as error:
         notes.append(f"the bag is damaged ({shortened(error)})")
     report(1.0)
+
+
+def _in_blocks(place: Iterator[Any]) -> Iterator[list[Any]]:
+    """Yield rows in blocks. A damaged row raises its error after the rows before it."""
+    while True:
+        rows: list[Any] = []
+        try:
+            rows.extend(itertools.islice(place, _BLOCK))
+        finally:
+            if rows:
+                yield rows
+        if not rows:
+            return
 
 
 def _ros1(path: Path, notes: list[str], report: Callable[[float], None]) -> Iterator[Schema | Channel | Block]:
