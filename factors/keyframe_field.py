@@ -143,9 +143,10 @@ class KeyframeField:
             return self
         rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
         root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)])  # each column to its own rounding
+        by_column = np.ascontiguousarray(root[:, :columns].reshape(-1, columns // 3).T)  # as `_columns` wants it
         return replace(
             self,
-            design=root[:, :columns].reshape(-1, 3, columns // 3),
+            design=by_column.T.reshape(-1, 3, columns // 3),
             share=root[:, columns],
             field=root[:, columns + 1 :],
             angular_rate=None,

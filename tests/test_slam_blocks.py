@@ -245,6 +245,7 @@ def test_buffer_cuts_the_same_blocks():
         lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 1e-6, field=FIELD, field_key=F(0)),
         lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 0.0, field=FIELD),
         lambda: keyframe_field_factor(X(0), A(0), H(0), block(), 1e-6, field=FIELD[:2]),
+        lambda: block().compressed().with_delay(),
         lambda: KeyframeBuffer().close(0.0),
         lambda: NativeFactors(tolerance=0.0),
         lambda: calibration_prior(A(0), H(0), np.eye(3), np.zeros(3), np.diag(np.r_[np.zeros(1), np.ones(8)])),
