@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from magyc_gtsam.estimators.model_error.principal import Principal, principal, stacked
+from magyc_gtsam.estimators.model_error.principal import Principal, principal
 from magyc_gtsam.factors.chain.rotations import Array
 
 _TRIED = np.geomspace(1e-8, 1, 48)  # variances, of the largest
@@ -43,11 +43,16 @@ def likeliest_of_each(
     groups: Sequence[Principal], square: float, freedom: float, most: Sequence[float]
 ) -> list[Likeliest]:
     """Of groups each by itself, the likeliest variances up to the `most` of each."""
-    value, pull = stacked(groups)
+    if not groups:
+        return []
+    sizes = [len(group.value) for group in groups]
+    value, pull = (np.concatenate(each) for each in ([g.value for g in groups], [g.pull for g in groups]))
+    first = np.cumsum([0, *sizes[:-1]])
     variance = np.array(most)[:, None] * _TRIED
-    spread = 1 + variance[:, :, None] * value[:, None]
-    left = np.maximum(square - variance * ((1 / spread) @ pull[:, :, None] ** 2)[..., 0], 1e-9 * square)
-    gain = -0.5 * (np.log(spread).sum(axis=2) + freedom * np.log(left / square))
+    spread = 1 + np.repeat(variance, sizes, axis=0) * value[:, None]  # every axis of every group, (K, variances)
+    explained = np.add.reduceat(pull[:, None] ** 2 / spread, first)
+    left = np.maximum(square - variance * explained, 1e-9 * square)
+    gain = -0.5 * (np.add.reduceat(np.log(spread), first) + freedom * np.log(left / square))
     best = np.argmax(gain, axis=1)
     found = zip(variance[range(len(best)), best].tolist(), gain[range(len(best)), best].tolist(), strict=True)
     return [Likeliest(*each) if each[1] > 0 else Likeliest(0.0, 0.0) for each in found]
