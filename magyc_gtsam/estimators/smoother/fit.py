@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from magyc_gtsam.estimators.smoother.skew import Skew
 
 MAX_ITERATIONS = 40
-# Eliminations for a start without a minimum. Of 31 real logs those that are trusted took 7 to 62, one other reached its
+# Eliminations for a start without a minimum. Of 29 real logs those that are trusted took 8 to 62, one other reached its
 # minimum after 436, and one went on for 3,848.
 PATIENCE = 600
 BRIEF = 120  # the same for a question beside the calibration, which a fit without end does not answer
