@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift, slowed, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit, begin
@@ -152,15 +153,9 @@ def restart_after_change(online: SmootherState) -> bool:
 
 def refit(online: SmootherState) -> None:
     """Fit all windows kept, and form head and tail again."""
-    belief, buffer, settings = online.belief, online.buffer, online.settings
+    belief, settings = online.belief, online.settings
     count = len(online.numbers())
-    search = belief.past is None and (
-        belief.estimate is None or (not belief.stable and count >= belief.next_search)
-    )
-    few = belief.estimate is None or belief.front is not None
-    belief.next_refit = max(int((_SEARCH if few else REFIT_GROWTH) * count), count + 8)
-    if search:
-        belief.next_search = int(_SEARCH * count)
+    search = _plan_next(online, count)
     if belief.front is not None:
         _walk(online)
         return
@@ -178,11 +173,53 @@ def refit(online: SmootherState) -> None:
         if later:
             restart_after_change(online)
         return
+    estimate, report = _report(online, recording, fit, rival, count)
+    if later and not report.converged and belief.drift is None and restart_after_change(online):
+        return
+    if belief.past is None and not observable(report):
+        belief.head, belief.estimate, belief.stable = None, None, False  # nothing to continue from
+        return
+    numbers = _form_head_and_tail(online, fit, samples)
+    belief.estimate = estimate
+    if settings.walks and count >= _LEAST_STABLE:
+        _walk(online)
+        return
+    was_stable, belief.stable = (
+        belief.stable,
+        report.converged and count >= _LEAST_STABLE and _is_stable(online, fit),
+    )
+    belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
+    if settings.detect_changes and belief.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
+        # Look for steps from before the estimate was accurate enough to show them.
+        held = settings.free(fit.state.parameters)
+        step, _ = find_step(replace(fit, chain=continued(fit), free=held), belief.estimate.colour)
+        if step is not None:
+            restart(online, numbers, step)
+
+
+def _plan_next(online: SmootherState, count: int) -> bool:
+    """Set the windows at which the next refit and search are due; return whether this refit searches."""
+    belief = online.belief
+    search = belief.past is None and (
+        belief.estimate is None or (not belief.stable and count >= belief.next_search)
+    )
+    few = belief.estimate is None or belief.front is not None
+    belief.next_refit = max(int((_SEARCH if few else REFIT_GROWTH) * count), count + 8)
+    if search:
+        belief.next_search = int(_SEARCH * count)
+    return search
+
+
+def _report(
+    online: SmootherState, recording: Recording, fit: Fit, rival: Fit | None, count: int
+) -> tuple[Estimate, Calibration]:
+    """Set what a reader is told: doubt, model error, clock drift and result; return the estimate and the result."""
+    belief = online.belief
     estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
-    if settings.walks:  # the residuals' correlation is that of the walk
-        estimate = estimate._replace(colour=1.0)
     belief.doubt = "" if fit.skew is None else fit.skew.doubt
-    if not settings.walks:
+    if online.settings.walks:  # the residuals' correlation is that of the walk
+        estimate = estimate._replace(colour=1.0)
+    else:
         unexplained = model_error(fit, recording)
         if (
             belief.past is None
@@ -190,38 +227,28 @@ def refit(online: SmootherState) -> None:
             or _hard_iron(unexplained) > _hard_iron(belief.unexplained)
         ):
             belief.unexplained = unexplained  # the larger one: the past's remains in what was marginalised
-    belief.report = online.result(recording, fit, rival, refitted=estimate)
+    belief.report = report = online.result(recording, fit, rival, refitted=estimate)
     if testable(online, count):
-        belief.drift = drift_of(online, recording, fit, belief.report.converged)
-        belief.report = with_drift(belief.report, belief.drift)
-    if later and not belief.report.converged and belief.drift is None and restart_after_change(online):
-        return
-    if belief.past is None and not observable(belief.report):
-        belief.head, belief.estimate, belief.stable = None, None, False  # nothing to continue from
-        return
+        belief.drift = drift_of(online, recording, fit, report.converged)
+        belief.report = report = with_drift(report, belief.drift)
+    return estimate, report
+
+
+def _form_head_and_tail(online: SmootherState, fit: Fit, samples: Preintegration) -> Array:
+    """Marginalise the windows before the tail; return the numbers of all windows kept."""
+    belief, buffer = online.belief, online.buffer
     tail = max(SHORTEST_TAIL, len(online.numbers(belief.tail)) if belief.undecided else 0)
     if (samples.length, samples.turn) != (buffer.length, buffer.turn):
         buffer.cut_windows(samples.length, samples.turn)
         belief.done = int(buffer.numbers[len(samples.magnetometer_time) - 1])
     belief.origin = np.append(fit.chain.windows.bias, fit.chain.windows.delay)
-    numbers, chain = online.numbers(), continued(fit)
+    numbers = online.numbers()
     first = max(len(numbers) - tail, 2)
-    belief.head, belief.tail = chain.marginalise(fit.state, fit.weights, first), int(numbers[first])
-    belief.estimate = estimate
-    if settings.walks and count >= _LEAST_STABLE:
-        _walk(online)
-        return
-    was_stable, belief.stable = (
-        belief.stable,
-        belief.report.converged and count >= _LEAST_STABLE and _is_stable(online, fit),
+    belief.head, belief.tail = (
+        continued(fit).marginalise(fit.state, fit.weights, first),
+        int(numbers[first]),
     )
-    belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
-    if settings.detect_changes and belief.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
-        # Look for steps from before the estimate was accurate enough to show them.
-        held = settings.free(fit.state.parameters)
-        step, _ = find_step(replace(fit, chain=chain, free=held), belief.estimate.colour)
-        if step is not None:
-            restart(online, numbers, step)
+    return numbers
 
 
 def fit_samples(
