@@ -2,7 +2,7 @@
 
 The C library of Linux gives memory at the top of its heap back to the system when more is free than twice the largest
 block that was ever mapped by itself and freed. A calibration frees a few megabytes many times a second: without a block
-of that size beforehand it fetched 200 to 1,300 pages anew, each time, which took up to 2 ms of 25.
+of that size beforehand it fetched 200 to 900 pages anew, each time, which took up to 2 ms of 25.
 """
 
 from __future__ import annotations

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors import MagycError
 from magyc_gtsam.factors.chain import preintegration, rotations
+from magyc_gtsam.factors.chain.gyroscope_track import running_sums
+from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import chain, exponential, increments, matrices, multiply, skew
 from magyc_gtsam.simulation import simulate
@@ -63,7 +65,19 @@ def test_chain_is_the_product_one_after_the_other(n):
 
 def test_a_long_chain_stays_a_rotation():
     p, q = chain(exponential(np.random.default_rng(0).normal(size=(100_000, 3))))
-    np.testing.assert_allclose(np.abs(p) ** 2 + np.abs(q) ** 2, 1, atol=1e-15)
+    np.testing.assert_allclose(np.abs(p) ** 2 + np.abs(q) ** 2, 1, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("n", [1, 23, 24, 25, 1000])
+def test_running_sums_are_cumulative_sums(n):
+    values = np.random.default_rng(n).normal(size=(3, n))
+    np.testing.assert_allclose(running_sums(values), np.cumsum(values, axis=1), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 8])
+def test_the_median_is_numpys(n):
+    values = np.random.default_rng(n).normal(size=n)
+    assert median(values) == np.median(values)
 
 
 @pytest.mark.parametrize("motion", ["wide", "dive"])

@@ -8,7 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import MagycError, Recording, calibrate, methods, simulate
+from magyc_gtsam.estimators.smoother.fit import MAX_ITERATIONS
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.simulation import AMPLITUDES, disturb
 
 UPPER = np.triu_indices(3)
@@ -286,6 +288,19 @@ def test_a_hard_iron_ten_times_the_field_and_a_large_bias(motion, seed):
     calibration = calibrate(simulation.recording)
     assert calibration.converged, calibration.message
     assert normalised(calibration, simulation.truth) < CHI2_11
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_start_without_a_minimum_is_given_up(seed):
+    """Where no field explains the readings, and never where one does."""
+    recording = simulate("wide", seed=seed, duration=60.0).recording
+    order = np.random.default_rng(seed).permutation(len(recording.time))
+    fit, _ = fit_field_chain(replace(recording, magnetic_field=recording.magnetic_field[order]), patience=40)
+    assert not fit.converged
+    assert fit.iterations <= 40 + 3 * MAX_ITERATIONS
+    patient, hasty = fit_field_chain(recording)[0], fit_field_chain(recording, patience=0)[0]
+    assert hasty.converged
+    np.testing.assert_array_equal(hasty.state.parameters, patient.state.parameters)
 
 
 def test_disturbed_windows_are_weighed_down(runs):
