@@ -30,7 +30,10 @@ def heading(recording: mg.Recording, calibration: mg.Calibration) -> float:
 
 
 def test_a_late_magnetometer_is_found(shared_data: Path) -> None:
-    """Without a delay in the model that the search begins with; of one instrument the same, slow and fast."""
+    """Without a delay in the model that the search begins with; of one instrument the same, slow and fast.
+
+    What the room leaves beside it is the field that varies, for which nothing else is named.
+    """
     found = []
     for name, start, end, low, high in (
         ("broad_01_slow_rotation.mcap", 36, 86, 8.5, 12.5),
@@ -41,12 +44,13 @@ def test_a_late_magnetometer_is_found(shared_data: Path) -> None:
         gap = mg.find_gap(recording)
         effects = {effect.name: effect for effect in gap.effects}
         assert low < effects["timing"].value[0] < high
-        assert gap.verdict in ("closed", "open")
+        assert gap.verdict == "closed"
+        assert "field-variation" in effects
+        assert min(effect.probability for effect in gap.effects) > 0.9
         assert heading(recording, gap.calibration) < heading(recording, gap.base)
-        found.append(effects)
+        found.append(effects["timing"].value)
     slow, fast, _ = found
-    for name, size in (("timing", 1.0), ("misalignment", 4.0)):
-        np.testing.assert_allclose(slow[name].value, fast[name].value, atol=size)
+    np.testing.assert_allclose(slow, fast, atol=1.0)
 
 
 def test_a_small_step_put_in_is_found_beside_the_room(shared_data: Path) -> None:

@@ -30,6 +30,7 @@ from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.search import Search, search
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
+from magyc_gtsam.gap.weighed import weighed
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Recording
@@ -153,9 +154,11 @@ def _looked(
         gap = with_clipped(gap, usable.clipped)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
     result = search(recording, base, short_term, names, _problem, report)
-    report(0.8)
+    report(0.7)
+    said = answer(recording, base, short_term, names, _problem, discrete)
+    stated, result = marginals(said.posterior), weighed(result, said, short_term)
+    report(0.9)
     gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
-    stated = marginals(answer(recording, base, short_term, names, _problem, discrete).posterior)
     effects = tuple(replace(effect, probability=stated.get(effect.name, 0.0)) for effect in gap.effects)
     gap = with_clipped(replace(gap, effects=effects, probabilities=stated), usable.clipped)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result

@@ -28,7 +28,8 @@ class Found:
     """An effect that was added: its evidence when it was, its rivals, and of which score it is a term.
 
     Two steps that are terms of one score have half its evidence each, as long as there are two. What is `unsure` may
-    as well be what a channel would have shown that is missing: to correct it may make the heading worse.
+    as well be what a channel would have shown that is missing: to correct it may make the heading worse. What is
+    `improbable` is so by the posterior of all sets of effects.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Found:
     noise: NoiseScore | None = None
     of: Score | None = None
     unsure: bool = False
+    improbable: bool = False
 
     def times(self, factor: float) -> Found:
         """With so much of the evidence."""

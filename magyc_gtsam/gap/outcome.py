@@ -13,6 +13,7 @@ from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.gap.clocks import APART_IN_BRIEF, CLOCK_DRIFT
 from magyc_gtsam.gap.doubt import Doubt, doubted, left_open, with_doubt
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.field_variation import field_variation
 from magyc_gtsam.gap.fine import Fine, fine_innovations
 from magyc_gtsam.gap.judged import judged
@@ -89,7 +90,7 @@ def gap_of(
     open_places = {
         place: index
         for place, index in term_places(found, plain.model).items()
-        if found[place].unsure or not determined(plain, index)
+        if found[place].unsure or found[place].improbable or not determined(plain, index)
     }
     unpaid = _unpaid(
         result, held, {p: i for p, i in term_places(found, plain.model).items() if p not in open_places}
@@ -176,7 +177,7 @@ def _on_noise(
     added = tuple(
         Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
         for f in found
-        if f.noise is not None
+        if f.noise is not None and f.name != FIELD_VARIATION
     )
     return known, added
 

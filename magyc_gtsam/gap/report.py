@@ -9,6 +9,7 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.axes import Arrangement
 from magyc_gtsam.gap.clocks import APART, CLOCK_DRIFT
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.naming import Found, Look, term_places
 from magyc_gtsam.gap.neighbours import label_of, product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
@@ -18,10 +19,12 @@ from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.step_time import step_time_sigma
 
 _POWER = 0.8
-_IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
+FIELD_VARIES = "field of the place that varies"
+_IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
 _OPEN = "named, not corrected: this motion does not determine all of its values"
 _UNSURE = "named, not corrected: an unrecorded channel may be the cause"
+_IMPROBABLE = "named, not corrected: beside all else that may be there it is improbable"
 _UNPAID = (
     "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )
@@ -112,6 +115,11 @@ def _noise_sentence(noise: NoiseScore) -> str:
         return f"{setting['count']:.0f} single magnetometer samples are wrong by {value * 1e6:.2g} µT and were left out"
     if noise.name == "quantisation":
         return f"the magnetometer's resolution is {value * 1e6:.2g} µT, {setting['ratio']:.1f} times its noise"
+    if noise.name == FIELD_VARIATION:
+        return (
+            f"the field of the place varies by {value * 1e6:.2g} µT along the way and with attitude: sigmas allow "
+            "for it, and no calibration takes it out"
+        )
     if noise.name == "sample-hold":
         return f"the magnetometer repeats {setting['share']:.0%} of its rows; held rows were left out"
     arrangement = Arrangement(noise.value.reshape(3, 3), "", 1 - setting["explained"])
@@ -127,6 +135,8 @@ def describe(
     def why(place: int, one: Found) -> str:
         if place not in uncorrected:
             return ""
+        if one.improbable:
+            return _IMPROBABLE
         return _UNPAID if place in unpaid else _UNSURE if one.unsure else _OPEN
 
     return tuple(_described(f, refitted, indices.get(i), why(i, f)) for i, f in enumerate(found))
@@ -149,7 +159,7 @@ def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Ef
         sentence = term.sentence(value * scale, sigma * scale, setting, rows)
     return Effect(
         found.name,
-        LABELS[found.name],
+        LABELS.get(found.name, FIELD_VARIES),
         value * scale,
         sigma * scale,
         parameters,
@@ -280,7 +290,7 @@ def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: It
             names = (f.name, *f.rivals)
             needed = TERMS[f.rivals[0]].missing(look.refit.twin)
             motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion
-            labels = " from ".join(LABELS[n] for n in names[:2])
+            labels = " from ".join(LABELS.get(n, FIELD_VARIES) for n in names[:2])
             return Manoeuvre(names, motion, f"to distinguish {labels}: {motion}")
     if word == "unknown":
         motion = (

@@ -33,7 +33,8 @@ class Effect:
         statistic, threshold: evidence when it was added: twice the gain in log-likelihood, and its 1 % level.
         applied: whether `gap.calibration` corrects it.
         sentence: one line that a navigator understands.
-        probability: that it is there, by the evidence of all sets of effects; the name itself is given by score tests.
+        probability: that it is there, by the evidence of all sets of effects. The name is given by score tests, and not
+            corrected where it and what it may be instead are improbable.
     """
 
     name: str

@@ -39,7 +39,7 @@ def rendered(template: str, recording: Recording | None = None, **values: Any) -
 
 def _sentence(text: str) -> Markup:
     """Return text as HTML with real minus signs, and text between backticks as code."""
-    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", escape(with_minus(text))))
+    return Markup(re.sub("`([^`]+)`", r"<code>\1</code>", str(escape(with_minus(text)))))
 
 
 def _text(name: str) -> str:

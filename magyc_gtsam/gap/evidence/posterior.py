@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.laplace import Terms
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
 from magyc_gtsam.gap.evidence.weighing import Weighed
@@ -39,8 +40,8 @@ def weights(tree: Tree) -> dict[Set, float]:
             add(key, True, node.log + log)
         for less, log in _imitated(node, key):
             add(less, True, node.log + log)
-        for log in node.moving:
-            add(key, True, node.log + PRIOR.unknown - np.log(max(len(node.found), 1)) + log)
+        for log in node.moving:  # the only one of what is unknown that a field of the place may be mistaken for
+            add(key, True, node.log + PRIOR.unknown + log)
         for each in node.found.values():  # what was not worth a fit still has its share, as linearised
             more = tuple(sorted((*node.names, each.name)))
             if each.name in TERMS and each.name not in node.names and more not in tried:
@@ -60,7 +61,7 @@ def _families(tree: Tree, node: Node) -> tuple[float, float]:
         if small.any():
             form.append(logsumexp(each.by_scale[small]))
         if (~small).any():
-            foreign.append(logsumexp(each.by_scale[~small]) + _beyond(tree, node, each.name))
+            foreign.append(logsumexp(each.by_scale[~small]) + _beyond(tree, node, each))
     share = np.log(max(len(families), 1))
     return (
         float(logsumexp(form) - share) if form else -np.inf,
@@ -108,16 +109,44 @@ def _imitated(node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...
         yield tuple(sorted(less)), PRIOR.imitated - float(np.log(len(parts))) + float(log)
 
 
-def _beyond(tree: Tree, node: Node, family: str) -> float:
-    """Log probability that what a family says is more than the form of one more name."""
+def _beyond(tree: Tree, node: Node, family: Weighed) -> float:
+    """Log probability that what a family says is more than the form of one more name, of those that it holds."""
     result = 1.0
+    if node.log + family.log < tree.best.log - PRIOR.close:
+        return 0.0
     for child in tree.nodes.values():
-        if len(child.names) == len(node.names) + 1 and child.names[:-1] == node.names and family in child.found:
-            found = child.found[family]
-            more = found.power > PRIOR.form * (child.explained - node.explained)
-            logs = np.concatenate([[0.0], found.by_scale])
-            result = min(result, float(np.exp(logs - logsumexp(logs))[1:][more].sum()))
+        if (
+            len(child.names) != len(node.names) + 1
+            or child.names[:-1] != node.names
+            or family.name not in child.found
+        ):
+            continue
+        found = child.found[family.name]
+        more = found.power > PRIOR.form * (child.explained - node.explained)
+        logs = np.concatenate([[0.0], found.by_scale])
+        beyond = float(np.exp(logs - logsumexp(logs))[1:][more].sum())
+        if beyond < result and _holds(tree, node, family, child):
+            result = beyond
     return float(np.log(max(result, 1e-12)))
+
+
+def _holds(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
+    """Whether all of the signature of a child's new name, but its form, is a part of what a family can be.
+
+    A family that holds it not is another explanation, with which the name competes.
+    """
+    rows = tree.candidates.of_setting(family.name, family.setting)
+    if child.names[-1] == FIELD_VARIATION or not len(rows):  # of which nothing is smaller than the family
+        return True
+    terms = Terms.of(child.fit)
+    own = terms.columns[terms.of_term == len(child.fit.model.terms) - 1]
+    both = np.concatenate([own, rows])
+    reach = node.beside.see(both, np.zeros(len(both))).reach
+    information = both @ both.T / node.beside.noise**2 - reach @ reach.T
+    count = len(own)
+    across = information[:count, count:]
+    absorbed = across @ np.linalg.pinv(information[count:, count:], hermitian=True) @ across.T
+    return bool(np.trace(absorbed) > (1 - PRIOR.form) * np.trace(information[:count, :count]))
 
 
 def kept(node: Node) -> list[int]:

@@ -1,0 +1,102 @@
+"""The names that score tests gave, as the posterior sees them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import magyc_gtsam as mg
+from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.gap.effects import NAMES
+from magyc_gtsam.gap.evidence.answer import Answer, answer
+from magyc_gtsam.gap.evidence.posterior import Set
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.find import _problem as problem_of
+from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.naming import Found
+from magyc_gtsam.gap.outcome import gap_of
+from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.search import Search, search
+from magyc_gtsam.gap.weighed import weighed
+
+Looked = tuple[Search, Answer, Refit, SensorNoise]
+
+
+@pytest.fixture(scope="module")
+def looked() -> Looked:
+    """A late magnetometer, searched and weighed."""
+    recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
+    noise = short_term_noise(recording)
+    base = base_model(recording, None, noise)
+    found = search(recording, base, noise, NAMES, problem_of, lambda share: None)
+    return found, answer(recording, base, noise, NAMES, problem_of), base, noise
+
+
+def gap_by(looked: Looked, posterior: Mapping[Set, float]) -> mg.Gap:
+    """What is told of it under a posterior."""
+    found, said, base, noise = looked
+    result = weighed(found, replace(said, posterior=dict(posterior)), noise)
+    return gap_of(result, base, noise, None, NAMES, (), 0.0)
+
+
+def test_a_name_that_is_likely_is_corrected(looked: Looked) -> None:
+    gap = gap_by(looked, looked[1].posterior)
+    assert gap.names == ("timing",)
+    assert gap.effects[0].applied
+    assert gap.verdict == "closed"
+
+
+def test_an_improbable_name_is_not_corrected(looked: Looked) -> None:
+    least = PRIOR.improbable
+    gap = gap_by(looked, {((), True): 1 - 0.5 * least, (("timing",), False): 0.5 * least})
+    assert gap.names == ("timing",)
+    assert not gap.effects[0].applied
+    assert "improbable" in gap.effects[0].sentence
+    assert gap.verdict == "open"
+    assert gap.calibration.delay == 0
+    assert not gap.calibration.trusted
+    again = gap_by(looked, {((), True): 1 - 2 * least, (("timing",), False): 2 * least})
+    assert again.effects[0].applied
+
+
+def test_a_name_is_as_likely_as_all_that_it_may_be(looked: Looked) -> None:
+    found, said, _, noise = looked
+    two = replace(found, found=tuple(replace(one, rivals=("eddy-plane",)) for one in found.found))
+    (one,) = weighed(two, replace(said, posterior={(("eddy-plane",), False): 1.0}), noise).found
+    assert not one.improbable
+
+
+@pytest.mark.parametrize("name", ["coloured-noise", "tone"])
+def test_what_is_no_noise_is_left(looked: Looked, name: str) -> None:
+    found, said, _, noise = looked
+    loud = replace(found, found=(*found.found, Found(name, 90.0, 20.0, 40.0)))
+    result = weighed(loud, replace(said, posterior={(("timing",), True): 1.0}), noise)
+    assert [one.name for one in result.found] == ["timing"]
+    assert result.leftover == (name,)
+
+
+def test_a_field_that_varies_closes_the_gap() -> None:
+    """In the world's axes it is the place's, and nothing else is named for it; in the sensor's it has no name."""
+    recording = mg.simulate("wide", 300, seed=8).recording
+    phases = np.random.default_rng(1).uniform(0, 6, (3, 5))
+    slow = np.sin(2 * np.pi * recording.time[:, None, None] / np.array([31, 43, 57, 71, 97.0]) + phases).sum(
+        axis=2
+    )
+    for moving, added in (
+        (False, Rotation.from_quat(recording.attitude).inv().apply(slow)),
+        (True, slow),
+    ):
+        field = recording.magnetic_field + 0.4e-6 * added
+        gap = mg.find_gap(mg.Recording(recording.time, field, recording.angular_rate))
+        assert ("field-variation" in gap.names) is not moving
+        if not moving:
+            assert gap.verdict == "closed"
+            assert gap.effects[-1].unit == "µT"
+            assert 0.1 < gap.effects[-1].value[0] < 1.6
+            assert all(effect.probability > PRIOR.sure for effect in gap.effects)
+            assert "field-variation" not in {term.name for term in gap.calibration.terms}
