@@ -130,10 +130,17 @@ def test_drop_a_log_drag_an_interval_and_calibrate(
     page.locator("#log").wait_for(state="hidden")
 
 
-def test_logs_of_other_kinds(served: Served, visit: Callable[..., Any], tmp_path: Path) -> None:
-    """A text, a binary file, an archive and a database, dropped, and calibrated as on the command line."""
+def test_logs_of_every_other_format(served: Served, visit: Callable[..., Any], tmp_path: Path) -> None:
+    """Each written by its format's library or description, dropped, and calibrated as on the command line."""
     page, part = visit(served), mg.read(DIVE, end=240.0)
-    for make in (fuzz_files.dataflash, fuzz_files.ros_database, fuzz_files.phone):
+    for make in (
+        fuzz_files.dataflash,
+        fuzz_files.ulog,
+        fuzz_files.ros_bag,
+        fuzz_files.ros_database,
+        fuzz_files.telemetry,
+        fuzz_files.phone,
+    ):
         content, suffix = make(tmp_path, part)
         file = tmp_path / f"{make.__name__}{suffix}"
         file.write_bytes(content)

@@ -8,6 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+_AT_ONCE = 1 << 18  # rows
 Number = TypeVar("Number", bound=np.generic)
 
 
@@ -38,8 +39,17 @@ class GrowingColumns(Generic[Number]):
         return self._columns[number]
 
     def together(self, numbers: Sequence[int], last: bool = False) -> NDArray[Number]:
-        """Return columns (n, len(numbers)) side by side, and release their memory if this is the `last` use."""
-        result = np.stack([self.column(k) for k in numbers], axis=1)
-        for k in numbers if last else ():
-            self._columns[k] = self._columns[k][:0].copy()
+        """Return columns (n, len(numbers)) side by side, and release their memory if this is the `last` use.
+
+        From the end, so that what was copied is given back before the next rows take memory.
+        """
+        columns = [self.column(k) for k in numbers]
+        result = np.empty((self._rows, len(columns)), dtype=self._columns[0].dtype)
+        for end in range(self._rows, 0, -_AT_ONCE):
+            rows = slice(max(end - _AT_ONCE, 0), end)
+            for place, column in enumerate(columns):
+                result[rows, place] = column[rows]
+            if last:
+                for k in {*numbers}:
+                    self._columns[k].resize(rows.start, refcheck=False)
         return result

@@ -227,6 +227,8 @@ def _without_spikes(stream: Stream, notes: list[str]) -> Stream:
         return stream
     step = np.diff(stream.stamp)
     far = (step > _SECOND) | (step < -_SECOND)
+    if not far.any():
+        return stream
     across = step[1:] + step[:-1]
     isolated = far[:-1] & far[1:] & (across >= 0) & (across < _SECOND)
     if not isolated.any():
