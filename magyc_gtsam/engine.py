@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -87,18 +88,24 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterato
     try:
         while waiting:
             running: dict[Future[Row], str] = {}
+            others = {*multiprocessing.active_children()}
             with ProcessPoolExecutor(workers, get_context("spawn"), as_worker) as pool:
                 try:
                     while waiting or running:
                         while waiting and len(running) < workers:
                             name = waiting.pop(0)
-                            running[pool.submit(work, units[name])] = name
+                            with _without_interrupts():
+                                running[pool.submit(work, units[name])] = name
                         done, _ = wait(running, return_when=FIRST_COMPLETED)
                         for future in done:
                             row = future.result()
                             yield running.pop(future), row
                 except BrokenProcessPool:
                     pass  # the units in `running` are repeated below, the waiting ones in a new pool
+                except BaseException:  # nobody waits for the rows any more, as after an interrupt
+                    for process in {*multiprocessing.active_children()} - others:
+                        process.terminate()
+                    raise
             for name in running.values():
                 yield name, _alone(work, units[name])
     finally:
@@ -109,11 +116,26 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterato
                 os.environ[name] = value
 
 
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let processes that are started in the block begin with SIGINT blocked; `as_worker` is called after imports."""
+    if os.name == "nt":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _alone(work: Work, unit: Any) -> Row:
     """Work on one unit in a separate process."""
     with ProcessPoolExecutor(1, get_context("spawn"), as_worker) as pool:
         try:
-            return pool.submit(work, unit).result()
+            with _without_interrupts():
+                future = pool.submit(work, unit)
+            return future.result()
         except BrokenProcessPool:
             return {"error": DIED}
 
