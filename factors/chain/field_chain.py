@@ -84,8 +84,7 @@ class Reduced(NamedTuple):
     gradient (p,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
     on_parameters (p, 3, n): whitened window Jacobians; before, after (3, 2, n − 1) and on_bias (3, 3, n − 1), the
     bias along the second axis: those of the links; band and factor (4, 2n): the directions' matrix and
-    its Cholesky factor L; border (p + 1, 2, n): its border with θ, and the directions' gradient; half (2n, p + 1):
-    L⁻¹ of it.
+    its Cholesky factor L; half (2n, p + 1): L⁻¹ of its border with θ and of the directions' gradient.
     """
 
     cost: float
@@ -99,7 +98,6 @@ class Reduced(NamedTuple):
     on_bias: Array
     band: Array
     factor: Array
-    border: Array
     half: Array
 
 
@@ -244,7 +242,6 @@ class FieldChain:
             on_bias,
             band.T,
             factor,
-            border,
             absorbed.T,
         )
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg.lapack import dpbtrs
+from scipy.linalg.lapack import dtbtrs
 
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import ChainState, FieldChain, Reduced, Residuals, SensorNoise, Weights
@@ -311,7 +311,6 @@ def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
     reduced = fit.reduced
     on_direction = np.einsum("ian,in->an", reduced.on_direction, whitened)
     on_parameters = reduced.on_parameters.reshape(len(covariance), -1) @ whitened.ravel()
-    tangent, _ = dpbtrs(reduced.factor, on_direction.T.ravel(), lower=1)
-    solved = tangent.reshape(-1, 2).T.ravel()
-    left = on_parameters - reduced.border[:-1].reshape(len(covariance), -1) @ solved
-    return float(on_direction.ravel() @ solved + left @ covariance @ left)
+    half, _ = dtbtrs(reduced.factor, on_direction.T.ravel(), uplo="L")
+    left = on_parameters - half @ reduced.half[:, :-1]
+    return float(half @ half + left @ covariance @ left)
