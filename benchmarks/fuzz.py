@@ -135,7 +135,7 @@ def main(name: str, count: int, seed: int = 0) -> int:
     source = random.Random(seed)
     outcome: collections.Counter[str] = collections.Counter()
     internal: dict[str, str] = {}
-    slowest = 0.0
+    slowest, began = 0.0, time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         whole, suffix = make(Path(folder), files.recording())
         use(_written(Path(folder) / f"whole{suffix}", whole))
@@ -152,8 +152,8 @@ def main(name: str, count: int, seed: int = 0) -> int:
                     outcome["internal"] += 1
                     internal.setdefault(f"{type(error).__name__}: {str(error)[:80]}", f"input {k} of seed {seed}")
                 slowest = max(slowest, time.perf_counter() - began)
-        except KeyboardInterrupt:  # what was done so far counts
-            count = outcome.total()
+        except KeyboardInterrupt:  # what was done so far counts, and an input that does not end
+            count, slowest = outcome.total(), max(slowest, time.perf_counter() - began)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(
         f"{name}: {count} inputs of {len(whole)} bytes, {outcome['read']} read, {outcome['refused']} refused, "

@@ -218,3 +218,13 @@ def test_combined_message_without_the_magnetometers_own_stamps(
     monkeypatch.setattr(ulog, "load", without)
     back = read(shared_data / "px4_flight.ulg")
     assert len(back.magnetometer.time) > 1000
+
+
+def test_a_last_message_longer_than_the_file(tmp_path: Path) -> None:
+    """pyulog by itself goes back to messages that it has read, again and again."""
+    pytest.importorskip("pyulog")
+    header, message = b"ULog\x01\x12\x35\x01" + bytes(8), b"\x01\x00X\x00"
+    path = tmp_path / "a.ulg"
+    path.write_bytes(header + 40 * message + b"\x64\x00\x00" + bytes(100 - 41))
+    with pytest.raises(MagycError, match="no magnetometer"):
+        read(path)

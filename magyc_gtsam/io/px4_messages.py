@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
-from io import StringIO
+from io import SEEK_CUR, BufferedReader, FileIO, StringIO
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,30 @@ class Message:
         return np.column_stack([self.data[n] for n in names]).astype(np.float64)
 
 
+class _LogFile(BufferedReader):
+    """A file in which pyulog does not go in circles.
+
+    To step over a message of an unknown kind by one byte, pyulog goes back by the length that the message states. Where
+    the file has less than that, this is back to where it was before, for ever: the bytes that were missing count too.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(FileIO(path))
+        self._asked = self._missing = 0
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Read, and remember what was missing."""
+        data = super().read(size)
+        self._asked = -1 if size is None else size
+        self._missing = max(self._asked - len(data), 0)
+        return data
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Seek; back over a header and a message as if the whole message had been there."""
+        back = whence == SEEK_CUR and offset == -2 - self._asked
+        return super().seek(offset + self._missing if back else offset, whence)
+
+
 def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters, tuple[str, ...]]:
     """Load the messages with these names (None for all), the parameters, and notes on damage.
 
@@ -68,8 +92,8 @@ def load(path: Path, names: list[str] | None) -> tuple[list[Message], Parameters
             f"{path}: PX4 logs need pyulog; install it with: pip install 'magyc-gtsam[px4]'"
         ) from None
     try:
-        with redirect_stdout(StringIO()):  # pyulog prints warnings about damage
-            log = ULog(str(path), names)
+        with _LogFile(path) as file, redirect_stdout(StringIO()):  # pyulog prints warnings about damage
+            log = ULog(file, names)
     except MemoryError:
         raise
     except Exception as error:  # the exceptions of pyulog on damaged bytes have no common class
