@@ -11,10 +11,10 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,6 +24,7 @@ from magyc_gtsam.storage.whole_file import whole_file
 
 Row: TypeAlias = dict[str, Any]
 Work: TypeAlias = Callable[[Any], Row]
+Rows: TypeAlias = Generator[tuple[str, Row], None, None]
 Progress: TypeAlias = Callable[[float], None]
 
 DIED = "the worker process died twice"
@@ -70,16 +71,17 @@ def run_many(
         finished = ((name, work(unit)) for name, unit in remaining.items())
     else:
         finished = _in_processes(work, remaining, min(count, len(remaining)))
-    for name, row in finished:
-        rows[name] = row
-        if parts is not None:
-            _write_part(parts, name, row)
-        if progress is not None:
-            progress(len(rows) / len(units))
+    with closing(finished):  # an interrupt between two rows ends the processes as well
+        for name, row in finished:
+            rows[name] = row
+            if parts is not None:
+                _write_part(parts, name, row)
+            if progress is not None:
+                progress(len(rows) / len(units))
     return {name: rows[name] for name in units}
 
 
-def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Iterator[tuple[str, Row]]:
+def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Rows:
     """Yield rows as units finish. Each process holds one unit at a time, so few are repeated when one dies."""
     waiting = list(units)
     before = {name: os.environ.get(name) for name in _THREADS}
@@ -140,7 +142,7 @@ def _alone(work: Work, unit: Any) -> Row:
             return {"error": DIED}
 
 
-def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Iterator[tuple[str, Row]]:
+def _on_cluster(work: Work, units: Mapping[str, Any], address: str) -> Rows:
     """Yield rows as units finish. The scheduler moves the units of a dead worker to the others."""
     try:
         from distributed import Client, KilledWorker, as_completed

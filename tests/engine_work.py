@@ -33,3 +33,12 @@ def kill_always(unit: int) -> dict[str, Any]:
     if unit == 1:
         os.kill(os.getpid(), signal.SIGKILL)
     return {"unit": unit}
+
+
+def last(unit: tuple[int, str]) -> dict[str, Any]:
+    """Unit 1 takes long, and leaves a file when it has ended."""
+    number, marker = unit
+    if number == 1:
+        time.sleep(20)
+        Path(marker).touch()
+    return {"unit": number}

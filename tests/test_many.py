@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import multiprocessing
 import os
 import shutil
 from pathlib import Path
@@ -147,6 +148,17 @@ def test_a_process_that_dies_costs_its_unit(tmp_path: Path) -> None:
     assert rows == {str(seed): engine_work.spectrum((seed, 30)) for seed in range(6)}
     always = run_many(engine_work.kill_always, {str(i): i for i in range(4)}, workers=2)
     assert always == {"0": {"unit": 0}, "1": {"error": DIED}, "2": {"unit": 2}, "3": {"unit": 3}}
+
+
+def test_an_interrupt_does_not_wait_for_units_that_run(tmp_path: Path) -> None:
+    def interrupt(share: float) -> None:
+        raise KeyboardInterrupt
+
+    marker, before = tmp_path / "ended", {*multiprocessing.active_children()}
+    with pytest.raises(KeyboardInterrupt):
+        run_many(engine_work.last, {str(i): (i, str(marker)) for i in range(2)}, workers=2, progress=interrupt)
+    assert {*multiprocessing.active_children()} <= before
+    assert not marker.exists()
 
 
 def test_engines_that_cannot_be_had() -> None:
