@@ -90,8 +90,7 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Rows:
     try:
         while waiting:
             running: dict[Future[Row], str] = {}
-            others = {*multiprocessing.active_children()}
-            with ProcessPoolExecutor(workers, get_context("spawn"), as_worker) as pool:
+            with _pool(workers) as pool:
                 try:
                     while waiting or running:
                         while waiting and len(running) < workers:
@@ -104,10 +103,6 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Rows:
                             yield running.pop(future), row
                 except BrokenProcessPool:
                     pass  # the units in `running` are repeated below, the waiting ones in a new pool
-                except BaseException:  # nobody waits for the rows any more, as after an interrupt
-                    for process in {*multiprocessing.active_children()} - others:
-                        process.terminate()
-                    raise
             for name in running.values():
                 yield name, _alone(work, units[name])
     finally:
@@ -119,8 +114,24 @@ def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Rows:
 
 
 @contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Provide processes that are ended, not waited for, if the block is left by an exception such as an interrupt."""
+    others = {*multiprocessing.active_children()}
+    with ProcessPoolExecutor(workers, get_context("spawn"), as_worker) as pool:
+        try:
+            yield pool
+        except BaseException:
+            for process in {*multiprocessing.active_children()} - others:
+                process.terminate()
+            raise
+
+
+@contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Let processes that are started in the block begin with SIGINT blocked; `as_worker` is called after imports."""
+    """Block SIGINT in processes that are started in the block: it would end them in their imports, with a traceback.
+
+    Once these are done, `as_worker` has them ignore it.
+    """
     if os.name == "nt":
         yield
         return
@@ -133,7 +144,7 @@ def _without_interrupts() -> Iterator[None]:
 
 def _alone(work: Work, unit: Any) -> Row:
     """Work on one unit in a separate process."""
-    with ProcessPoolExecutor(1, get_context("spawn"), as_worker) as pool:
+    with _pool(1) as pool:
         try:
             with _without_interrupts():
                 future = pool.submit(work, unit)

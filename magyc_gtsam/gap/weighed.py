@@ -28,7 +28,6 @@ from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.refit import refit, without_term
 from magyc_gtsam.gap.search import Search
 
-_LIKELY = 0.5  # probability, from which a name must be in the model
 _OF_NOISE = (COLOUR, "tone")  # names for what a varying field leaves as well
 
 
@@ -71,7 +70,7 @@ def _improbable(one: Found, posterior: Mapping[Set, float]) -> bool:
 def _of_the_place(result: Search, stated: Mapping[str, float], doubtful: Container[int]) -> bool:
     """Whether the field's variation is sure, and with it and what was named all is said."""
     named = {name for i, one in enumerate(result.found) if i not in doubtful for name in (one.name, *one.rivals)}
-    missing = [name for name in TERMS if stated.get(name, 0.0) > _LIKELY and name not in named]
+    missing = [name for name in TERMS if stated.get(name, 0.0) > PRIOR.likely and name not in named]
     sure = stated.get(FIELD_VARIATION, 0.0) > PRIOR.sure and stated[UNKNOWN] < 1 - PRIOR.sure
     return sure and not missing
 

@@ -42,7 +42,8 @@ class Prior:
         nodes, most: sets that are fitted, and with those in which rivals were exchanged.
         close: nats behind the best set, from which none is followed.
         sure: probability, from which something is taken as said.
-        improbable: below which a name is not corrected: one of twenty that are left is right.
+        likely: probability from which a name that was not found speaks against the answer.
+        improbable: probability below which a name is not corrected; of 77 right names in 176 recordings none was below.
         certain: nats for what is seen at once, or not at all.
     """
 
@@ -62,6 +63,7 @@ class Prior:
     beam: int = 3
     close: float = 12.0
     sure: float = 0.9
+    likely: float = 0.5
     improbable: float = 0.05
     certain: float = 12.0
 
