@@ -34,7 +34,7 @@ _PUBLIC = {
     "NonFiniteError": "guard",
     "GyroscopeTrack": "chain.gyroscope_track",
     "Preintegration": "chain.preintegration",
-    "SensorNoise": "chain.field_chain",
+    "SensorNoise": "chain.chain_values",
     "calibration_prior": "priors",
     "custom_factor": "guard",
     "determinant_prior": "soft_iron",

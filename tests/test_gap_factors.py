@@ -14,7 +14,7 @@ from test_factors_jacobians import derivative
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.search import preintegrate
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.factor import (
     effect_chain_factor,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.search import short_term_noise
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import Answer, answer
 from magyc_gtsam.gap.evidence.posterior import Set

@@ -11,7 +11,8 @@ import magyc_gtsam as mg
 from magyc_gtsam import cli
 from magyc_gtsam.estimators.smoother.search import preintegrate
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.field_chain import ChainState, FieldChain, SensorNoise
+from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.online.marginal import ContinuedChain
 from magyc_gtsam.recording import Recording

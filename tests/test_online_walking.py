@@ -10,7 +10,7 @@ from test_online import feed
 
 from magyc_gtsam import OnlineCalibrator, simulate
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.online.random_walk import _local_noise
 
 

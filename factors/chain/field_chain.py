@@ -21,12 +21,12 @@ numpy-only cyclic reduction was several times slower.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
 from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, forward_solved, inverse_blocks
+from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, SensorNoise, Weights
 from magyc_gtsam.factors.chain.directions import QuadraticPrior, Sight, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
@@ -47,58 +47,6 @@ SKEW = slice(13, 16)  # ε, in a θ of `WITH_SKEW` entries
 WITH_SKEW = 16
 _SETTLING = 20  # Gauss–Newton steps of the directions alone, at most
 _SETTLED = 1e-18  # squared step of a direction, rad²
-
-
-class SensorNoise(NamedTuple):
-    """Standard deviations per sample and axis: magnetometer T, gyroscope rad/s."""
-
-    magnetometer: float
-    gyroscope: float
-
-
-class ChainState(NamedTuple):
-    """θ (p,), p = 13 or 16, and the directions g (3, n)."""
-
-    parameters: Array
-    direction: Array
-
-
-class Weights(NamedTuple):
-    """Robust weights in [0, 1] of the windows (n,) and of the links (n − 1,)."""
-
-    window: Array
-    link: Array
-
-
-class Residuals(NamedTuple):
-    """Unwhitened residuals: windows (3, n) T, links (3, n − 1) chordal."""
-
-    window: Array
-    link: Array
-
-
-class Reduced(NamedTuple):
-    """The normal equations after elimination, and what a step and the diagnostics need.
-
-    cost: half the weighted sum of squares at the state; information (p, p): Schur complement on θ;
-    gradient (p,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
-    on_parameters (p, 3, n): whitened window Jacobians; before, after (3, 2, n − 1) and on_bias (3, 3, n − 1), the
-    bias along the second axis: those of the links; band and factor (4, 2n): the directions' matrix and
-    its Cholesky factor L; half (2n, p + 1): L⁻¹ of its border with θ and of the directions' gradient.
-    """
-
-    cost: float
-    information: Array
-    gradient: Array
-    basis: Array
-    on_direction: Array
-    before: Array
-    after: Array
-    on_parameters: Array
-    on_bias: Array
-    band: Array
-    factor: Array
-    half: Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
-from magyc_gtsam.factors.chain.field_chain import FieldChain, Reduced
+from magyc_gtsam.factors.chain.chain_values import Reduced
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rate_columns import turned_by
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError

@@ -18,16 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dtbtrs
 
-from magyc_gtsam.factors.chain.field_chain import (
-    DELAY,
-    PARAMETERS,
-    WITH_SKEW,
-    ChainState,
-    FieldChain,
-    Reduced,
-    SensorNoise,
-    iron_matrix,
-)
+from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, WITH_SKEW, FieldChain, iron_matrix
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rate_columns import attitude as attitudes
 from magyc_gtsam.factors.chain.rate_columns import rate_columns

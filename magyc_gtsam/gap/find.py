@@ -11,7 +11,8 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.search import fit_field_chain, preintegrate, short_term_noise
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.clipped import with_clipped

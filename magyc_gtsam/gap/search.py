@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import chi2
 
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange, with_two_causes

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.factors.errors import MagycError

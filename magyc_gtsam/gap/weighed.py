@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.clocks import CLOCK_DRIFT
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.answer import COLOUR, Answer

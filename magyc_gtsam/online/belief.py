@@ -13,7 +13,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error.component import Component
 from magyc_gtsam.estimators.model_error.model_error import ModelError
 from magyc_gtsam.estimators.smoother.clock_drift import Drift
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import Marginal
 from magyc_gtsam.recording import Array

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend, misfit, weigh
-from magyc_gtsam.factors.chain.field_chain import ChainState, Weights
+from magyc_gtsam.factors.chain.chain_values import ChainState, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.online.likelihood_ratio import change_time, step_profile

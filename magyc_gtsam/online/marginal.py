@@ -14,16 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.skew import with_angles
+from magyc_gtsam.factors.chain.chain_values import ChainState, Weights
 from magyc_gtsam.factors.chain.directions import QuadraticPrior
-from magyc_gtsam.factors.chain.field_chain import (
-    PARAMETERS,
-    SKEW,
-    WITH_SKEW,
-    ChainState,
-    FieldChain,
-    Weights,
-    iron_matrix,
-)
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, FieldChain, iron_matrix
 from magyc_gtsam.factors.chain.rotations import Array
 
 _UNMEASURED = 1e-3  # scale of the first window's field, which the marginal already contains

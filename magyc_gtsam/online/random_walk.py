@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, colour_of, descend, weigh
-from magyc_gtsam.factors.chain.field_chain import ChainState, FieldChain, SensorNoise, Weights
+from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Marginal, widened

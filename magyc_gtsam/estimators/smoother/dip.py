@@ -19,7 +19,8 @@ import numpy as np
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA, PlaceField
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.field_chain import WITH_SKEW, ChainState, direction_slopes
+from magyc_gtsam.factors.chain.chain_values import ChainState
+from magyc_gtsam.factors.chain.field_chain import WITH_SKEW, direction_slopes
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.level_turn import vertical

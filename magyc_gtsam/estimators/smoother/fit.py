@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
+from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import quadratic
-from magyc_gtsam.factors.chain.field_chain import ChainState, FieldChain, Reduced, Residuals, SensorNoise, Weights
+from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 

@@ -15,8 +15,9 @@ from magyc_gtsam.estimators.smoother.fit import NEAR, PATIENCE, ROUNDS, Fit, ada
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, asked, given, on_skew, skew_of, widened
+from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import LinearFact
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, ChainState, FieldChain, SensorNoise, Weights
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech

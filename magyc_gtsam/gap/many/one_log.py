@@ -10,7 +10,7 @@ import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import colour_of
 from magyc_gtsam.estimators.smoother.search import preintegrate, short_term_noise
-from magyc_gtsam.factors.chain.field_chain import SensorNoise
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.channel_holes import without_channel_holes
