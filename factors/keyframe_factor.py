@@ -17,6 +17,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import Residual, custom_factor, standard_deviation
 from magyc_gtsam.factors.kernels import robustify, tuning_constant
 from magyc_gtsam.factors.keyframe_field import KeyframeField
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.pose import MICROTESLA, given_keys, known_field
 from magyc_gtsam.factors.units import check_noise, check_rate_noise
 from magyc_gtsam.factors.variables import Array, attitude, direction, gyro_bias, mounting, scalar, vector
@@ -87,6 +88,7 @@ class BlockDetails:
         return self.field is not None and self.field.ndim == 0
 
 
+@one_thread
 def keyframe_field_factor(
     attitude_key: int,
     soft_iron_key: int,

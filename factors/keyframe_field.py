@@ -32,6 +32,7 @@ from scipy.linalg import lapack
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.guard import measured
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.pose import sensor_rotation
 from magyc_gtsam.factors.units import check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
@@ -70,6 +71,7 @@ class KeyframeField:
     angular_rate: Array | None = None
 
     @classmethod
+    @one_thread
     def from_samples(
         cls,
         magnetometer: tuple[ArrayLike, ArrayLike],

@@ -21,7 +21,7 @@ from typing import Any
 import gtsam
 
 from magyc_gtsam.factors.alignment import AlignmentLimits
-from magyc_gtsam.factors.delivered import Delivered, sorted_factors
+from magyc_gtsam.factors.delivered import Delivered, Sorted, sorted_factors
 from magyc_gtsam.factors.elimination import eliminated_last
 from magyc_gtsam.factors.entrance import Entrance, Optimize
 from magyc_gtsam.factors.errors import MagycError
@@ -29,6 +29,7 @@ from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, Word
 from magyc_gtsam.factors.kernels import narrowed
 from magyc_gtsam.factors.keyframe_factor import BlockDetails
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
 from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
@@ -129,44 +130,13 @@ class NativeFactors:
             MagycError: as the factors; a solver of another kind; new keys of a smoother without a time stamp.
         """
         new = sorted_factors(graph)
-        fresh, examiner = new.fresh, self._examiner
-        if new.holding and examiner is not None:
-            examiner.note_priors(new.holding)
-        if not (fresh or self._pending):
-            return update_solver(solver, graph, gtsam.Values() if values is None else values, timestamps, [])
-        view = View(solver, values)
-        self._forget(view)
-        self._warm_up(view, fresh)
-        remove = [each.slot for each in self._withdraw_disturbed()]
-        admission = self._entrance.admit(view, fresh, self._delivered, new.others)
-        entering = admission.entering
-        if admission.turned and examiner is not None:
-            examiner.restart()
-        if admission.leaving:
-            self._delivered = [each for each in self._delivered if each not in admission.leaving]
-        renewed = self._renew(self._staleness.due(self._delivered, len(entering)), view)
-        remove += [each.slot for each in admission.leaving + renewed] + admission.remove
-        for each in entering:
-            self._make(each, view)
-        self._delivered += entering
-        placed = entering + renewed
-        pushed = new.others
-        if placed or admission.pull is not None:
-            pushed = gtsam.NonlinearFactorGraph(new.others)
-            if admission.pull is not None:
-                pushed.push_back(admission.pull)
-            for each in placed:
-                pushed.push_back(each.native)
-        last = eliminated_last(new.others, entering, renewed)
-        result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove, last)
-        if pushed is not new.others:
-            self._place(solver, placed, new_slots(solver, result), pushed.size() - len(placed))
-        if examiner is not None and entering and self._entrance.entered:
-            if len(entering) > len(fresh):
-                examiner.quiet = _QUIET
-            examiner.judge(entering, View(solver), self._delivered)
-        return result
+        if new.holding and self._examiner is not None:
+            self._examiner.note_priors(new.holding)
+        if new.fresh or self._pending:
+            return self._update_blocks(solver, new, values, timestamps)
+        return update_solver(solver, graph, gtsam.Values() if values is None else values, timestamps, [])
 
+    @one_thread
     def settle(self, solver: Solver, timestamps: Mapping[int, float] | None = None, *, rounds: int = 20) -> int:
         """Update until no quadratic is stale, as after a loop closure or for a final result; the rounds needed.
 
@@ -188,6 +158,7 @@ class NativeFactors:
             self._place(solver, renewed, new_slots(solver, result), 0)
         return rounds
 
+    @one_thread
     def solve(
         self,
         graph: gtsam.NonlinearFactorGraph,
@@ -239,6 +210,45 @@ class NativeFactors:
         """Whether there is something to do in an update that brings no block."""
         over = self._examiner is not None and bool(self._examiner.monitor.over)
         return over or self._staleness.pending or self._entrance.defers
+
+    @one_thread
+    def _update_blocks(
+        self, solver: Solver, new: Sorted, values: gtsam.Values | None, timestamps: Mapping[int, float] | None
+    ) -> Any:
+        """Update with new blocks, or with blocks that wait or have to be examined."""
+        fresh, examiner = new.fresh, self._examiner
+        view = View(solver, values)
+        self._forget(view)
+        self._warm_up(view, fresh)
+        remove = [each.slot for each in self._withdraw_disturbed()]
+        admission = self._entrance.admit(view, fresh, self._delivered, new.others)
+        entering = admission.entering
+        if admission.turned and examiner is not None:
+            examiner.restart()
+        if admission.leaving:
+            self._delivered = [each for each in self._delivered if each not in admission.leaving]
+        renewed = self._renew(self._staleness.due(self._delivered, len(entering)), view)
+        remove += [each.slot for each in admission.leaving + renewed] + admission.remove
+        for each in entering:
+            self._make(each, view)
+        self._delivered += entering
+        placed = entering + renewed
+        pushed = new.others
+        if placed or admission.pull is not None:
+            pushed = gtsam.NonlinearFactorGraph(new.others)
+            if admission.pull is not None:
+                pushed.push_back(admission.pull)
+            for each in placed:
+                pushed.push_back(each.native)
+        last = eliminated_last(new.others, entering, renewed)
+        result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove, last)
+        if pushed is not new.others:
+            self._place(solver, placed, new_slots(solver, result), pushed.size() - len(placed))
+        if examiner is not None and entering and self._entrance.entered:
+            if len(entering) > len(fresh):
+                examiner.quiet = _QUIET
+            examiner.judge(entering, View(solver), self._delivered)
+        return result
 
     def _forget(self, view: View) -> None:
         """Drop what stands on keys that have left a fixed-lag smoother."""

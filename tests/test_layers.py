@@ -35,8 +35,8 @@ FILES = sorted((ROOT / "factors").rglob("*.py"))
 
 
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(ROOT / "factors")))
-def test_factors_need_no_more_than_gtsam_numpy_and_scipy(file: Path) -> None:
-    allowed = {"numpy", "scipy", *sys.stdlib_module_names}
+def test_factors_need_no_more_than_gtsam_numpy_scipy_and_threadpoolctl(file: Path) -> None:
+    allowed = {"numpy", "scipy", "threadpoolctl", *sys.stdlib_module_names}
     if file.parent.name not in CORE or file.name == "factor.py":
         allowed.add("gtsam")
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

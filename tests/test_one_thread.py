@@ -6,12 +6,15 @@ import os
 import subprocess
 import sys
 
+import gtsam
+import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  # its BLAS is one of those that are limited
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import magyc_gtsam as mg
-from magyc_gtsam.one_thread import one_thread
+from magyc_gtsam.factors import KeyframeField, NativeFactors, keyframe_field_factor
+from magyc_gtsam.factors.one_thread import one_thread
 
 
 def threads() -> set[int]:
@@ -36,6 +39,36 @@ def test_one_inside_and_as_before_after() -> None:
     assert threads() == {2}
 
 
+def test_one_in_the_update_of_a_graph_that_brings_a_block() -> None:
+    turn, seen = mg.simulate("wide", duration=2.0, seed=0).recording, []
+    samples = KeyframeField.from_samples(
+        (turn.time, turn.magnetic_field), (turn.time, turn.angular_rate), turn.time[-1]
+    )
+    block = keyframe_field_factor(0, 1, 2, samples, 1e-6, field=[30e-6, 0, 40e-6], field_unit=50e-6)
+
+    def note(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[np.ndarray] | None) -> np.ndarray:
+        if jacobians is not None:
+            seen.append(threads())
+            jacobians[0] = np.eye(3)
+        return values.atPoint3(3)
+
+    unit, values = gtsam.noiseModel.Unit.Create(3), gtsam.Values()
+    graph = gtsam.NonlinearFactorGraph()
+    graph.push_back(block)
+    graph.push_back(gtsam.CustomFactor(unit, [3], note))
+    graph.addPriorRot3(0, gtsam.Rot3(), unit)
+    graph.addPriorVector(1, [1.0, 0, 0, 1, 0, 1], gtsam.noiseModel.Unit.Create(6))
+    graph.addPriorPoint3(2, np.zeros(3), unit)
+    values.insert(0, gtsam.Rot3())
+    values.insert(1, np.array([1.0, 0, 0, 1, 0, 1]))
+    values.insert(2, np.zeros(3))
+    values.insert(3, np.zeros(3))
+    NativeFactors().update(gtsam.ISAM2(), graph, values)
+    assert seen
+    assert all(each == {1} for each in seen)
+    assert threads() == {2}
+
+
 def test_one_inside_another() -> None:
     @one_thread
     def outer() -> tuple[set[int], set[int]]:
@@ -54,7 +87,7 @@ def test_as_before_after_an_error() -> None:
 OVERLAP = """
 import threading, scipy.linalg
 from threadpoolctl import threadpool_info
-from magyc_gtsam.one_thread import one_thread
+from magyc_gtsam.factors.one_thread import one_thread
 
 def threads():
     return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}

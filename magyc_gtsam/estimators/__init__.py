@@ -13,8 +13,8 @@ from magyc_gtsam.estimators.method import Method
 from magyc_gtsam.estimators.outside import methods_from_outside
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.kept_memory import keep_freed_memory
-from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.sensor_faults.usable import without_faults

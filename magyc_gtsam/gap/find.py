@@ -14,6 +14,7 @@ from magyc_gtsam.estimators.smoother.search import fit_field_chain, preintegrate
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.clipped import with_clipped
 from magyc_gtsam.gap.discrete import moving, settled
@@ -33,7 +34,6 @@ from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
 from magyc_gtsam.gap.weighed import weighed
 from magyc_gtsam.observability import Observability, assess
-from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.sensor_faults.usable import without_faults

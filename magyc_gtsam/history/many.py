@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.history.history import History
 from magyc_gtsam.history.log_factor import LogFactor, factor_of
 from magyc_gtsam.history.model import HistoryModel
-from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.recording import Recording
 
 Progress = Callable[[float], None]

@@ -14,8 +14,8 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import check_field_strength
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.lazy import requires_gtsam
+from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.foreign_text import shortened
-from magyc_gtsam.one_thread import one_thread
 from magyc_gtsam.online import state_file
 from magyc_gtsam.online.engine import Change, Engine, Progress
 from magyc_gtsam.online.faults import refusal, with_faults, with_left_out
