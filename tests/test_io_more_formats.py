@@ -210,6 +210,9 @@ def test_archives_within_limits(tmp_path: Path) -> None:
         archive.writestr("letter.txt", "dear")
     with pytest.raises(MagycError, match="no table of a magnetometer in the archive; it has letter"):
         read(tmp_path / "other.zip")
+    np.savez(tmp_path / "arrays.npz", m=np.zeros((3, 3)))
+    with pytest.raises(MagycError, match="a file of numpy arrays, whose meaning it does not say"):
+        read(tmp_path / "arrays.npz")
     (tmp_path / "cut.zip").write_bytes((tmp_path / "bomb.zip").read_bytes()[:1000])
     with pytest.raises(MagycError, match="the archive cannot be read"):
         read(tmp_path / "cut.zip")

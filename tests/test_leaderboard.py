@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
@@ -91,6 +92,61 @@ def test_originals_are_held_against_their_first_fetch(
     kept.unlink()
     (folder / kept.name).write_bytes(b"something else")
     with pytest.raises(mg.MagycError, match="its SHA-256 differs"):
+        fetching.fetch(tmp_path / "kept")
+
+
+def _publish(folder: Path, walk: str, recording: mg.Recording, later: float) -> None:
+    """Write a walk as Michel et al. published theirs; the cameras start `later` than the phone."""
+    android, boot = "Nexus5" in walk, 135640.331
+    sensors = folder / ("android" if android else "ios") / walk
+    sensors.mkdir(parents=True)
+    clock = recording.time[:, None] + (0.0 if android else boot)
+    own = [np.tile([60.0, -50.0, 410.0], (len(clock), 1))] if android else []
+    gravity = 1.0 if android else -9.80665
+    np.savetxt(sensors / "magnetometer.txt", np.hstack([clock, recording.magnetic_field * 1e6, *own]))
+    np.savetxt(sensors / "gyroscope.txt", np.hstack([clock, recording.angular_rate]))
+    np.savetxt(sensors / "accelerometer.txt", np.hstack([clock, recording.acceleration / gravity]))
+    (sensors / "description.txt").write_text(f"[Time]\nBootTime = {boot}")
+    seen = recording.time > later
+    rotations = Rotation.from_quat(recording.attitude[seen]).as_matrix()
+    rotations[5:8] = np.nan  # frames without the phone
+    capture = {
+        "Frames": float(seen.sum()),
+        "FrameRate": 1 / float(np.mean(np.diff(recording.time))),
+        "RigidBodies": {"Rotations": rotations.transpose(2, 1, 0).reshape(1, 9, -1)},
+    }
+    (folder / "qualisys").mkdir(exist_ok=True)
+    savemat(folder / "qualisys" / f"{walk}.mat", {"Session_7": capture})
+
+
+def test_walks_with_a_phone_are_fetched_as_they_were_published(
+    mirror: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pooch")
+    from dataclasses import replace
+
+    folder, address = mirror
+    walks = ("Jakob_iPhone5_NoDist_AR", "Jakob_Nexus5_NoDist_AR")
+    recordings = [mg.simulate("wide", 60, 50, seed=seed).recording for seed in (5, 6)]
+    for walk, recording in zip(walks, recordings, strict=True):
+        _publish(folder, walk, recording, later=2.7)
+    files = tuple(f"{walk}.npz" for walk in walks)
+    monkeypatch.setattr(fetching, "COLLECTIONS", (replace(COLLECTIONS[1], address=f"{address}/", files=files),))
+    kept = {file.stem: file for file in fetching.fetch(tmp_path / "kept")}
+    for walk, recording in zip(walks, recordings, strict=True):
+        back, device = read_public(kept[walk], mg.read)
+        assert np.allclose(back.magnetic_field, recording.magnetic_field, atol=1e-12)
+        assert np.allclose(back.angular_rate, recording.angular_rate)
+        assert np.allclose(back.acceleration, recording.acceleration)
+        assert device == pytest.approx([60e-6, -50e-6, 410e-6] if "Nexus5" in walk else [0, 0, 0])
+        known = np.isfinite(back.attitude).all(axis=1) & (back.time > 3.5)
+        assert known.mean() > 0.9
+        away = Rotation.from_quat(back.attitude[known]).inv() * Rotation.from_quat(recording.attitude[known])
+        assert np.degrees(np.percentile(away.magnitude(), 95)) < 0.5  # of up to 30 °/s: aligned to some 10 ms
+    (folder / "qualisys" / f"{walks[0]}.mat").write_bytes(b"no matrix")
+    assert sorted(fetching.fetch(tmp_path / "kept")) == sorted(kept.values())
+    kept[walks[0]].unlink()
+    with pytest.raises(mg.MagycError, match="its published files cannot be read"):
         fetching.fetch(tmp_path / "kept")
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from magyc_gtsam.study.leaderboard.phones import WALKS
+
 _BROAD_UNITS = {  # inferred from the data: gyroscope biases, misalignments and hard irons form these clusters
     "A": (1, 4, 6, 8, 10, 15),
     "B": (2, 5, 7, 11, 16, 18, 21, 28, 29, 30, 31),
@@ -12,6 +14,7 @@ _BROAD_UNITS = {  # inferred from the data: gyroscope biases, misalignments and 
     "D": (32, 33, 34, 35, 36),
 }
 _BROAD_COMMIT = "afbaa4d75c4cd7c8ca76b8145b1812312d87fb7f"
+_PHONES_COMMIT = "7b070df5231ac78910ab076eeb026d2d8152a246"
 _BROAD_TRIALS = """
 01_undisturbed_slow_rotation_A 02_undisturbed_slow_rotation_B 03_undisturbed_slow_rotation_C
 04_undisturbed_slow_rotation_with_breaks_A 05_undisturbed_slow_rotation_with_breaks_B
@@ -39,16 +42,18 @@ class Collection:
         licence: licence of the data.
         source: origin of the data.
         citation: citation of the paper.
-        address: address of the folder with `files`; "" if the originals cannot be read and a mirror is needed.
-        files: files at the address.
+        address: address of the folder with the recordings.
+        files: names under which the recordings are kept.
+        walks: whether each file is put together from those that `phones.parts_of` names at the address.
     """
 
     name: str
     licence: str
     source: str
     citation: str
-    address: str = ""
-    files: tuple[str, ...] = ()
+    address: str
+    files: tuple[str, ...]
+    walks: bool = False
 
 
 BROAD = Collection(
@@ -64,6 +69,9 @@ PHONES = Collection(
     "CeCILL 2.1",
     "github.com/tyrex-team/benchmarks-attitude-smartphones",
     "Michel, Genevès, Fourati and Layaïda 2017",
+    f"https://raw.githubusercontent.com/tyrex-team/benchmarks-attitude-smartphones/{_PHONES_COMMIT}/datasets/",
+    tuple(f"{walk}.npz" for walk in WALKS),
+    walks=True,
 )
 COLLECTIONS = (BROAD, PHONES)
 

@@ -7,11 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from magyc_gtsam.engine import Progress
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.storage.checksum import sha256
 from magyc_gtsam.storage.whole_file import whole_file
 from magyc_gtsam.study.leaderboard.collections import COLLECTIONS
+from magyc_gtsam.study.leaderboard.phones import arrays_of, parts_of
 from magyc_gtsam.study.leaderboard.reading import FORMS
 
 CHECKSUMS = "registry.txt"  # in pooch's format: per line a file name and its SHA-256
@@ -51,13 +54,13 @@ def fetch(folder: Path | None = None, address: str | None = None, progress: Prog
     if address is not None:
         base = address.rstrip("/") + "/"
         known: dict[str, str | None] = dict(_registry_at(base))
-        wanted = [(base, name) for name in known]
+        wanted = [(base, name, False) for name in known]
     else:
         known = dict(_registry(kept / CHECKSUMS))
-        wanted = [(c.address, name) for c in COLLECTIONS for name in c.files]
+        wanted = [(c.address, name, c.walks) for c in COLLECTIONS for name in c.files]
     files = []
-    for done, (base, name) in enumerate(wanted, start=1):
-        files.append(_retrieved(base, name, known.get(name), kept))
+    for done, (base, name, walk) in enumerate(wanted, start=1):
+        files.append((_walk if walk else _recording)(base, name, known.get(name), kept))
         if address is None and name not in known:
             known[name] = sha256(files[-1])
             _note(kept / CHECKSUMS, known)
@@ -77,11 +80,31 @@ def _pooch() -> Any:
     return pooch
 
 
-def _retrieved(base: str, name: str, known: str | None, folder: Path) -> Path:
+def _recording(base: str, name: str, known: str | None, folder: Path) -> Path:
+    """Fetch a recording that is one file at the address."""
     if Path(name).name != name or Path(name).suffix not in FORMS:
         raise MagycError(f"{base}{CHECKSUMS}: {name!r} is no file name of a recording ({', '.join(FORMS)})")
+    return _retrieved(base, name, known, folder)
+
+
+def _walk(base: str, name: str, known: str | None, folder: Path) -> Path:
+    """Fetch the files of a walk, and keep them as one of arrays."""
+    kept = folder / name
+    if kept.exists() and known == sha256(kept):
+        return kept
+    walk = Path(name).stem
+    with tempfile.TemporaryDirectory() as temporary:
+        for published in parts_of(walk):
+            _retrieved(base, published, None, Path(temporary))
+        arrays = arrays_of(Path(temporary), walk)
+    with whole_file(kept) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
+    return kept
+
+
+def _retrieved(base: str, name: str, known: str | None, folder: Path) -> Path:
     try:
-        return Path(_pooch().retrieve(base + name, known, fname=name, path=folder))
+        return Path(_pooch().retrieve(base + name, known, fname=Path(name).name, path=folder))
     except ValueError:
         raise MagycError(
             f"{base}{name}: its SHA-256 differs from the stored {known}; the file was not kept"
