@@ -72,8 +72,8 @@ def read(path: Path, request: Request) -> Recording:
     if "magnetic_field" not in sensors:
         if all(name.endswith(".npy") for name in archive.namelist()):
             raise MagycError(
-                f"{path}: a file of numpy arrays, whose meaning it does not say; load them with numpy.load, and give them "
-                "to Recording.from_streams((time, magnetic_field), (time, angular_rate)), in s, T and rad/s"
+                f"{path}: a file of numpy arrays, whose meaning it does not say; load them with numpy.load, and give "
+                "them to Recording.from_streams((time, magnetic_field), (time, angular_rate)), in s, T and rad/s"
             )
         raise MagycError(f"{path}: no table of a magnetometer in the archive; it has {listed(archive.namelist())}")
     return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes))
