@@ -107,7 +107,7 @@ def test_the_likelihood_ratio_is_the_gain_of_a_fit_with_the_step():
     profile = step_profile(chain, fit.state, weights, reduced, in_sensor(len(chain.windows)))
     ratio, step, _ = profile.at_windows()
     n = int(np.argmax(ratio))
-    part, inside, _ = profile.inside(n - 1, np.array([0.0, 0.4, 1.0]))
+    part, inside, _ = profile.inside(np.full(3, n - 1), np.array([0.0, 0.4, 1.0]))
     assert part[0] == pytest.approx(ratio[n], rel=1e-9)
     assert part[2] == pytest.approx(ratio[n - 1], rel=1e-9)
     for window, share, value, gain in ((n - 1, 0.0, step[n], ratio[n]), (n - 1, 0.4, inside[1], part[1])):

@@ -22,52 +22,41 @@ _BEFORE, _AFTER = 3, 3  # least windows before and after the step
 class StepProfile:
     """The linearised problem with a step Δ in all windows from n on, for n from 0 to one beyond the last.
 
+    Directions and θ are eliminated. A step inside window n is a share of that before n and the rest of that before
+    n + 1, so that its linear terms are mixed by the share and its quadratic ones by products of shares.
+
     Attributes:
         own: (n + 1, 3, 3) information of Δ before elimination.
-        cross: (n + 1, p, 3) information of Δ with θ.
-        border: (n + 1, 2n, 3) information of Δ with the directions, times L⁻¹.
-        gradient: (n + 1, 3) gradient of Δ; like `cross` and `border` it is linear in what Δ adds to each window.
-        reduced: the linearisation after elimination of the directions.
-        known: (p, p) covariance of θ from it.
+        lost: (n + 1, 3, 3) information that the elimination takes.
+        between: (n, 3, 3) the same of a step before each window with the step before the next one.
+        gradient: (n + 1, 3) gradient of Δ after elimination.
     """
 
     own: Array
-    cross: Array
-    border: Array
+    lost: Array
+    between: Array
     gradient: Array
-    reduced: Reduced
-    known: Array
 
     def at_windows(self) -> tuple[Array, Array, Array]:
         """Return λ (n,) of a step before each window, the step Δ (n, 3) and its covariance (n, 3, 3)."""
-        return self._solved(self.own[:-1], self.cross[:-1], self.border[:-1], self.gradient[:-1])
+        return _solved(self.own[:-1] - self.lost[:-1], self.gradient[:-1])
 
-    def inside(self, n: int, share: Array) -> tuple[Array, Array, Array]:
-        """Return the same for steps inside window n with a `share` (k,) of its samples after them."""
+    def inside(self, n: Array, share: Array) -> tuple[Array, Array, Array]:
+        """Return the same for k steps inside windows n (k,) with a `share` (k,) of the window's samples after each."""
+        after, rest = share[:, None, None], 1 - share[:, None, None]
+        both = self.between[n] + self.between[n].swapaxes(1, 2)
+        own = self.own[n + 1] + after**2 * (self.own[n] - self.own[n + 1])
+        lost = after**2 * self.lost[n] + after * rest * both + rest**2 * self.lost[n + 1]
+        gradient = share[:, None] * self.gradient[n] + (1 - share[:, None]) * self.gradient[n + 1]
+        return _solved(own - lost, gradient)
 
-        def mixed(values: Array, part: Array) -> Array:
-            return values[n + 1] + part.reshape(-1, *[1] * (values.ndim - 1)) * (values[n] - values[n + 1])
 
-        return self._solved(
-            mixed(self.own, share**2),
-            mixed(self.cross, share),
-            mixed(self.border, share),
-            mixed(self.gradient, share),
-        )
-
-    def _solved(self, own: Array, cross: Array, border: Array, gradient: Array) -> tuple[Array, Array, Array]:
-        # Eliminate the directions, then θ.
-        half, pull = self.reduced.half[:, :-1], self.reduced.half[:, -1]
-        information = own - np.einsum("nri,nrj->nij", border, border)
-        cross = cross - np.einsum("nri,rp->npi", border, half)
-        gradient = gradient - np.einsum("nri,r->ni", border, pull)
-        information = information - np.einsum("npi,pq,nqj->nij", cross, self.known, cross)
-        gradient = gradient - np.einsum("npi,pq,q->ni", cross, self.known, self.reduced.gradient)
-        value, vector = np.linalg.eigh(information)
-        value = np.maximum(value, 1e-9 * value[:, -1:] + 1e-300)
-        covariance = np.einsum("nik,nk,njk->nij", vector, 1 / value, vector)
-        step = -np.einsum("nij,nj->ni", covariance, gradient)
-        return -np.einsum("ni,ni->n", step, gradient), step, covariance
+def _solved(information: Array, gradient: Array) -> tuple[Array, Array, Array]:
+    value, vector = np.linalg.eigh(information)
+    value = np.maximum(value, 1e-9 * value[:, -1:] + 1e-300)
+    covariance = (vector / value[:, None]) @ vector.swapaxes(1, 2)
+    step = -np.einsum("nij,nj->ni", covariance, gradient)
+    return -np.einsum("ni,ni->n", step, gradient), step, covariance
 
 
 def step_profile(
@@ -91,13 +80,17 @@ def step_profile(
     half, _ = dtbtrs(reduced.factor, border.reshape(2 * n, 3 * n), uplo="L")
     free = np.diag(reduced.information) > 0
     free[PARAMETERS:] = False  # the misalignment is held
+    known = Fit(chain, state, weights, reduced, free).covariance
+    # Of a step before each window, and of none: Δ with the directions (n + 1, 3, 2n), times L⁻¹, and then Δ with θ.
+    half = np.concatenate([half.reshape(2 * n, n, 3).transpose(1, 2, 0), np.zeros((1, 3, 2 * n))])
+    cross = _from(np.einsum("pkn,kin->nip", reduced.on_parameters, column)) - half @ reduced.half[:, :-1]
+    gradient = _from(np.einsum("kn,kin->ni", residual, column)) - half @ reduced.half[:, -1]
+    eliminated = cross @ known
     return StepProfile(
         own=_from(np.einsum("kin,kjn->nij", column, column)),
-        cross=_from(np.einsum("pkn,kin->npi", reduced.on_parameters, column)),
-        border=np.concatenate([half.reshape(2 * n, n, 3).swapaxes(0, 1), np.zeros((1, 2 * n, 3))]),
-        gradient=_from(np.einsum("kn,kin->ni", residual, column)),
-        reduced=reduced,
-        known=Fit(chain, state, weights, reduced, free).covariance,
+        lost=half @ half.swapaxes(1, 2) + eliminated @ cross.swapaxes(1, 2),
+        between=half[:-1] @ half[1:].swapaxes(1, 2) + eliminated[:-1] @ cross[1:].swapaxes(1, 2),
+        gradient=gradient - eliminated @ reduced.gradient,
     )
 
 
@@ -131,21 +124,14 @@ def change_time(chain: ContinuedChain, profile: StepProfile, colour: float) -> C
     windows, coarse = chain.windows, profile.at_windows()[0]
     possible = np.arange(_BEFORE, len(windows) - _AFTER)
     at_edges = np.maximum(coarse[possible], coarse[possible + 1])
-    ratios, times, steps, covariances, widths, where = [], [], [], [], [], []
-    for n in possible[at_edges > at_edges.max() - _UNLIKELY * colour]:
-        parts = int(min(windows.count[n], _FINEST))
-        share = 1 - (np.arange(parts) + 0.5) / parts
-        ratio, step, covariance = profile.inside(n, share)
-        begin, end = _edge(windows.time, windows.count, n), _edge(windows.time, windows.count, n + 1)
-        ratios.append(ratio)
-        times.append(end - share * (end - begin))
-        steps.append(step)
-        covariances.append(covariance)
-        widths.append(np.full(parts, (end - begin) / parts))
-        where.append(np.column_stack([np.full(parts, n), share]))
-    ratio, time, step, covariance, width, place = (
-        np.concatenate(part) for part in (ratios, times, steps, covariances, widths, where)
-    )
+    likely_windows = possible[at_edges > at_edges.max() - _UNLIKELY * colour]
+    parts = np.minimum(windows.count[likely_windows], _FINEST).astype(int)
+    n, parts = np.repeat(likely_windows, parts), np.repeat(parts, parts)
+    number = np.arange(len(n)) - np.searchsorted(n, n)  # of the part in its window
+    share = 1 - (number + 0.5) / parts
+    ratio, step, covariance = profile.inside(n, share)
+    begin, end = _edge(windows.time, windows.count, n), _edge(windows.time, windows.count, n + 1)
+    time, width = end - share * (end - begin), (end - begin) / parts
     likely = np.exp(0.5 * (ratio - ratio.max()) / colour) * width
     likely /= likely.sum()
     mean, value = float(likely @ time), likely @ step
@@ -153,8 +139,8 @@ def change_time(chain: ContinuedChain, profile: StepProfile, colour: float) -> C
     away = step - value
     best = int(np.argmax(likely))
     return ChangeTime(
-        int(place[best, 0]),
-        float(place[best, 1]),
+        int(n[best]),
+        float(share[best]),
         mean,
         float(np.sqrt(spread)),
         value,
@@ -162,9 +148,10 @@ def change_time(chain: ContinuedChain, profile: StepProfile, colour: float) -> C
     )
 
 
-def _edge(time: Array, count: Array, n: int) -> float:
-    """Return the time between windows n − 1 and n, whose samples are evenly spaced."""
-    return float(time[n - 1] + (time[n] - time[n - 1]) * count[n - 1] / (count[n - 1] + count[n]))
+def _edge(time: Array, count: Array, n: Array) -> Array:
+    """Return the times between windows n − 1 and n, whose samples are evenly spaced."""
+    edge: Array = time[n - 1] + (time[n] - time[n - 1]) * count[n - 1] / (count[n - 1] + count[n])
+    return edge
 
 
 def _from(values: Array) -> Array:
