@@ -24,8 +24,8 @@ def test_apply_takes_out_what_gap_found(effect: str, tmp_path: Path) -> None:
     log, out = tmp_path / "log.mcap", tmp_path / "out.mcap"
     write_mcap(log, mg.simulate("wide", 100, seed=8, effects=[(effect, 4.0)]).recording)
     recording = mg.read(log)
-    gap = mg.find_gap(recording)
-    assert effect in [e.name for e in gap.effects]
+    gap = mg.find_gap(recording, candidates=[effect])
+    assert [e.name for e in gap.effects] == [effect]
     gap.calibration.save(tmp_path / "cal.yaml")
     done = CliRunner().invoke(
         application(), ["apply", str(tmp_path / "cal.yaml"), str(log), "--output", str(out), "--quiet"]
@@ -132,10 +132,10 @@ def test_a_channel_that_stands_still_beside_one_that_moves() -> None:
     gone = recording.channels["current"].copy()
     gone[700:720] = np.nan
     both = replace(recording, channels={"current": gone, "current_of_light": np.full(len(recording.time), 0.5)})
-    gap = mg.find_gap(both)
+    gap = mg.find_gap(both, candidates=["motor-current"])
     assert [effect.name for effect in gap.effects] == ["motor-current"]
     assert np.isfinite(gap.calibration.apply(both)).all()
-    alone = mg.find_gap(recording)
+    alone = mg.find_gap(recording, candidates=["motor-current"])
     np.testing.assert_allclose(gap.calibration.apply(recording), alone.calibration.apply(recording), atol=5e-8)
     with pytest.raises(mg.MagycError, match="same channels"):
         alone.calibration.apply(both)

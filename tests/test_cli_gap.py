@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -257,7 +258,25 @@ def test_a_simulator_of_two_seconds(late: tuple[mg.Recording, Gap]) -> None:
         mg.find_gap(simulate("wide", 60).recording, simulated=simulate("wide", 2).recording, candidates=["timing"])
 
 
-@pytest.mark.usefixtures("quiet_terminal")
+@pytest.fixture(scope="module")
+def moderate_plan() -> tuple[Isolability, ...]:
+    return isolability(simulate("moderate", channels=CHANNELS).recording)
+
+
+@pytest.fixture
+def planned(moderate_plan: tuple[Isolability, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The table of `gap --plan moderate` is computed once, from the recording that the command asks for."""
+    asked = simulate("moderate", channels=CHANNELS).recording
+
+    def table(recording: mg.Recording) -> tuple[Isolability, ...]:
+        np.testing.assert_array_equal(recording.magnetic_field, asked.magnetic_field)
+        assert recording.channels.keys() == asked.channels.keys()
+        return moderate_plan
+
+    monkeypatch.setattr(sys.modules[isolability.__module__], "isolability", table)
+
+
+@pytest.mark.usefixtures("quiet_terminal", "planned")
 def test_the_plan_of_a_motion(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["gap", "--plan", "moderate"]) == 0
     rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line.strip()}
@@ -270,7 +289,7 @@ def test_the_plan_of_a_motion(capsys: pytest.CaptureFixture[str]) -> None:
     assert rows["timing"].count("ms") == 2
 
 
-@pytest.mark.usefixtures("quiet_terminal")
+@pytest.mark.usefixtures("quiet_terminal", "planned")
 def test_the_plan_for_programs_and_in_silence(capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever the order of the options."""
     assert cli.main(["gap", "--plan", "moderate", "--json"]) == 0
@@ -289,12 +308,10 @@ def test_the_plan_for_programs_and_in_silence(capsys: pytest.CaptureFixture[str]
     assert "LOG" in capsys.readouterr().err
 
 
-def test_isolability_is_that_of_the_table_of_one_sigma_sizes() -> None:
+def test_isolability_is_that_of_the_table_of_one_sigma_sizes(moderate_plan: tuple[Isolability, ...]) -> None:
     """Found from some five of the sigmas of each effect: pitch ±45° and ±5°, 600 s at 10 Hz."""
-    wide, moderate = (
-        {row.name: row for row in isolability(simulate(motion, channels=CHANNELS).recording)}
-        for motion in ("wide", "moderate")
-    )
+    moderate = {row.name: row for row in moderate_plan}
+    wide = {row.name: row for row in isolability(simulate("wide", channels=CHANNELS).recording)}
     for name, sigmas in {
         "misalignment": (0.9, 3.9),
         "timing": (3.2, 2.2),
