@@ -24,10 +24,10 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend, misfit, weigh
-from magyc_gtsam.factors.chain.chain_values import ChainState, Weights
+from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.online.likelihood_ratio import change_time, step_profile
+from magyc_gtsam.online.likelihood_ratio import ChangeTime, change_time, step_profile
 from magyc_gtsam.online.marginal import HARD_IRON, ContinuedChain, Marginal
 
 LIMIT = 40.0  # least λ of a step; benchmarks/online.py counts the false alarms
@@ -38,7 +38,11 @@ NO_PLACE = 0.5  # of the field strength; a larger change is not one of the place
 SMALLEST = 1.5e-6  # T, smallest step worth a restart; the field within a room varies by as much
 _AFTER = 5  # least windows after a step
 _BEFORE = 3  # least windows before a step
-_CORRECTIONS = 3  # times the step is subtracted and estimated again, so that it leaves the linearisation point
+_CORRECTIONS = (
+    6  # most times the step is subtracted and estimated again, so that it leaves the linearisation point
+)
+_ROBUST_CORRECTIONS = (5.0, 1.0)  # the same with robust weights: times the noise by which these judge
+_STILL = 1.0  # squared change of a step's size, in its covariance
 _NOTHING = 1e-6  # samples of a window whose field is left out
 
 
@@ -101,13 +105,7 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Chan
     in_sensor_frame = lead > MARGIN or (lead > -ALIKE and turned(chain.windows.rotation[:, :, n:]) > TURNED)
     if not in_sensor_frame and np.linalg.norm(step[n]) < NO_PLACE * strength:
         return ChangeSearch(None, undecided=True)
-    # Subtract the step, fit all windows, and estimate its time and size again at that fit.
-    found = change_time(chain, profile, colour)
-    for _ in range(_CORRECTIONS):
-        corrected = _fitted(fit, found.removed_from(chain), state.parameters)
-        linear = chain.eliminate(corrected.state, corrected.weights)
-        profile = step_profile(chain, corrected.state, corrected.weights, linear, in_sensor(len(chain.windows)))
-        found = change_time(chain, profile, colour)
+    found, corrected = _corrected(fit, change_time(chain, profile, colour), colour)
     if _cost(fit) - _cost(corrected) < limit or np.linalg.norm(found.value) < smallest:
         return ChangeSearch(None, undecided=True)
     step_window = found.window
@@ -120,6 +118,36 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Chan
     sigma = np.sqrt(np.diag(found.covariance))
     found_step = Step(step_window + 1, found.time, found.time_sigma, found.value, sigma, before, past, after)
     return ChangeSearch(found_step, undecided=False)
+
+
+def _corrected(fit: Fit, found: ChangeTime, colour: float) -> tuple[ChangeTime, Fit]:
+    """Subtract a step, fit all windows, and estimate its time and size again at that fit, until both stand still.
+
+    All windows count until the size stands still: one of the field's own size is at first off by its tenth, and robust
+    weights would reject the windows after it for what is left of it. Then they reject the windows in which a hand moves
+    what makes the step, and at the last what the noise does not explain.
+    """
+    chain, parameters = fit.chain, fit.state.parameters
+    assert isinstance(chain, ContinuedChain)
+    for _ in range(_CORRECTIONS):
+        before = found.value
+        corrected = _started(fit, found.removed_from(chain), parameters)
+        found = _timed(chain, corrected, colour)
+        away = found.value - before
+        if away @ np.linalg.solve(found.covariance, away) < _STILL:
+            break
+    for times in _ROBUST_CORRECTIONS:
+        noise = SensorNoise(times * chain.noise.magnetometer, times * chain.noise.gyroscope)
+        corrected = _fitted(fit, found.removed_from(replace(chain, noise=noise)), parameters)
+        found = _timed(chain, corrected, colour)
+    return found, corrected
+
+
+def _timed(chain: ContinuedChain, corrected: Fit, colour: float) -> ChangeTime:
+    """Return the time and size of a step in a chain, linearised at the fit without it."""
+    state, weights = corrected.state, corrected.weights
+    profile = step_profile(chain, state, weights, chain.eliminate(state, weights), in_sensor(len(chain.windows)))
+    return change_time(chain, profile, colour)
 
 
 def _until(chain: ContinuedChain, before: Fit) -> Marginal:
@@ -145,8 +173,12 @@ def in_sensor(count: int) -> Array:
     return np.repeat(np.eye(3)[:, :, None], count, axis=2)
 
 
+def _started(fit: Fit, chain: ContinuedChain, parameters: Array) -> Fit:
+    return descend(begin(chain, parameters, fit.free), NEAR)
+
+
 def _fitted(fit: Fit, chain: ContinuedChain, parameters: Array) -> Fit:
-    return adapt(descend(begin(chain, parameters, fit.free), NEAR), True, None)
+    return adapt(_started(fit, chain, parameters), True, None)
 
 
 def _cost(fit: Fit) -> float:

@@ -2,33 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift, slowed, with_drift
-from magyc_gtsam.estimators.smoother.fit import Fit, begin
-from magyc_gtsam.estimators.smoother.search import (
-    fit_field_chain,
-    preintegrate,
-    refit_field_chain,
-    short_term_noise,
-    shortened,
-    with_skew,
-)
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.search import fit_field_chain, short_term_noise
 from magyc_gtsam.estimators.smoother.skew import with_angles
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
+from magyc_gtsam.factors.chain.field_chain import DELAY, SKEW
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.online.belief import FIRST, Estimate
-from magyc_gtsam.online.change_point import Step, find_earlier_change, find_step
-from magyc_gtsam.online.engine import Change
-from magyc_gtsam.online.marginal import BIAS, ContinuedChain
+from magyc_gtsam.online.all_samples import fit_samples
+from magyc_gtsam.online.belief import Estimate
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
+from magyc_gtsam.online.restart import restart_after_change, restart_at_convergence
 from magyc_gtsam.online.state import SmootherState, continued, observable
 from magyc_gtsam.recording import Array, Recording, Samples
 
@@ -38,7 +26,6 @@ REFIT_GROWTH = 1.25  # growth of the windows between two refits
 _SEARCH = 1.5  # growth of the windows between two searches from several starts
 _STILL = 1.5  # sigmas of the refit before by which a parameter of a converged estimate may have moved
 _LEAST_STABLE = 80  # least windows for noise levels that are certain enough to look for steps and clock drift
-_NOISE_WINDOWS = 60  # least windows after a step from which noise levels are estimated
 _MOST_LOOKED_BACK = 400  # most windows that are searched for steps when the estimate has converged
 
 
@@ -75,80 +62,11 @@ def drift_of(online: SmootherState, recording: Recording, fit: Fit, trusted: boo
     return None if drift is None else drift._replace(known=online.settings.clock_drift)
 
 
-def fit_batch(
-    recording: Recording, start: Array | None, options: Mapping[str, Any]
-) -> tuple[Fit, Fit | None, Preintegration]:
-    """Return the fit, a close rival and the windows, from `start` (13,) or from several starts.
-
-    Raises:
-        MagycError: the axes of the sensors disagree, or there are too few data.
-    """
-    fit, rival = fit_field_chain(recording, start=start, **options)
-    samples = preintegrate(recording, options["window"], options["turn"])
-    if len(samples.starts) != len(
-        fit.chain.windows
-    ):  # the fit took shorter windows because of disturbed stretches
-        samples = preintegrate(recording, shortened(options["window"]), options["turn"])
-    return fit, rival, samples
-
-
 def nothing_turned(recording: Recording) -> str:
     """Return why there is nothing to fit; empty if the field varied by more than its noise."""
     field = recording.magnetometer.value
     spread, noise = float(np.sqrt(field.var(axis=0).mean())), short_term_noise(recording).magnetometer
     return "" if spread > _MOVED * noise else "too little motion: nothing turned yet"
-
-
-def restart(online: SmootherState, numbers: Array, step: Step) -> None:
-    """Restart with a new hard iron after `step` in the windows `numbers`, keeping everything else."""
-    belief = online.belief
-    recording = online.recording(int(numbers[step.window]), int(numbers[0]))
-    before = online.result(recording, step.before, None, int(numbers[0]), online.last)
-    known = observable(before)
-    # Without a calibration before, the step is no more certain than the hard iron was.
-    sigma = step.sigma if known else np.hypot(step.sigma, before.sigma["hard_iron"])
-    belief.changes.append(Change(step.time, step.time_sigma, step.value, sigma, before, None))
-    if not known:
-        online.begin_at(int(numbers[step.window]))
-        return
-    belief.head, belief.tail = step.past, int(numbers[step.window - 1])
-    online.close()
-    after = step.after
-    belief.estimate = online.last._replace(parameters=after.state.parameters, covariance=after.covariance)
-    belief.front, belief.undecided = None, False
-    belief.refitted, belief.stable, belief.settled, belief.next_refit = None, False, False, FIRST
-
-
-def restart_after_change(online: SmootherState) -> bool:
-    """Restart where the log begins to fit, if its second half fits but not the whole; return whether it restarted.
-
-    The windows before are dropped: they have another hard iron, which is recorded as a change, or another field.
-    """
-    numbers, done, options = online.numbers(), online.belief.done, online.settings.fit
-    middle = int(numbers[len(numbers) // 2])
-    recording = online.recording(done, middle)
-    try:
-        fit, rival, _ = fit_batch(recording, None, options)
-        now = online.result(recording, fit, rival)
-        parameters = fit.state.parameters
-        windows = online.buffer.windows(int(numbers[0]), done, parameters[DELAY])
-        chain = ContinuedChain(windows.integrate(parameters[BIAS], parameters[DELAY]), fit.chain.noise)
-        earlier = find_earlier_change(chain, parameters) if now.converged else None
-    except MagycError:
-        return False  # the second half does not fit either: wait for more data
-    if earlier is None:
-        return False
-    if earlier.in_sensor:
-        sigma = np.hypot(earlier.sigma, now.sigma["hard_iron"])
-        before = replace(
-            now,
-            hard_iron=now.hard_iron - earlier.step,
-            converged=False,
-            message="the soft iron and the bias since the step, and the hard iron that the field before it suggests",
-        )
-        online.belief.changes.append(Change(earlier.time, earlier.time_sigma, earlier.step, sigma, before, None))
-    online.begin_at(int(numbers[earlier.window]))
-    return True
 
 
 def refit(online: SmootherState) -> None:
@@ -190,11 +108,7 @@ def refit(online: SmootherState) -> None:
     )
     belief.refitted = np.array([belief.estimate.parameters, np.sqrt(np.diag(belief.estimate.covariance))])
     if settings.detect_changes and belief.stable and not was_stable and len(numbers) <= _MOST_LOOKED_BACK:
-        # Look for steps from before the estimate was accurate enough to show them.
-        held = settings.free(fit.state.parameters)
-        step, _ = find_step(replace(fit, chain=continued(fit), free=held), belief.estimate.colour)
-        if step is not None:
-            restart(online, numbers, step)
+        restart_at_convergence(online, fit, report)
 
 
 def _plan_next(online: SmootherState, count: int) -> bool:
@@ -249,30 +163,6 @@ def _form_head_and_tail(online: SmootherState, fit: Fit, samples: Preintegration
         int(numbers[first]),
     )
     return numbers
-
-
-def fit_samples(
-    online: SmootherState, recording: Recording, search: bool
-) -> tuple[Fit, Fit | None, Preintegration]:
-    """Fit all samples kept, from several starts or from the estimate; return the fit, a rival and the windows."""
-    belief, settings = online.belief, online.settings
-    if belief.past is None:
-        start = None if search or belief.estimate is None else belief.estimate.parameters
-        return fit_batch(recording, start, settings.fit | online.known)
-    parameters, noise = online.last.parameters[:PARAMETERS], online.last.noise
-    samples = online.buffer.windows(int(online.buffer.numbers[0]), belief.done, online.delay)
-    fewer = len(samples.starts) < _NOISE_WINDOWS or settings.noise is not None
-    short_term = None if fewer else short_term_noise(recording)
-    windows = samples.integrate(parameters[BIAS], online.delay)
-    initial = begin(
-        ContinuedChain(windows, short_term or noise, belief.past), parameters, settings.free(parameters)
-    )
-
-    def refitted(fit: Fit) -> Fit:
-        return refit_field_chain(samples, fit, settings.reject, short_term)
-
-    fit, (prior, known) = refitted(initial), online.skew
-    return fit if prior is None else with_skew(fit, refitted, prior, known), None, samples
 
 
 def _hard_iron(error: ModelError) -> float:

@@ -27,8 +27,9 @@ from magyc_gtsam.online.change_point import SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.online.options import OnlineOptions
 from magyc_gtsam.online.random_walk import advance_filter
-from magyc_gtsam.online.refit import SHORTEST_TAIL, on_one_clock, refit, restart
+from magyc_gtsam.online.refit import SHORTEST_TAIL, on_one_clock, refit
 from magyc_gtsam.online.report import changes_until, current_calibration, has_converged, progress_of
+from magyc_gtsam.online.restart import restart
 from magyc_gtsam.online.state import SmootherState, continued
 from magyc_gtsam.recording import Array, Samples
 
@@ -117,7 +118,8 @@ class OnlineSmoother:
         if belief.head is not None:
             self._follow()
         if not belief.settled:
-            if len(self._online.numbers()) >= belief.next_refit:
+            # A fit of all windows knows one hard iron, so that it waits until a possible step is decided.
+            if len(self._online.numbers()) >= belief.next_refit and not belief.undecided:
                 refit(self._online)
             self._give_up()
 
@@ -135,8 +137,9 @@ class OnlineSmoother:
         else:
             advance_filter(online)
         count = len(fit.chain.windows)
-        # A possible step stays in the tail until it is decided.
+        # A possible step stays in the tail until it is decided, or is taken for none.
         if count > (_LONGEST_UNDECIDED if belief.undecided else _LONGEST_TAIL):
+            belief.undecided = False
             self._shorten(fit, count - SHORTEST_TAIL)
 
     def _smallest_step(self, fit: Fit) -> float:

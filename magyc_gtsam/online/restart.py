@@ -1,0 +1,104 @@
+"""Restart after a change of hard iron, with or without what was known before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.online.all_samples import fit_batch
+from magyc_gtsam.online.belief import FIRST
+from magyc_gtsam.online.change_point import EarlierChange, Step, find_earlier_change, find_step
+from magyc_gtsam.online.engine import Change
+from magyc_gtsam.online.marginal import BIAS, ContinuedChain
+from magyc_gtsam.online.state import SmootherState, continued, observable
+from magyc_gtsam.recording import Array
+
+
+def restart(online: SmootherState, numbers: Array, step: Step) -> None:
+    """Restart with a new hard iron after `step` in the windows `numbers`, keeping everything else."""
+    belief, before = online.belief, _before(online, numbers, step)
+    known = observable(before)
+    # Without a calibration before, the step is no more certain than the hard iron was.
+    sigma = step.sigma if known else np.hypot(step.sigma, before.sigma["hard_iron"])
+    belief.changes.append(Change(step.time, step.time_sigma, step.value, sigma, before, None))
+    if not known:
+        online.begin_at(int(numbers[step.window]))
+        return
+    belief.head, belief.tail = step.past, int(numbers[step.window - 1])
+    online.close()
+    after = step.after
+    belief.estimate = online.last._replace(parameters=after.state.parameters, covariance=after.covariance)
+    belief.front, belief.undecided = None, False
+    belief.refitted, belief.stable, belief.settled, belief.next_refit = None, False, False, FIRST
+
+
+def restart_at_convergence(online: SmootherState, fit: Fit, now: Calibration) -> None:
+    """Look for a step from before the estimate was accurate enough to show it, and restart after it.
+
+    Args:
+        fit, now: of all windows kept.
+    """
+    belief, numbers = online.belief, online.numbers()
+    held = online.settings.free(fit.state.parameters)
+    step, undecided = find_step(replace(fit, chain=continued(fit), free=held), online.last.colour)
+    earlier = None
+    if belief.past is None and (undecided or (step and not observable(_before(online, numbers, step)))):
+        # A beginning too short to lower the robust cost by the limit, or to have a calibration of its own.
+        earlier = _change_before(online, fit)
+    if earlier is not None and earlier.in_sensor:
+        _begin_after(online, earlier, now)
+    elif step is not None:
+        restart(online, numbers, step)
+
+
+def _before(online: SmootherState, numbers: Array, step: Step) -> Calibration:
+    """Return the calibration from the windows `numbers` before a step."""
+    recording = online.recording(int(numbers[step.window]), int(numbers[0]))
+    return online.result(recording, step.before, None, int(numbers[0]), online.last)
+
+
+def restart_after_change(online: SmootherState) -> bool:
+    """Restart where the log begins to fit, if its second half fits but not the whole; return whether it restarted.
+
+    The windows before are dropped: they have another hard iron, which is recorded as a change, or another field.
+    """
+    numbers, done = online.numbers(), online.belief.done
+    recording = online.recording(done, int(numbers[len(numbers) // 2]))
+    try:
+        fit, rival, _ = fit_batch(recording, None, online.settings.fit)
+        now = online.result(recording, fit, rival)
+        earlier = _change_before(online, fit) if now.converged else None
+    except MagycError:
+        return False  # the second half does not fit either: wait for more data
+    if earlier is None:
+        return False
+    _begin_after(online, earlier, now)
+    return True
+
+
+def _change_before(online: SmootherState, fit: Fit) -> EarlierChange | None:
+    """Return the change before the windows, of all that are kept, that a fit explains; None if it explains all."""
+    parameters = fit.state.parameters
+    windows = online.buffer.windows(int(online.numbers()[0]), online.belief.done, parameters[DELAY])
+    chain = ContinuedChain(windows.integrate(parameters[BIAS], parameters[DELAY]), fit.chain.noise)
+    return find_earlier_change(chain, parameters)
+
+
+def _begin_after(online: SmootherState, earlier: EarlierChange, now: Calibration) -> None:
+    """Drop the windows before a change; record it if it is one of the hard iron, which is that of `now` after it."""
+    number = int(online.numbers()[earlier.window])
+    if earlier.in_sensor:
+        sigma = np.hypot(earlier.sigma, now.sigma["hard_iron"])
+        before = replace(
+            now,
+            hard_iron=now.hard_iron - earlier.step,
+            converged=False,
+            message="the soft iron and the bias since the step, and the hard iron that the field before it suggests",
+        )
+        online.belief.changes.append(Change(earlier.time, earlier.time_sigma, earlier.step, sigma, before, None))
+    online.begin_at(number)
