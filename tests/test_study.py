@@ -54,11 +54,21 @@ def test_table_one_of_the_paper():
         assert rows["smoother", motion].systematic[2] < 0.3 < rows["magyc-bfg", motion].systematic[2]
 
 
+def test_boards_are_drawn_as_they_are_believed_to_be():
+    from magyc_gtsam.study.known import believed
+
+    sizes = np.array([believed(seed) for seed in range(2000)])
+    assert sizes.max() <= 2.0
+    assert np.mean(sizes == 0) == pytest.approx(0.1 / 0.82, abs=0.03)  # 18 % of all are drawn again
+    assert 0.7 < np.median(sizes) < 1.1  # boards that were measured have 0.7 to 1.3°
+
+
 def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not(tmp_path):
     from magyc_gtsam.study.known import KnownCase, fact_cells, known_rows, matrix_cell, skew_cells
 
     pytest.importorskip("pyarrow")
     units = [KnownCase("skew", "wide", 0.7, seed) for seed in range(2)]
+    units += [KnownCase("board", "wide", 0.0, seed) for seed in range(2)]
     units += [KnownCase("fact", "level", 300.0, seed) for seed in range(1)]
     units += [KnownCase("matrix", "wide", 1.0, 0)]
     rows = known_rows(units, tmp_path)
@@ -67,6 +77,8 @@ def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not(tmp_pat
     assert cells["asked"].decided == 1.0
     assert cells["never"].heading > 4 * cells["asked"].heading
     assert cells["never"].hard_iron > 2 * cells["asked"].hard_iron
+    board = skew_cells("wide", None, rows)["asked"]
+    assert 0 < board.nees < board.of_sensors  # what else an instrument may do widens
     facts = fact_cells("level", 300.0, rows)
     assert facts["+ strength"].stated < 0.5 * facts["+ matrix"].stated < 0.5 * facts["alone"].stated
     assert facts["+ dip"].stated <= facts["+ strength"].stated

@@ -216,17 +216,23 @@ def _known(folder: Path, runs: int, workers: int) -> None:
         rows = known.known_rows(known.units(runs), folder, workers, stage(f"{runs} runs a cell"))
     table = []
     for motion in known.MOTIONS:
-        for skew in known.SKEWS:
+        for skew in (*known.SKEWS, None):
             cells = known.skew_cells(motion, skew, rows)
             better = min(cells["never"].heading, cells["always"].heading)
-            row = [motion, f"{skew:g}"]
+            row = [motion, "as believed" if skew is None else f"{skew:g}"]
             row += [f"{cells[way].heading:.3f}" for way in known.WAYS] + [f"{cells['asked'].heading / better:.2f}"]
-            row += [f"{cells[way].nees:.1f}" for way in known.WAYS]
-            table.append([*row, f"{cells['asked'].decided:.0%}"])
+            row += [f"{cells[way].nees:.2f}" for way in known.WAYS]
+            table.append([*row, f"{cells['asked'].of_sensors:.2f}", f"{cells['asked'].decided:.0%}"])
     headings = [f"heading °, {way}" for way in known.WAYS] + ["× better"]
-    show_table(["motion", "skew °", *headings, *(f"NEES, {way}" for way in known.WAYS), "decided"], table)
+    headings += [*(f"NEES, {way}" for way in known.WAYS), "sensors and skew alone", "decided"]
+    show_table(["motion", "skew °", *headings], table)
     low, high = known.band(runs)
-    show(f"NEES of {known.FREEDOMS}, 95 % band {low:.1f} to {high:.1f}", "")
+    show(f"NEES of {known.FREEDOMS}, 95 % band {low:.2f} to {high:.2f}", "")
+    show(
+        "as believed: boards drawn as calibrate believes them to be, over which an honest NEES is in the band; "
+        "sensors and skew alone: without what else an instrument may do, which these do not",
+        "",
+    )
     table = []
     for motion, duration in known.LIMITED:
         for way, cell in known.fact_cells(motion, duration, rows).items():

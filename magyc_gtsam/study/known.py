@@ -1,8 +1,10 @@
 """Study the gain from prior knowledge: misalignment, an earlier calibration, and the place.
 
 Skews: chips that are misaligned by 0 to 1.5° in a random direction, with the misalignment estimated if the data show
-one, always, and never. Facts: vehicles that hardly tilt, with the operator's knowledge added step by step, batch and
-online. Matrices: an earlier calibration whose matrix is off by some percent, and whether that is noticed.
+one, always, and never. Boards: the same with misalignments drawn as `calibrate` believes them to be, over which, and
+not at each size, the NEES of an honest covariance is its number of degrees of freedom. Facts: vehicles that hardly
+tilt, with the operator's knowledge added step by step, batch and online. Matrices: an earlier calibration whose matrix
+is off by some percent, and whether that is noticed.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.engine import Progress, Row, run_many, write_rows
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA
+from magyc_gtsam.estimators.smoother.skew import AUTOMATIC
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.level_turn import turn_of
 from magyc_gtsam.online import OnlineCalibrator
@@ -45,13 +48,15 @@ class SkewCell:
     Attributes:
         heading: root-mean-square heading error over a level turn, deg.
         hard_iron: root-mean-square hard iron error per axis, T.
-        nees: mean NEES of `FREEDOMS` degrees of freedom.
+        nees, of_sensors: mean NEES of `FREEDOMS` degrees of freedom, by the stated covariance and by that without what
+            else an instrument may do, which these do not.
         decided, refused: shares of runs in which a misalignment was corrected, and which were not trusted.
     """
 
     heading: float
     hard_iron: float
     nees: float
+    of_sensors: float
     decided: float
     refused: float
 
@@ -73,7 +78,8 @@ class FactCell:
 
 
 class KnownCase(NamedTuple):
-    """One recording of the study: kind "skew" (size in degrees), "fact" (duration in s) or "matrix" (percent)."""
+    """One recording of the study: kind "skew" (size in degrees), "board" (no size), "fact" (duration in s) or "matrix"
+    (percent)."""
 
     kind: str
     motion: str
@@ -96,6 +102,16 @@ def skewed(motion: str, degrees: float, seed: int) -> Simulation:
 def _turn(degrees: float, seed: int) -> Array:
     axis = np.random.default_rng(seed).normal(size=3)
     return exponential_matrices((np.radians(degrees) * axis / np.linalg.norm(axis))[:, None])[:, :, 0]
+
+
+def believed(seed: int) -> float:
+    """Return the misalignment, deg, of a board as `calibrate` believes them to be, up to the largest believed."""
+    random = np.random.default_rng([seed, 29])
+    while True:
+        deviation = random.choice(AUTOMATIC.deviations, p=AUTOMATIC.weights)
+        size = float(np.linalg.norm(deviation * random.normal(size=3)))
+        if size <= AUTOMATIC.most:
+            return float(np.degrees(size))
 
 
 class Placed(NamedTuple):
@@ -144,10 +160,11 @@ def heading_error(simulation: Simulation, degrees: float, seed: int, calibration
     return float(np.degrees(np.sqrt(np.mean(np.angle(np.exp(1j * angle)) ** 2))))
 
 
-def units(runs: int, kinds: Iterable[str] = ("skew", "fact", "matrix")) -> list[KnownCase]:
+def units(runs: int, kinds: Iterable[str] = ("skew", "board", "fact", "matrix")) -> list[KnownCase]:
     """Return the units of the whole study."""
     cells = {
         "skew": [(motion, size) for motion in MOTIONS for size in SKEWS],
+        "board": [(motion, 0.0) for motion in MOTIONS],
         "fact": list(LIMITED),
         "matrix": [(motion, size) for motion in ("wide", "tiny", "level") for size in PERCENTS],
     }
@@ -174,21 +191,24 @@ def known_rows(
 
 def worked(unit: KnownCase) -> Row:
     """Return one row with a column "<way> <number>" for all ways and numbers of the unit's kind."""
-    found = {"skew": _skew_row, "fact": _fact_row, "matrix": _matrix_row}[unit.kind](unit)
+    found = {"skew": _skew_row, "board": _skew_row, "fact": _fact_row, "matrix": _matrix_row}[unit.kind](unit)
     return {f"{way} {name}": value for way, numbers in found.items() for name, value in numbers.items()}
 
 
 def _skew_row(unit: KnownCase) -> dict[str, Row]:
-    simulation = skewed(unit.motion, unit.size, unit.seed)
+    degrees = believed(unit.seed) if unit.kind == "board" else unit.size
+    simulation = skewed(unit.motion, degrees, unit.seed)
     rows = {}
     for way, misalignment in WAYS.items():
         calibration = calibrate(simulation.recording, misalignment=misalignment)
         away = error(calibration, simulation.truth)
         assert calibration.covariance is not None
+        assert calibration.noise_covariance is not None
         rows[way] = {
-            "heading": heading_error(simulation, unit.size, unit.seed, calibration) ** 2,
+            "heading": heading_error(simulation, degrees, unit.seed, calibration) ** 2,
             "hard_iron": float(np.mean(away[6:9] ** 2)),
             "nees": nees(away, calibration.covariance),
+            "of_sensors": nees(away, calibration.noise_covariance),
             "decided": float(bool(calibration.terms)),
             "refused": float(not calibration.trusted),
         }
@@ -246,14 +266,15 @@ def _hard_iron(calibration: Calibration, truth: Calibration) -> Row:
     }
 
 
-def skew_cells(motion: str, degrees: float, rows: Mapping[KnownCase, Row]) -> dict[str, SkewCell]:
-    """Return {way of `WAYS`: result}."""
-    mean = _means(rows, "skew", motion, degrees)
+def skew_cells(motion: str, degrees: float | None, rows: Mapping[KnownCase, Row]) -> dict[str, SkewCell]:
+    """Return {way of `WAYS`: result} of one misalignment, or with None of boards as they are believed to be."""
+    mean = _means(rows, "board", motion, 0.0) if degrees is None else _means(rows, "skew", motion, degrees)
     return {
         way: SkewCell(
             mean(f"{way} heading") ** 0.5,
             mean(f"{way} hard_iron") ** 0.5,
             mean(f"{way} nees"),
+            mean(f"{way} of_sensors"),
             mean(f"{way} decided"),
             mean(f"{way} refused"),
         )
