@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.score import DRAWS, scan

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from magyc_gtsam import calibrate
-from magyc_gtsam.estimators.smoother.search import preintegrate
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors import (
     SensorNoise,
     effect_chain_factor,

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.beside import Beside

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from test_factors_jacobians import derivative
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.search import preintegrate
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.factor import (

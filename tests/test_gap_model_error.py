@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.judged import fit_of, judged

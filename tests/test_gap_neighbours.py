@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.isolability import isolability

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.find import base_model

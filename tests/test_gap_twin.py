@@ -12,7 +12,7 @@ from scipy.stats import chi2, kstest
 import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.noise_effects import coloured_noise, quantisation, sample_hold, tone

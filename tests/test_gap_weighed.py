@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import Answer, answer

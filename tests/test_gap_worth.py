@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.field_variation import field_variation, functions_of_attitude
 from magyc_gtsam.gap.find import base_model

@@ -7,7 +7,7 @@ import pytest
 from test_online import distance, feed
 
 from magyc_gtsam import OnlineCalibrator, calibrate, simulate
-from magyc_gtsam.estimators.smoother.search import preintegrate, suitable_turn
+from magyc_gtsam.estimators.smoother.preparation import preintegrate, suitable_turn
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.online import report
 from magyc_gtsam.online.buffers import in_frame_of, joined

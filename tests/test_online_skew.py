@@ -9,7 +9,7 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
-from magyc_gtsam.estimators.smoother.search import preintegrate
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise
 from magyc_gtsam.factors.chain.field_chain import FieldChain

@@ -2,15 +2,17 @@
 
 from dataclasses import replace
 from inspect import signature
+from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import MagycError, Recording, calibrate, methods, simulate
-from magyc_gtsam.estimators.smoother.fit import MAX_ITERATIONS
+from magyc_gtsam.estimators.smoother import search
+from magyc_gtsam.estimators.smoother.fit import MAX_ITERATIONS, PATIENCE
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
-from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.estimators.smoother.search import _adapted, fit_field_chain
 from magyc_gtsam.simulation import AMPLITUDES, disturb
 
 UPPER = np.triu_indices(3)
@@ -292,15 +294,40 @@ def test_a_hard_iron_ten_times_the_field_and_a_large_bias(motion, seed):
 
 @pytest.mark.parametrize("seed", range(2))
 def test_a_start_without_a_minimum_is_given_up(seed):
-    """Where no field explains the readings, and never where one does."""
+    """Where no field explains the readings, and never where one does; beside a calibration that is no answer."""
     recording = simulate("wide", seed=seed, duration=60.0).recording
     order = np.random.default_rng(seed).permutation(len(recording.time))
-    fit, _ = fit_field_chain(replace(recording, magnetic_field=recording.magnetic_field[order]), patience=40)
+    shuffled = replace(recording, magnetic_field=recording.magnetic_field[order])
+    fit, rival = fit_field_chain(shuffled)
     assert not fit.converged
-    assert fit.iterations <= 40 + 3 * MAX_ITERATIONS
-    patient, hasty = fit_field_chain(recording)[0], fit_field_chain(recording, patience=0)[0]
-    assert hasty.converged
-    np.testing.assert_array_equal(hasty.state.parameters, patient.state.parameters)
+    assert rival is None
+    assert fit.iterations <= PATIENCE + 3 * MAX_ITERATIONS
+    with pytest.raises(MagycError, match="no minimum within"):
+        fit_field_chain(shuffled, brief=True)
+    whole, brief = fit_field_chain(recording)[0], fit_field_chain(recording, brief=True)[0]
+    assert brief.converged
+    np.testing.assert_array_equal(brief.state.parameters, whole.state.parameters)
+
+
+@pytest.mark.parametrize("motion", AMPLITUDES)
+def test_starts_that_end_at_one_minimum_are_fitted_once(motion, monkeypatch):
+    """Noise and weights of a disturbed log are estimated at every minimum of four starts, and in shorter windows."""
+    fitted = []
+
+    def counted(samples, fit, *arguments):
+        fitted.append(fit)
+        return _adapted(samples, fit, *arguments)
+
+    monkeypatch.setattr(search, "_adapted", counted)
+    fit, _ = fit_field_chain(disturb(simulate(motion, seed=0).recording, seed=0))
+    assert fit.converged
+    assert 2 <= len(fitted) <= 3
+    *searched, shorter = fitted
+    assert len(shorter.chain.windows) > len(searched[0].chain.windows)
+    for one, other in combinations(searched, 2):
+        step = one.state.parameters - other.state.parameters
+        left = 2 * one.reduced.cost / (3 * len(one.chain.windows))
+        assert step @ one.reduced.information @ step > 3 * left
 
 
 def test_disturbed_windows_are_weighed_down(runs):

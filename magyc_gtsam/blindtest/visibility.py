@@ -9,7 +9,8 @@ import numpy as np
 
 from magyc_gtsam.blindtest.scenarios import MOTIONS
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.search import fit_field_chain, short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import MILLIGAUSS, inject, simulate

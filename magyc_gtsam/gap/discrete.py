@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.axes import arrangements, check
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError

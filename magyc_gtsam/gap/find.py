@@ -10,7 +10,8 @@ from typing import overload
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.search import fit_field_chain, preintegrate, short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.errors import MagycError

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.search import preintegrate
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, tone
 from magyc_gtsam.gap.problem import Model, Problem

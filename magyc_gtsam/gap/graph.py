@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.search import preintegrate
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.effects.factor import effect_chain_factor
 from magyc_gtsam.factors.effects.forms import FORMS, Term
 from magyc_gtsam.factors.errors import MagycError

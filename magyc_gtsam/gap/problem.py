@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows

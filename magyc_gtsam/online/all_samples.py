@@ -6,14 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from magyc_gtsam.estimators.smoother.fit import Fit, begin
-from magyc_gtsam.estimators.smoother.search import (
-    fit_field_chain,
-    preintegrate,
-    refit_field_chain,
-    short_term_noise,
-    shortened,
-    with_skew,
-)
+from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
+from magyc_gtsam.estimators.smoother.search import fit_field_chain, refit_field_chain, shortened, with_skew
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.online.marginal import BIAS, ContinuedChain

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import Drift, find_drift, slowed, with_drift
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.estimators.smoother.search import fit_field_chain, short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.factors.chain.field_chain import DELAY, SKEW
 from magyc_gtsam.factors.chain.preintegration import Preintegration
@@ -53,9 +56,9 @@ def drift_of(online: SmootherState, recording: Recording, fit: Fit, trusted: boo
     parameters walk, later windows are not tested.
     """
 
-    def fit_again(again: Recording, start: Array | None) -> tuple[Fit, bool]:
-        fit, rival = fit_field_chain(again, **online.settings.fit, **online.known, start=start)
-        return fit, online.result(again, fit, rival).converged
+    def fit_again(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
+        fit, rival = fit_field_chain(again, **online.settings.fit, **online.known, start=start, brief=True)
+        return fit, lambda: online.result(again, fit, rival).converged
 
     known = online.belief.drift
     drift = find_drift(recording, fit, trusted, fit_again, 0.0 if known is None else known.rate)

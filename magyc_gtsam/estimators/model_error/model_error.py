@@ -20,7 +20,7 @@ from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import one_sided
 from magyc_gtsam.estimators.model_error.shown import shown_by
 from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.estimators.smoother.search import Streams
+from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array
 
 _SIGNIFICANT = (

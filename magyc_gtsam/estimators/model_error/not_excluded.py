@@ -36,8 +36,9 @@ def not_excluded(
             open_ones.append(each)
     largest = [each.family.likely(motion) for each in open_ones]
     if shown.variance.any():
+        rivals = _rivals(beside, shown)
         likeliest_ways = [
-            max(_ways(beside, each, shown, most), key=lambda way: way[0])
+            max(_ways(beside, each, shown, rivals, most), key=lambda way: way[0])
             for each, most in zip(open_ones, largest, strict=True)
         ]
     else:
@@ -66,28 +67,44 @@ def _alone(
     ]
 
 
-def _ways(beside: ColumnProducts, each: Tested, shown: Shown, largest: float) -> Iterator[tuple[float, Averaged]]:
+def _rivals(beside: ColumnProducts, shown: Shown) -> list[tuple[float, Array, float]]:
+    """Of each family that is shown: its prior, the variances of the others, and what it gains beside them."""
+    result = []
+    for rival, own in shown.active:
+        others = shown.variance.copy()
+        others[own] = 0.0
+        explained, left = by_others(shown.normal, shown.score, others, own, beside.square)
+        normal, score = shown.normal[own, own] - explained[:, :-1], shown.score[own] - explained[:, -1]
+        most = rival.family.most**2 * beside.freedom / left
+        result.append((rival.family.prior, others, likeliest(normal, score, left, beside.freedom, most).gain))
+    return result
+
+
+def _ways(
+    beside: ColumnProducts,
+    each: Tested,
+    shown: Shown,
+    rivals: Sequence[tuple[float, Array, float]],
+    largest: float,
+) -> Iterator[tuple[float, Averaged]]:
     """The odds of a family in each way that it may be there beside what is shown, and what is then known of it."""
     freedom, octaves = beside.freedom, each.family.octaves
     across = np.concatenate([other.new.across(each.new) for other, _ in shown.found])
     normal = np.block([[shown.normal, across], [across.T, each.new.normal]])
     score = np.concatenate([shown.score, each.new.score])
-    prior = np.concatenate([shown.variance, np.zeros(len(each.new.score))])
     mine = slice(len(shown.score), len(score))
+    none = np.zeros(len(each.new.score))
 
-    def without(held: Array, own: slice) -> tuple[Array, Array, float]:
-        explained, left = by_others(normal, score, held, own, beside.square)
-        return normal[own, own] - explained[:, :-1], score[own] - explained[:, -1], left
+    def beside_those(variance: Array) -> Averaged:
+        explained, left = by_others(normal, score, np.concatenate([variance, none]), mine, beside.square)
+        own = normal[mine, mine] - explained[:, :-1], score[mine] - explained[:, -1]
+        return averaged(*own, left, freedom, largest, octaves)
 
-    known = averaged(*without(prior, mine), freedom, largest, octaves)
+    known = beside_those(shown.variance)
     yield each.family.prior * _likelihood(known.evidence), known
-    for rival, own in shown.active:
-        others = prior.copy()
-        others[own] = 0.0
-        products = without(others, own)
-        gain = likeliest(*products, freedom, rival.family.most**2 * freedom / products[2]).gain
-        known = averaged(*without(others, mine), freedom, largest, octaves)
-        yield each.family.prior / rival.family.prior * _likelihood(known.evidence - gain), known
+    for prior, others, gain in rivals:
+        known = beside_those(others)
+        yield each.family.prior / prior * _likelihood(known.evidence - gain), known
 
 
 def _likelihood(nats: float) -> float:

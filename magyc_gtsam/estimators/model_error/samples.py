@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.search import Streams
+from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.sensor_faults.noise import white_noise
 

@@ -18,7 +18,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import Fit, explained
 from magyc_gtsam.estimators.smoother.options import MOST_DRIFT
-from magyc_gtsam.estimators.smoother.search import short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
@@ -29,7 +29,8 @@ _ROUNDS = 6
 _NOISY = 1.5  # short-term noises of the magnetometer from which a fit leaves more than the sensor's own
 _PART = (0.4, 0.6)  # of a recording that fits nowhere as a whole, where the drift is looked for first
 
-Refit = Callable[[Recording, Array | None], tuple[Fit, bool]]
+Judge = Callable[[], bool]
+Refit = Callable[[Recording, Array | None], tuple[Fit, Judge]]
 
 
 class Drift(NamedTuple):
@@ -105,15 +106,15 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
 
     Args:
         recording, fit, trusted: what was fitted, and whether the fit may be used but for a drift.
-        refit: the fit of a recording, from θ (13,) or from nothing, and whether it may be used.
+        refit: the fit of a recording, from θ (13,) or from nothing, and what tells whether it may be used.
         near: s/s, what an earlier part of the recording showed, tried where the whole has no minimum near.
     """
     found = speaks(fit)
     if not found and (trusted or _explained(recording, fit)):
         return None
-    ways: list[Callable[[], tuple[float, Fit, bool]]] = [lambda: _measure_from_part(recording, refit)]
+    ways: list[Callable[[], tuple[float, Fit, Judge]]] = [lambda: _measure_from_part(recording, refit)]
     if found:
-        ways.insert(0, lambda: _measure(recording, fit, False, refit))
+        ways.insert(0, lambda: _measure(recording, fit, lambda: False, refit))
     if near:
         ways.append(lambda: _measure(recording, *refit(restamped(recording, near), None), refit, near))
     for way in ways:
@@ -122,7 +123,7 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
         except MagycError:
             continue
         # What does not fit with the drift taken out has, or has as well, another cause.
-        if good:
+        if good():
             break
     else:
         return None
@@ -141,9 +142,9 @@ def _explained(recording: Recording, fit: Fit) -> bool:
 
 
 def _measure(
-    recording: Recording, fit: Fit, good: bool, refit: Refit, rate: float = 0.0
-) -> tuple[float, Fit, bool]:
-    """The rate at which no drift is left, the fit there and whether it may be used, from those at `rate`."""
+    recording: Recording, fit: Fit, good: Judge, refit: Refit, rate: float = 0.0
+) -> tuple[float, Fit, Judge]:
+    """The rate at which no drift is left, the fit there and what tells whether it may be used, from those at `rate`."""
     for _ in range(_ROUNDS):
         step, _, ratio = _score(fit)
         if abs(ratio) < 1 or abs(rate + step) > MOST_DRIFT:
@@ -153,12 +154,12 @@ def _measure(
     return rate, fit, good
 
 
-def _measure_from_part(recording: Recording, refit: Refit) -> tuple[float, Fit, bool]:
+def _measure_from_part(recording: Recording, refit: Refit) -> tuple[float, Fit, Judge]:
     """The same, from the rate of a part, in which a drift too large for the whole to have a minimum near is smaller."""
     part = recording.between(*(share * recording.duration for share in _PART))
     rate, fit, _ = _measure(part, *refit(part, None), refit)
     if abs(rate) < _SPEAKS * _score(fit).sigma:
-        return rate, fit, False
+        return rate, fit, lambda: False
     parameters = fit.state.parameters.copy()
     parameters[DELAY] -= rate * (part.time[0] - recording.time[0])
     return _measure(recording, *refit(restamped(recording, rate), parameters), refit, rate)

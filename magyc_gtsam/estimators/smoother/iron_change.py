@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.fit import BRIEF, Fit
+from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.facts import field_strength
@@ -68,7 +68,7 @@ def hard_iron_change(
         options: of that fit.
     """
     stretch = _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window)
-    if stretch is None or calibration.covariance is None:
+    if stretch is None or not fit.converged or calibration.covariance is None:
         return None
     start, end = stretch
     try:
@@ -80,7 +80,7 @@ def hard_iron_change(
             delay=calibration.delay,
             clock_drift=0.0,
         )
-        other, _ = fit_field_chain(recording.between(start, end), own, patience=BRIEF)
+        other, _ = fit_field_chain(recording.between(start, end), own, start=fit.state.parameters, brief=True)
     except MagycError:  # too short, or without motion: it determines no hard iron; or the fit is none
         return None
     strength, size = (field_strength(each.state.parameters[:6])[0] for each in (fit, other))

@@ -9,7 +9,7 @@ from magyc_gtsam.estimators.gauge import IronScale
 from magyc_gtsam.estimators.model_error import ModelError
 from magyc_gtsam.estimators.model_error.samples import flickers, too_slow
 from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
-from magyc_gtsam.estimators.smoother.search import Streams
+from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.estimators.smoother.skew import Skew
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.vech import unvech

@@ -4,34 +4,43 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.smoother import axes, starts
 from magyc_gtsam.estimators.smoother.dip import dip_fact, dip_of, relinearised
-from magyc_gtsam.estimators.smoother.fit import NEAR, PATIENCE, ROUNDS, Fit, adapt, begin, descend, misfit, weigh
+from magyc_gtsam.estimators.smoother.fit import (
+    BRIEF,
+    NEAR,
+    PATIENCE,
+    ROUNDS,
+    Fit,
+    adapt,
+    begin,
+    descend,
+    misfit,
+    weigh,
+)
 from magyc_gtsam.estimators.smoother.known import Known, known_of
+from magyc_gtsam.estimators.smoother.minima import apart, close, lowest, positive, same, strength
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, asked, given, on_skew, skew_of, widened
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import LinearFact
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.recording import Recording, Samples
+from magyc_gtsam.recording import Recording
 
 Progress = Callable[[float], None]
 
 _MOVED = 0.02  # rad by which bias or delay may turn a window before the gyroscope is integrated again
-_TRIPLETS = 1000  # samples at which the short-term noise is taken
 _EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
-_CLOSE = 1.1  # ratio of two minima's misfits from which they count as close
-_EQUAL = 1.01  # ratio of misfits up to which minima count as equal
-_APART = 0.05  # distance of two minima's hard irons, in field strengths, from which they differ
 _UNDISTURBED = 0.97  # share of the windows' weight from which their length stays as it is
 _SHORT_WINDOW = 0.5  # s, where stretches are disturbed
 _LEAST_WINDOWS = 8
@@ -47,7 +56,7 @@ def fit_field_chain(
     *,
     start: Array | None = None,
     progress: Progress = lambda _: None,
-    patience: int = PATIENCE,
+    brief: bool = False,
     **chosen: Any,
 ) -> tuple[Fit, Fit | None]:
     """The chain at its lowest minimum, and the best different minimum if one is close.
@@ -57,13 +66,18 @@ def fit_field_chain(
         options: of the smoother; without them, those that are `chosen` by name, and no skew.
         start: θ near the minimum; then no other start is tried.
         progress: called with the share done.
-        patience: see `Fit`.
+        brief: a question beside a calibration, which a log without a minimum does not answer: no other start is tried,
+            and one without a minimum is given up earlier.
+
+    Raises:
+        MagycError: too few windows, sensors whose axes or units disagree, or, if brief, no minimum.
     """
     if options is None:
         options = SmootherOptions(**{"misalignment": 0, **chosen})
     noise, delay, window, turn, reject = options.noise, options.delay, options.window, options.turn, options.reject
     known = known_of(options)
     samples = preintegrate(recording, window, turn)
+    patience = BRIEF if brief else PATIENCE
     free = np.ones(PARAMETERS, dtype=bool)
     free[DELAY] = delay is None
     windows = samples.integrate(delay=delay or 0.0)
@@ -87,11 +101,12 @@ def fit_field_chain(
         begun = starts.from_gyroscope(windows)
         if known.soft_iron is not None and known.hard_iron is not None:
             begun = starts.from_prior(windows, known.soft_iron, known.hard_iron, begun[9:12])
-        best = _descended(samples, begin(chain, begun, free, patience))
+        check_axes = cache(partial(axes.check, recording))  # which costs as much as a few iterations
+        best = first = _descended(samples, begin(chain, begun, free, patience), check_axes)
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
-        if not explained or level.magnetometer > 0.1 * _strength(best):
-            axes.check(recording)  # the misfit is more than the sensors' noise: their axes may disagree
+        if not explained or level.magnetometer > 0.1 * strength(best):
+            check_axes()  # the misfit is more than the sensors' noise: their axes may disagree
         jumps = not explained and bool(field_jumps(recording))
         rival = None
         if jumps:
@@ -103,26 +118,33 @@ def fit_field_chain(
     else:
         near = begin(chain, start[:PARAMETERS], free, patience)
         best, rival, explained = refit_field_chain(samples, near, reject, short_term), None, True
+    if best.hopeless:
+        if brief:
+            raise MagycError(f"no minimum within {best.iterations} iterations")
+        return best, None  # other starts find as little, in as many iterations each
     best = skewed(best)
     if not explained and best.skew is not None and best.skew.decided:
         explained = best.converged and misfit(best, level) < _EXPLAINED * 3 * len(windows)
-    if start is None and (not explained or level.magnetometer > 0.1 * _strength(best)):
+    if start is None and not brief and (not explained or level.magnetometer > 0.1 * strength(best)):
         # The misfit is more than the sensors' noise: the minimum may be a false one.
-        fits = [best]
+        fits, ends = [best], [first]
         for parameters in starts.others(windows, best.state.parameters[9:12]):
             progress(0.4 + 0.1 * len(fits))
             fit = _descended(samples, begin(chain, parameters, free, patience))
+            if any(same(fit, end) for end in ends):
+                continue
+            ends.append(fit)
             if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # else it ran away
                 fits.append(_adapted(samples, fit, reject, short_term))
-        best, rival = _lowest(fits)
+        best, rival = lowest(fits)
         best = best if best is fits[0] else skewed(best)
     if reject and disturbed(best):
         progress(0.8)
         # Shorter windows lose less at the edges of disturbed stretches.
         samples = preintegrate(recording, shortened(window), turn)
         finer = _adapted(samples, _rewindowed(samples, _without_skew(best)), reject, short_term)
-        others = [fit for fit in (rival, best) if fit is not None and _apart(fit, finer)]
-        rival = next((fit for fit in others if _close(weigh(finer.chain, fit.state.parameters), finer)), None)
+        others = [fit for fit in (rival, best) if fit is not None and apart(fit, finer)]
+        rival = next((fit for fit in others if close(weigh(finer.chain, fit.state.parameters), finer)), None)
         best = skewed(finer)
     return best, rival
 
@@ -199,28 +221,6 @@ def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
     return descend(begun, NEAR)
 
 
-def _lowest(fits: list[Fit]) -> tuple[Fit, Fit | None]:
-    """The minimum of lowest robust misfit, and a different one within `_CLOSE` of it.
-
-    Minima found with different noise levels and weights are compared at one noise, each residual counting
-    up to its rejection threshold; a soft iron that is not positive definite counts only if all are so.
-    """
-    possible = [fit for fit in fits if positive(fit)] or fits
-    noise = min((fit.chain.noise for fit in possible), key=lambda noise: noise.magnetometer)
-    ranked = sorted(possible, key=lambda fit: misfit(fit, noise))
-    # Where the motion leaves a direction open, all of its minima explain the data: take the roundest.
-    equal = [fit for fit in ranked if misfit(fit, noise) < _EQUAL * misfit(ranked[0], noise)]
-    best = min(equal, key=lambda fit: float(np.linalg.cond(unvech(fit.state.parameters[:6]))))
-    rival = next((fit for fit in ranked if _apart(fit, best)), None)
-    return best, rival if rival is not None and misfit(rival, noise) < _CLOSE * misfit(best, noise) else None
-
-
-def _close(fit: Fit, best: Fit) -> bool:
-    """Whether another calibration explains the windows of `best` almost as well."""
-    noise = best.chain.noise
-    return misfit(fit, noise) < _CLOSE * misfit(best, noise)
-
-
 def _adapted(
     samples: Preintegration, fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS
 ) -> Fit:
@@ -238,66 +238,14 @@ def _adapted(
     return replace(_upright(fit), converged=False)
 
 
-def positive(fit: Fit) -> bool:
-    """Whether the soft iron is positive definite."""
-    return bool(np.linalg.eigvalsh(unvech(fit.state.parameters[:6]))[0] > 0)
+def _descended(samples: Preintegration, fit: Fit, doubt: Callable[[], None] = lambda: None) -> Fit:
+    """At the minimum for the noise and weights at hand, the gyroscope integrated close to it.
 
-
-def preintegrate(recording: Recording, window: float = 1.5, turn: float | None = None) -> Preintegration:
-    """The recording's samples, cut into windows."""
-    magnetometer, gyroscope = recording.magnetometer, recording.gyroscope
-    return Preintegration(
-        *magnetometer,
-        *gyroscope,
-        interval_mean=recording.angular_rate_is == "interval-mean",
-        length=window,
-        turn=suitable_turn(magnetometer.value) if turn is None else turn,
-    )
-
-
-def suitable_turn(field: Array) -> float:
-    """rad, the largest rotation inside a window, from the spread of the measured field (N, 3).
-
-    Rotation inside a window costs information where it is not small against the field's spread over the whole log;
-    at these values some 2 % of the weakest parameter's sigma.
+    `doubt` is called where the first descent reaches no minimum, and may raise.
     """
-    some = np.ascontiguousarray(field[:: max(len(field) // 500, 1)].T)
-    some -= some.mean(axis=1)[:, None]
-    spread = np.linalg.eigvalsh(some @ some.T) / (some.shape[1] - 1)
-    turn = 1.7 * np.sqrt(max(spread[0], 0.0) / max(spread.sum(), 1e-30))
-    # In steps: two ways of cutting a log differ by up to a third of a sigma, which a few samples more must not cause.
-    steps = np.round(np.log(max(turn, 0.1) / 0.15) / np.log(1.2))
-    return float(np.clip(0.15 * 1.2**steps, 0.15, 0.4))
-
-
-class Streams(Protocol):
-    """Both sensors' own samples, as a `Recording` holds them."""
-
-    @property
-    def magnetometer(self) -> Samples: ...
-
-    @property
-    def gyroscope(self) -> Samples: ...
-
-
-def short_term_noise(recording: Streams) -> SensorNoise:
-    """Noise per sample and axis from second differences, which smooth motion does not enter."""
-
-    def level(samples: Samples, least: float) -> float:
-        value = samples.value
-        stride = len(value) // _TRIPLETS | 1  # odd, or every triplet may fall on the same of two interpolated rows
-        second = value[2::stride] - 2 * value[1:-1:stride] + value[:-2:stride]
-        square = np.einsum("ni,ni->n", second, second) / 18
-        # Upper quartile of sqrt(χ²₃/3): drivers that interpolate leave half of the differences at zero.
-        upper = 3 * (len(square) - 1) // 4
-        return max(float(np.sqrt(np.partition(square, upper)[upper])) / 1.170, least)
-
-    return SensorNoise(level(recording.magnetometer, 1e-10), level(recording.gyroscope, 1e-6))
-
-
-def _descended(samples: Preintegration, fit: Fit) -> Fit:
-    """At the minimum for the noise and weights at hand, the gyroscope integrated close to it."""
     fit = descend(fit, settled=NEAR)
+    if not fit.converged:
+        doubt()
     for _ in range(8):
         if not moved(fit) or fit.hopeless:
             break
@@ -326,12 +274,3 @@ def _upright(fit: Fit) -> Fit:
     flipped[:6] *= -1
     state = ChainState(flipped, -direction)
     return replace(fit, state=state, reduced=fit.chain.eliminate(state, fit.weights))
-
-
-def _strength(fit: Fit) -> float:
-    return float(np.cbrt(abs(np.linalg.det(unvech(fit.state.parameters[:6])))))
-
-
-def _apart(fit: Fit, other: Fit) -> bool:
-    distance = np.linalg.norm(fit.state.parameters[6:9] - other.state.parameters[6:9])
-    return bool(distance > _APART * _strength(other))

@@ -7,7 +7,7 @@ three angles between the two chips. No start, no attitude and no noise level is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,12 +19,14 @@ from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.dip import dip_of
-from magyc_gtsam.estimators.smoother.fit import BRIEF, Fit, inverse_information
+from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
+from magyc_gtsam.estimators.smoother.minima import positive
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.estimators.smoother.search import Progress, Streams, fit_field_chain, positive
+from magyc_gtsam.estimators.smoother.preparation import Streams
+from magyc_gtsam.estimators.smoother.search import Progress, fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
@@ -62,9 +64,9 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         doubts = [change.sentence(recording), *doubts]
         calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
 
-    def refit(again: Recording, start: Array | None) -> tuple[Fit, bool]:
-        fit, rival = fit_field_chain(again, options, start=start, patience=BRIEF)
-        return fit, calibration_of(again, fit, rival, options).converged
+    def refit(again: Recording, start: Array | None) -> tuple[Fit, Callable[[], bool]]:
+        fit, rival = fit_field_chain(again, options, start=start, brief=True)
+        return fit, lambda: calibration_of(again, fit, rival, options).converged
 
     drift = find_drift(recording, fit, calibration.converged, refit)
     report(1.0)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import colour_of
-from magyc_gtsam.estimators.smoother.search import preintegrate, short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
