@@ -18,6 +18,8 @@ import numpy as np
 
 import magyc_gtsam as mg
 
+NO_LOGS = (".md", ".json")
+
 
 def main() -> None:
     """Run and print the table."""
@@ -29,7 +31,7 @@ def main() -> None:
     print(f"{'log':52s}{'rows':>7s}{'s':>8s}{'clean s':>9s}{'ratio':>7s}  trusted")
     ratios = []
     for path in arguments.logs:
-        for each in sorted(path.iterdir()) if path.is_dir() else [path]:
+        for each in sorted(p for p in path.iterdir() if p.suffix not in NO_LOGS) if path.is_dir() else [path]:
             for recording in _recordings(each):
                 rows = len(recording.magnetometer.time)
                 clean = mg.simulate("wide", duration=max(rows / 10, 60), seed=0).recording
