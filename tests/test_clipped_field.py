@@ -93,7 +93,7 @@ def test_coarse_sensors_that_are_cut_off(step: float) -> None:
 
 @pytest.mark.parametrize("motion", [*AMPLITUDES, "multi", "dive", "survey"])
 def test_clean_and_coarse_sensors_are_not_cut_off(motion: str) -> None:
-    for seed in range(4):
+    for seed in range(2):
         for noise in (0.0, 0.1e-6, 1e-6):
             recording = mg.simulate(motion, seed=seed, magnetometer_noise=noise).recording
             for step in STEPS:
@@ -120,24 +120,25 @@ def test_a_vehicle_at_rest_is_not_cut_off() -> None:
 
 @pytest.mark.parametrize("step", STEPS)
 def test_an_axis_that_is_stuck_stays_stuck(step: float) -> None:
-    """At any value, at its largest, too, and from some time on or for a while."""
-    for seed in range(4):
-        recording = mg.simulate(list(AMPLITUDES)[seed], seed=seed).recording
-        for axis in range(3):
-            field = coarse(recording.magnetic_field, step)
-            largest = field[:, axis].max()
-            for rows, value in (
+    """At any value, at its largest, too, and from some time on or for a while; each of these on every axis."""
+    for seed, motion in enumerate(AMPLITUDES):
+        recording = mg.simulate(motion, seed=seed).recording
+        field = coarse(recording.magnetic_field, step)
+        largest = field.max(axis=0)
+        for number, (rows, values) in enumerate(
+            (
                 (slice(None), largest),
-                (slice(1200, None), field[1200, axis]),
+                (slice(1200, None), field[1200]),
                 (slice(4000, None), largest),
-                (slice(int(field[:5000, axis].argmax()), None), field[:5000, axis].max()),
+                (slice(int(field[:5000, seed % 3].argmax()), None), field[:5000].max(axis=0)),
                 (slice(2000, 3200), largest),
-            ):
-                stuck = field.copy()
-                stuck[rows, axis] = value
-                quiet(recording, stuck)
-                if step <= 0.5e-6:  # with coarser steps nothing shows noise enough
-                    assert stuck_axis(recording, stuck) == ("magnetic_field", "xyz"[axis])
+            )
+        ):
+            axis, stuck = (seed + number) % 3, field.copy()
+            stuck[rows, axis] = values[axis]
+            quiet(recording, stuck)
+            if step <= 0.5e-6:  # with coarser steps nothing shows noise enough
+                assert stuck_axis(recording, stuck) == ("magnetic_field", "xyz"[axis])
 
 
 def stuck_axis(recording: mg.Recording, field: np.ndarray) -> tuple[str, str]:
@@ -186,7 +187,7 @@ def test_on_the_command_line(tmp_path: Path, capsys: Any) -> None:
     assert main(["calibrate", f"{tmp_path}/cut.mcap", "-o", f"{tmp_path}/calibrated"]) == 1
     assert "must not be trusted: magnetic_field: axis z of the magnetometer cut off at" in capsys.readouterr().err
     assert "axis z of the magnetometer cut off" in (tmp_path / "calibrated" / "report.html").read_text("utf-8")
-    assert main(["gap", f"{tmp_path}/cut.mcap", "-o", f"{tmp_path}/gap"]) == 0
+    assert main(["gap", f"{tmp_path}/cut.mcap", "-o", f"{tmp_path}/gap", "--candidates", "saturation"]) == 0
     assert "clips at about" in capsys.readouterr().out
 
 

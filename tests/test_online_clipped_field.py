@@ -65,12 +65,11 @@ def test_how_the_samples_are_cut_does_not_matter() -> None:
 def test_a_run_resumed_anywhere(tmp_path: Path) -> None:
     log = cut(mg.simulate("wide", 120, seed=1).recording, 0.2)
     expected, online = mg.OnlineCalibrator(), mg.OnlineCalibrator()
-    for i, row in enumerate(zip(log.time, log.magnetic_field, log.angular_rate, strict=True)):
-        expected.update(*row)
-        online.update(*row)
-        if i % 97 == 0:
-            online.save(tmp_path / "state.npz")
-            online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
+    expected.update(log.time, log.magnetic_field, log.angular_rate)
+    for i in range(0, len(log.time), 97):
+        online.update(*(column[i : i + 97] for column in (log.time, log.magnetic_field, log.angular_rate)))
+        online.save(tmp_path / "state.npz")
+        online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
     assert online.progress == expected.progress
     assert online.progress.clipped_field is not None
 
@@ -78,7 +77,7 @@ def test_a_run_resumed_anywhere(tmp_path: Path) -> None:
 @pytest.mark.parametrize("motion", [*AMPLITUDES, "multi", "dive", "survey"])
 def test_clean_and_coarse_sensors_are_not_cut_off(motion: str) -> None:
     """At no time on the way."""
-    for seed in range(4):
+    for seed in range(2):
         field = mg.simulate(motion, seed=seed).recording.magnetic_field
         for step in STEPS:
             watch, value = FullScale(), coarse(field, step)

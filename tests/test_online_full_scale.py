@@ -135,12 +135,13 @@ def test_what_the_watch_passes_does_not_depend_on_the_cuts(step: float) -> None:
 def test_a_run_resumed_anywhere(tmp_path: Path) -> None:
     recording = clipped(mg.simulate("wide", 120, seed=1).recording, 0.7)
     expected, online = mg.OnlineCalibrator(), mg.OnlineCalibrator()
-    for i, row in enumerate(zip(recording.time, recording.magnetic_field, recording.angular_rate, strict=True)):
-        expected.update(*row)
-        online.update(*row)
-        if i % 41 == 0:
-            online.save(tmp_path / "state.npz")
-            online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
+    columns = recording.time, recording.magnetic_field, recording.angular_rate
+    for i in range(0, len(recording.time), 61):
+        block = [column[i : i + 61] for column in columns]
+        expected.update(*block)
+        online.update(*block)
+        online.save(tmp_path / "state.npz")
+        online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
     assert online.progress == expected.progress
     assert online.progress.clipped.count > 50
     assert online.calibration.to_dict() == expected.calibration.to_dict()

@@ -45,8 +45,8 @@ def watched(
     watch, intake = SensorFaults(), Intake()
     field = recording.magnetic_field if field is None else field
     rate = recording.angular_rate if rate is None else rate
-    for i in range(0, len(recording.time), 16):
-        rows = slice(i, i + 16)
+    for i in range(0, len(recording.time), 73):
+        rows = slice(i, i + 73)
         watch.take(*intake.take(recording.time[rows], field[rows], rate[rows]), intake.repeated)
     return watch
 
@@ -150,8 +150,8 @@ def test_a_run_resumed_while_samples_are_held_back(tmp_path: Path) -> None:
     log = frozen(frozen(recording, "angular_rate", ALL, 60.0, 100.0), "magnetic_field", ALL, 120.0, 150.0)
     expected = feed(mg.OnlineCalibrator(), log)
     online = mg.OnlineCalibrator()
-    for edge in range(0, 180, 5):
-        feed(online, log, start=edge, end=edge + 5)
+    for edge in range(0, 180, 10):
+        feed(online, log, start=edge, end=edge + 10)
         online.save(tmp_path / "state.npz")
         online = mg.OnlineCalibrator.load(tmp_path / "state.npz")
     assert online.progress == expected.progress
