@@ -44,7 +44,7 @@ def test_a_walking_hard_iron_is_known_as_well_as_is_said():
 
 
 def test_a_walking_bias_is_followed():
-    recording, _, bias = walking("wide", 3, bias=20e-3, duration=600.0)
+    recording, _, bias = walking("wide", 3, bias=20e-3, duration=300.0)
     online = feed(OnlineCalibrator(gyro_bias_walk=20e-3), recording, step=50.0)
     error = np.abs(online.calibration.gyro_bias - bias)
     assert (error < 4 * online.calibration.sigma["gyro_bias"]).all()

@@ -10,18 +10,23 @@ import shutil
 import signal
 import socket
 import struct
-import subprocess
+import sys
 import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from commands import COMMAND, run
+from commands import run
 from served import DIVE, PATIENCE, Served
 
+import magyc_gtsam as mg
 from magyc_gtsam.serve.limits import Limits
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+import fuzz_files
 
 pytest.importorskip("starlette", reason="pip install 'magyc-gtsam[serve]'")
 pytest.importorskip("uvicorn", reason="pip install 'magyc-gtsam[serve]'")
@@ -47,19 +52,7 @@ def test_a_job_is_the_command_line(served: Served, tmp_path: Path) -> None:
     assert status == 201
     job = served.ended(job["key"])
     assert (job["state"], job["code"]) == ("done", 0), job
-    command = [
-        COMMAND,
-        "calibrate",
-        str(DIVE),
-        "--start",
-        "60",
-        "--end",
-        "480.5",
-        "-o",
-        str(tmp_path / "own"),
-        "-q",
-    ]
-    subprocess.run(command, check=True, cwd=tmp_path)
+    assert run("calibrate", DIVE, "--start", 60, "--end", 480.5, "-o", "own", "-q", cwd=tmp_path).returncode == 0
     folder = served.folder / "results" / job["result"]
     for name in ("calibration.yaml", "px4.params", "ardupilot.param", "vectornav.txt", "ros.yaml"):
         assert (folder / name).read_bytes() == (tmp_path / "own" / name).read_bytes(), name
@@ -101,6 +94,31 @@ def test_a_dropped_log_is_called_by_its_name(served: Served) -> None:
     assert job["output"]["problem"].startswith("raw.txt: ")
     assert str(served.folder) not in job["output"]["problem"]
     served.ask("DELETE", f"/api/logs/{made['key']}")
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        fuzz_files.dataflash,
+        fuzz_files.ulog,
+        fuzz_files.ros_bag,
+        fuzz_files.ros_database,
+        fuzz_files.telemetry,
+        fuzz_files.phone,
+    ],
+)
+def test_a_dropped_log_of_any_format_is_read_as_it_was(served: Served, tmp_path: Path, make: Any) -> None:
+    """Each written by its format's library or description; what the server keeps is what a job reads."""
+    content, suffix = make(tmp_path, mg.read(DIVE, end=60.0))
+    file = tmp_path / f"{make.__name__}{suffix}"
+    file.write_bytes(content)
+    key = served.ask("POST", f"/api/logs?name={file.name}", content)[1]["key"]
+    (kept,) = (served.folder / ".magyc-gtsam-uploads" / key[1:]).iterdir()
+    expected, found = mg.read(file), mg.read(kept)
+    for name in ("magnetometer", "gyroscope"):
+        np.testing.assert_array_equal(getattr(found, name).time, getattr(expected, name).time)
+        np.testing.assert_array_equal(getattr(found, name).value, getattr(expected, name).value)
+    served.ask("DELETE", f"/api/logs/{key}")
 
 
 def test_a_dropped_log_is_looked_at_and_removed(served: Served) -> None:
