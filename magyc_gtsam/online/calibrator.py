@@ -17,8 +17,7 @@ from magyc_gtsam.factors.lazy import requires_gtsam
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.online import state_file
-from magyc_gtsam.online.engine import Change, Engine, Progress
-from magyc_gtsam.online.faults import refusal, with_faults, with_left_out
+from magyc_gtsam.online.engine import Change, Engine, Progress, refusal, with_faults, with_left_out
 from magyc_gtsam.online.intake import Intake, vector
 from magyc_gtsam.recording import Array
 from magyc_gtsam.sensor_faults.faults import SensorFaults

@@ -18,8 +18,8 @@ from magyc_gtsam.estimators.magyc.graph import MagycGraph
 from magyc_gtsam.estimators.magyc.magyc_ifg import check_estimate
 from magyc_gtsam.estimators.magyc.state import Prior, calibration_of
 from magyc_gtsam.observability import GYRO_BIAS_LIMIT, HARD_IRON_LIMIT, SOFT_IRON_LIMIT
-from magyc_gtsam.online.coverage import coverage
 from magyc_gtsam.online.engine import Change, Progress
+from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.recording import Array, Recording, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.runners.isam import Method

@@ -14,8 +14,8 @@ from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.online.all_samples import fit_samples
 from magyc_gtsam.online.belief import FIRST
 from magyc_gtsam.online.buffers import IntegratedWindows
-from magyc_gtsam.online.coverage import coverage
 from magyc_gtsam.online.engine import Change, Progress
+from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.online.random_walk import fit_random_walk
 from magyc_gtsam.online.refit import REFIT_GROWTH, drift_of, testable
 from magyc_gtsam.online.state import SmootherState

@@ -25,12 +25,11 @@ from magyc_gtsam.online.belief import Belief
 from magyc_gtsam.online.buffers import IntegratedWindows
 from magyc_gtsam.online.change_point import SMALLEST, find_step
 from magyc_gtsam.online.engine import Change, Progress
-from magyc_gtsam.online.options import OnlineOptions
 from magyc_gtsam.online.random_walk import advance_filter
 from magyc_gtsam.online.refit import SHORTEST_TAIL, on_one_clock, refit
 from magyc_gtsam.online.report import changes_until, current_calibration, has_converged, progress_of
 from magyc_gtsam.online.restart import restart
-from magyc_gtsam.online.state import SmootherState, continued
+from magyc_gtsam.online.state import OnlineOptions, SmootherState, continued
 from magyc_gtsam.recording import Array, Samples
 
 _EVERY = 6  # windows between two fits of the tail
