@@ -83,9 +83,11 @@ def fit_components(
         before = variance.copy()
         for i, own in enumerate(groups):
             prior[own] = 0.0
-            explained, left = by_others(normal, score, prior, own, square)
-            beside = normal[own, own] - explained[:, :-1], score[own] - explained[:, -1]
-            found = likeliest(*beside, left, freedom, most[i] ** 2 / level)
+            held = Held.of(normal, score, prior, square)
+            known, pulled = held.explained(normal[:, own])
+            found = likeliest(
+                normal[own, own] - known, score[own] - pulled, held.left, freedom, most[i] ** 2 / level
+            )
             variance[i] = found.variance if found.gain > _ASKED else 0.0
             prior[own] = variance[i]
         second, level, mean = _posterior(normal, score, prior, square, freedom)
@@ -94,20 +96,34 @@ def fit_components(
     return Components(np.sqrt(variance * level), level, second, mean, prior)
 
 
-def by_others(normal: Array, score: Array, prior: Array, own: slice, square: float) -> tuple[Array, float]:
-    """What the columns with a variance explain of a group's G and s (k, k + 1), and the square they leave.
+class Held(NamedTuple):
+    """Columns whose variances are held.
 
-    Args:
-        normal, score: G (K, K) and s (K,) of all columns; prior: (K,) their variances over φ.
-        own: the group's columns, whose prior is zero; square: yᵀy.
+    active (K,): those with one; factor: of their G + V⁻¹, and solved: its solution for their s; left: the square that
+    they leave.
     """
-    active = prior > 0
-    if not active.any():
-        return np.zeros((own.stop - own.start, own.stop - own.start + 1)), square
-    factor = cho_factor(normal[np.ix_(active, active)] + np.diag(1 / prior[active]))
-    across = np.column_stack([normal[active, own], score[active]])
-    solved = cho_solve(factor, across)
-    return across[:, :-1].T @ solved, square - float(score[active] @ solved[:, -1])
+
+    active: np.ndarray
+    factor: tuple[Array, bool] | None
+    solved: Array
+    left: float
+
+    @classmethod
+    def of(cls, normal: Array, score: Array, prior: Array, square: float) -> Held:
+        """With G (K, K), s (K,), variances over φ (K,) and yᵀy."""
+        active = prior > 0
+        if not active.any():
+            return cls(active, None, np.zeros(0), square)
+        factor = cho_factor(normal[np.ix_(active, active)] + np.diag(1 / prior[active]))
+        solved = cho_solve(factor, score[active])
+        return cls(active, factor, solved, square - float(score[active] @ solved))
+
+    def explained(self, across: Array) -> tuple[Array, Array]:
+        """What they explain of others' G (k, k) and s (k,), whose block of G with all columns is `across` (K, k)."""
+        if self.factor is None:
+            return np.zeros((across.shape[1], across.shape[1])), np.zeros(across.shape[1])
+        some = across[self.active]
+        return some.T @ cho_solve(self.factor, some), some.T @ self.solved
 
 
 def _posterior(

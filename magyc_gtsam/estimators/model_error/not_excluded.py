@@ -13,11 +13,10 @@ import numpy as np
 
 from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged, averaged_of_each
 from magyc_gtsam.estimators.model_error.component import Component, Tested, moves
-from magyc_gtsam.estimators.model_error.components import by_others, likeliest
+from magyc_gtsam.estimators.model_error.components import Held, likeliest
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.shown import Shown
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
-from magyc_gtsam.factors.chain.rotations import Array
 
 _FARTHEST = 50.0  # nats
 _LITTLE = 0.03  # odds that no mean can pass, below which a family moves nothing
@@ -36,9 +35,10 @@ def not_excluded(
             open_ones.append(each)
     largest = [each.family.likely(motion) for each in open_ones]
     if shown.variance.any():
+        shown_ones = Held.of(shown.normal, shown.score, shown.variance, beside.square)
         rivals = _rivals(beside, shown)
         likeliest_ways = [
-            max(_ways(beside, each, shown, rivals, most), key=lambda way: way[0])
+            max(_ways(beside, each, shown, shown_ones, rivals, most), key=lambda way: way[0])
             for each, most in zip(open_ones, largest, strict=True)
         ]
     else:
@@ -67,16 +67,18 @@ def _alone(
     ]
 
 
-def _rivals(beside: ColumnProducts, shown: Shown) -> list[tuple[float, Array, float]]:
-    """Of each family that is shown: its prior, the variances of the others, and what it gains beside them."""
+def _rivals(beside: ColumnProducts, shown: Shown) -> list[tuple[float, Held, float]]:
+    """Of each family that is shown: its prior, the others, and what it gains beside them."""
     result = []
     for rival, own in shown.active:
-        others = shown.variance.copy()
-        others[own] = 0.0
-        explained, left = by_others(shown.normal, shown.score, others, own, beside.square)
-        normal, score = shown.normal[own, own] - explained[:, :-1], shown.score[own] - explained[:, -1]
-        most = rival.family.most**2 * beside.freedom / left
-        result.append((rival.family.prior, others, likeliest(normal, score, left, beside.freedom, most).gain))
+        variance = shown.variance.copy()
+        variance[own] = 0.0
+        others = Held.of(shown.normal, shown.score, variance, beside.square)
+        known, pulled = others.explained(shown.normal[:, own])
+        new = shown.normal[own, own] - known, shown.score[own] - pulled
+        most = rival.family.most**2 * beside.freedom / others.left
+        gain = likeliest(*new, others.left, beside.freedom, most).gain
+        result.append((rival.family.prior, others, gain))
     return result
 
 
@@ -84,26 +86,22 @@ def _ways(
     beside: ColumnProducts,
     each: Tested,
     shown: Shown,
-    rivals: Sequence[tuple[float, Array, float]],
+    every: Held,
+    rivals: Sequence[tuple[float, Held, float]],
     largest: float,
 ) -> Iterator[tuple[float, Averaged]]:
     """The odds of a family in each way that it may be there beside what is shown, and what is then known of it."""
-    freedom, octaves = beside.freedom, each.family.octaves
     across = np.concatenate([other.new.across(each.new) for other, _ in shown.found])
-    normal = np.block([[shown.normal, across], [across.T, each.new.normal]])
-    score = np.concatenate([shown.score, each.new.score])
-    mine = slice(len(shown.score), len(score))
-    none = np.zeros(len(each.new.score))
 
-    def beside_those(variance: Array) -> Averaged:
-        explained, left = by_others(normal, score, np.concatenate([variance, none]), mine, beside.square)
-        own = normal[mine, mine] - explained[:, :-1], score[mine] - explained[:, -1]
-        return averaged(*own, left, freedom, largest, octaves)
+    def known_beside(others: Held) -> Averaged:
+        known, pulled = others.explained(across)
+        new = each.new.normal - known, each.new.score - pulled
+        return averaged(*new, others.left, beside.freedom, largest, each.family.octaves)
 
-    known = beside_those(shown.variance)
+    known = known_beside(every)
     yield each.family.prior * _likelihood(known.evidence), known
     for prior, others, gain in rivals:
-        known = beside_those(others)
+        known = known_beside(others)
         yield each.family.prior / prior * _likelihood(known.evidence - gain), known
 
 

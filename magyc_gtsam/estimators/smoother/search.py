@@ -130,7 +130,7 @@ def fit_field_chain(
         fits, ends = [best], [first]
         for parameters in starts.others(windows, best.state.parameters[9:12]):
             progress(0.4 + 0.1 * len(fits))
-            fit = _descended(samples, begin(chain, parameters, free, patience))
+            fit = _descended(samples, begin(chain, parameters, free, BRIEF))
             if any(same(fit, end) for end in ends):
                 continue
             ends.append(fit)
