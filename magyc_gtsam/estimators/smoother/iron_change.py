@@ -89,7 +89,7 @@ def hard_iron_change(
     explained = (
         other.weights.window.mean() >= _LIMITS.explained
         and other.chain.noise.magnetometer <= _LIMITS.noise * fit.chain.noise.magnetometer
-        and abs(np.log(size / strength)) <= _LIMITS.strength
+        and abs(size / strength - 1) <= _LIMITS.strength
     )
     apart = change @ np.linalg.solve(covariance, change) > _LIMITS.sigmas**2
     if explained and apart and np.linalg.norm(change) > _LIMITS.smallest * strength:
