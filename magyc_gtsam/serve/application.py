@@ -79,7 +79,8 @@ class Server:
         self.store.discard_empty(job.folder)
 
     async def page(self, request: Request) -> Response:
-        """Return the page."""
+        """Return the page, and prepare the processes of its first jobs."""
+        self.jobs.prepare()
         text, policy = page(request.headers["host"])
         return HTMLResponse(text, headers={"Content-Security-Policy": policy})
 
@@ -235,7 +236,6 @@ class Server:
 
         @asynccontextmanager
         async def lifespan(_: Starlette) -> AsyncIterator[None]:
-            self.jobs.prepare()
             yield
             await self.live.freeze()
             await self.jobs.close()

@@ -48,13 +48,15 @@ class Workers:
         self._place, self._count = place, count
         self._waiting: list[Process] = []
         self._closed = False
+        self._preparing = asyncio.Lock()  # two pages that are opened at once do not start twice as many
 
     async def prepare(self) -> None:
         """Start processes until `count` of them wait."""
-        self._waiting = [process for process in self._waiting if process.returncode is None]
-        with contextlib.suppress(OSError):  # the job that needs a process reports the error
-            while not self._closed and len(self._waiting) < self._count:
-                self._waiting.append(await self._started())
+        async with self._preparing:
+            self._waiting = [process for process in self._waiting if process.returncode is None]
+            with contextlib.suppress(OSError):  # the job that needs a process reports the error
+                while not self._closed and len(self._waiting) < self._count:
+                    self._waiting.append(await self._started())
         if self._closed:
             await self.close()
 
