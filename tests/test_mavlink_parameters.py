@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import COMMAND
+from commands import run
 from sending import free_port
 
 import magyc_gtsam as mg
@@ -92,8 +91,8 @@ def write(calibration: Path) -> Iterator[Write]:
         vehicle = Vehicle(port, autopilot or target, {s.name: 0.0 for s in settings}, deaf, armed)
         started.append(vehicle)
         vehicle.start()
-        command = [COMMAND, "export", str(calibration), target, "--write", f"mavlink://udpin:127.0.0.1:{port}"]
-        ended = subprocess.run(command, input=answer, capture_output=True, text=True, timeout=120)
+        command = ("export", calibration, target, "--write", f"mavlink://udpin:127.0.0.1:{port}")
+        ended = run(*command, cwd=calibration.parent, stdin=answer)
         return ended.returncode, ended.stdout, ended.stderr, vehicle
 
     yield call
@@ -144,7 +143,7 @@ def test_an_armed_vehicle_and_another_autopilot_are_left_alone(
 
 def test_an_untrusted_calibration_is_never_written(calibration: Path) -> None:
     mg.Calibration(np.eye(3), np.zeros(3), converged=False, message="no luck").save(calibration)
-    command = [COMMAND, "export", str(calibration), "px4", "--write", "mavlink://udpin:127.0.0.1:9", "--force"]
-    ended = subprocess.run(command, input="y\n", capture_output=True, text=True, timeout=120)
+    command = ("export", calibration, "px4", "--write", "mavlink://udpin:127.0.0.1:9", "--force")
+    ended = run(*command, cwd=calibration.parent, stdin="y\n")
     assert ended.returncode == 1
     assert "must not be trusted" in ended.stderr
