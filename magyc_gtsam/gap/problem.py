@@ -72,14 +72,12 @@ class Problem:
     Attributes:
         recording: the data.
         samples: of both sensors, in windows.
-        window_of: (M,) window of each magnetometer sample.
         magnetometer, gyroscope: acceleration and channels at each sensor's samples.
         rate_noise: rad/s per sample, of the gyroscope itself: what else is missing raises the model's, not this.
     """
 
     recording: Recording
     samples: Preintegration
-    window_of: np.ndarray
     magnetometer: Signals
     gyroscope: Signals
     rate_noise: float
@@ -87,12 +85,9 @@ class Problem:
     @classmethod
     def of(cls, recording: Recording, samples: Preintegration) -> Problem:
         """Interpolate what the recording has."""
-        starts = samples.starts
-        count = np.diff(np.append(starts, len(samples.magnetometer_time)))
         return cls(
             recording,
             samples,
-            np.repeat(np.arange(len(starts)), count),
             _others(recording, samples.magnetometer_time),
             _others(recording, samples.gyroscope_time),
             short_term_noise(recording).gyroscope,
