@@ -5,7 +5,8 @@
 FOLDER holds recordings as arrays (*.npz: tm, m, tg, w, ta, a, tq, q, move, dev in SI units; where tg and ta are
 missing they equal tm) and `truth_by_optics.json`: for each recording the full matrix `A` (µT), the hard iron `h`
 (µT), its covariance `cov` (µT²), the `rms` that it leaves (µT) and the magnetometer's `delay` (s). A BROAD trial may
-also be given as MCAP. BROAD trials are calibrated whole and in their moving part.
+also be given as MCAP. BROAD trials are calibrated whole and in their moving part. A folder of another form is an
+error of one sentence, exit code 2.
 
 An error counts against the stated covariance, the truth's own and the scatter of one unit's hard iron from trial to
 trial. A trial with translation has a weak truth of its own: it is judged by its unit's rotation trials. The truth of
@@ -19,7 +20,9 @@ import argparse
 import itertools
 import json
 import re
+import sys
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +37,7 @@ from magyc_gtsam.recording import Array
 UNITS = {"A": (1, 4, 6, 8, 10, 15), "B": (2, 5, 7, 11, 16, 18, 21, 28, 29, 30, 31), "C": (3, 24, 25, 26, 27)}
 SCATTER = {"A": 0.3, "B": 0.06}  # µT an axis, of one unit's hard iron from trial to trial; else their rms
 MOVING = {1: (34.0, 160.0), 6: (38.0, 160.0), 32: (41.5, 92.0)}  # s, of the MCAP files
+TRUTHS = "truth_by_optics.json"
 DELAY_TRUTH = 1.5e-3  # s, how well optics know the delay: found in steps of 2 ms
 KNOWN = {"hard iron": 3, "gyroscope bias": 3, "delay": 1}
 Method = Callable[[mg.Recording], mg.Calibration]
@@ -87,16 +91,24 @@ class Row:
         return float(error @ np.linalg.solve(self.covariances[what], error))
 
 
-def main() -> None:
-    """Run, print the table and the summary."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main() -> int:
+    """Run, print the table and the summary; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("more", type=Path, nargs="*", help="BROAD trials as MCAP")
     parser.add_argument("--half", choices=("tuning", "unseen"), help="every other recording, by name")
     parser.add_argument("--by", choices=METHODS, default="calibrate", help="what calibrates")
     parser.add_argument("--words", action="store_true", help="print the whole message")
     arguments = parser.parse_args()
-    logs = list(read_all(arguments.folder, arguments.more))
+    try:
+        logs = list(read_all(arguments.folder, arguments.more))
+        if not logs:
+            raise mg.MagycError(
+                f"{arguments.folder}: no recording (*.npz) in it has an optical attitude and an entry in {TRUTHS}"
+            )
+    except mg.MagycError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     chosen = {"tuning": logs[::2], "unseen": logs[1::2], None: logs}[arguments.half]
     print(f"{'recording':34s} {'part':6s} {'error µT':>21s} {'sigma µT':>8s} {'NEES':>6s} {'bias':>6s} {'delay':>6s}"
           f" {'heading':>12s}  trusted")  # fmt: skip
@@ -107,6 +119,7 @@ def main() -> None:
             rows.append(row)
             print(line_of(row, arguments.words), flush=True)
     summarise(rows)
+    return 0
 
 
 def parts_of(log: Log) -> Iterator[tuple[str, mg.Recording]]:
@@ -197,7 +210,7 @@ def heading_of(log: Log, soft_iron: Array, hard_iron: Array) -> float:
 
 def read_all(folder: Path, more: list[Path]) -> Iterator[Log]:
     """All recordings with a truth, by name; the hard iron of translation trials from their unit's rotation trials."""
-    truths: dict[str, Any] = json.loads((folder / "truth_by_optics.json").read_text())
+    truths = read_truths(folder / TRUTHS)
     files = {path.stem: path for path in folder.glob("*.npz")}
     for path in more:
         name = next((n for n in truths if n.startswith(path.name[:8])), path.stem)
@@ -241,6 +254,28 @@ def read_all(folder: Path, more: list[Path]) -> Iterator[Log]:
         )
 
 
+def read_truths(path: Path) -> dict[str, Any]:
+    """The truth of each recording.
+
+    Raises:
+        MagycError: there is no such file, or not of that form.
+    """
+    try:
+        truths = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise mg.MagycError(
+            f"{path}: cannot be read ({error}); the folder needs this file beside its recordings (*.npz), see --help"
+        ) from error
+    shapes = {"h": (3,), "cov": (3, 3), "delay": ()}
+    for name, truth in truths.items() if isinstance(truths, dict) else [("all", None)]:
+        for key, shape in shapes.items():
+            if not isinstance(truth, dict) or np.shape(truth.get(key, "missing")) != shape or key not in truth:
+                raise mg.MagycError(
+                    f"{path}: {name}: {key!r} must be there with shape {shape}: {', '.join(shapes)} of each recording"
+                )
+    return dict(truths)
+
+
 def unit_of(name: str) -> str:
     """The instrument: clusters of BROAD's trials; of the phones person and model."""
     number = re.match(r"broad_(\d+)_", name)
@@ -251,7 +286,14 @@ def unit_of(name: str) -> str:
 
 
 def read_npz(path: Path) -> tuple[mg.Recording, Array, Rotation, Array | None, tuple[float, float] | None]:
-    data = {name: value.astype(float) for name, value in np.load(path).items()}
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            data = {name: value.astype(float) for name, value in arrays.items()}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise mg.MagycError(f"{path}: no arrays of numbers can be read from it ({error})") from error
+    missing = sorted({"tm", "m", "w", "a", "tq", "q"} - data.keys())
+    if missing:
+        raise mg.MagycError(f"{path}: the arrays {', '.join(missing)} are missing, see --help")
     tm = data["tm"]
     if "tg" in data:
         recording = mg.Recording.from_streams(
@@ -326,4 +368,4 @@ def product(steps: Rotation) -> Rotation:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
