@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from magyc_gtsam import calibrate
+from magyc_gtsam import calibrate, simulate
 from magyc_gtsam.estimators.model_error.averaging import averaged
+from magyc_gtsam.estimators.model_error.physical import PHYSICAL
 from magyc_gtsam.estimators.model_error.samples import flickers
+from magyc_gtsam.study.efficiency import error, nees
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import score
 from magyc_gtsam.study.faults.signals import record
@@ -38,6 +42,27 @@ def test_the_average_is_that_of_its_octaves() -> None:
         mean = inverse @ products[1]
         second += each * ((products[2] - products[1] @ mean) / 200.0 * inverse + np.outer(mean, mean))
     np.testing.assert_allclose(found.second, second, rtol=1e-9)
+
+
+@pytest.mark.parametrize("motion", ["moderate", "tiny"])
+def test_over_instruments_that_bend_as_they_are_believed_to_the_covariance_is_honest(motion: str) -> None:
+    """Neither of straight ones, for which it is too wide, nor of bent ones alone, but of both by their odds."""
+    (bend,) = (family for family in PHYSICAL if family.name == "bend")
+    share = bend.prior / (1 + bend.prior)
+    scores, by_noise = [], []
+    for seed in range(2000, 2014):
+        simulation, random = simulate(motion, seed=seed), np.random.default_rng(seed)
+        field, strength = simulation.recording.magnetic_field, simulation.truth.field_strength
+        amplitude = bend.most * 0.5 ** random.integers(bend.octaves) * random.normal()
+        bent = field + amplitude * strength * (field / np.abs(field).max()) ** 3
+        straight, crooked = (
+            calibrate(replace(simulation.recording, magnetic_field=each), misalignment=0) for each in (field, bent)
+        )
+        scores.append([nees(error(c, simulation.truth), c.covariance) for c in (straight, crooked)])
+        by_noise.append(nees(error(crooked, simulation.truth), crooked.noise_covariance))
+    straight_mean, crooked_mean = np.mean(scores, axis=0)
+    assert (1 - share) * straight_mean + share * crooked_mean == pytest.approx(11, abs=2.58 * np.sqrt(22 / 14))
+    assert straight_mean < crooked_mean < 0.8 * np.mean(by_noise)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, USUAL, ColumnFamily
+from magyc_gtsam.estimators.model_error.families import COMMON, EVEN, GENERAL, LIKELY, USUAL, ColumnFamily
 from magyc_gtsam.estimators.model_error.motion import ALIKE, WindowMotion
 from magyc_gtsam.estimators.smoother.columns import RateErrors, UnmodelledColumns
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
@@ -113,7 +113,7 @@ def _if_felt(amplitude: float) -> float:
 
 
 PHYSICAL = (
-    ColumnFamily("bend", "the reading bends by {} of the field", _bend, 0.02, prior=COMMON),
+    ColumnFamily("bend", "the reading bends by {} of the field", _bend, 0.02, prior=LIKELY),
     ColumnFamily(
         "dead zone",
         "the reading jumps by {} about zero",
