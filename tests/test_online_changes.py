@@ -127,7 +127,7 @@ def test_a_step_is_timed_within_its_window(at):
     step = np.array([5e-6, -3e-6, 4e-6])
     fit, _ = fit_field_chain(with_step(simulation, at, step), delay=0.0)
     chain = ContinuedChain(fit.chain.windows, fit_field_chain(simulation.recording)[0].chain.noise)
-    found, _ = find_step(replace(fit, chain=chain))
+    found, *_ = find_step(replace(fit, chain=chain))
     assert found.time == pytest.approx(at, abs=0.3)
     assert abs(found.time - at) < 4 * found.time_sigma
     assert found.time_sigma < 0.12

@@ -19,7 +19,8 @@ from magyc_gtsam.online.marginal import Marginal
 from magyc_gtsam.recording import Array
 
 FIRST = 12  # windows before the first fit
-_COUNTS = ("front_at", "tail", "done", "given_up", "next_refit", "next_search", "settled", "stable", "undecided")
+_FLAGS = ("settled", "stable", "undecided", "waiting")
+_COUNTS = ("front_at", "tail", "done", "given_up", "next_refit", "next_search", *_FLAGS)
 
 
 class Estimate(NamedTuple):
@@ -56,6 +57,7 @@ class Belief:
         settled: whether the head joins the past as it grows.
         stable: whether the estimate has converged.
         undecided: whether the tail may contain a step.
+        waiting: whether a refit waits for its decision, because the step would be large.
         problem: why there is no estimate; "" if there is one.
         doubt: why the last refit rejected a misalignment that the data suggest.
         unexplained: model error at the last refit; None before, and if parameters walk.
@@ -80,6 +82,7 @@ class Belief:
     settled: bool = False
     stable: bool = False
     undecided: bool = False
+    waiting: bool = False
     problem: str = ""
     doubt: str = ""
     unexplained: ModelError | None = None
@@ -116,7 +119,7 @@ class Belief:
         counts = dict(zip(_COUNTS, (int(v) for v in state["counts"]), strict=True))
         problem, doubt, report, unexplained = json.loads(str(state["words"]))
         result = cls(
-            **counts | {name: bool(counts[name]) for name in ("settled", "stable", "undecided")},  # type: ignore[arg-type]
+            **counts | {name: bool(counts[name]) for name in _FLAGS},  # type: ignore[arg-type]
             problem=problem,
             doubt=doubt,
             report=_calibration_from_json(report),

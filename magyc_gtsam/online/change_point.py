@@ -38,10 +38,9 @@ NO_PLACE = 0.5  # of the field strength; a larger change is not one of the place
 SMALLEST = 1.5e-6  # T, smallest step worth a restart; the field within a room varies by as much
 _AFTER = 5  # least windows after a step
 _BEFORE = 3  # least windows before a step
-_CORRECTIONS = (
-    6  # most times the step is subtracted and estimated again, so that it leaves the linearisation point
-)
-_ROBUST_CORRECTIONS = (5.0, 1.0)  # the same with robust weights: times the noise by which these judge
+LARGE = 0.1  # of the field strength, from which a step is far from linear
+_CORRECTIONS = 6  # most times a large step is subtracted and estimated again, until it stands still
+_JUDGED, _JUDGED_LARGE = (1.0, 1.0, 1.0), (5.0, 1.0)  # times the noise by which robust weights judge, one by one
 _STILL = 1.0  # squared change of a step's size, in its covariance
 _NOTHING = 1e-6  # samples of a window whose field is left out
 
@@ -70,10 +69,11 @@ class Step:
 
 
 class ChangeSearch(NamedTuple):
-    """The step found, or whether more windows are needed to decide about a possible one."""
+    """The step found, or whether more windows are needed to decide about a possible one, and whether that is large."""
 
     step: Step | None
-    undecided: bool
+    undecided: bool = False
+    large: bool = False
 
 
 def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> ChangeSearch:
@@ -95,19 +95,20 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Chan
     ratio[:_BEFORE] = 0.0
     n = int(np.argmax(ratio))
     if ratio[n] < limit:
-        return ChangeSearch(None, undecided=False)
+        return ChangeSearch(None)
     if np.linalg.norm(step[n]) < smallest:
         return ChangeSearch(None, undecided=True)
     placed = step_profile(chain, state, weights, reduced, chain.seen(state.parameters))
     rival = placed.at_windows()[0][_BEFORE : len(ratio)]
     strength = np.cbrt(abs(np.linalg.det(unvech(state.parameters[:6]))))
+    undecided = ChangeSearch(None, True, bool(np.linalg.norm(step[n]) > LARGE * strength))
     lead = (ratio[n] - rival.max()) / colour
     in_sensor_frame = lead > MARGIN or (lead > -ALIKE and turned(chain.windows.rotation[:, :, n:]) > TURNED)
     if not in_sensor_frame and np.linalg.norm(step[n]) < NO_PLACE * strength:
-        return ChangeSearch(None, undecided=True)
-    found, corrected = _corrected(fit, change_time(chain, profile, colour), colour)
+        return undecided
+    found, corrected = _corrected(fit, change_time(chain, profile, colour), colour, strength)
     if _cost(fit) - _cost(corrected) < limit or np.linalg.norm(found.value) < smallest:
-        return ChangeSearch(None, undecided=True)
+        return undecided
     step_window = found.window
     before = _fitted(fit, replace(chain, windows=chain.windows.part(0, step_window)), state.parameters)
     past = _until(chain, before).forget(HARD_IRON)
@@ -117,26 +118,26 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Chan
     after = _fitted(fit, following, parameters)
     sigma = np.sqrt(np.diag(found.covariance))
     found_step = Step(step_window + 1, found.time, found.time_sigma, found.value, sigma, before, past, after)
-    return ChangeSearch(found_step, undecided=False)
+    return ChangeSearch(found_step)
 
 
-def _corrected(fit: Fit, found: ChangeTime, colour: float) -> tuple[ChangeTime, Fit]:
-    """Subtract a step, fit all windows, and estimate its time and size again at that fit, until both stand still.
+def _corrected(fit: Fit, found: ChangeTime, colour: float, strength: float) -> tuple[ChangeTime, Fit]:
+    """Subtract a step, fit all windows, and estimate its time and size again at that fit.
 
-    All windows count until the size stands still: one of the field's own size is at first off by its tenth, and robust
-    weights would reject the windows after it for what is left of it. Then they reject the windows in which a hand moves
-    what makes the step, and at the last what the noise does not explain.
+    The size of a large one is at first off by up to its tenth, and robust weights would reject the windows after it for
+    what is left of it. All windows count alike until it stands still; then the weights reject the windows in which a
+    hand moves what makes the step, and at the last what the noise does not explain.
     """
     chain, parameters = fit.chain, fit.state.parameters
     assert isinstance(chain, ContinuedChain)
-    for _ in range(_CORRECTIONS):
+    large = bool(np.linalg.norm(found.value) > LARGE * strength)
+    for _ in range(_CORRECTIONS if large else 0):
         before = found.value
-        corrected = _started(fit, found.removed_from(chain), parameters)
-        found = _timed(chain, corrected, colour)
+        found = _timed(chain, _started(fit, found.removed_from(chain), parameters), colour)
         away = found.value - before
         if away @ np.linalg.solve(found.covariance, away) < _STILL:
             break
-    for times in _ROBUST_CORRECTIONS:
+    for times in _JUDGED_LARGE if large else _JUDGED:
         noise = SensorNoise(times * chain.noise.magnetometer, times * chain.noise.gyroscope)
         corrected = _fitted(fit, found.removed_from(replace(chain, noise=noise)), parameters)
         found = _timed(chain, corrected, colour)

@@ -120,7 +120,8 @@ def _plan_next(online: SmootherState, count: int) -> bool:
     search = belief.past is None and (
         belief.estimate is None or (not belief.stable and count >= belief.next_search)
     )
-    few = belief.estimate is None or belief.front is not None
+    restarted = belief.given_up > 0 and count >= _LEAST_STABLE  # with windows enough to converge at the next refit
+    few = (belief.estimate is None and not restarted) or belief.front is not None
     belief.next_refit = max(int((_SEARCH if few else REFIT_GROWTH) * count), count + 8)
     if search:
         belief.next_search = int(_SEARCH * count)

@@ -12,7 +12,7 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.online.all_samples import fit_batch
 from magyc_gtsam.online.belief import FIRST
-from magyc_gtsam.online.change_point import EarlierChange, Step, find_earlier_change, find_step
+from magyc_gtsam.online.change_point import NO_PLACE, EarlierChange, Step, find_earlier_change, find_step
 from magyc_gtsam.online.engine import Change
 from magyc_gtsam.online.marginal import BIAS, ContinuedChain
 from magyc_gtsam.online.state import SmootherState, continued, observable
@@ -33,7 +33,7 @@ def restart(online: SmootherState, numbers: Array, step: Step) -> None:
     online.close()
     after = step.after
     belief.estimate = online.last._replace(parameters=after.state.parameters, covariance=after.covariance)
-    belief.front, belief.undecided = None, False
+    belief.front, belief.undecided, belief.waiting = None, False, False
     belief.refitted, belief.stable, belief.settled, belief.next_refit = None, False, False, FIRST
 
 
@@ -45,12 +45,12 @@ def restart_at_convergence(online: SmootherState, fit: Fit, now: Calibration) ->
     """
     belief, numbers = online.belief, online.numbers()
     held = online.settings.free(fit.state.parameters)
-    step, undecided = find_step(replace(fit, chain=continued(fit), free=held), online.last.colour)
+    step, undecided, _ = find_step(replace(fit, chain=continued(fit), free=held), online.last.colour)
     earlier = None
     if belief.past is None and (undecided or (step and not observable(_before(online, numbers, step)))):
         # A beginning too short to lower the robust cost by the limit, or to have a calibration of its own.
         earlier = _change_before(online, fit)
-    if earlier is not None and earlier.in_sensor:
+    if earlier is not None and np.linalg.norm(earlier.step) > NO_PLACE * (now.field_strength or 0.0):
         _begin_after(online, earlier, now)
     elif step is not None:
         restart(online, numbers, step)

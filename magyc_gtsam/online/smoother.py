@@ -117,8 +117,8 @@ class OnlineSmoother:
         if belief.head is not None:
             self._follow()
         if not belief.settled:
-            # A fit of all windows knows one hard iron, so that it waits until a possible step is decided.
-            if len(self._online.numbers()) >= belief.next_refit and not belief.undecided:
+            # A fit of all windows knows one hard iron, so that it waits until a large possible step is decided.
+            if len(self._online.numbers()) >= belief.next_refit and not belief.waiting:
                 refit(self._online)
             self._give_up()
 
@@ -127,7 +127,7 @@ class OnlineSmoother:
         online, belief, estimate = self._online, self._online.belief, self._online.last
         fit = online.fit_tail(belief.done)
         if online.settings.detect_changes and belief.stable:
-            step, belief.undecided = find_step(fit, estimate.colour, self._smallest_step(fit))
+            step, belief.undecided, belief.waiting = find_step(fit, estimate.colour, self._smallest_step(fit))
             if step is not None:
                 restart(online, online.numbers(belief.tail), step)
                 return
@@ -138,7 +138,7 @@ class OnlineSmoother:
         count = len(fit.chain.windows)
         # A possible step stays in the tail until it is decided, or is taken for none.
         if count > (_LONGEST_UNDECIDED if belief.undecided else _LONGEST_TAIL):
-            belief.undecided = False
+            belief.undecided = belief.waiting = False
             self._shorten(fit, count - SHORTEST_TAIL)
 
     def _smallest_step(self, fit: Fit) -> float:

@@ -193,7 +193,7 @@ class SmootherState:
         belief.past = belief.head = belief.front = None
         belief.estimate = belief.refitted = belief.report = belief.drift = belief.unexplained = None
         belief.next_refit = belief.next_search = FIRST
-        belief.stable = belief.settled = belief.undecided = False
+        belief.stable = belief.settled = belief.undecided = belief.waiting = False
         belief.doubt = ""
 
     def result(
