@@ -110,8 +110,8 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
             power = float(left @ left) - tree.freedom
             if power > PRIOR.form * node.explained:
                 colour = colour_of(left)
-                add(tuple(sorted((*key_of(node), COLOUR))), False, node.log + PRIOR.named + colour.alike)
-                add(key_of(node), True, node.log + PRIOR.unknown - _DIRECTIONS + colour.one_way)
+                add(tuple(sorted((*key_of(tree, node), COLOUR))), False, node.log + PRIOR.named + colour.alike)
+                add(key_of(tree, node), True, node.log + PRIOR.unknown - _DIRECTIONS + colour.one_way)
         if colour_of(tree.nodes[()].beside.left()).alike + PRIOR.named > max(
             _COLOURED, tree.best.log - PRIOR.close
         ):

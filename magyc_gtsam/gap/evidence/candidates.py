@@ -79,12 +79,16 @@ class Candidates:
         return Candidates(self.columns, self.pull, tuple(batches))
 
     def of_setting(self, name: str, setting: Setting) -> Array:
-        """(k, 3n) columns of a name at one of its settings."""
+        """(k, 3n) columns of a candidate at one of its settings."""
+        return self.columns[self._places(name, setting)]
+
+    def _places(self, name: str, setting: Setting) -> np.ndarray:
         for batch in self.batches:
             for rows, whose, at in zip(batch.rows, batch.names, batch.settings, strict=True):
                 if whose == name and at is setting:
-                    return self.columns[rows]
-        return self.columns[:0]
+                    own: np.ndarray = rows
+                    return own
+        return np.zeros(0, dtype=int)
 
     def changed(self, change: Callable[[Array], Array]) -> Candidates:
         """With other columns in place of these, row by row."""
@@ -121,12 +125,13 @@ def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
 def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
     """The grid that a name is averaged over.
 
-    A drift is a straight line or a random walk. What plates of any matrix have alike in all directions is a delay.
+    A drift is a straight line or the slow part of a random walk. What plates of any matrix have alike in all directions
+    is a delay.
     """
     if name != "hard-iron-drift":
         return [{"uneven": 1.0} if setting.get("full") else setting for setting in TERMS[name].settings(twin)]
     ends = {"start": float(twin.time[0]), "end": float(twin.time[-1])}
-    return [{"order": 0.0} | ends, {"order": float(PRIOR.modes)} | ends]
+    return [{"order": float(order)} | ends for order in (0, *PRIOR.modes)]
 
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:

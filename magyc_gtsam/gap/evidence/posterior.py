@@ -31,14 +31,14 @@ def weights(tree: Tree) -> dict[Set, float]:
         result[key, unknown] = float(np.logaddexp(result.get((key, unknown), -np.inf), log))
 
     for node in tree.nodes.values():
-        key = key_of(node)
+        key = key_of(tree, node)
         form, foreign = _families(tree, node)
         add(key, False, np.logaddexp(node.log, node.log + _FORM + form) if np.isfinite(form) else node.log)
         if np.isfinite(foreign):
             add(key, True, node.log + PRIOR.unknown + foreign)
         for log in _products(node):
             add(key, True, node.log + log)
-        for less, log in _imitated(node, key):
+        for less, log in _imitated(tree, node, key):
             add(less, True, node.log + log)
         for log in node.moving:  # the only one of what is unknown that a field of the place may be mistaken for
             add(key, True, node.log + PRIOR.unknown + log)
@@ -83,7 +83,7 @@ def _nameless(node: Node) -> list[Weighed]:
     return [e for e in node.found.values() if e.name not in TERMS and product_of(e.name) in (None, *node.names)]
 
 
-def _imitated(node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
+def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
     """(what else there is, nats) of each name, and of all, being a part of something that is in no catalogue.
 
     The rest of it is a family: as large as is seen, where that is more than the form of the name and of the field; or,
@@ -95,7 +95,7 @@ def _imitated(node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...
     share = float(np.log(len(families)))
     hidden = float(logsumexp([min(each.tied, 0.0) for each in families])) - share
     powers = dict.fromkeys(key, 0.0)
-    for index in kept(node):
+    for index in kept(tree, node):
         powers[node.fit.model.terms[index].name] += float(node.powers[index, index])
     if node.variation is not None:
         powers[FIELD_VARIATION] = node.of_field
@@ -149,17 +149,28 @@ def _holds(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
     return bool(np.trace(absorbed) > (1 - PRIOR.form) * np.trace(information[:count, :count]))
 
 
-def kept(node: Node) -> list[int]:
-    """Its terms, without those that are no more than the form of a related one before, or of a field that varies."""
+def kept(tree: Tree, node: Node) -> list[int]:
+    """Terms of a set, without those that are no more than the form of a related one, or of a field that varies.
+
+    Of two that are the form of each other the one stays that says more alone.
+    """
     result: list[int] = []
     terms, powers = node.fit.model.terms, node.powers
     names = [term.name for term in terms]
-    for index in range(len(names)):
+    for index in sorted(range(len(names)), key=lambda one: -_needed(tree, node, one)):
         strong = [powers[index, i] for i in result if related(names[index], names[i])]
         passed = any(_one_passing(terms[index], terms[i]) for i in result)
         if not passed and powers[index, index] > PRIOR.form * max([node.of_field, *strong]):
             result.append(index)
-    return result
+    return sorted(result)
+
+
+def _needed(tree: Tree, node: Node, index: int) -> float:
+    """Nats of a term of a set: against the same set without it, where that was fitted."""
+    less = list(node.names)
+    less.remove(node.fit.model.terms[index].name)
+    without = tree.nodes.get(tuple(sorted(less)))
+    return 0.5 * float(node.powers[index, index]) if without is None else node.log - without.log
 
 
 def _one_passing(one: Active, other: Active) -> bool:
@@ -170,9 +181,9 @@ def _one_passing(one: Active, other: Active) -> bool:
     return abs(one.setting["time"] - other.setting["time"]) < RULES.span * widths
 
 
-def key_of(node: Node) -> tuple[str, ...]:
+def key_of(tree: Tree, node: Node) -> tuple[str, ...]:
     """The names of what is kept, in their own order."""
-    names = {node.fit.model.terms[index].name for index in kept(node)}
+    names = {node.fit.model.terms[index].name for index in kept(tree, node)}
     return tuple(sorted(names | ({FIELD_VARIATION} if node.variation is not None else set())))
 
 

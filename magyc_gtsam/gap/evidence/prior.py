@@ -37,7 +37,8 @@ class Prior:
         form: share of the power of what is named that its form may miss. No real effect is of its catalogue form to
             better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
         profile_field, profile_rate: T and rad/s, what matters of a profile without a name.
-        modes: of a random walk; what is beyond them is 3 % of it.
+        modes: of a drift, beside a straight line: the slow part of a random walk. With 24 a jump of 6 µT that was put
+            into a walk with a phone was a drift.
         depth, beam: names in one set, beside a field that varies, and tried beside each.
         nodes, most: sets that are fitted, and with those in which rivals were exchanged.
         close: nats behind the best set, from which none is followed.
@@ -56,7 +57,7 @@ class Prior:
     form: float = 0.04
     profile_field: float = 0.3e-6
     profile_rate: float = 1e-3
-    modes: int = 24
+    modes: tuple[int, ...] = (4, 12)
     depth: int = 6
     nodes: int = 10
     most: int = 16

@@ -49,6 +49,7 @@ class Node:
         powers: (t, t) of each term of the model, beside the others, and of each as a form of another (`marginal`).
         beside: the set, beside which everything else is weighed.
         found: what else explains the data there.
+        refined: names of which the likeliest setting was found on a finer grid.
         moving: nats of what varies as the field of a place does, but in the sensor's axes: of something unknown.
     """
 
@@ -63,6 +64,7 @@ class Node:
     beside: Beside
     found: dict[str, Weighed] = field(default_factory=dict)
     moving: list[float] = field(default_factory=list)
+    refined: set[str] = field(default_factory=set)
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -182,12 +184,20 @@ class Tree:
         """A set without the term `index` of its model, fitted where it was not."""
         names = list(node.names)
         names.remove(node.fit.model.terms[index].name)
-        key = tuple(sorted(names))
-        if key not in self.nodes:
-            fit = refit(self._problem, without_term(node.fit.model, index), None)
-            variation = None if node.variation is None else field_variation(fit.twin)
-            self.nodes[key] = self._node(tuple(names), fit, variation, node.search)
-        return self.nodes[key]
+        known = self.nodes.get(tuple(sorted(names)))
+        rest = [term.setting for i, term in enumerate(node.fit.model.terms) if i != index]
+        if known is not None and all(term.setting in rest for term in known.fit.model.terms):
+            return known
+        fit = refit(self._problem, without_term(node.fit.model, index), None)
+        variation = None if node.variation is None else field_variation(fit.twin)
+        return self._likelier(self._node(tuple(names), fit, variation, node.search))
+
+    def _likelier(self, node: Node) -> Node:
+        """Keep a set, if the same names at other settings are not likelier."""
+        known = self.nodes.get(node.key)
+        if known is None or known.log < node.log:
+            self.nodes[node.key] = node
+        return node
 
     def _children(self, node: Node) -> Iterator[Node]:
         if node.variation is None and node.misfit > 1 + _MISFIT * np.sqrt(2 / self.freedom):
@@ -214,10 +224,8 @@ class Tree:
         key = tuple(sorted((*node.names, option.name)))
         if key in self.refused:
             return None
-        near = term.refined(node.fit.twin, setting)
-        if near:
-            finer = Candidates.of_parts(node.fit.twin, [at_settings(node.fit.twin, option.name, near)])
-            setting = dict(weigh(finer, node.beside)[option.name].setting)
+        if option.name not in node.refined:
+            setting = dict(self._finer(node, option).setting)
         count = len(term.regressors(node.fit.twin, setting).window)
         try:
             fit = refit(
@@ -253,9 +261,24 @@ class Tree:
         node.found.update(self._found(node))
         return node
 
+    def _finer(self, node: Node, option: Weighed) -> Weighed:
+        """An option with the cell of its likeliest setting integrated on a finer grid, where there is one.
+
+        A jump is known to a fraction of the grid's spacing: between two of its times most of it would be missed.
+        """
+        twin = node.fit.twin
+        near = TERMS[option.name].refined(twin, dict(option.setting))
+        if not near:
+            return option
+        finer = weigh(Candidates.of_parts(twin, [at_settings(twin, option.name, near)]), node.beside, node.named)
+        return option.with_cell(finer[option.name])
+
     def _found(self, node: Node) -> dict[str, Weighed]:
         twin = node.fit.twin
         found = weigh(self.candidates, node.beside, node.named)
+        for each in best_of(found, PRIOR.beam):
+            found[each.name] = self._finer(node, each)
+            node.refined.add(each.name)
         # A product with another signal may be there beside its name, and in place of one that is likely.
         likely = [each for each in best_of(found, PRIOR.beam) if each.log > 0]
         settings = [(each.name, each.setting) for each in likely]

@@ -8,7 +8,7 @@ The average over settings and scales pays for the search over them.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +36,7 @@ class Weighed:
         search: nats, that the average over settings costs against the likeliest.
         tied: nats of a power that is expected to be a share of what is named, shares averaged: of a family that has
             what is named as a part.
+        cell: log prior of the likeliest setting.
     """
 
     name: str
@@ -45,6 +46,22 @@ class Weighed:
     setting: Setting
     search: float
     tied: float
+    cell: float
+
+    def with_cell(self, finer: Weighed) -> Weighed:
+        """With the share of the prior of its likeliest setting spread over finer settings around it."""
+        by_scale = np.logaddexp(self.by_scale, finer.by_scale + self.cell)
+        log = float(np.logaddexp(self.log, finer.log + self.cell))
+        share = np.exp(finer.by_scale + self.cell - np.where(np.isfinite(by_scale), by_scale, 0.0))
+        return replace(
+            finer,
+            log=log,
+            by_scale=by_scale,
+            power=self.power + share * (finer.power - self.power),
+            search=finer.search + finer.log - log,
+            tied=float(np.logaddexp(self.tied, finer.tied + self.cell)),
+            cell=self.cell + finer.cell,
+        )
 
 
 class _Part(NamedTuple):
@@ -116,7 +133,7 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
     total = float(np.logaddexp.reduce(by_scale)) - scales
     search = float(of_setting[best]) - many[best].prior - scales - total
     tied = float(np.logaddexp.reduce([each.tied for each in many]))
-    return Weighed(name, total, by_scale - scales, power, many[best].setting, search, tied)
+    return Weighed(name, total, by_scale - scales, power, many[best].setting, search, tied, many[best].prior)
 
 
 def best_of(weighed: Mapping[str, Weighed], count: int) -> list[Weighed]:
