@@ -31,6 +31,7 @@ from magyc_gtsam.gap.score import Projector
 
 FIELD_VARIATION = "field-variation"
 _VARIES = float(np.log(84))  # of the amplitudes and times of a field that varies, of which the likeliest is taken
+_FINER = 2  # rounds of refining a setting
 _MISFIT = 3.0  # deviations of the mean square of white noise, from which a field that varies is worth a look
 
 
@@ -264,14 +265,19 @@ class Tree:
     def _finer(self, node: Node, option: Weighed) -> Weighed:
         """An option with the cell of its likeliest setting integrated on a finer grid, where there is one.
 
-        A jump is known to a fraction of the grid's spacing: between two of its times most of it would be missed.
+        A jump is known to a fraction of the grid's spacing: between two of its times most of it would be missed. Of
+        something that was attached and taken off one end is refined beside the other.
         """
         twin = node.fit.twin
-        near = TERMS[option.name].refined(twin, dict(option.setting))
-        if not near:
-            return option
-        finer = weigh(Candidates.of_parts(twin, [at_settings(twin, option.name, near)]), node.beside, node.named)
-        return option.with_cell(finer[option.name])
+        for _ in range(_FINER):
+            near = TERMS[option.name].refined(twin, dict(option.setting))
+            if not near:
+                break
+            finer = Candidates.of_parts(twin, [at_settings(twin, option.name, near)])
+            option, before = option.with_cell(weigh(finer, node.beside, node.named)[option.name]), option
+            if option.setting == before.setting or "until" not in option.setting:
+                break
+        return option
 
     def _found(self, node: Node) -> dict[str, Weighed]:
         twin = node.fit.twin
