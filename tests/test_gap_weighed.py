@@ -23,6 +23,7 @@ from magyc_gtsam.gap.outcome import gap_of
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.search import Search, search
 from magyc_gtsam.gap.weighed import weighed
+from magyc_gtsam.report.gap_words import key_numbers
 
 Looked = tuple[Search, Answer, Refit, SensorNoise]
 
@@ -100,3 +101,5 @@ def test_a_field_that_varies_closes_the_gap() -> None:
             assert 0.1 < gap.effects[-1].value[0] < 1.6
             assert all(effect.probability > PRIOR.sure for effect in gap.effects)
             assert "field-variation" not in {term.name for term in gap.calibration.terms}
+            (added,) = (number for number in key_numbers(gap) if number.what == "Effects added")
+            assert int(added.value) == len(gap.effects) - 1

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.result import Assumption, Effect, Gap, Hypothesis, Isolability, Metrics, Moved
 from magyc_gtsam.report.words import Number, uncertain
 
@@ -42,7 +43,12 @@ def key_numbers(gap: Gap) -> list[Number]:
             )
         )
     numbers += [
-        Number("Effects added", f"{sum(e.applied for e in gap.effects)}", f"of {len(gap.effects)} named"),
+        # The sigmas allow for a field that varies; nothing is added for it.
+        Number(
+            "Effects added",
+            f"{sum(e.applied and e.name != FIELD_VARIATION for e in gap.effects)}",
+            f"of {len(gap.effects)} named",
+        ),
     ]
     return numbers
 
