@@ -256,7 +256,8 @@ def test_of_two_steps_found_together_the_one_that_is_left_is_all_of_it() -> None
 def test_what_the_motion_leaves_open_is_named_and_not_corrected() -> None:
     """Level turns know the difference of the level axes' scales, and hardly their sum."""
     simulation = mg.simulate("moderate", seed=5, effects=[("gyro-scale", 2.0)])
-    gap = mg.find_gap(simulation.recording)
+    candidates = ["gyro-scale", "gyro-quadratic", "misalignment", "timing"]
+    gap = mg.find_gap(simulation.recording, candidates=candidates)
     assert gap.names == ("gyro-scale",)
     (effect,) = gap.effects
     assert not effect.applied
@@ -267,7 +268,7 @@ def test_what_the_motion_leaves_open_is_named_and_not_corrected() -> None:
     assert gap.next_manoeuvre is not None
     assert gap.next_manoeuvre.separates == ("gyro-scale",)
     turned = mg.simulate("wide", 200, seed=5, effects=[("gyro-scale", 2.0)])
-    wide = mg.find_gap(turned.recording)
+    wide = mg.find_gap(turned.recording, candidates=candidates)
     assert wide.verdict == "closed"
     assert wide.effects[0].applied
     matrix = np.array(turned.effects[0].drawn["matrix"])

@@ -59,7 +59,7 @@ def test_a_weak_scale_is_corrected_to_the_good() -> None:
     gains = []
     for seed in range(1, 4):
         simulation = mg.simulate("multi", seed=seed, effects=["gyro-scale"])
-        gap = mg.find_gap(simulation.recording)
+        gap = mg.find_gap(simulation.recording, candidates=["gyro-scale", "gyro-quadratic", "misalignment"])
         assert [e.name for e in gap.effects] in (["gyro-scale"], ["gyro-quadratic"]), gap.sentence
         truth = simulation.truth.hard_iron
         gains.append([np.linalg.norm(c.hard_iron - truth) for c in (gap.base, gap.calibration)])
@@ -98,7 +98,8 @@ def test_a_fast_hand_finds_plates_beside_a_delay() -> None:
     field += 0.1e-6 * random.standard_normal(field.shape)
     time, rate = time[::10], rate[::10] + 2e-3 * random.standard_normal(field.shape)
     inside = slice(5, -5)  # before the first sample nothing is known of the field
-    gap = mg.find_gap(mg.Recording(time[inside], field[inside], rate[inside]))
+    candidates = ["timing", "eddy-plane", "hysteresis", "gyro-scale", "misalignment"]
+    gap = mg.find_gap(mg.Recording(time[inside], field[inside], rate[inside]), candidates=candidates)
     found = {effect.name: effect for effect in gap.effects}
     assert found.keys() == {"timing", "eddy-plane"}
     assert found["timing"].value[0] == pytest.approx(10, abs=0.5)
@@ -114,7 +115,8 @@ def test_a_strong_step_stays_beside_weak_ones() -> None:
     field = recording.magnetic_field.copy()
     for start, size in ((33, 2.5), (83, -12.0), (133, 2.5), (173, -2.5)):
         field[since > start] += size * 10 * MILLIGAUSS * np.array([1.0, 0.0, 0.0])
-    gap = mg.find_gap(replace(recording, magnetic_field=field))
+    changes = ["hard-iron-step", "hard-iron-drift", "local-anomaly"]
+    gap = mg.find_gap(replace(recording, magnetic_field=field), candidates=changes)
     strong = max(
         (e for e in gap.effects if e.name == "hard-iron-step"), key=lambda e: abs(e.value[0]), default=None
     )
