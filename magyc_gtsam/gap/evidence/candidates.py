@@ -79,16 +79,12 @@ class Candidates:
         return Candidates(self.columns, self.pull, tuple(batches))
 
     def of_setting(self, name: str, setting: Setting) -> Array:
-        """(k, 3n) columns of a candidate at one of its settings."""
-        return self.columns[self._places(name, setting)]
-
-    def _places(self, name: str, setting: Setting) -> np.ndarray:
+        """(k, 3n) columns of a name at one of its settings."""
         for batch in self.batches:
             for rows, whose, at in zip(batch.rows, batch.names, batch.settings, strict=True):
                 if whose == name and at is setting:
-                    own: np.ndarray = rows
-                    return own
-        return np.zeros(0, dtype=int)
+                    return self.columns[rows]
+        return self.columns[:0]
 
     def changed(self, change: Callable[[Array], Array]) -> Candidates:
         """With other columns in place of these, row by row."""
