@@ -21,7 +21,8 @@ _FLOOR = 4.0  # times the median of the spectrum, below which it is noise
 _TOO_SLOW = 0.1  # share of the turn rate that is lost between samples; where it was 0.09 all results were right
 _BLOCK = 50  # samples, in which an axis with noise has more than two values but once in 10¹⁵
 _PIECE = 1024  # blocks that are brought in order at a time
-_NARROW = 0.5  # of the median spread of a block
+_MOVING = 0.9  # share of the blocks below the one of typical spread: an axis may be stuck for most of a log
+_NARROW = 0.5  # of the typical spread of a block
 _NOISY = 1.5  # of the distance of two values, from which noise has more of them
 _LOST = 0.01  # share of the recording
 _ROUGH = (
@@ -86,8 +87,8 @@ def _shares_of_two_values(values: Array) -> list[float]:
         piece.min(axis=2, out=low[:, own])
         piece.max(axis=2, out=high[:, own])
     step = high - low
-    middle = count // 2
-    typical = np.partition(step, middle, axis=1)[:, middle, None]
+    moving = int(_MOVING * count)
+    typical = np.partition(step, moving, axis=1)[:, moving, None]
     axis, block = np.nonzero((step > 0) & (step < _NARROW * typical))
     if not len(axis):
         return result
