@@ -19,15 +19,17 @@ def weakest(calibration):
 
 
 def test_a_plan_is_what_calibrations_state():
-    """Of another draw of the motion, so that it is of the motion and not of the draw."""
+    """In the median of other draws of the motion, so that it is of the motion and not of the draw."""
     planned = {p.known: p for p in plan(NOISE, ALIGNED, motions=["level"], durations=[300.0])}
     assert tuple(planned) == WAYS
     earlier = calibrate(simulate("wide", seed=990).recording, misalignment=0)
-    run = placed("level", 300, 5)
     matrix = {"prior": earlier, "hard_iron_walk": 1e-3}
-    for way, options in (("nothing", {}), ("both", matrix | {"field": run.field})):
-        calibration = calibrate(run.recording, noise=NOISE, misalignment=0, **options)
-        assert planned[way].hard_iron == pytest.approx(weakest(calibration), rel=0.5)
+    stated = {"nothing": [], "both": []}
+    for run in (placed("level", 300, seed) for seed in range(3, 12)):
+        for way, options in (("nothing", {}), ("both", matrix | {"field": run.field})):
+            stated[way].append(weakest(calibrate(run.recording, noise=NOISE, misalignment=0, **options)))
+    for way, sigmas in stated.items():
+        assert planned[way].hard_iron == pytest.approx(np.median(sigmas), rel=0.35)
     assert planned["both"].hard_iron < 0.3 * planned["the place"].hard_iron < 0.3 * planned["nothing"].hard_iron
 
 

@@ -27,9 +27,7 @@ def fit_batch(
     """
     fit, rival = fit_field_chain(recording, start=start, **options)
     samples = preintegrate(recording, options["window"], options["turn"])
-    if len(samples.starts) != len(
-        fit.chain.windows
-    ):  # the fit took shorter windows because of disturbed stretches
+    if len(samples.starts) != len(fit.chain.windows):  # which are shorter in disturbed stretches
         samples = preintegrate(recording, shortened(options["window"]), options["turn"])
     return fit, rival, samples
 
