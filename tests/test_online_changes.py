@@ -181,6 +181,24 @@ def test_no_fit_of_all_windows_comes_between_a_step_and_its_decision():
     assert (np.abs(change.step - step) < 5 * change.step_sigma).all()
 
 
+def test_nothing_is_trusted_while_a_large_step_is_possible():
+    """All samples together would give a mean of the hard irons before and after it."""
+    told = []
+
+    def look(time):
+        if time > 150 and "may have changed" in online.progress.sentence:
+            told.append(online.converged or online.progress.converged or online.calibration.converged)
+
+    for seed in (6004, 6005):
+        step = np.random.default_rng(seed).standard_normal(3)
+        step *= 30e-6 / np.linalg.norm(step)
+        online = OnlineCalibrator()
+        feed(online, with_step(simulate("moderate", duration=175, seed=seed), 150.0, step), step=2.0, after=look)
+        assert len(online.changes) == 1
+    assert told
+    assert not any(told)
+
+
 @pytest.mark.real
 @pytest.mark.parametrize("interval", [(0, None), (20, 125), (28, 115)])
 def test_a_magnet_attached_by_hand_and_taken_off(shared_data, interval):

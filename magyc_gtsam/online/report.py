@@ -14,6 +14,7 @@ from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.online.all_samples import fit_samples
 from magyc_gtsam.online.belief import FIRST
 from magyc_gtsam.online.buffers import IntegratedWindows
+from magyc_gtsam.online.change_point import LARGE
 from magyc_gtsam.online.engine import Change, Progress
 from magyc_gtsam.online.excitation import coverage
 from magyc_gtsam.online.random_walk import fit_random_walk
@@ -23,11 +24,25 @@ from magyc_gtsam.online.state import SmootherState
 _MOST_REFITTED = (
     2400  # most windows that are fitted when read; a longer log keeps the noise levels of the last refit
 )
+_UNDECIDED = (
+    f"the hard iron may have changed by more than {LARGE:.0%} of the field in the last seconds: "
+    "keep turning until that is decided"
+)
 _LEAST_CONVERGED = 120  # least windows of the last refit; noise levels from fewer give no reliable covariance
 
 
 def current_calibration(online: SmootherState, integrated: IntegratedWindows) -> Calibration | None:
-    """Return the calibration from all samples so far, or in a long log that of the tail given all windows before."""
+    """Return the calibration from all samples so far, or in a long log that of the tail given all windows before.
+
+    While a large step is possible and not decided, it would mix the hard irons before and after it, and is not trusted.
+    """
+    calibration = _of_samples_so_far(online, integrated)
+    if calibration is None or not calibration.converged or not online.belief.waiting:
+        return calibration
+    return replace(calibration, converged=False, message=_UNDECIDED)
+
+
+def _of_samples_so_far(online: SmootherState, integrated: IntegratedWindows) -> Calibration | None:
     belief = online.belief
     if belief.head is None:
         return belief.report
@@ -84,7 +99,7 @@ def progress_of(online: SmootherState, calibration: Calibration | None) -> Progr
     windows = belief.given_up + len(online.numbers())
     seen = 0.0 if calibration is None else coverage(calibration, online.buffer.magnetometer.value)
     weak = calibration.observability.weak if calibration and calibration.observability else ()
-    converged = has_converged(online)
+    converged = has_converged(online) and not belief.waiting
     if belief.problem:
         sentence = belief.problem
     elif calibration is None:

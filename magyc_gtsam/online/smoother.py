@@ -179,7 +179,7 @@ class OnlineSmoother:
 
     def converged(self) -> bool:
         """See `Engine.converged`."""
-        return has_converged(self._online)
+        return has_converged(self._online) and not self._online.belief.waiting
 
     def progress(self) -> Progress:
         """See `Engine.progress`."""
