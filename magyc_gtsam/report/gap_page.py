@@ -77,8 +77,10 @@ def _advice(gap: Gap, verdict: Verdict) -> list[str]:
         lines = ["Use the calibration: the data agree with it, as far as this motion can show."]
     else:
         lines = [
-            "Use the calibration with its effects: `magyc-gtsam apply` corrects all of them.",
-            "Record again and test the result on the new log with --validate.",
+            "Use the calibration with its effects: `magyc-gtsam apply` corrects what was added to the model."
+            if gap_words.added(gap)
+            else "Use the calibration: nothing was added to it, its sigmas allow for what was named.",
+            "Record again and test the result on the new log with `--validate`.",
         ]
     if gap.untested:
         names = ", ".join(candidate.label for candidate in gap.untested)
