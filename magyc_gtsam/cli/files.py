@@ -72,10 +72,10 @@ def _temporary(place: Path) -> Iterator[Path]:
     """Yield a temporary directory in `place`, which is created if needed, and removed again if the block raises."""
     missing = [p for p in (place, *place.parents) if not p.exists()]
     _refuse_files((place, *place.parents))
-    place.mkdir(parents=True, exist_ok=True)
     directory: Path | None = None
     with contextlib.ExitStack() as open_files:
         try:
+            place.mkdir(parents=True, exist_ok=True)
             # Another process that looks for orphans must not see the directory without its lock.
             with _one_at_a_time(place), _unstoppable():
                 _remove_orphans(place)
