@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from online import MOTIONS, feed
-from real_honesty import read_mcap, read_npz
+from real_logs import read_mcap, read_npz
 
 import magyc_gtsam as mg
 

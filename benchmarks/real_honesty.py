@@ -17,27 +17,19 @@ beside it: the delay of the truth is behind the cameras, the calibration's behin
 from __future__ import annotations
 
 import argparse
-import itertools
-import json
-import re
 import sys
 import time
-import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from real_logs import TRUTHS, Log, read_all
+from scipy.spatial.transform import Slerp
 
 import magyc_gtsam as mg
 from magyc_gtsam.recording import Array
 
-UNITS = {"A": (1, 4, 6, 8, 10, 15), "B": (2, 5, 7, 11, 16, 18, 21, 28, 29, 30, 31), "C": (3, 24, 25, 26, 27)}
-SCATTER = {"A": 0.3, "B": 0.06}  # µT an axis, of one unit's hard iron from trial to trial; else their rms
-MOVING = {1: (34.0, 160.0), 6: (38.0, 160.0), 32: (41.5, 92.0)}  # s, of the MCAP files
-TRUTHS = "truth_by_optics.json"
 DELAY_TRUTH = 1.5e-3  # s, how well optics know the delay: found in steps of 2 ms
 KNOWN = {"hard iron": 3, "gyroscope bias": 3, "delay": 1}
 Method = Callable[[mg.Recording], mg.Calibration]
@@ -45,28 +37,6 @@ METHODS: dict[str, Method] = {
     "calibrate": mg.calibrate,
     "gap": lambda recording: mg.find_gap(recording).calibration,
 }
-
-
-@dataclass(frozen=True)
-class Log:
-    """A recording, its reference and its truth: hard iron (3,) T, covariance (3, 3) T², delay s; bias and covariance.
-
-    `own`: whether the hard iron's truth is of this very log, and not of others of its unit.
-    """
-
-    name: str
-    unit: str
-    recording: mg.Recording
-    attitude_time: Array
-    attitude: Rotation
-    device: Array | None
-    hard_iron: Array
-    covariance: Array
-    delay_optics: float
-    delay: float
-    bias: Array
-    bias_covariance: Array
-    moving: tuple[float, float] | None
 
 
 @dataclass(frozen=True)
@@ -206,165 +176,6 @@ def heading_of(log: Log, soft_iron: Array, hard_iron: Array) -> float:
     world = Slerp(log.attitude_time, log.attitude)(stamps[inside]).apply(body)
     angle = np.exp(1j * np.arctan2(world[:, 1], world[:, 0]))
     return float(np.rad2deg(np.sqrt(np.mean(np.angle(angle * np.conj(angle.mean())) ** 2))))
-
-
-def read_all(folder: Path, more: list[Path]) -> Iterator[Log]:
-    """All recordings with a truth, by name; the hard iron of translation trials from their unit's rotation trials."""
-    truths = read_truths(folder / TRUTHS)
-    files = {path.stem: path for path in folder.glob("*.npz")}
-    for path in more:
-        name = next((n for n in truths if n.startswith(path.name[:8])), path.stem)
-        files.setdefault(name, path)
-    for name in sorted(files):
-        path = files[name]
-        recording, attitude_time, attitude, device, moving = (
-            read_npz(path) if path.suffix == ".npz" else read_mcap(path)
-        )
-        if len(attitude_time) < 2:
-            continue
-        truth = truths.get(name)
-        if truth is None:
-            print(f"{name}: no truth, left out")
-            continue
-        unit = unit_of(name)
-        hard, covariance = np.array(truth["h"]), np.array(truth["cov"])
-        scatter = SCATTER.get(unit, float(np.sqrt(np.mean(np.square(list(SCATTER.values())))))) ** 2 * np.eye(3)
-        if not name.startswith("broad"):
-            scatter = np.zeros((3, 3))
-        if "translation" in name:
-            same = [t for n, t in truths.items() if unit_of(n) == unit and "undisturbed" in n and "rotation" in n]
-            if same:
-                hard = np.mean([t["h"] for t in same], axis=0)
-                covariance = np.mean([t["cov"] for t in same], axis=0) / len(same) + scatter / len(same)
-        bias, bias_covariance, lag = bias_by_optics(recording, attitude_time, attitude)
-        yield Log(
-            name,
-            unit,
-            recording,
-            attitude_time,
-            attitude,
-            device,
-            hard * 1e-6,
-            (covariance + scatter) * 1e-12,
-            float(truth["delay"]),
-            float(truth["delay"]) - lag,
-            bias,
-            bias_covariance,
-            moving,
-        )
-
-
-def read_truths(path: Path) -> dict[str, Any]:
-    """The truth of each recording.
-
-    Raises:
-        MagycError: there is no such file, or not of that form.
-    """
-    try:
-        truths = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise mg.MagycError(
-            f"{path}: cannot be read ({error}); the folder needs this file beside its recordings (*.npz), see --help"
-        ) from error
-    shapes = {"h": (3,), "cov": (3, 3), "delay": ()}
-    for name, truth in truths.items() if isinstance(truths, dict) else [("all", None)]:
-        for key, shape in shapes.items():
-            if not isinstance(truth, dict) or np.shape(truth.get(key, "missing")) != shape or key not in truth:
-                raise mg.MagycError(
-                    f"{path}: {name}: {key!r} must be there with shape {shape}: {', '.join(shapes)} of each recording"
-                )
-    return dict(truths)
-
-
-def unit_of(name: str) -> str:
-    """The instrument: clusters of BROAD's trials; of the phones person and model."""
-    number = re.match(r"broad_(\d+)_", name)
-    if number is None:
-        return "_".join(name.split("_")[:2])
-    trial = int(number.group(1))
-    return next((unit for unit, trials in UNITS.items() if trial in trials), f"trial {trial}")
-
-
-def read_npz(path: Path) -> tuple[mg.Recording, Array, Rotation, Array | None, tuple[float, float] | None]:
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            data = {name: value.astype(float) for name, value in arrays.items()}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise mg.MagycError(f"{path}: no arrays of numbers can be read from it ({error})") from error
-    missing = sorted({"tm", "m", "w", "a", "tq", "q"} - data.keys())
-    if missing:
-        raise mg.MagycError(f"{path}: the arrays {', '.join(missing)} are missing, see --help")
-    tm = data["tm"]
-    if "tg" in data:
-        recording = mg.Recording.from_streams(
-            (tm, data["m"]), (data["tg"], data["w"]), acceleration=(data.get("ta", tm), data["a"]), name=path.stem
-        )
-    else:
-        recording = mg.Recording(tm, data["m"], data["w"], acceleration=data["a"], name=path.stem)
-    moved = data.get("move")
-    moving = (
-        None if moved is None else (float(tm[np.argmax(moved)]), float(tm[len(tm) - 1 - np.argmax(moved[::-1])]))
-    )
-    device = data["dev"] if len(data.get("dev", ())) else None
-    seen = np.linalg.norm(data["q"], axis=1) > 0.5  # where the cameras lost it the rows are zero or not a number
-    attitude = Rotation.from_quat(data["q"][seen]) if seen.any() else Rotation.identity(0)
-    return recording, data["tq"][seen], attitude, device, moving
-
-
-def read_mcap(path: Path) -> tuple[mg.Recording, Array, Rotation, Array | None, tuple[float, float] | None]:
-    recording = mg.read(path)
-    known = np.isfinite(recording.attitude[:, 0])
-    moving = MOVING.get(int(path.name[6:8]))
-    return recording, recording.time[known], Rotation.from_quat(recording.attitude[known]), None, moving
-
-
-def bias_by_optics(
-    recording: mg.Recording, attitude_time: Array, attitude: Rotation
-) -> tuple[Array, Array, float]:
-    """(3,) rad/s, covariance, and the gyroscope's own lag behind the cameras, s.
-
-    −Log(ΔR_gyroᵀ ΔR_optical) = (b + E ω) Δt − τ Δω over half a second, E and τ free (3, 3). The covariance is a
-    sandwich over blocks of 5 s.
-    """
-    gyro_time, rate = recording.gyroscope
-    edges = np.arange(max(attitude_time[0], gyro_time[0]), min(attitude_time[-1], gyro_time[-1]), 0.5)
-    at = np.searchsorted(attitude_time, edges)
-    holes = np.array([np.max(np.diff(attitude_time[a : b + 2]), initial=0.0) for a, b in itertools.pairwise(at)])
-    optical = Slerp(attitude_time, attitude)(np.clip(edges, attitude_time[0], attitude_time[-1]))
-    fine = np.unique(np.concatenate([gyro_time, edges]))
-    value = np.stack([np.interp(fine, gyro_time, column) for column in rate.T], axis=1)
-    steps = Rotation.from_rotvec(0.5 * (value[1:] + value[:-1]) * np.diff(fine)[:, None])
-    cuts = np.searchsorted(fine, edges)
-    turned = Rotation.concatenate([product(steps[a:b]) for a, b in itertools.pairwise(cuts)])
-    left = -(turned.inv() * (optical[:-1].inv() * optical[1:])).as_rotvec()
-    smooth = np.stack([np.convolve(column, np.full(9, 1 / 9), "same") for column in rate.T], axis=1)
-    at_edge = np.stack([np.interp(edges, gyro_time, column) for column in smooth.T], axis=1)
-    design = np.concatenate([np.full((len(left), 1), 0.5), turned.as_rotvec(), -np.diff(at_edge, axis=0)], axis=1)
-    good = (np.linalg.norm(left, axis=1) < 0.2) & (holes < 0.1)
-    weight = good.astype(float)
-    for _ in range(5):
-        solution = np.linalg.lstsq(design * np.sqrt(weight)[:, None], left * np.sqrt(weight)[:, None], rcond=None)[
-            0
-        ]
-        residual = left - design @ solution
-        scale = np.median(np.linalg.norm(residual[good], axis=1))
-        weight = good / (1 + (residual**2).sum(1) / (2 * scale) ** 2)
-    inverse = np.linalg.inv(design.T @ (design * weight[:, None]))
-    block = ((edges[:-1] - edges[0]) // 5).astype(int)
-    score = np.einsum("n,na,ni->nai", weight, design, residual)
-    summed = np.zeros((block.max() + 1, 7, 3))
-    np.add.at(summed, block, score)
-    influence = np.einsum("ab,kbi->kai", inverse, summed)[:, 0]
-    return solution[0], influence.T @ influence, float(np.trace(solution[4:]) / 3)
-
-
-def product(steps: Rotation) -> Rotation:
-    """Of rotations in order, by halves."""
-    while len(steps) > 1:
-        rest = steps[-1:] if len(steps) % 2 else None
-        joined = steps[: len(steps) - len(steps) % 2 : 2] * steps[1::2]
-        steps = joined if rest is None else Rotation.concatenate([joined, rest])
-    return steps[0]
 
 
 if __name__ == "__main__":

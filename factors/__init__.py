@@ -1,6 +1,6 @@
 """GTSAM factors for magnetometer and gyroscope calibration, and their numeric core.
 
-`chain/` and `effects/` need numpy and scipy only; every other module builds GTSAM factors. Names are imported at
+`chain/` and `effects/` need numpy and scipy only; of the other modules most build GTSAM factors. Names are imported at
 first use, so that the core works where GTSAM has no wheels.
 
 Every factor takes its keys as arguments of their own, before the data, in one order, named for what they hold:

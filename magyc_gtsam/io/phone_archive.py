@@ -70,12 +70,13 @@ def read(path: Path, request: Request) -> Recording:
                 notes.append(f"{sensor} is from {name}; {listed(tables[sensor][1:])} could be named instead")
             request.report((done + 1) / len(_TABLES))
     if "magnetic_field" not in sensors:
-        if all(name.endswith(".npy") for name in archive.namelist()):
+        names = archive.namelist()
+        if names and all(name.endswith(".npy") for name in names):
             raise MagycError(
                 f"{path}: a file of numpy arrays, whose meaning it does not say; load them with numpy.load, and give "
                 "them to Recording.from_streams((time, magnetic_field), (time, angular_rate)), in s, T and rad/s"
             )
-        raise MagycError(f"{path}: no table of a magnetometer in the archive; it has {listed(archive.namelist())}")
+        raise MagycError(f"{path}: no table of a magnetometer in the archive; it has {listed(names)}")
     return assemble(sensors, {}, request, name=path.stem, notes=tuple(notes))
 
 

@@ -35,27 +35,7 @@ def kinematics(angle: Array, derivative: Array) -> tuple[Rotation, Array]:
         ],
         axis=1,
     )
-    return attitude_of(angle), angular_rate
-
-
-def attitude_of(angle: Array) -> Rotation:
-    """Return the attitude sensor→world of roll, pitch and heading (N, 3): q_heading q_pitch q_roll, written out.
-
-    `Rotation.from_euler` composes the same quaternions in eight times the time, most of that of a whole simulation.
-    """
-    sin_roll, sin_pitch, sin_heading = np.sin(0.5 * angle.T)
-    cos_roll, cos_pitch, cos_heading = np.cos(0.5 * angle.T)
-    return Rotation.from_quat(
-        np.stack(
-            [
-                cos_heading * cos_pitch * sin_roll - sin_heading * sin_pitch * cos_roll,
-                cos_heading * sin_pitch * cos_roll + sin_heading * cos_pitch * sin_roll,
-                sin_heading * cos_pitch * cos_roll - cos_heading * sin_pitch * sin_roll,
-                cos_heading * cos_pitch * cos_roll + sin_heading * sin_pitch * sin_roll,
-            ],
-            axis=1,
-        )
-    )
+    return Rotation.from_euler("ZYX", angle[:, ::-1]), angular_rate
 
 
 def sinusoids(amplitude: Sequence[float]) -> Motion:

@@ -29,7 +29,6 @@ from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.simulation import FIELD, GYRO_BIAS, Simulation, simulate
-from magyc_gtsam.simulation.motion import attitude_of
 from magyc_gtsam.study.drawing import Panel, draw_panels
 from magyc_gtsam.study.rows import HERE, Running, study_rows
 
@@ -175,13 +174,13 @@ def _with_magnetic_heading(simulation: Simulation) -> Recording:
     assert attitude is not None
     angles = Rotation.from_quat(attitude).as_euler("ZYX")
     angles[:, 0] -= _heading_error(np.array(simulation.recording.magnetic_field), simulation)
-    return replace(simulation.recording, attitude=attitude_of(angles[:, ::-1]).as_quat())
+    return replace(simulation.recording, attitude=Rotation.from_euler("ZYX", angles).as_quat())
 
 
 def _with_angles_off(recording: Recording, factor: float) -> Recording:
     """Return the recording with roll, pitch and unwrapped heading multiplied by one factor."""
     angles = np.unwrap(Rotation.from_quat(recording.attitude).as_euler("ZYX"), axis=0)
-    return replace(recording, attitude=attitude_of(factor * angles[:, ::-1]).as_quat())
+    return replace(recording, attitude=Rotation.from_euler("ZYX", factor * angles).as_quat())
 
 
 @lru_cache(maxsize=2)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from magyc_gtsam.study.leaderboard.phones import WALKS
 
-_BROAD_UNITS = {  # inferred from the data: gyroscope biases, misalignments and hard irons form these clusters
+BROAD_UNITS = {  # inferred from the data: gyroscope biases, misalignments and hard irons form these clusters
     "A": (1, 4, 6, 8, 10, 15),
     "B": (2, 5, 7, 11, 16, 18, 21, 28, 29, 30, 31),
     "C": (3, 24, 25, 26, 27),
@@ -115,6 +115,6 @@ def kind_of(name: str) -> Kind | None:
     trial = _TRIAL.match(name)
     if trial is None:
         return None
-    unit = next((unit for unit, trials in _BROAD_UNITS.items() if int(trial[1]) in trials), "")
+    unit = next((unit for unit, trials in BROAD_UNITS.items() if int(trial[1]) in trials), "")
     judges = ("_undisturbed_" in name or name.endswith("_rotation")) and "_translation" not in name
     return Kind(BROAD, f"BROAD {unit}", judges) if unit else None

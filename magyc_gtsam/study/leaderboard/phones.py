@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.constants import g as standard_gravity
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 from scipy.signal import correlate
@@ -52,8 +53,7 @@ _WRONG_OPTICS = {
     "Thibaud_Nexus5_Dist_Swinging": ((105.45, 105.5),),
     "Thibaud_Nexus5_NoDist_Swinging": ((36.8, 37.2),),
 }  # fmt: skip
-_MICROTESLA = 1e-6
-_STANDARD_GRAVITY = 9.80665  # m/s²
+MICROTESLA = 1e-6
 _GRID = 0.01  # s, of the rates by which phone and cameras are aligned
 _LATEST = 8.0  # s between the starts of phone and cameras, at most; the published ones reach 4 s
 
@@ -86,7 +86,7 @@ def arrays_of(folder: Path, walk: str) -> dict[str, Array]:
         start, gravity = 0.0, 1.0
         if "Nexus" not in walk:
             start = float((folder / "description.txt").read_text(encoding="utf-8").split("BootTime =")[1])
-            gravity = -_STANDARD_GRAVITY
+            gravity = -standard_gravity
         time, quaternion = _optics(folder / f"{walk}.mat")
     except (OSError, ValueError, IndexError, KeyError, MatReadError) as error:
         raise MagycError(f"{walk}: its published files cannot be read ({error}); fetch them again") from None
@@ -95,12 +95,12 @@ def arrays_of(folder: Path, walk: str) -> dict[str, Array]:
         time, quaternion = time[right], quaternion[right]
     arrays = {
         "tm": magnetometer[:, 0] - start,
-        "m": magnetometer[:, 1:4] * _MICROTESLA,
+        "m": magnetometer[:, 1:4] * MICROTESLA,
         "tg": gyroscope[:, 0] - start,
         "w": gyroscope[:, 1:4],
         "ta": accelerometer[:, 0] - start,
         "a": accelerometer[:, 1:4] * gravity,
-        "dev": np.median(magnetometer[:, 4:7], axis=0) * _MICROTESLA,
+        "dev": np.median(magnetometer[:, 4:7], axis=0) * MICROTESLA,
     }
     later = _later(time, quaternion, arrays["tg"], arrays["w"])
     return arrays | {"tq": time + later, "q": quaternion}

@@ -12,11 +12,11 @@ from scipy.io import loadmat
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.study.leaderboard.phones import MICROTESLA
 
 Reader = Callable[[Path], Recording]
 ARRAYS = (".npz", ".mat")
 FORMS = (*ARRAYS, ".mcap")
-_MICROTESLA = 1e-6
 _NEEDED = {".npz": ("tm", "m", "w"), ".mat": ("imu_gyr", "imu_acc", "imu_mag", "opt_quat", "sampling_rate")}
 
 
@@ -64,7 +64,7 @@ def _of_arrays(values: Mapping[str, Any], name: str) -> tuple[Recording, Array]:
 
 def _of_broad(values: Mapping[str, Any], name: str) -> tuple[Recording, Array]:
     """Return a trial of BROAD from its arrays: µT, rad/s, m/s², quaternions w first, one rate for all."""
-    field = np.asarray(values["imu_mag"], dtype=np.float64) * _MICROTESLA
+    field = np.asarray(values["imu_mag"], dtype=np.float64) * MICROTESLA
     time = np.arange(len(field)) / float(values["sampling_rate"])
     whole = np.isfinite(field).all(axis=1)
     rate, force = (np.asarray(values[key], dtype=np.float64) for key in ("imu_gyr", "imu_acc"))
