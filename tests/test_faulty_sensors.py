@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,9 @@ from sensor_fault_findings import find_clipped, find_clipped_field, find_stuck
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
 from magyc_gtsam.io import write_mcap
+from magyc_gtsam.recording import Samples
+from magyc_gtsam.sensor_faults.gate import SampleGate
+from magyc_gtsam.sensor_faults.zeros import ZeroRates
 from magyc_gtsam.simulation import Simulation
 
 ALL = slice(None)
@@ -124,24 +128,54 @@ def test_sample_held_and_quantised_axes_are_found(wide: Simulation) -> None:
 
 
 @pytest.mark.parametrize("share", [0.01, 0.3])
-def test_rows_of_zeros_stand_for_no_value(wide: Simulation, share: float) -> None:
-    """Batch and online; 20 % of them once ended in an error of linear algebra."""
+@pytest.mark.parametrize(("sensor", "name"), [("magnetic_field", "magnetometer"), ("angular_rate", "gyroscope")])
+def test_rows_of_zeros_stand_for_no_value(wide: Simulation, sensor: str, name: str, share: float) -> None:
+    """Batch and online; 20 % of them once ended in an error of linear algebra, or in a wrong result."""
     recording, random = wide.recording, np.random.default_rng(1)
     zero = random.random(6000) < share
-    zero[0] = True
-    field = np.where(zero[:, None], 0.0, recording.magnetic_field)
-    log = mg.Recording(recording.time, field, recording.angular_rate)
+    zero[0] = sensor == "magnetic_field"
+    value = np.where(zero[:, None], 0.0, getattr(recording, sensor))
+    samples = {"magnetic_field": recording.magnetic_field, "angular_rate": recording.angular_rate, sensor: value}
+    log = mg.Recording(recording.time, **samples)
     online = mg.OnlineCalibrator()
     for i in range(0, 6000, 37):
         online.update(log.time[i : i + 37], log.magnetic_field[i : i + 37], log.angular_rate[i : i + 37])
-    count = int(zero.sum() - (zero[1:] & zero[:-1]).sum())  # what repeats is no sample
+    expected = zero.sum() - (sensor == "magnetic_field") * (zero[1:] & zero[:-1]).sum()  # a repeat is no sample
+    counts = set()
     for calibration in (mg.calibrate(log), online.calibration):
         assert calibration.trusted
         (left_out,) = calibration.diagnostics["left_out"]
-        assert f"{count} samples are zero on all axes of the magnetometer and stand for no value" in left_out
+        found = re.fullmatch(rf"{sensor}: (\d+) samples are zero on all axes of the {name} and .*", left_out)
+        counts.add(int(found[1]))
         error = (calibration.hard_iron - wide.truth.hard_iron) / calibration.sigma["hard_iron"]
         assert np.abs(error).max() < 4
-    assert online.progress.left_out == count
+    assert counts == {online.progress.left_out}
+    assert 0.97 * expected <= counts.pop() <= expected
+
+
+@pytest.mark.parametrize("noise", [0.5, 2.0, 10.0])
+def test_zeros_of_a_gyroscope_at_rest_are_values(noise: float) -> None:
+    """A coarse one has many; noise is in steps."""
+    rate = 1e-3 * np.round(noise * np.random.default_rng(2).standard_normal((20000, 3)))
+    detector = ZeroRates()
+    detector.observe(Samples(0.01 * np.arange(20000), rate))
+    found = detector.finding()
+    assert found is None or found.count <= 1
+    assert noise == 10 or np.sum(~rate.any(axis=1)) > 100
+
+
+def test_zero_rates_are_found_however_the_stream_is_cut() -> None:
+    random, time = np.random.default_rng(3), 0.1 * np.arange(3000)
+    rate = 1e-3 * np.round(300 * np.sin(np.outer(time, [0.5, 0.7, 0.3])) + 5 * random.standard_normal((3000, 3)))
+    rate[random.random(3000) < 0.4] = 0.0
+    passed = []
+    for size in (3000, 1, 7):
+        gate = SampleGate(ZeroRates())
+        parts = [gate.take(Samples(time[i : i + size], rate[i : i + size])) for i in range(0, 3000, size)]
+        passed.append(np.concatenate([part.time for part in parts]))
+    assert 1700 < len(passed[0]) < 1900
+    for times in passed[1:]:
+        np.testing.assert_array_equal(times, passed[0])
 
 
 def test_on_the_command_line(

@@ -135,9 +135,7 @@ def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
 def with_left_out(calibration: Calibration | None, faults: SensorFaults, duration: float) -> Calibration | None:
     """Return the calibration after `duration` s with what was left out, as the batch methods report it."""
     where = [
-        fault.where
-        for fault in (*faults.stuck(duration), faults.zeros.finding(), faults.clipped)
-        if fault is not None
+        fault.where for fault in (*faults.stuck(duration), *faults.no_values, faults.clipped) if fault is not None
     ]
     refused = refusal(faults)
     if calibration is None or not (where or refused):

@@ -14,7 +14,7 @@ from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.repeats import Repeats
 from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes, field_turned
 from magyc_gtsam.sensor_faults.stuck_finding import Stuck, named
-from magyc_gtsam.sensor_faults.zeros import Zeros
+from magyc_gtsam.sensor_faults.zeros import NoValues, ZeroRates, Zeros
 
 _WAITING = 60.0  # s, longest wait for the samples of the other sensor
 
@@ -30,13 +30,14 @@ class SensorFaults:
     def __init__(self, samples: int | None = None, shown: tuple[float, str] = (1e6, "µT")) -> None:
         self._shown, self._whole = shown, samples is not None
         self.zeros = Zeros()
+        self.zero_rates = ZeroRates()
         self.cut_off = CutOff()
         self.full_scale = FullScale(samples, samples) if samples is not None else FullScale()
         self.repeats = Repeats()
         self.magnetometer = StuckAxes()
         self.gyroscope = StuckAxes(self._field_turned, *([np.inf] if self._whole else []))
         # A long turn at full scale looks like a stuck axis, so it is rejected first.
-        self._zeros_gate = SampleGate(self.zeros)
+        self._zero_gates = SampleGate(self.zeros), SampleGate(self.zero_rates)
         self._cut_off_gate = SampleGate(self.cut_off)
         self._gates = SampleGate(self.magnetometer), SampleGate(self.gyroscope)
         self._field = GrowingRows(4)  # magnetometer samples later than the gyroscope's
@@ -55,7 +56,8 @@ class SensorFaults:
 
     def take(self, magnetometer: Samples, gyroscope: Samples, repeated: Array) -> tuple[Samples, Samples]:
         """Return the usable samples; `repeated` (n,) s are the stamps at which the magnetometer repeated a sample."""
-        magnetometer = self._zeros_gate.take(magnetometer)
+        of_field, of_rate = self._zero_gates
+        magnetometer, gyroscope = of_field.take(magnetometer), of_rate.take(gyroscope)
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
         if len(gyroscope.time):
@@ -73,7 +75,13 @@ class SensorFaults:
     @property
     def dropped(self) -> int:
         """Return the number of samples that were dropped."""
-        return sum(gate.dropped for gate in (self._zeros_gate, self._cut_off_gate, *self._gates))
+        return sum(gate.dropped for gate in (*self._zero_gates, self._cut_off_gate, *self._gates))
+
+    @property
+    def no_values(self) -> tuple[NoValues, ...]:
+        """Return what was found of rows that stand for no value."""
+        findings = self.zeros.finding(), self.zero_rates.finding()
+        return tuple(finding for finding in findings if finding is not None)
 
     @property
     def clipped(self) -> Clipped | None:
@@ -114,7 +122,8 @@ class SensorFaults:
     @property
     def _parts(self) -> Mapping[str, SampleGate | FullScale | Repeats]:
         return {
-            "zeros": self._zeros_gate,
+            "zeros": self._zero_gates[0],
+            "zero_rates": self._zero_gates[1],
             "cut_off": self._cut_off_gate,
             "magnetometer": self._gates[0],
             "gyroscope": self._gates[1],

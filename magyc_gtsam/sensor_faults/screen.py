@@ -24,7 +24,8 @@ def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
         return True
     if recording.angular_rate is None or "angular_rate" not in sensors:
         return False
-    return any(_may_be_stuck(axis) or _levels_off(axis) for axis in _axes(recording.gyroscope.value))
+    rate = recording.gyroscope.value
+    return _has_zeros(rate) or any(_may_be_stuck(axis) or _levels_off(axis) for axis in _axes(rate))
 
 
 def _axes(values: Array) -> Iterator[Array]:
@@ -35,10 +36,10 @@ def _axes(values: Array) -> Iterator[Array]:
         yield axis
 
 
-def _has_zeros(field: Array) -> bool:
+def _has_zeros(value: Array) -> bool:
     """Return whether a sample of (n, 3) is zero on all axes."""
-    zero = field[:, 0] == 0
-    return bool(zero.any()) and bool((zero & (field[:, 1] == 0) & (field[:, 2] == 0)).any())
+    zero = value[:, 0] == 0
+    return bool(zero.any()) and bool((zero & (value[:, 1] == 0) & (value[:, 2] == 0)).any())
 
 
 def _repeats(recording: Recording) -> bool:

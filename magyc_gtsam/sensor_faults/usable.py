@@ -24,21 +24,21 @@ class Usable:
     Attributes:
         recording: the rows without faults.
         stuck: axes that were stuck for more than a share of `SMALL`, the largest share first.
-        zeros: magnetometer samples that are placeholders (zero on all axes); None without any.
+        zeros: samples that are placeholders (zero on all axes), per sensor.
         cut_off: what the gyroscope's full scale cut off; None if nothing.
         clipped: what the magnetometer's full scale cut off, which stays in the rows; None if nothing.
     """
 
     recording: Recording
     stuck: tuple[Stuck, ...]
-    zeros: NoValues | None
+    zeros: tuple[NoValues, ...]
     cut_off: Clipped | None
     clipped: ClippedField | None
 
     @property
     def left_out(self) -> list[str]:
         """Return a message per fault that was left out."""
-        return [fault.where for fault in (*self.stuck, self.zeros, self.cut_off) if fault is not None]
+        return [fault.where for fault in (*self.stuck, *self.zeros, self.cut_off) if fault is not None]
 
 
 def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_field", "angular_rate")) -> Usable:
@@ -50,7 +50,7 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
         MagycError: an axis was stuck for more than half of the recording, or too many turns were cut off.
     """
     if not may_be_faulty(recording, sensors):
-        return Usable(recording, (), None, None, None)
+        return Usable(recording, (), (), None, None)
     faults, time = SensorFaults.of(recording, sensors), recording.time
     hole = inside(faults.cut_off.spans, time)
     cut_off = faults.cut_off.finding(float(hole.mean()))
@@ -64,12 +64,17 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     kept = ~hole
     for start, end in (stretch for each in faulty for stretch in each.stretches):
         kept &= (time < start) | (time > end)
-    zeros = faults.zeros.finding()
-    usable = recording if zeros is None else _without_zeros(recording)
-    return Usable(usable if kept.all() else usable.rows(kept), stuck, zeros, cut_off, faults.clipped_field)
+    usable = recording
+    for finding in faults.no_values:
+        if finding.sensor == "magnetic_field":
+            usable = _without_zero_fields(usable)
+        else:
+            usable = _without_zero_rates(usable, faults.zero_rates.rejects(time))
+    usable = usable if kept.all() else usable.rows(kept)
+    return Usable(usable, stuck, faults.no_values, cut_off, faults.clipped_field)
 
 
-def _without_zeros(recording: Recording) -> Recording:
+def _without_zero_fields(recording: Recording) -> Recording:
     """Replace zeros of the magnetometer by the sample before (or after, at the start), marked as not measured."""
     zero = np.asarray(~recording.magnetic_field.any(axis=1))
     place = np.maximum.accumulate(np.where(zero, -1, np.arange(len(zero))))
@@ -80,3 +85,15 @@ def _without_zeros(recording: Recording) -> Recording:
         magnetic_field_fresh=recording.magnetic_field_fresh & ~zero,
         magnetic_field_stamped=recording.magnetic_field_stamped & ~zero,
     )
+
+
+def _without_zero_rates(recording: Recording, zero: np.ndarray) -> Recording:
+    """Replace placeholders of the gyroscope as `Recording.from_streams` fills rows without a sample of it."""
+    time, rate = recording.time, recording.angular_rate
+    assert rate is not None
+    measured = np.flatnonzero(~zero)
+    if recording.angular_rate_is == "interval-mean":
+        filled = rate[measured[np.searchsorted(measured, np.arange(len(rate)))]]
+    else:
+        filled = np.column_stack([np.interp(time, time[measured], axis[measured]) for axis in rate.T])
+    return replace(recording, angular_rate=filled, angular_rate_fresh=recording.angular_rate_fresh & ~zero)

@@ -1,4 +1,8 @@
-"""Detect zeros on all axes of a magnetometer: placeholders, since no measured field is exactly zero on three axes."""
+"""Detect rows that are zero on all axes where no measurement is: placeholders of a driver or a bus.
+
+No measured field is exactly zero on three axes. A rate may be, where a gyroscope rests. It is not where the readings
+before and after lie on the same side of zero by many steps of the sensor.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,23 @@ import numpy as np
 
 from magyc_gtsam.recording import Array, Samples
 
+# Consecutive zeros of a gyroscope. A vehicle of a simulation without noise may stop for longer; what is longer by far
+# is left to `stuck`.
+_LONGEST_RUN = 5
+# Steps of the gyroscope between zero and the readings about a placeholder. A gyroscope at rest has such zeros in 1 of
+# 10⁵ samples at the most, with noise of ten steps (normal noise, each axis on its own).
+_BESIDE = 10.0
+_ROUNDING = (
+    1e-6  # of the largest reading: what changes by less is no step of a sensor, but rounding in its conversion
+)
+_SENSORS = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}
+
 
 @dataclass(frozen=True)
 class NoValues:
-    """Samples that are zero on all axes: their number, and their share of all samples."""
+    """Samples of `sensor` that stand for no value: their number, and their share of all samples."""
 
+    sensor: str
     count: int
     share: float
 
@@ -21,33 +37,37 @@ class NoValues:
     def where(self) -> str:
         """Return how many there are."""
         return (
-            f"magnetic_field: {self.count} samples are zero on all axes of the magnetometer and stand for no value "
-            f"({self.share:.1%} of its samples)"
+            f"{self.sensor}: {self.count} samples are zero on all axes of the {_SENSORS[self.sensor]} and stand for no "
+            f"value ({self.share:.1%} of its samples)"
         )
 
 
 class Zeros:
-    """Find the samples that are zero on all axes; a `gate.Detector`."""
+    """Find the placeholders of the magnetometer: all samples that are zero on all axes; a `gate.Detector`."""
 
     pending = np.inf
+    sensor = "magnetic_field"
 
     def __init__(self) -> None:
-        self._latest = np.empty(0)  # s, stamps of the zeros of the last block
+        self._latest = np.empty(0)  # s, stamps of the placeholders found in the last block
         self._taken = self._count = 0
 
     def observe(self, block: Samples) -> None:
         """Take the next samples."""
-        self._latest = block.time[~block.value.any(axis=1)]
-        self._taken += len(block.time)
-        self._count += len(self._latest)
+        self._found(block.time[~block.value.any(axis=1)], len(block.time))
+
+    def _found(self, stamps: Array, taken: int) -> None:
+        self._latest = stamps
+        self._taken += taken
+        self._count += len(stamps)
 
     def rejects(self, time: Array) -> np.ndarray:
-        """Return (n,) bool: the samples at `time` (n,) that were zero."""
+        """Return (n,) bool: the samples at `time` (n,) that were found in the last block."""
         return np.isin(time, self._latest) if len(self._latest) else np.zeros(len(time), dtype=bool)
 
     def finding(self) -> NoValues | None:
         """Return what was found so far, or None."""
-        return NoValues(self._count, self._count / self._taken) if self._count else None
+        return NoValues(self.sensor, self._count, self._count / self._taken) if self._count else None
 
     def state(self) -> Mapping[str, Array]:
         """Return the state for `restore`."""
@@ -56,3 +76,63 @@ class Zeros:
     def restore(self, state: Mapping[str, Array]) -> None:
         """Continue from `state`."""
         self._taken, self._count = (int(v) for v in state["counts"])
+
+
+class ZeroRates(Zeros):
+    """Find the placeholders of the gyroscope: short runs of zeros between readings that are far from zero."""
+
+    sensor = "angular_rate"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.pending = np.inf
+        self._open = np.full((1, 4), np.nan)  # time and value of the last reading, and of the zeros since
+        self._step = np.inf  # rad/s, smallest change of any axis
+        self._largest = 0.0  # rad/s, largest reading of any axis
+
+    def observe(self, block: Samples) -> None:
+        """Take the next samples."""
+        carried = len(self._open)
+        rows = np.vstack([self._open, np.column_stack(block)])
+        change = np.abs(np.diff(rows[carried - 1 :, 1:], axis=0))
+        largest = np.maximum.accumulate(np.append(self._largest, np.abs(block.value).max(axis=1)))
+        steps = np.where(change > _ROUNDING * largest[1:, None], change, np.inf)
+        zero = np.asarray(~rows[:, 1:].any(axis=1))
+        zero[0] = False  # the last reading, or none yet
+        if zero.any():
+            before = np.full(carried, self._step)
+            step = np.append(before, np.minimum(np.minimum.accumulate(steps.min(axis=1)), self._step))
+            self._found(self._placeholders(rows, zero, step), len(block.time))
+        else:
+            self._found(block.time[:0], len(block.time))
+        self._step, self._largest = float(steps.min(initial=self._step)), float(largest[-1])
+        last = int(np.flatnonzero(~zero)[-1])
+        self._open = rows[last : last + _LONGEST_RUN + 2].copy()
+        self.pending = float(self._open[1, 0]) if 0 < len(self._open) - 1 <= _LONGEST_RUN else np.inf
+
+    def _placeholders(self, rows: Array, zero: np.ndarray, step: Array) -> Array:
+        """Return the stamps of the placeholders among rows (n, 4) that are `zero` (n,), with the steps (n,) so far."""
+        first, after = np.flatnonzero(np.diff(zero, append=False)).reshape(-1, 2).T + 1
+        over = (after < len(rows)) & (after - first <= _LONGEST_RUN)
+        first, after = first[over], after[over]
+        before, behind = rows[first - 1, 1:], rows[after, 1:]
+        apart = np.where(before * behind > 0, np.minimum(np.abs(before), np.abs(behind)), 0.0).max(axis=1)
+        far = apart > _BESIDE * step[after]
+        inside = np.zeros(len(rows), dtype=int)
+        inside[first[far]], inside[after[far]] = 1, -1
+        stamps: Array = rows[np.cumsum(inside) > 0, 0]
+        return stamps
+
+    def state(self) -> Mapping[str, Array]:
+        """Return the state for `restore`."""
+        return {
+            **super().state(),
+            "open": self._open,
+            "numbers": np.array([self.pending, self._step, self._largest]),
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        super().restore(state)
+        self._open = state["open"]
+        self.pending, self._step, self._largest = (float(v) for v in state["numbers"])
