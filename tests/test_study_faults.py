@@ -53,6 +53,16 @@ def test_every_fault_changes_the_log_more_the_stronger_it_is(name: str) -> None:
         assert strong > weak or name in ("clean", "swell-at-1-hz")
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["reset-flips", "switched-current", "iron-steps", "offset-drift"])
+def test_an_iron_that_changes_ends_at_the_true_one(name: str, seed: int) -> None:
+    fault = FAULTS[name]
+    log = record("wide", seed, fault, fault.strong, name, 300.0)
+    changed = log.field - record("wide", seed, duration=300.0).field
+    np.testing.assert_allclose(changed[-5:], 0, atol=2e-3 * fault.strong)
+    assert np.abs(changed).max() > 0.3 * fault.strong
+
+
 def test_there_are_as_many_as_promised() -> None:
     assert len(FAULTS) > 60
     assert all(fault.weak != fault.strong for name, fault in FAULTS.items() if name != "clean")

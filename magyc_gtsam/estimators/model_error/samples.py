@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array
@@ -16,6 +17,9 @@ from magyc_gtsam.sensor_faults.noise import white_noise
 _MOST = 20000  # samples looked at: a stretch of them in the middle of longer logs
 _LEAST = 200
 _CERTAIN = 6.0  # standard deviations of its chance from which a lean to one side counts; real logs reach 1.7
+_BESIDE = 4  # neighbours on either side, of which the median is taken where outliers were found
+_OFF = 6.0  # median distances from which a sample stands off, four standard deviations of noise
+_ROUNDS = 2  # then 98 to 100 % of a shift by 5 to 20 % of the samples is found, after one 94 to 99 %
 _SEGMENT = 256  # samples of a spectrum
 _FLOOR = 4.0  # times the median of the spectrum, below which it is noise
 _TOO_SLOW = 0.1  # share of the turn rate that is lost between samples; where it was 0.09 all results were right
@@ -46,18 +50,43 @@ class Outliers(NamedTuple):
 def one_sided(recording: Streams) -> Outliers | None:
     """How far the magnetometer's minority pulls the mean from the majority; None where it does not.
 
-    Each sample less the median of the five about it: zero where the field goes one way, symmetric where noise is.
+    Each sample less the median of the five about it: zero where the field goes one way, symmetric where noise is. Where
+    the minority is large it holds some of these medians, too (of 20 %, a third of the shift was missed): then those
+    that stand off are left out of the medians, by what is known of the shift so far.
     """
     time, field = _stretch(*recording.magnetometer)
     if len(time) < _LEAST:
         return None
     axes = np.ascontiguousarray(field.T)
     standing = axes[:, 2:-2] - _median_of_five(axes)
+    found = _mean_of(standing)
+    if np.abs(found.shift / found.sigma).max() <= _CERTAIN:
+        return None
+    standing = standing[:, _BESIDE - 2 : 2 - _BESIDE]
+    about = sliding_window_view(axes, 2 * _BESIDE + 1, axis=1)
+    for _ in range(_ROUNDS):
+        along = found.shift @ standing
+        along -= np.median(along)
+        off = np.abs(along) > _OFF * np.median(np.abs(along))
+        kept = ~sliding_window_view(np.pad(off, _BESIDE), about.shape[2])
+        standing = axes[:, _BESIDE:-_BESIDE] - _median_of_kept(about, kept | ~kept.any(axis=1, keepdims=True))
+        found = _mean_of(standing)
+    return found
+
+
+def _mean_of(standing: Array) -> Outliers:
+    """The mean (3,) of (3, n), and its standard deviation."""
     shift = standing.mean(axis=1)
-    standing -= shift[:, None]
-    scatter = np.sqrt(np.einsum("in,in->i", standing, standing) / standing.shape[1])
-    sigma = np.maximum(scatter, 1e-12) / np.sqrt(standing.shape[1])
-    return Outliers(shift, sigma) if np.abs(shift / sigma).max() > _CERTAIN else None
+    about = standing - shift[:, None]
+    scatter = np.sqrt(np.einsum("in,in->i", about, about) / about.shape[1])
+    return Outliers(shift, np.maximum(scatter, 1e-12) / np.sqrt(about.shape[1]))
+
+
+def _median_of_kept(about: Array, kept: np.ndarray) -> Array:
+    """(3, n) medians of those neighbours (3, n, k) that are kept (n, k), at least one of each."""
+    ordered, count = np.sort(np.where(kept, about, np.inf), axis=2), kept.sum(axis=1)
+    row = np.arange(len(count))
+    return np.asarray(0.5 * (ordered[:, row, (count - 1) // 2] + ordered[:, row, count // 2]))
 
 
 def flickers(recording: Streams) -> str:

@@ -165,9 +165,10 @@ def scale_drift(iron: Array, scene: TrueMotion, share: float, random: Random) ->
 
 
 def reset_flips(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """A set/reset that fails: the offset jumps between two values every 20 s or so."""
+    """A set/reset that fails: the offset jumps between two values every 20 s or so, and ends at the true one."""
     state = np.repeat(random.integers(0, 2, 1 + int(scene.time[-1] / 20)), round(20 / scene.step))
-    return iron + amount * np.outer(np.resize(state, len(iron)), direction(random))
+    state = np.resize(state, len(iron))
+    return iron + amount * np.outer(state - state[-1], direction(random))
 
 
 def hum(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:

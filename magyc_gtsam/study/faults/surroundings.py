@@ -105,9 +105,9 @@ def current_with_turning(iron: Array, scene: TrueMotion, amount: float, random: 
 
 
 def switched_current(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """Something is switched on and off every half minute or so, whose current is not logged."""
+    """Something is switched every half minute or so, whose current is not logged; how it is at the end is the truth."""
     state = np.resize(np.repeat(random.integers(0, 2, 100), round(30 / scene.step)), len(iron))
-    return iron + amount * np.outer(state, direction(random))
+    return iron + amount * np.outer(state - state[-1], direction(random))
 
 
 def steel_by_heading(world: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
