@@ -1,6 +1,9 @@
 """What a history says of simulated seasons, and what one more log costs. `python benchmarks/history.py [SEASONS]`.
 
-With a folder of BROAD's trials: each against the others of its unit. `python benchmarks/history.py FOLDER`.
+`python benchmarks/history.py scale [INSTRUMENTS]`: instruments whose gyroscope's scales are off, with and without an
+estimate of them.
+`python benchmarks/history.py FOLDER [SCALE]`: BROAD's trials, each against the others of its unit; SCALE is the
+deviation of the gyroscope's scales, 0.01 or so, which are then estimated too.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ import numpy as np
 import magyc_gtsam as mg
 from magyc_gtsam.history import History
 from magyc_gtsam.history.coordinates import shape_of, soft_iron_of
-from magyc_gtsam.history.log_factor import compress, factor_of
+from magyc_gtsam.history.log_factor import HARD_IRON, SCALE, compress, factor_of
 from magyc_gtsam.study.season import SeasonPlan, dive_factors, draw_season
 
 
@@ -81,18 +84,18 @@ def one_more(logs: int) -> None:
     print(f"{logs} logs: {shares} times one calibration; to load the file {read / alone:.1f}")
 
 
-def left_out(folder: Path) -> None:
+def left_out(folder: Path, options: dict[str, float]) -> None:
     """Each trial of a unit of BROAD against what the others of its unit predict; `folder` holds the trials' arrays."""
     factors = {}
     for file in sorted(folder.glob("broad_*.npz")):
         data, trial = np.load(file), int(file.name[6:8])
-        rows = np.flatnonzero((data["tm"] > 53) & (data["tm"] < 95) if trial == 33 else data["move"])
+        rows = np.flatnonzero((data["tm"] > 53) & (data["tm"] < 95) if trial in (33, 35) else data["move"])
         time, field, rate = data["tm"][rows], data["m"][rows].astype(float), data["w"][rows].astype(float)
-        factors[trial] = factor_of(mg.Recording.from_streams((time, field), (time, rate)), None, {})
+        factors[trial] = factor_of(mg.Recording.from_streams((time, field), (time, rate)), None, options)
     for number, name in ((1, "broad_01_slow_rotation"), (6, "broad_06_fast_rotation")):
-        factors[number] = factor_of(mg.read(folder.parent / f"{name}.mcap"), None, {})
+        factors[number] = factor_of(mg.read(folder.parent / f"{name}.mcap"), None, options)
     magnet = mg.read(folder.parent / "broad_32_attached_magnet_1cm.mcap").between(41.5, 92)
-    factors[32] = factor_of(magnet, None, {})
+    factors[32] = factor_of(magnet, None, options)
     trials = sorted(factors)
     history = History([factors[trial] for trial in trials])
     for group in history.groups:
@@ -100,17 +103,63 @@ def left_out(folder: Path) -> None:
         for i in group:
             own = history.factors[i]
             others = compress(History([history.factors[k] for k in group if k != i]).next, "", None)
-            off, spread = own.mean[:8] - others.mean[:8], own.covariance[:8, :8] + others.covariance[:8, :8]
-            for part, name in ((slice(0, 5), "soft iron"), (slice(5, 8), "hard iron")):
+            off, spread = own.mean - others.mean, own.covariance + others.covariance
+            parts = [(slice(0, 5), "soft iron"), (HARD_IRON, "hard iron")]
+            for part, name in [*parts, (SCALE, "gyroscope's scale, ‰")][: 3 if options else 2]:
                 squares = off[part] @ np.linalg.solve(spread[part, part], off[part]) / len(off[part])
                 print(
                     f"  trial {trials[i]}, {name}: off by {np.round(off[part], 4)}, squares / freedoms {squares:.2f}"
                 )
 
 
+def scales(instruments: int) -> None:
+    """Print errors and NEES of `next` from ten dives an instrument, whose gyroscope's scales are off by 1 % an axis."""
+    for options in ({}, {"gyroscope_scale": 0.01}):
+        squares, errors, sigmas, logs = [], [], [], 0
+        for seed in range(instruments):
+            dives, truth = dives_with_scale(seed)
+            history = mg.calibrate_many(dives, **options)
+            found = compress(history.next, "", None)
+            off = found.mean - (truth if options else np.delete(truth, np.arange(14)[SCALE]))
+            parts = [slice(0, 5), HARD_IRON, *([SCALE] if options else [])]
+            squares.append([off[p] @ np.linalg.solve(found.covariance[p, p], off[p]) for p in parts])
+            errors.append([off[p] @ off[p] for p in parts])
+            sigmas.append(np.trace(found.covariance[HARD_IRON, HARD_IRON]))
+            logs += sum(factor.mean is not None for factor in history.factors)
+        print(f"{options or 'without'}: {logs} of {10 * instruments} logs used")
+        print("  NEES of soft iron (5), hard iron (3), scale (3):", np.round(np.mean(squares, axis=0), 2))
+        print("  root mean square error, relative, µT, ‰:", np.round(np.sqrt(np.mean(errors, axis=0)), 4))
+        print(f"  stated sigma of the hard iron {np.sqrt(np.mean(sigmas)):.3f} µT")
+
+
+def dives_with_scale(seed: int) -> tuple[list[mg.Recording], np.ndarray]:
+    """Return ten dives of an instrument, and s, g ‰, h µT and a bias of 0 for what varies from dive to dive."""
+    rng = np.random.default_rng(seed)
+    shape, scale, hard_iron = rng.normal(0, 0.05, 5), rng.normal(0, 0.01, 3), rng.normal(0, 20e-6, 3)
+    own_bias = rng.normal(0, 5e-3, 3)
+    dives = []
+    for k in range(10):
+        motion = str(rng.choice(["wide", "moderate", "low", "tiny"]))
+        bias = own_bias + rng.normal(0, 1e-3, 3)
+        dive = mg.simulate(
+            motion,
+            600,
+            10,
+            seed=1000 * seed + k,
+            soft_iron=soft_iron_of(shape),
+            hard_iron=hard_iron,
+            gyro_bias=bias,
+        ).recording
+        time, rate = dive.gyroscope
+        dives.append(dive.with_samples(dive.magnetometer, (time, bias + (rate - bias) * (1 + scale))))
+    return dives, np.r_[shape, scale * 1e3, hard_iron * 1e6, np.zeros(3)]
+
+
 if __name__ == "__main__":
     if len(sys.argv) > 1 and Path(sys.argv[1]).is_dir():
-        left_out(Path(sys.argv[1]))
+        left_out(Path(sys.argv[1]), {"gyroscope_scale": float(sys.argv[2])} if len(sys.argv) > 2 else {})
+    elif sys.argv[1:2] == ["scale"]:
+        scales(int(sys.argv[2]) if len(sys.argv) > 2 else 40)
     else:
         seasons(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
         one_more(60)

@@ -194,15 +194,18 @@ def test_the_field_of_a_place(logs: Path, tmp_path: Path) -> None:
 
 
 def test_an_earlier_calibration_is_a_prior(logs: Path, tmp_path: Path) -> None:
-    run("calibrate", logs / "dive.mcap", "-o", "first", "-q", "--misalignment", 0, cwd=tmp_path)
+    known = ("--misalignment", 0, "--gyroscope-scale", 1)
+    run("calibrate", logs / "dive.mcap", "-o", "first", "-q", *known, cwd=tmp_path)
     earlier = tmp_path / "first/calibration.yaml"
     again = run(
         "calibrate", logs / "dive.mcap", "-o", "second", "-q", "--prior", earlier, "--hard-iron-walk", 2, "--end", 60,
-        "--misalignment", 0, cwd=tmp_path,
+        *known, cwd=tmp_path,
     )  # fmt: skip
     assert again.returncode == 0, again.stderr
     first, second = (mg.Calibration.load(tmp_path / each / "calibration.yaml") for each in ("first", "second"))
     assert second.configuration["hard_iron_walk"] == pytest.approx(2e-6)
+    assert second.configuration["gyroscope_scale"] == pytest.approx(0.01)
+    assert np.all(np.abs(second.terms[-1].value) < 4 * second.terms[-1].sigma)  # of a perfect gyroscope
     assert (second.sigma["soft_iron"] < 1.1 * first.sigma["soft_iron"]).all()
 
 

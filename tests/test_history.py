@@ -68,9 +68,9 @@ def test_the_chain_is_the_dense_solution() -> None:
             dense += step.T @ step / variance[k]
     covariance, found = np.linalg.inv(dense), solve(observed, variance)
     mean = covariance @ right
-    assert found.shape == pytest.approx(mean[:5])
+    assert found.shared == pytest.approx(mean[:5])
     assert found.hard_iron.ravel() == pytest.approx(mean[5:])
-    assert found.shape_covariance == pytest.approx(covariance[:5, :5])
+    assert found.shared_covariance == pytest.approx(covariance[:5, :5])
     for k in range(7):
         own = slice(5 + 3 * k, 8 + 3 * k)
         assert found.covariance[k] == pytest.approx(covariance[own, own])
@@ -85,7 +85,7 @@ def test_the_chain_is_the_dense_solution() -> None:
 
 def test_the_chain_is_the_graph() -> None:
     pytest.importorskip("gtsam")
-    from magyc_gtsam.history.graph import SHAPE_KEY, hard_iron_key, history_graph
+    from magyc_gtsam.history.graph import SHARED_KEY, hard_iron_key, history_graph
     from magyc_gtsam.runners import Incremental, optimize
 
     observed, variance = random_observations(5, 2)
@@ -96,7 +96,7 @@ def test_the_chain_is_the_graph() -> None:
     incremental = Incremental("gauss-newton")
     assert incremental.update(graph, start, steps=5).updated
     for values in (batch.values, incremental.values):
-        assert values.atVector(SHAPE_KEY) == pytest.approx(found.shape, abs=1e-6)
+        assert values.atVector(SHARED_KEY) == pytest.approx(found.shared, abs=1e-6)
         for k in range(5):
             assert values.atVector(hard_iron_key(k)) == pytest.approx(found.hard_iron[k], abs=1e-6)
 

@@ -120,6 +120,8 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert len(mg.History.load(added / "history.yaml")) == 4
     assert main(["history", str(season / "a.mcap"), "--add", str(folder / "history.yaml")]) == 2
     assert "is in the history already" in capsys.readouterr().err
+    assert main([*command[:-1], str(tmp_path / "other"), "--gyroscope-scale", "1"]) == 2
+    assert "calibrate all of them with the same gyroscope_scale" in capsys.readouterr().err
 
 
 def units(count: int) -> dict[str, Any]:

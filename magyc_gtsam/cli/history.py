@@ -17,7 +17,7 @@ from magyc_gtsam.cli.many import unique_names
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_exports
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import concluded, show, show_table, stages
+from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_table, stages
 from magyc_gtsam.foreign_text import with_minus
 
 if TYPE_CHECKING:
@@ -49,6 +49,7 @@ def run(
     reading: Reading,
     scale: Scale,
     more: More = None,
+    gyroscope_scale: given.GyroscopeScale = None,
     add: Annotated[
         Path | None,
         typer.Option(
@@ -77,7 +78,11 @@ def run(
     before = None if add is None else History.load(add)
     _refuse_twice(logs, before)
     strength = scale.tesla()
-    options = {} if strength is None else {"field_strength": strength}
+    options = {} if before is None else dict(before.options)
+    if strength is not None:
+        options["field_strength"] = strength
+    if gyroscope_scale is not None:
+        options["gyroscope_scale"] = gyroscope_scale * 1e-2
     tasks = {
         name: _Task(replace(reading, log=log), options) for name, log in zip(unique_names(logs), logs, strict=True)
     }
@@ -143,10 +148,9 @@ def _show(history: History, folder: Path) -> None:
     show(*(f"contradicts: {each.name}: {each.sentence}" for each in history.contradictions))
     if len(history.groups) > 1:
         show(*(f"group: {', '.join(history.names[i] for i in group)}" for group in history.groups))
-    iron, sigma = history.next.hard_iron * 1e6, history.next.sigma["hard_iron"] * 1e6
-    listed = ", ".join(f"{value:.2f} ± {deviation:.2f}" for value, deviation in zip(iron, sigma, strict=True))
+    show(f"next log: {history.next.message}")
+    show_calibration(history.next)
     show(
-        with_minus(f"next log: hard iron {listed} µT; {history.next.message}"),
         "",
         f"results: {folder}",
         f"page: {folder / 'report.html'}",

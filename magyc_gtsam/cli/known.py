@@ -1,4 +1,4 @@
-"""Options for prior knowledge: the rotation between the chips, an earlier calibration, the field at the location."""
+"""Options for prior knowledge: on the chips, an earlier calibration, the field at the location."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ class GivenFacts:
     """Prior knowledge for the smoother."""
 
     misalignment: given.Misalignment = None
+    gyroscope_scale: given.GyroscopeScale = None
     prior: given.Prior = None
     hard_iron_walk: Annotated[
         float | None,
@@ -41,6 +42,8 @@ class GivenFacts:
         else:
             result["field_strength"] = scale.tesla()
         result |= beforehand(self.misalignment, self.prior)
+        if self.gyroscope_scale is not None:
+            result["gyroscope_scale"] = self.gyroscope_scale * 1e-2
         if self.hard_iron_walk is not None:
             result["hard_iron_walk"] = self.hard_iron_walk * 1e-6
         if self.soft_iron_walk is not None:

@@ -87,6 +87,13 @@ Misalignment = Annotated[
         help="Between the two chips: 'auto' (default) estimates it; a number is its prior standard deviation; 0: none.",
     ),
 ]
+GyroscopeScale = Annotated[
+    float | None,
+    typer.Option(
+        metavar="PERCENT",
+        help="Estimate the scale of each of the gyroscope's axes with this prior standard deviation. Default: no.",
+    ),
+]
 Prior = Annotated[
     Path | None,
     typer.Option(

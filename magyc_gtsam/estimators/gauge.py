@@ -64,6 +64,10 @@ class IronScale(NamedTuple):
             slopes -= np.outer(scaled[UPPER], slope) / strength**2
         return cls(scaled / strength, strength, slopes, sigma)
 
+    def of_parameters(self, rows: Array) -> Array:
+        """Rows (12, k) that go with vech(soft iron) and the rest, from those that go with vech(B) T and the rest."""
+        return np.concatenate([self.slopes @ rows[:6], rows[6:]])
+
     def covariance(self, covariance: Array) -> Array:
         """Of vech(soft iron) and the rest, from that of vech(B) T and the rest."""
         jacobian = np.eye(len(covariance))

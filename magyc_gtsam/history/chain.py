@@ -1,6 +1,7 @@
 """Solve all logs of one instrument jointly, given which logs are wrong and where the hard iron jumped.
 
-The shape s of the soft iron is shared, each log has its hard iron h_k, and neighbours are joined by a random walk:
+The shape of the soft iron, and the gyroscope's scale where it is estimated, are shared (s, p numbers), each log has
+its hard iron h_k, and neighbours are joined by a random walk:
 
     (s, h_k) ~ N(log k),   h_{k+1} − h_k ~ N(0, q Δt_k I), or with a jump N(0, (q Δt_k + jump²) I).
 
@@ -14,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.recording import Array
 
 _BAND = 6  # rows of the band: two neighbouring blocks of three
@@ -25,8 +25,8 @@ class Observations:
     """The logs' observations of (s, h), in the order of time.
 
     Attributes:
-        mean: (k, 8) s and h, µT.
-        information: (k, 8, 8); zeros for a log without information.
+        mean: (k, p + 3) s and h, µT.
+        information: (k, p + 3, p + 3); zeros for a log without information.
         elapsed: (k − 1,) days between neighbours, or 1 each if the logs have no dates.
     """
 
@@ -37,21 +37,26 @@ class Observations:
     def __len__(self) -> int:
         return len(self.mean)
 
+    @property
+    def shared(self) -> int:
+        """Return p, the number of parameters that all logs share."""
+        return self.mean.shape[1] - 3
+
 
 @dataclass(frozen=True, eq=False)
 class HistoryPosterior:
     """The joint posterior of s and all h.
 
     Attributes:
-        shape, shape_covariance: (5,) and (5, 5) of s.
+        shared, shared_covariance: (p,) and (p, p) of s.
         hard_iron, covariance: (k, 3) µT and (k, 3, 3) of each h_k.
-        cross: (k, 3, 5) covariance of h_k with s.
+        cross: (k, 3, p) covariance of h_k with s.
         change: (k − 1, 3, 3) covariance of h_{k+1} − h_k.
         log_likelihood: of the observations under flat priors on s and h_0, up to a constant.
     """
 
-    shape: Array
-    shape_covariance: Array
+    shared: Array
+    shared_covariance: Array
     hard_iron: Array
     covariance: Array
     cross: Array
@@ -60,11 +65,11 @@ class HistoryPosterior:
 
 
 def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the normal equations: lower band (6, 3k), border (3k, 5), corner (5, 5), right-hand side (3k + 5,)."""
-    k = len(observed)
+    """Return the normal equations: lower band (6, 3k), border (3k, p), corner (p, p), right-hand side (3k + p,)."""
+    k, p = len(observed), observed.shared
     information, mean = observed.information, observed.mean
     ties = 1 / step_variance
-    blocks = information[:, SHAPE:, SHAPE:].copy()
+    blocks = information[:, p:, p:].copy()
     both = np.zeros(k)
     both[:-1] += ties
     both[1:] += ties
@@ -74,10 +79,10 @@ def _assembled(observed: Observations, step_variance: Array) -> tuple[Array, Arr
         for column in range(3 - offset):
             band[offset, column::3] = blocks[:, column + offset, column]
     band[3, : 3 * (k - 1)] = -np.repeat(ties, 3)
-    border = information[:, SHAPE:, :SHAPE].reshape(3 * k, SHAPE)
-    corner = information[:, :SHAPE, :SHAPE].sum(axis=0)
+    border = information[:, p:, :p].reshape(3 * k, p)
+    corner = information[:, :p, :p].sum(axis=0)
     weighted = np.einsum("kij,kj->ki", information, mean)
-    right = np.concatenate([weighted[:, SHAPE:].ravel(), weighted[:, :SHAPE].sum(axis=0)])
+    right = np.concatenate([weighted[:, p:].ravel(), weighted[:, :p].sum(axis=0)])
     return band, border, corner, right
 
 
@@ -89,16 +94,16 @@ def solve(observed: Observations, step_variance: Array, *, marginals: bool = Tru
         step_variance: (k − 1,) µT², variance of each step on each axis.
         marginals: whether to compute the covariances of the hard iron; otherwise they are empty.
     """
-    k = len(observed)
+    k, p = len(observed), observed.shared
     band, border, corner, right = _assembled(observed, step_variance)
     factor = cholesky_banded(band, lower=True)
     solved = cho_solve_banded((factor, True), np.column_stack([border, right[: 3 * k]]))
-    schur = corner - border.T @ solved[:, :SHAPE]
+    schur = corner - border.T @ solved[:, :p]
     schur = 0.5 * (schur + schur.T)
-    shape = np.linalg.solve(schur, right[3 * k :] - border.T @ solved[:, SHAPE])
-    hard_iron = (solved[:, SHAPE] - solved[:, :SHAPE] @ shape).reshape(k, 3)
+    shared = np.linalg.solve(schur, right[3 * k :] - border.T @ solved[:, p])
+    hard_iron = (solved[:, p] - solved[:, :p] @ shared).reshape(k, 3)
 
-    residual = observed.mean - np.column_stack([np.tile(shape, (k, 1)), hard_iron])
+    residual = observed.mean - np.column_stack([np.tile(shared, (k, 1)), hard_iron])
     step = np.diff(hard_iron, axis=0)
     cost = float(np.einsum("ki,kij,kj->", residual, observed.information, residual))
     cost += float(np.sum(np.sum(step**2, axis=1) / step_variance))
@@ -108,20 +113,20 @@ def solve(observed: Observations, step_variance: Array, *, marginals: bool = Tru
         + 2 * float(np.log(factor[0]).sum())
         + float(np.linalg.slogdet(schur)[1])
     )
-    shape_covariance = np.linalg.inv(schur)
+    shared_covariance = np.linalg.inv(schur)
     empty = np.zeros((0, 3, 3))
     if not marginals:
         return HistoryPosterior(
-            shape, shape_covariance, hard_iron, empty, np.zeros((0, 3, SHAPE)), empty, log_likelihood
+            shared, shared_covariance, hard_iron, empty, np.zeros((0, 3, p)), empty, log_likelihood
         )
-    given_shape, change = _marginals(band, 1 / step_variance)
-    on_shape = solved[:, :SHAPE].reshape(k, 3, SHAPE)
-    spread = np.einsum("kia,ab,kjb->kij", on_shape, shape_covariance, on_shape)
-    moved = np.diff(on_shape, axis=0)
-    change = change + np.einsum("kia,ab,kjb->kij", moved, shape_covariance, moved)
-    cross = -np.einsum("kia,ab->kib", on_shape, shape_covariance)
+    given_shared, change = _marginals(band, 1 / step_variance)
+    on_shared = solved[:, :p].reshape(k, 3, p)
+    spread = np.einsum("kia,ab,kjb->kij", on_shared, shared_covariance, on_shared)
+    moved = np.diff(on_shared, axis=0)
+    change = change + np.einsum("kia,ab,kjb->kij", moved, shared_covariance, moved)
+    cross = -np.einsum("kia,ab->kib", on_shared, shared_covariance)
     return HistoryPosterior(
-        shape, shape_covariance, hard_iron, given_shape + spread, cross, change, log_likelihood
+        shared, shared_covariance, hard_iron, given_shared + spread, cross, change, log_likelihood
     )
 
 

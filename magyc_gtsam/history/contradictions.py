@@ -67,7 +67,7 @@ def _largest(factor: LogFactor, instrument: Instrument, k: int) -> str:
     off: list[tuple[float, str]] = []
     for name, part, unit, word in _UNITS:
         expected, spread = (
-            (posterior.shape, posterior.shape_covariance)
+            (posterior.shared[part], posterior.shared_covariance[part, part])
             if name == "soft iron"
             else (posterior.hard_iron[k], posterior.covariance[k])
         )

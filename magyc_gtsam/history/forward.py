@@ -30,8 +30,6 @@ WALKS = np.geomspace(
 SCATTERS = np.array([0.0, 0.002, 0.005, 0.012, 0.03])  # relative
 _CELLS = len(WALKS) * len(SCATTERS)
 WALK_OF_CELL, SCATTER_OF_CELL = np.repeat(WALKS, len(SCATTERS)), np.tile(SCATTERS, len(WALKS))
-_ON_SHAPE = np.diag(np.r_[np.ones(SHAPE), np.zeros(3)])
-_ON_IRON = np.eye(OBSERVED) - _ON_SHAPE
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +41,7 @@ class Bank:
         dated: whether elapsed time is in days.
         label: (k, logs) WALKED, JUMPED (before this log) or WRONG, the likeliest labelling first.
         weight: (k, cells) logarithm of the posterior probability up to a constant.
-        mean, covariance: (k, cells, 8), (k, cells, 8, 8) of s and h, µT, after the last log.
+        mean, covariance: (k, cells, p + 3), (k, cells, p + 3, p + 3) of what is shared and h, µT, after the last log.
     """
 
     order: tuple[int, ...]
@@ -62,9 +60,10 @@ class Bank:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the bank as JSON types, numbers bit for bit."""
-        rows, columns = np.triu_indices(OBSERVED)
+        rows, columns = np.triu_indices(self.mean.shape[-1])
         return {
             "order": list(self.order),
+            "size": self.mean.shape[-1],
             "dated": self.dated,
             "label": ["".join(map(str, each)) for each in self.label.tolist()],
             "weight": _packed(self.weight),
@@ -82,8 +81,9 @@ class Bank:
         try:
             order = tuple(int(each) for each in data["order"])
             label = np.array([[int(each) for each in row] for row in data["label"]], dtype=np.int8)
-            count, rows = len(label), np.triu_indices(OBSERVED)
-            covariance = np.empty((count, _CELLS, OBSERVED, OBSERVED))
+            count, size = len(label), int(data.get("size", SHAPE + 3))
+            rows = np.triu_indices(size)
+            covariance = np.empty((count, _CELLS, size, size))
             half = _unpacked(data["covariance"], (count, _CELLS, len(rows[0])))
             covariance[..., rows[0], rows[1]] = covariance[..., rows[1], rows[0]] = half
             bank = cls(
@@ -91,7 +91,7 @@ class Bank:
                 bool(data["dated"]),
                 label,
                 _unpacked(data["weight"], (count, _CELLS)),
-                _unpacked(data["mean"], (count, _CELLS, OBSERVED)),
+                _unpacked(data["mean"], (count, _CELLS, size)),
                 covariance,
             )
         except (KeyError, TypeError, ValueError) as error:
@@ -102,41 +102,45 @@ class Bank:
         return bank
 
 
-def empty_bank(dated: bool, model: HistoryModel) -> Bank:
-    """Return the bank before the first log."""
+def empty_bank(dated: bool, shared: int, model: HistoryModel) -> Bank:
+    """Return the bank before the first log; `shared` is the number of parameters that all logs share."""
     weight = -0.5 * (np.log(WALK_OF_CELL / model.walk) / model.walk_spread) ** 2
     scattered = model.scattered / (len(SCATTERS) - 1)
     weight = weight + np.log(np.where(SCATTER_OF_CELL == 0, 1 - model.scattered, scattered))
-    wide = model.before[0] ** 2 * _ON_SHAPE + model.before[1] ** 2 * _ON_IRON
+    size = shared + 3
+    scale = np.full(shared - SHAPE, model.gyroscope_scale)
+    wide = np.diag(np.r_[np.full(SHAPE, model.before[0]), scale, np.full(3, model.before[1])] ** 2)
     return Bank(
         (),
         dated,
         np.zeros((1, 0), dtype=np.int8),
         weight[None],
-        np.zeros((1, _CELLS, OBSERVED)),
-        np.broadcast_to(wide, (1, _CELLS, OBSERVED, OBSERVED)),
+        np.zeros((1, _CELLS, size)),
+        np.broadcast_to(wide, (1, _CELLS, size, size)),
     )
 
 
 def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: HistoryModel) -> Bank:
     """Return the bank after one more log, `elapsed` days (1 without dates) after the last one."""
     order = (*bank.order, index)
+    size = bank.mean.shape[-1]
+    on_shape, on_iron = np.diag(np.arange(size) < SHAPE) * 1.0, np.diag(np.arange(size) >= size - 3) * 1.0
     walked = (
-        bank.covariance + (WALK_OF_CELL**2 * elapsed)[:, None, None] * _ON_IRON if bank.order else bank.covariance
+        bank.covariance + (WALK_OF_CELL**2 * elapsed)[:, None, None] * on_iron if bank.order else bank.covariance
     )
     if factor.mean is None or factor.covariance is None:
         label = np.hstack([bank.label, np.full((len(bank.label), 1), WALKED, dtype=np.int8)])
         return Bank(order, bank.dated, label, bank.weight, bank.mean, walked)
-    noise = factor.covariance[:OBSERVED, :OBSERVED] + (SCATTER_OF_CELL**2)[:, None, None] * _ON_SHAPE
-    innovation = factor.mean[:OBSERVED] - bank.mean
-    spoilt = model.wrong_shape**2 * _ON_SHAPE + model.wrong_hard_iron**2 * _ON_IRON
+    noise = observed_covariance(factor.covariance, model) + (SCATTER_OF_CELL**2)[:, None, None] * on_shape
+    innovation = factor.mean[OBSERVED] - bank.mean
+    spoilt = model.wrong_shape**2 * on_shape + model.wrong_hard_iron**2 * on_iron
     prior = np.log([1 - model.jump_share - model.wrong_share, model.jump_share, model.wrong_share])
     branches = [
         (WALKED, *_updated(bank.mean, walked, innovation, noise)),
         (WRONG, bank.mean, walked, log_density(innovation, walked + noise + spoilt)),
     ]
     if bank.order:
-        branches.insert(1, (JUMPED, *_updated(bank.mean, walked + model.jump**2 * _ON_IRON, innovation, noise)))
+        branches.insert(1, (JUMPED, *_updated(bank.mean, walked + model.jump**2 * on_iron, innovation, noise)))
     labels = [np.hstack([bank.label, np.full((len(bank.label), 1), each, dtype=np.int8)]) for each, *_ in branches]
     every = np.concatenate([bank.weight + density + prior[each] for each, _, _, density in branches])
     best = np.argsort(-np.logaddexp.reduce(every, axis=1), kind="stable")[:KEPT]
@@ -148,6 +152,14 @@ def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: Hi
         np.concatenate([mean for _, mean, _, _ in branches])[best],
         np.concatenate([covariance for _, _, covariance, _ in branches])[best],
     )
+
+
+def observed_covariance(covariance: Array, model: HistoryModel) -> Array:
+    """Return the covariance (p + 3, p + 3) of a log's s, g and h, with what g scatters between logs."""
+    observed = covariance[OBSERVED, OBSERVED].copy()
+    scale = np.arange(SHAPE, len(observed) - 3)
+    observed[scale, scale] += model.gyroscope_scale_scatter**2
+    return observed
 
 
 def _updated(mean: Array, spread: Array, innovation: Array, noise: Array) -> tuple[Array, Array, Array]:

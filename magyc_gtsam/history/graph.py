@@ -1,7 +1,8 @@
 """The history as a GTSAM graph, to be joined to other graphs; needs GTSAM.
 
-Variables: the soft iron's shape `s` (5-vector) and each log's hard iron `h_k` (3-vector, µT). Factors: one per log,
-which remains of its field chain after elimination, and a random walk between neighbours.
+Variables: what all logs share, `s` (5-vector, the soft iron's shape; 8-vector with the gyroscope's scale), and each
+log's hard iron `h_k` (3-vector, µT). Factors: one per log, which remains of its field chain after elimination, and a
+random walk between neighbours.
 """
 
 from __future__ import annotations
@@ -10,10 +11,9 @@ import gtsam
 import numpy as np
 
 from magyc_gtsam.history.chain import Observations
-from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.recording import Array
 
-SHAPE_KEY = gtsam.symbol("s", 0)
+SHARED_KEY = gtsam.symbol("s", 0)
 
 
 def history_graph(observed: Observations, step_variance: Array) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -24,14 +24,15 @@ def history_graph(observed: Observations, step_variance: Array) -> tuple[gtsam.N
         step_variance: (k − 1,) µT², variance of each step of the hard iron on each axis.
     """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    values.insert(SHAPE_KEY, np.zeros(SHAPE))
+    p = observed.shared
+    values.insert(SHARED_KEY, np.zeros(p))
     for k in range(len(observed)):
         values.insert(hard_iron_key(k), np.zeros(3))
     for k, (mean, information) in enumerate(zip(observed.mean, observed.information, strict=True)):
         if information[0, 0] > 0:
             root = np.linalg.cholesky(information).T
             linear = gtsam.JacobianFactor(
-                SHAPE_KEY, root[:, :SHAPE], hard_iron_key(k), root[:, SHAPE:], root @ mean, _unit(len(root))
+                SHARED_KEY, root[:, :p], hard_iron_key(k), root[:, p:], root @ mean, _unit(len(root))
             )
             graph.add(gtsam.LinearContainerFactor(linear, values))
     for k, variance in enumerate(step_variance):

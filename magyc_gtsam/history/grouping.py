@@ -1,9 +1,9 @@
 """Group the logs that can be of one instrument, by the evidence of the parameters that an instrument keeps.
 
-An instrument keeps its soft iron, misalignment and gyroscope bias up to a scatter, and its hard iron unless iron was
-moved. A log joins the group that predicts it best, or starts a group where "another instrument" predicts it better.
-Logs are taken out and assigned again until nothing changes, and groups are split where that is likelier (the moves of
-Neal 2000, algorithm 3, and of Jain and Neal 2004, at zero temperature).
+An instrument keeps its soft iron, misalignment, gyroscope scale and bias up to a scatter, and its hard iron unless
+iron was moved. A log joins the group that predicts it best, or starts a group where "another instrument" predicts it
+better. Logs are taken out and assigned again until nothing changes, and groups are split where that is likelier (the
+moves of Neal 2000, algorithm 3, and of Jain and Neal 2004, at zero temperature).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Grouping:
         """
         self._model = model
         self._priors = [
-            np.r_[np.full(SHAPE, shape**-2), np.full(3, model.bias**-2), np.full(3, model.skew**-2)]
+            np.r_[np.full(SHAPE, shape), np.repeat([model.gyroscope_scale, model.bias, model.skew], 3)] ** -2.0
             for shape, _ in (model.raw, model.calibrated)
         ]
         self._groups: list[Group] = []

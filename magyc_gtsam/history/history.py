@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,7 @@ from magyc_gtsam.history.contradictions import Contradiction, contradictions_of
 from magyc_gtsam.history.forward import JUMPED, Bank
 from magyc_gtsam.history.grouping import Grouping
 from magyc_gtsam.history.instrument import Instrument, solve_instrument
-from magyc_gtsam.history.log_factor import MICROTESLA, LogFactor, factor_of
+from magyc_gtsam.history.log_factor import MICROTESLA, PER_MILLE, LogFactor, factor_of
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.history.predicted import log_calibration, next_calibration
 from magyc_gtsam.recording import Array, Recording
@@ -53,9 +53,9 @@ class History:
         banks: Sequence[Bank] = (),
     ) -> None:
         """Solve compressed logs, continuing the groups and filters of an earlier history, if given."""
-        self.model = model or HistoryModel()
         self.options = dict(options or {})
-        self.factors = tuple(factors)
+        self.model = model or _model_for(self.options)
+        self.factors = _of_one_kind(factors)
         self._grouping = Grouping(self.factors, self.model, groups)
         self._banks = tuple(banks)
         if not self.groups:
@@ -166,7 +166,7 @@ class History:
     def extend(self, factors: Sequence[LogFactor]) -> History:
         """Add logs that are already compressed, and return this history."""
         self._banks = self._filters
-        self.factors = (*self.factors, *factors)
+        self.factors = _of_one_kind((*self.factors, *factors))
         self._grouping.add(factors)
         for name in ("_instruments", "calibrations", "next", "contradictions"):
             self.__dict__.pop(name, None)
@@ -224,6 +224,27 @@ class History:
             raise MagycError(f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError) as error:
             raise MagycError(f"{path}: a damaged history ({type(error).__name__}: {error})") from None
+
+
+def _model_for(options: Mapping[str, Any]) -> HistoryModel:
+    """Return the default model, with the prior of the gyroscope's scale that logs are calibrated with."""
+    deviation = options.get("gyroscope_scale")
+    return HistoryModel(gyroscope_scale=deviation / PER_MILLE) if deviation else HistoryModel()
+
+
+def _of_one_kind(factors: Sequence[LogFactor]) -> tuple[LogFactor, ...]:
+    """Return the factors, all with the gyroscope's scale or all without.
+
+    Raises:
+        MagycError: some have it and some have not.
+    """
+    sizes = {len(factor.mean) for factor in factors if factor.mean is not None}
+    if len(sizes) > 1:
+        raise MagycError(
+            "history: some logs were calibrated with the gyroscope's scale and some without; calibrate all of them "
+            "with the same gyroscope_scale"
+        )
+    return tuple(factors)
 
 
 def _dumped(value: Any) -> str:

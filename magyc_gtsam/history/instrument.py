@@ -6,7 +6,7 @@ is large in a history of few logs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,9 +23,10 @@ from magyc_gtsam.history.forward import (
     WRONG,
     Bank,
     empty_bank,
+    observed_covariance,
     stepped,
 )
-from magyc_gtsam.history.log_factor import OBSERVED, LogFactor
+from magyc_gtsam.history.log_factor import OBSERVED, SCALE, SHARED, LogFactor
 from magyc_gtsam.history.model import DAY, HistoryModel
 from magyc_gtsam.recording import Array
 
@@ -71,7 +72,7 @@ class Instrument:
 
     @cached_property
     def ahead(self) -> tuple[Array, Array]:
-        """Return mean (8,) and covariance (8, 8) of s and h, µT, a median interval after the last log, without jump."""
+        """Return mean (p + 3,) and covariance of what is shared and h, µT, one median interval on, without jump."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
         interval = float(np.median(elapsed)) if len(elapsed) else 1.0
         share = self.bank.share
@@ -81,14 +82,17 @@ class Instrument:
         covariance += np.einsum("kc,kci,kcj->ij", share, off, off)
         of_cell = share.sum(axis=0)
         covariance[range(SHAPE), range(SHAPE)] += of_cell @ SCATTER_OF_CELL**2
-        covariance[range(SHAPE, OBSERVED), range(SHAPE, OBSERVED)] += interval * (of_cell @ WALK_OF_CELL**2)
+        iron = range(len(mean) - 3, len(mean))
+        covariance[iron, iron] += interval * (of_cell @ WALK_OF_CELL**2)
+        scale = range(SHAPE, len(mean) - 3)
+        covariance[scale, scale] += self.model.gyroscope_scale_scatter**2
         return mean, covariance
 
     @cached_property
     def posterior(self) -> HistoryPosterior:
         """Return the posterior from all logs at the likeliest labelling and scatter, averaged over the walk."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
-        observed = _observations(self.logs, elapsed, self.scatter, self.label != WRONG)
+        observed = _observations(self.logs, elapsed, self.scatter, self.label != WRONG, self.model)
         weight = self.bank.weight[0][self.scatter == SCATTER_OF_CELL]
         share = np.exp(weight - weight.max())
         used = np.flatnonzero(share > _NEGLIGIBLE)
@@ -116,7 +120,9 @@ def solve_instrument(
     """
     order = tuple(order)
     fitting = [bank for bank in known if bank.dated == dated and bank.order == order[: len(bank.order)]]
-    bank = max(fitting, key=lambda each: len(each.order), default=empty_bank(dated, model))
+    bank = max(fitting, key=lambda each: len(each.order), default=None)
+    if bank is None:
+        bank = empty_bank(dated, _shared(factors[i] for i in order), model)
     for k in range(len(bank.order), len(order)):
         elapsed = float(elapsed_of([factors[i] for i in order[k - 1 : k + 1]], dated)[0]) if k else 0.0
         bank = stepped(bank, order[k], factors[order[k]], elapsed, model)
@@ -130,23 +136,39 @@ def elapsed_of(logs: Sequence[LogFactor], dated: bool) -> Array:
     return np.maximum(np.diff(np.array([log.time for log in logs], dtype=np.float64)) / DAY, _LEAST_ELAPSED)
 
 
-def _observations(logs: Sequence[LogFactor], elapsed: Array, scatter: float, kept: np.ndarray) -> Observations:
-    """Return (s, h) of each log with biases marginalised and the scatter added; logs not kept have no information."""
-    mean, information = np.zeros((len(logs), OBSERVED)), np.zeros((len(logs), OBSERVED, OBSERVED))
+def _shared(logs: Iterable[LogFactor]) -> int:
+    """Return the number of parameters that logs share, of which at least one has a calibration."""
+    return next(len(log.mean[SHARED]) for log in logs if log.mean is not None)
+
+
+def _observations(
+    logs: Sequence[LogFactor], elapsed: Array, scatter: float, kept: np.ndarray, model: HistoryModel
+) -> Observations:
+    """Return (s, g, h) of each log with biases marginalised and scatter added; logs not kept have no information.
+
+    The first log that is kept has the prior of g.
+    """
+    shared = _shared(logs)
+    mean, information = np.zeros((len(logs), shared + 3)), np.zeros((len(logs), shared + 3, shared + 3))
     informative = np.array([log.mean is not None for log in logs]) & kept
     used = [log for log, is_used in zip(logs, informative, strict=True) if is_used]
-    mean[informative] = np.array([log.mean[:OBSERVED] for log in used if log.mean is not None])
-    covariances = [log.covariance[:OBSERVED, :OBSERVED] for log in used if log.covariance is not None]
-    added = np.diag(np.r_[np.full(SHAPE, scatter**2), np.zeros(3)])
+    mean[informative] = np.array([log.mean[OBSERVED] for log in used if log.mean is not None])
+    covariances = [observed_covariance(log.covariance, model) for log in used if log.covariance is not None]
+    added = np.diag(np.where(np.arange(shared + 3) < SHAPE, scatter**2, 0.0))
     information[informative] = np.linalg.inv(np.array(covariances) + added)
+    if shared > SHAPE and informative.any():
+        first = int(np.argmax(informative))
+        weighted = information[first] @ mean[first]
+        information[first, SCALE, SCALE] += np.eye(3) / model.gyroscope_scale**2
+        mean[first] = np.linalg.solve(information[first], weighted)
     return Observations(mean, information, elapsed)
 
 
 def _averaged(each: Sequence[HistoryPosterior], share: Array) -> HistoryPosterior:
     """Return mean and covariance of the mixture of posteriors."""
-    shape = np.einsum("n,ni->i", share, [p.shape for p in each])
+    shared = np.einsum("n,ni->i", share, [p.shared for p in each])
     hard_iron = np.einsum("n,nki->ki", share, [p.hard_iron for p in each])
-    off_shape = np.array([p.shape for p in each]) - shape
+    off_shared = np.array([p.shared for p in each]) - shared
     off = np.array([p.hard_iron for p in each]) - hard_iron
     off_change = np.diff(off, axis=1)
 
@@ -157,11 +179,11 @@ def _averaged(each: Sequence[HistoryPosterior], share: Array) -> HistoryPosterio
         return result
 
     return HistoryPosterior(
-        shape,
-        mean([p.shape_covariance for p in each], off_shape, off_shape),
+        shared,
+        mean([p.shared_covariance for p in each], off_shared, off_shared),
         hard_iron,
         mean([p.covariance for p in each], off, off),
-        mean([p.cross for p in each], off, np.broadcast_to(off_shape[:, None], (*off.shape[:2], SHAPE))),
+        mean([p.cross for p in each], off, np.broadcast_to(off_shared[:, None], (*off.shape[:2], len(shared)))),
         mean([p.change for p in each], off_change, off_change),
         float(share @ [p.log_likelihood for p in each]),
     )

@@ -1,6 +1,8 @@
 """The information of one log on the instrument, compressed to one Gaussian factor.
 
-The factor is on (s, h, b): the soft iron's shape (`coordinates`), the hard iron in µT and the gyroscope bias in mrad/s.
+The factor is on (s, h, b): the soft iron's shape (`coordinates`), the hard iron in µT and the gyroscope bias in mrad/s;
+or on (s, g, h, b) where the scales g of the gyroscope's axes, in ‰, are estimated (`calibrate(gyroscope_scale=)`). What
+all logs of an instrument share comes first.
 The delay is nearly independent of them (it changes no sigma of soft or hard iron by more than 1 %) and is kept
 separately. Noise levels, field directions and robust weights are eliminated, so that a log is never read again.
 """
@@ -16,23 +18,27 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
+from magyc_gtsam.estimators.smoother.gyroscope_scale import SCALED_AXES
 from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope
 from magyc_gtsam.recording import Array, Recording
 
-HARD_IRON = slice(SHAPE, SHAPE + 3)
-GYRO_BIAS = slice(SHAPE + 3, SHAPE + 6)
-OBSERVED = SHAPE + 3  # s and h
-SIZE = SHAPE + 6
-MICROTESLA, MILLIRADIAN = 1e-6, 1e-3
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "mean": (SIZE,),
-    "covariance": (SIZE, SIZE),
-    "misalignment": (3,),
-    "misalignment_covariance": (3, 3),
+HARD_IRON, GYRO_BIAS = slice(-6, -3), slice(-3, None)
+SHARED, OBSERVED = slice(None, -6), slice(None, -3)  # s, or s and g; and these with h
+SCALE = slice(SHAPE, SHAPE + 3)  # g, where it is there
+SIZE, SIZE_WITH_SCALE = SHAPE + 6, SHAPE + 9
+MICROTESLA, MILLIRADIAN, PER_MILLE = 1e-6, 1e-3, 1e-3
+_SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
+    "mean": ((SIZE,), (SIZE_WITH_SCALE,)),
+    "covariance": ((SIZE, SIZE), (SIZE_WITH_SCALE, SIZE_WITH_SCALE)),
+    "misalignment": ((3,),),
+    "misalignment_covariance": ((3, 3),),
 }
+_WEAK = (
+    10.0  # deviation of the weak prior in those of the prior; what is left of a hundred logs counts as one prior
+)
 _UNKNOWN_BIAS = 1e3  # mrad/s, standard deviation of a bias that the method does not estimate
 _EPOCH = re.compile(r"time 0 is .*?(\d+\.\d{9}) s")  # as the readers write it into a recording's notes
 _CALENDAR = 1e8  # s since 1970; a clock below this does not show the date
@@ -45,8 +51,8 @@ class LogFactor:
     Attributes:
         name: name of the log.
         time: s since 1970 of its middle; None if its clock does not show the date.
-        mean: (11,) s, h µT, b mrad/s; None without a trusted calibration.
-        covariance: (11, 11) of `mean`.
+        mean: (11,) s, h µT, b mrad/s, or (14,) s, g ‰, h, b; None without a trusted calibration.
+        covariance: (11, 11) or (14, 14) of `mean`.
         delay, delay_sigma: s; the sigma is None if the delay was not estimated.
         misalignment, misalignment_covariance: (3,) rad, (3, 3); None if the log did not show one.
         log_scale: logarithm of the scale of the soft iron; None if the field strength was not given.
@@ -80,12 +86,16 @@ class LogFactor:
         """
         try:
             values = dict(data)
-            for name, shape in _SHAPES.items():
+            for name, shapes in _SHAPES.items():
                 if values[name] is not None:
                     values[name] = np.array(values[name], dtype=np.float64)
-                    if values[name].shape != shape or not np.isfinite(values[name]).all():
-                        raise MagycError(f"history: {name} of a log must be {shape} finite numbers")
+                    if values[name].shape not in shapes or not np.isfinite(values[name]).all():
+                        wanted = " or ".join(map(str, shapes))
+                        raise MagycError(f"history: {name} of a log must be {wanted} finite numbers")
             factor = cls(**values)
+            mean, covariance = values["mean"], values["covariance"]
+            if mean is not None and (covariance is None or covariance.shape != mean.shape * 2):
+                raise MagycError(f"history: mean and covariance of log {factor.name!r} have different sizes")
         except (KeyError, TypeError, ValueError) as error:
             if isinstance(error, MagycError):
                 raise
@@ -125,18 +135,27 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
             f"method {calibration.method!r} states no covariance, which a history needs; use 'smoother'"
         )
     shape, log_scale = shape_of(calibration.soft_iron)
-    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    mean[:SHAPE] = shape
-    mean[HARD_IRON] = calibration.hard_iron / MICROTESLA
-    known = SIZE - 3 if calibration.gyro_bias is None else SIZE
+    scale = next((term for term in calibration.terms if term.name == "gyro-scale"), None)
+    size = SIZE if scale is None else SIZE_WITH_SCALE
+    mean, slope = np.zeros(size), np.zeros((size, 15))  # of vech(S), h, b and g in SI units
+    known = np.zeros((15, 15))
+    rows = len(calibration.covariance)  # 12, or 9 without a bias
+    known[:rows, :rows] = calibration.covariance
+    mean[:SHAPE], slope[:SHAPE, :6] = shape, shape_slope(calibration.soft_iron)
+    mean[HARD_IRON], slope[HARD_IRON, 6:9] = calibration.hard_iron / MICROTESLA, np.eye(3) / MICROTESLA
     if calibration.gyro_bias is not None:
-        mean[GYRO_BIAS] = calibration.gyro_bias / MILLIRADIAN
-    slope = np.zeros((known, known + 1))
-    slope[:SHAPE, :6] = shape_slope(calibration.soft_iron)
-    units = np.array([MICROTESLA] * 3 + [MILLIRADIAN] * 3)[: known - SHAPE]
-    slope[SHAPE:, 6:] = np.diag(1 / units)
-    covariance[:known, :known] = slope @ calibration.covariance @ slope.T
-    covariance[known:, known:] = np.eye(SIZE - known) * _UNKNOWN_BIAS**2
+        mean[GYRO_BIAS], slope[GYRO_BIAS, 9:12] = calibration.gyro_bias / MILLIRADIAN, np.eye(3) / MILLIRADIAN
+    if scale is not None:
+        mean[SCALE], slope[SCALE, 12:] = scale.value / PER_MILLE, np.eye(3) / PER_MILLE
+        known[12:, 12:] = scale.covariance
+        known[:12, 12:] = calibration.diagnostics["gyroscope_scale"]
+        known[12:, :12] = known[:12, 12:].T
+    covariance = slope @ known @ slope.T
+    prior = calibration.configuration.get("gyroscope_scale")  # None for a calibration that a history gave
+    if scale is not None and prior is not None:
+        mean, covariance = _with_weak_prior(mean, covariance, prior)
+    if calibration.gyro_bias is None:
+        covariance[GYRO_BIAS, GYRO_BIAS] = np.eye(3) * _UNKNOWN_BIAS**2
     strength_given = calibration.configuration.get("field_strength") is not None
     skew = next((term for term in calibration.terms if term.name == "misalignment"), None)
     return LogFactor(
@@ -153,6 +172,22 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
     )
 
 
+def _with_weak_prior(mean: Array, covariance: Array, deviation: float) -> tuple[Array, Array]:
+    """Return (s, g, h, b) with g held by a weak prior in place of the one that it was estimated with.
+
+    The prior belongs to the instrument, which has it once, and not to each of its logs.
+
+    Args:
+        mean, covariance: (14,) and (14, 14) with the prior g ~ N(0, deviation²).
+        deviation: relative.
+    """
+    information = np.linalg.inv(covariance)
+    weighted = information @ mean
+    information[SCALE, SCALE] -= (1 - _WEAK**-2) * (PER_MILLE / deviation) ** 2 * np.eye(3)
+    covariance = np.linalg.inv(information)
+    return covariance @ weighted, covariance
+
+
 def calibration_of(
     mean: Array,
     covariance: Array,
@@ -164,11 +199,15 @@ def calibration_of(
     message: str,
     diagnostics: Mapping[str, Any],
 ) -> Calibration:
-    """Return the `Calibration` of (s, h, b) and their covariance; the inverse of `compress`."""
-    slope = np.zeros((12, SIZE))
+    """Return the `Calibration` of (s, h, b), or (s, g, h, b), and their covariance; the inverse of `compress`."""
+    slope = np.zeros((12, len(mean)))
     slope[:6, :SHAPE] = soft_iron_slope(mean[:SHAPE], log_scale)
     slope[6:9, HARD_IRON] = np.eye(3) * MICROTESLA
     slope[9:, GYRO_BIAS] = np.eye(3) * MILLIRADIAN
+    if len(mean) == SIZE_WITH_SCALE:
+        scale = Term("gyro-scale", mean[SCALE] * PER_MILLE, covariance[SCALE, SCALE] * PER_MILLE**2, SCALED_AXES)
+        terms = (*terms, scale)
+        diagnostics = {**diagnostics, "gyroscope_scale": (slope @ covariance[:, SCALE] * PER_MILLE).tolist()}
     return Calibration(
         soft_iron=soft_iron_of(mean[:SHAPE], log_scale),
         hard_iron=mean[HARD_IRON] * MICROTESLA,

@@ -1,7 +1,8 @@
 """The statistics by which logs are compared: of each log, and summed over the logs of a group.
 
-An instrument keeps its soft iron, gyroscope bias and misalignment from log to log up to a scatter; these are the kept
-parameters, `KEPT_SIZE` in all. Its hard iron is kept in a share `STAYED` of the logs.
+An instrument keeps its soft iron, gyroscope scale, gyroscope bias and misalignment from log to log up to a scatter;
+these are the kept parameters, `KEPT_SIZE` in all. A log has no information on those that it does not estimate. Its
+hard iron is kept in a share `STAYED` of the logs.
 """
 
 from __future__ import annotations
@@ -13,13 +14,12 @@ import numpy as np
 
 from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.history.gaussian import log_density
-from magyc_gtsam.history.log_factor import GYRO_BIAS, HARD_IRON, MILLIRADIAN, SIZE, LogFactor
+from magyc_gtsam.history.log_factor import HARD_IRON, MILLIRADIAN, SIZE, LogFactor
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
-KEPT_SIZE = SHAPE + 6  # soft iron, gyroscope bias, misalignment
+KEPT_SIZE = SHAPE + 9  # soft iron, gyroscope scale, gyroscope bias, misalignment
 STAYED = 0.8  # share of an instrument's logs whose hard iron is that of another of its logs
-_SHAPE_AND_BIAS = np.r_[0:SHAPE, GYRO_BIAS]  # the kept parameters that a `LogFactor.mean` holds
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,22 +45,26 @@ class LogStatistics:
     @classmethod
     def of(cls, factors: Sequence[LogFactor], model: HistoryModel) -> LogStatistics:
         """Return the statistics of logs that have a calibration."""
-        mean = np.array([factor.mean for factor in factors]).reshape(-1, SIZE)
-        covariance = np.array([factor.covariance for factor in factors]).reshape(-1, SIZE, SIZE)
-        scatter = np.diag(np.r_[np.full(SHAPE, model.scatter**2), np.full(3, model.bias_scatter**2)])
+        size = next((len(factor.mean) for factor in factors if factor.mean is not None), SIZE)
+        mean = np.array([factor.mean for factor in factors]).reshape(-1, size)
+        covariance = np.array([factor.covariance for factor in factors]).reshape(-1, size, size)
+        held = np.r_[: size - 6, size - 3 : size]  # the kept parameters that a `LogFactor.mean` holds
+        kept = np.r_[: size - 6, SHAPE + 3 : SHAPE + 6]  # and where they are among all
+        scale_scatter = np.full(size - 6 - SHAPE, model.gyroscope_scale_scatter)
+        scatter = np.diag(np.r_[np.full(SHAPE, model.scatter), scale_scatter, np.full(3, model.bias_scatter)] ** 2)
         misalignment, misalignment_information = _misalignments(factors, model)
         information = np.zeros((len(factors), KEPT_SIZE, KEPT_SIZE))
-        information[:, :-3, :-3] = np.linalg.inv(
-            covariance[:, _SHAPE_AND_BIAS[:, None], _SHAPE_AND_BIAS] + scatter
-        )
+        information[:, kept[:, None], kept] = np.linalg.inv(covariance[:, held[:, None], held] + scatter)
         information[:, -3:, -3:] = misalignment_information
+        every = np.zeros((len(factors), KEPT_SIZE))
+        every[:, kept], every[:, -3:] = mean[:, held], misalignment
         iron, iron_covariance = mean[:, HARD_IRON], covariance[:, HARD_IRON, HARD_IRON]
         wide = [log_density(iron, iron_covariance + np.eye(3) * h**2) for _, h in (model.raw, model.calibrated)]
         anywhere = np.logaddexp(*wide) + np.log(0.5)
         peak = log_density(np.zeros(3), iron_covariance + np.eye(3) * model.hard_iron_scatter**2)
         return cls(
             information,
-            np.einsum("kij,kj->ki", information, np.hstack([mean[:, _SHAPE_AND_BIAS], misalignment])),
+            np.einsum("kij,kj->ki", information, every),
             iron,
             iron_covariance,
             anywhere,

@@ -31,6 +31,9 @@ class HistoryModel:
         skew: mrad, deviation of the misalignment of magnetometer and gyroscope (boards: 0.7 to 1.3°).
         skew_scatter: mrad, its scatter between logs of one instrument beyond its sigma (BROAD: 0.2°).
         bias: mrad/s, deviation of the gyroscope bias between instruments.
+        gyroscope_scale: ‰, deviation of the scale of each of the gyroscope's axes between instruments.
+        gyroscope_scale_scatter: ‰, its scatter between logs of one instrument beyond its sigma (trials 1, 4
+            and 6 of BROAD: 1).
         same: nats, prior log odds that two logs given together are of one instrument.
     """
 
@@ -51,6 +54,8 @@ class HistoryModel:
     skew: float = 17.0
     skew_scatter: float = 3.5
     bias: float = 10.0
+    gyroscope_scale: float = 10.0
+    gyroscope_scale_scatter: float = 1.0
     same: float = 2.0
 
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.forms import Term
-from magyc_gtsam.history.coordinates import SHAPE
 from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
-from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, SIZE, LogFactor, calibration_of
+from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, LogFactor, calibration_of
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
@@ -20,16 +19,15 @@ from magyc_gtsam.recording import Array
 def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int) -> Calibration:
     """Return the calibration of the k-th log, with s and h from all logs and the bias conditioned on them."""
     factor = factors[instrument.order[k]]
-    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    mean[:OBSERVED], covariance[:OBSERVED, :OBSERVED] = _shape_and_iron(instrument, k)
+    mean, covariance = _without_bias(*_shared_and_iron(instrument, k))
     if factor.mean is not None and factor.covariance is not None and instrument.label[k] != WRONG:
         alone = factor.covariance
-        gain = alone[GYRO_BIAS, :OBSERVED] @ np.linalg.inv(alone[:OBSERVED, :OBSERVED])
-        joint = covariance[:OBSERVED, :OBSERVED]
-        mean[GYRO_BIAS] = factor.mean[GYRO_BIAS] + gain @ (mean[:OBSERVED] - factor.mean[:OBSERVED])
-        covariance[GYRO_BIAS, :OBSERVED] = gain @ joint
-        covariance[:OBSERVED, GYRO_BIAS] = covariance[GYRO_BIAS, :OBSERVED].T
-        conditional = alone[GYRO_BIAS, GYRO_BIAS] - gain @ alone[:OBSERVED, GYRO_BIAS]
+        gain = alone[GYRO_BIAS, OBSERVED] @ np.linalg.inv(alone[OBSERVED, OBSERVED])
+        joint = covariance[OBSERVED, OBSERVED]
+        mean[GYRO_BIAS] = factor.mean[GYRO_BIAS] + gain @ (mean[OBSERVED] - factor.mean[OBSERVED])
+        covariance[GYRO_BIAS, OBSERVED] = gain @ joint
+        covariance[OBSERVED, GYRO_BIAS] = covariance[GYRO_BIAS, OBSERVED].T
+        conditional = alone[GYRO_BIAS, GYRO_BIAS] - gain @ alone[OBSERVED, GYRO_BIAS]
         covariance[GYRO_BIAS, GYRO_BIAS] = conditional + gain @ joint @ gain.T
         message = f"with {_logs_used(factors, instrument) - 1} other logs of the instrument"
     else:
@@ -41,8 +39,7 @@ def log_calibration(factors: Sequence[LogFactor], instrument: Instrument, k: int
 
 def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model: HistoryModel) -> Calibration:
     """Return the calibration for the next log: the last hard iron, its covariance widened by the walk, not by jumps."""
-    mean, covariance = np.zeros(SIZE), np.zeros((SIZE, SIZE))
-    mean[:OBSERVED], covariance[:OBSERVED, :OBSERVED] = instrument.ahead
+    mean, covariance = _without_bias(*instrument.ahead)
     mean[GYRO_BIAS], covariance[GYRO_BIAS, GYRO_BIAS] = _bias(factors, instrument, model.bias_scatter)
     strength = next(
         (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
@@ -57,14 +54,16 @@ def _logs_used(factors: Sequence[LogFactor], instrument: Instrument) -> int:
     return sum(factors[i].mean is not None and not bad for i, bad in zip(instrument.order, wrong, strict=True))
 
 
-def _shape_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
+def _shared_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
     posterior = instrument.posterior
-    covariance = np.zeros((OBSERVED, OBSERVED))
-    covariance[:SHAPE, :SHAPE] = posterior.shape_covariance
-    covariance[SHAPE:, SHAPE:] = posterior.covariance[k]
-    covariance[SHAPE:, :SHAPE] = posterior.cross[k]
-    covariance[:SHAPE, SHAPE:] = posterior.cross[k].T
-    return np.concatenate([posterior.shape, posterior.hard_iron[k]]), covariance
+    cross = posterior.cross[k]
+    covariance = np.block([[posterior.shared_covariance, cross.T], [cross, posterior.covariance[k]]])
+    return np.concatenate([posterior.shared, posterior.hard_iron[k]]), covariance
+
+
+def _without_bias(mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return mean and covariance with zeros for the bias, which is yet to be filled in."""
+    return np.pad(mean, (0, 3)), np.pad(covariance, (0, 3))
 
 
 def _bias(factors: Sequence[LogFactor], instrument: Instrument, scatter: float) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ from magyc_gtsam.recording import Array
 from magyc_gtsam.report.charts import Figure, Frame, Series, chart
 from magyc_gtsam.report.html import rendered
 from magyc_gtsam.report.verdict import Verdict, said
+from magyc_gtsam.report.words import parameter_rows
 
 _AXES = ("x", "y", "z")
 _BAND = 1.96  # sigmas
@@ -66,9 +67,7 @@ def history_page(history: History, title: str = "History of an instrument") -> s
     """Return the page of a history: hard iron over the logs, jumps, contradictions, groups, the next calibration."""
     jumps, names = history_rows(history), history.names
     following = history.next
-    values = following.hard_iron * 1e6
-    sigma = following.sigma["hard_iron"] * 1e6
-    cells = [f"{value:.2f} ± {deviation:.2f} µT" for value, deviation in zip(values, sigma, strict=True)]
+    parameters = [[name, *cells, *[""] * (3 - len(cells))] for name, cells in parameter_rows(following)]
     sections = [
         Section("Hard iron from log to log", figures=_hard_iron(history)),
         Section(
@@ -85,7 +84,7 @@ def history_page(history: History, title: str = "History of an instrument") -> s
             "Logs that can be of one instrument",
             sentences=[", ".join(names[i] for i in group) for group in history.groups],
         ),
-        Section("For the next log", ("hard iron x", "y", "z"), [cells], [following.message]),
+        Section("For the next log", ("", "x", "y", "z"), parameters, [following.message]),
     ]
     verdict = judged_history(history)
     return summary_page(title, verdict.title, verdict.trusted, [said(verdict.reason)], sections)

@@ -118,6 +118,9 @@ def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
         bias, bias_sigma = calibration.gyro_bias, sigma.get("gyro_bias", unknown)
         rows.append(row("Gyroscope bias (mrad/s)", bias, bias_sigma, 1e3))
         rows.append(row("Gyroscope bias (°/s)", bias, bias_sigma, float(np.degrees(1))))
+    if "gyroscope_scale" in calibration.diagnostics:
+        scales = next(term for term in calibration.terms if term.name == "gyro-scale")
+        rows.append(row("Gyroscope scale, read too large by (%)", scales.value, scales.sigma, 1e2))
     if calibration.delay or calibration.delay_sigma is not None:
         delay_sigma = np.nan if calibration.delay_sigma is None else calibration.delay_sigma
         rows.append(("Magnetometer lags by (ms)", [uncertain(calibration.delay * 1e3, delay_sigma * 1e3)]))

@@ -14,6 +14,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 MOST_DRIFT = 0.1  # s/s, of a clock that is one
 MOST_SKEW = np.radians(45.0)
+MOST_SCALE = 0.1  # of a gyroscope: more is another unit
 FIELD_SIGMA = 150e-9  # T; what the World Magnetic Model is off by, by its own error budget
 DIP_SIGMA = np.radians(0.2)  # likewise
 
@@ -45,6 +46,8 @@ class SmootherOptions:
             row on. What is left of one is found, and a result that it harms is not trusted.
         misalignment: "auto" asks the data whether the two chips are askew; a number is the standard deviation in rad of
             the prior of each angle, with which the skew is estimated whatever the data say; 0 holds it at none.
+        gyroscope_scale: standard deviation (1) of the prior of the scale error of each of the gyroscope's axes, with
+            which it is estimated, as the term `gyro-scale`; 0 holds it at none. Sensors have some 0.01.
         prior: an earlier calibration of the same instrument, with covariance (or what its `to_dict` gives).
         hard_iron_walk: T, by which each axis of the hard iron may have changed since.
         soft_iron_walk: by which each element of the soft iron (determinant 1) may have changed since.
@@ -64,6 +67,7 @@ class SmootherOptions:
     turn: float | None = None
     clock_drift: float = 0.0
     misalignment: float | Literal["auto"] = "auto"
+    gyroscope_scale: float = 0.0
     prior: Calibration | None = None
     hard_iron_walk: float = 0.0
     soft_iron_walk: float = 0.0
@@ -89,6 +93,7 @@ class SmootherOptions:
             _number("noise of the gyroscope", self.noise[1], 0.0, 10.0, "rad/s")
         if isinstance(self.misalignment, bool) or self.misalignment not in ("auto", 0):
             _number("misalignment", self.misalignment, 0.0, MOST_SKEW, "rad, or 'auto'")
+        _number("gyroscope_scale", self.gyroscope_scale, -1e-15, MOST_SCALE, "")
         _number("hard_iron_walk", self.hard_iron_walk, -1e-15, 1.0, "T")
         _number("soft_iron_walk", self.soft_iron_walk, -1e-15, 10.0, "")
         if self.prior is None and (self.hard_iron_walk or self.soft_iron_walk):
@@ -156,7 +161,7 @@ class SmootherOptions:
         """What was chosen, JSON types; enough to run again."""
         chosen = {each.name: getattr(self, each.name) for each in fields(self)}
         result = {name: value for name, value in chosen.items() if value is not None or name in ("delay", "turn")}
-        for name in ("clock_drift", "hard_iron_walk", "soft_iron_walk"):
+        for name in ("clock_drift", "gyroscope_scale", "hard_iron_walk", "soft_iron_walk"):
             if not result[name]:
                 del result[name]
         result["robust"] = self.reject

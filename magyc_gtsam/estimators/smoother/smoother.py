@@ -9,17 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import field_jumps
-from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.estimators.gauge import IronScale, fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
 from magyc_gtsam.estimators.smoother.dip import dip_of
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
+from magyc_gtsam.estimators.smoother.gyroscope_scale import scale_of, with_scale
 from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
 from magyc_gtsam.estimators.smoother.known import contradictions, known_of, remedies
@@ -57,6 +59,8 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     if options.clock_drift:
         recording = restamped(recording, options.clock_drift)
     fit, rival = fit_field_chain(recording, options, progress=report)
+    if options.gyroscope_scale:
+        recording, fit = with_scale(recording, fit, options.gyroscope_scale, partial(_next_to, options))
     doubts = _contradictions(recording, options)
     calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
     change = hard_iron_change(recording, fit, calibration, options)
@@ -71,6 +75,11 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     drift = find_drift(recording, fit, calibration.converged, refit)
     report(1.0)
     return with_drift(calibration, None if drift is None else drift._replace(known=options.clock_drift))
+
+
+def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
+    """The minimum of a recording next to the fit of another."""
+    return fit_field_chain(recording, options, start=fit.state.parameters)[0]
 
 
 def _contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
@@ -106,6 +115,10 @@ def posterior(fit: Fit, factor: float) -> Posterior:
         covariance = covariance + gain @ fit.skew.covariance @ gain.T
         if fit.skew.decided:
             parameters = parameters + fit.skew.shift
+    scale = scale_of(fit, factor)
+    if scale is not None:
+        parameters = parameters + scale.shift
+        covariance = covariance + scale.cross @ scale.gain.T
     return Posterior(parameters, covariance, fit.skew)
 
 
@@ -154,6 +167,9 @@ def calibration_of(
     if skew is not None and skew.decided:
         terms = (Term("misalignment", -skew.value, skew.covariance),)
         told.insert(1, skew.sentence)
+    scale = scale_of(fit, colour * fit.widening)
+    if scale is not None:
+        terms = (*terms, scale.term)
     return Calibration(
         soft_iron=judgement.soft_iron,
         hard_iron=parameters[6:9],
@@ -179,6 +195,15 @@ def calibration_of(
             "disturbed": _disturbed(fit),
         }
         | judgement.diagnostics
+        | (
+            {}
+            if scale is None
+            else {
+                "gyroscope_scale": IronScale.of(unvech(parameters[:6]), *strength)
+                .of_parameters(scale.cross[:12])
+                .tolist()
+            }
+        )
         | ({} if dip is None else dip.diagnostics),
         configuration=dict(options.configuration),
     )

@@ -1,0 +1,120 @@
+"""Estimate the scales of the gyroscope's axes together with the calibration, where this is asked for.
+
+The gyroscope is modelled as reading = ω ∘ (1 + g) + bias with g ~ N(0, s²) on each axis. The rates are divided by 1 + g
+and fitted again until g stays (Gauss–Newton on g, each step at the minimum of all other parameters). Dividing the rates
+divides their noise too, which the cost of the links would reward; by the likelihood of the readings, to which the noise
+is added after the scale, the gradient holds Σ n²/σ² on top (`_noise_shrunk`; without it a motion of small turns has g
+too large by up to 2 %). At the end g is a term beside θ (`EstimatedTerms`), beside which the model error is judged.
+
+One log determines g to some tenths of a percent about the axes that it turns about, and to nothing beyond the prior
+about others. Many logs of one instrument share it (`magyc_gtsam.history`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.model_error.motion import WindowMotion
+from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS
+from magyc_gtsam.factors.chain.rotations import cross
+from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.recording import Array, Recording
+
+SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # the elements of the term `gyro-scale` that are estimated
+_ROUNDS = 6
+_SETTLED = 0.01  # squared length of a step in sigmas
+
+
+class GyroscopeScale(NamedTuple):
+    """The scales of a fit.
+
+    Attributes:
+        value: (3,) g, relative.
+        covariance: (3, 3) of g.
+        gain: (13, 3) dθ/dg of the other parameters.
+        shift: (13,) by which the other parameters are to be moved from the fit's, for `value`.
+    """
+
+    value: Array
+    covariance: Array
+    gain: Array
+    shift: Array
+
+    @property
+    def term(self) -> Term:
+        """Return the scales as a term of a calibration."""
+        return Term("gyro-scale", self.value, self.covariance, SCALED_AXES)
+
+    @property
+    def cross(self) -> Array:
+        """Return the covariance (13, 3) of θ with g."""
+        return self.gain @ self.covariance
+
+
+def scale_of(fit: Fit, factor: float) -> GyroscopeScale | None:
+    """Return the scales of a fit that has them as terms; None for one that has not.
+
+    Args:
+        fit: at its minimum.
+        factor: by which the data's information is divided.
+    """
+    terms = fit.terms
+    if terms is None:
+        return None
+    beside = replace(fit, terms=None).beside
+    new = beside.of(terms.columns)
+    covariance: Array = np.linalg.inv(new.normal / factor + np.diag(terms.precision)).astype(np.float64)
+    step = covariance @ ((new.score - _noise_shrunk(fit)) / factor - terms.precision * terms.value)
+    gain = -beside.move(new)[:PARAMETERS]
+    return GyroscopeScale(terms.value + step, covariance, gain, gain @ step)
+
+
+def with_scale(
+    recording: Recording, fit: Fit, deviation: float, refit: Callable[[Recording, Fit], Fit]
+) -> tuple[Recording, Fit]:
+    """Return the recording with its rates corrected, and its fit with the scales as terms.
+
+    Args:
+        recording: as read.
+        fit: of it, at its minimum.
+        deviation: of the prior of each axis' scale, relative.
+        refit: the minimum of a corrected recording next to an earlier fit.
+    """
+    value, corrected = np.zeros(3), recording
+    fit = _beside_scale(fit, value, deviation)
+    for _ in range(_ROUNDS):
+        scale = scale_of(fit, fit.colour * fit.widening)
+        assert scale is not None
+        step = scale.value - value
+        if step @ np.linalg.solve(scale.covariance, step) < _SETTLED:
+            break
+        value = scale.value
+        corrected = _corrected(recording, value, fit.state.parameters[9:12])
+        fit = _beside_scale(refit(corrected, fit), value, deviation)
+    return corrected, fit
+
+
+def _beside_scale(fit: Fit, value: Array, deviation: float) -> Fit:
+    """Return a fit with the scales, at `value`, as terms."""
+    columns = WindowMotion.of(fit).gyroscope_scales()
+    return replace(fit, terms=EstimatedTerms(columns, value, np.full(3, deviation**-2)))
+
+
+def _noise_shrunk(fit: Fit) -> Array:
+    """Return (3,) Σ n²/σ² about each of the sensor's axes, of the noise n that the links leave."""
+    rotation, direction = fit.chain.windows.rotation[..., :-1], fit.state.direction[:, :-1]
+    turned = np.einsum("ijn,jn->in", rotation, cross(direction, fit.residuals.link))
+    result: Array = turned**2 @ (fit.weights.link * fit.chain.link_scale**2)
+    return result
+
+
+def _corrected(recording: Recording, value: Array, bias: Array) -> Recording:
+    """Return the recording with the scales (3,) taken out of its rates about the bias (3,) rad/s."""
+    time, rate = recording.gyroscope
+    return recording.with_samples(recording.magnetometer, (time, bias + (rate - bias) / (1 + value)))
