@@ -30,7 +30,7 @@ def suitable_turn(field: Array) -> float:
     """rad, the largest rotation inside a window, from the spread of the measured field (N, 3).
 
     Rotation inside a window costs information where it is not small against the field's spread over the whole log;
-    at these values some 2 % of the weakest parameter's sigma.
+    at these values 1 to 6 % of the hard iron's sigma (docs/field_chain.md).
     """
     some = np.ascontiguousarray(field[:: max(len(field) // 500, 1)].T)
     some -= some.mean(axis=1)[:, None]

@@ -27,6 +27,7 @@ from magyc_gtsam.estimators.smoother.fit import (
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.minima import apart, close, lowest, positive, same, strength
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
+from magyc_gtsam.estimators.smoother.parts import by_a_part
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, asked, given, on_skew, skew_of, widened
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
@@ -136,6 +137,11 @@ def fit_field_chain(
             ends.append(fit)
             if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # else it ran away
                 fits.append(_adapted(samples, fit, reject, short_term))
+        best, _ = lowest(fits)
+        part = by_a_part(_without_skew(best), level, misfit(best, level)) if reject else None
+        if part is not None:
+            part = _adapted(samples, part, reject, short_term)
+            fits += [part] if apart(part, best) else []
         best, rival = lowest(fits)
         best = best if best is fits[0] else skewed(best)
     if reject and disturbed(best):

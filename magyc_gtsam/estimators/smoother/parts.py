@@ -1,0 +1,42 @@
+"""A start for the whole from the calibration of a part.
+
+A descent on all windows may miss the minimum of the majority where the others are of another instrument: an axis whose
+sign was wrong for a third of the log. A part of the log may be without them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother import starts
+from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, Fit, adapt, begin, descend, misfit, weigh
+from magyc_gtsam.estimators.smoother.minima import apart
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.errors import MagycError
+
+_PARTS = 4
+
+
+def by_a_part(fit: Fit, noise: SensorNoise, most: float) -> Fit | None:
+    """All windows, weighed at the calibration of the part that explains them best; None where none is better.
+
+    Args:
+        fit: of thirteen parameters.
+        noise: at which misfits are compared.
+        most: misfit that it must stay below, with a hard iron that is apart from that of `fit`.
+    """
+    chain, found = replace(fit.chain, noise=noise), None
+    for first, stop in pairwise(np.linspace(0, len(chain.windows), _PARTS + 1).astype(int).tolist()):
+        part = chain.part(first, stop)
+        try:
+            own = descend(begin(part, starts.from_gyroscope(part.windows), fit.free, BRIEF), NEAR)
+            whole = weigh(chain, adapt(own, True, noise).state.parameters)
+        except MagycError:  # too little motion
+            continue
+        left = misfit(whole, noise)
+        if left < most and apart(whole, fit):
+            most, found = left, replace(whole, free=fit.free, patience=BRIEF)
+    return found
