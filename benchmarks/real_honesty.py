@@ -1,6 +1,6 @@
 """Whether the stated sigmas of real calibrations are true, judged by optical references.
 
-    python benchmarks/real_honesty.py FOLDER [MORE.mcap ...] [--half tuning|unseen] [--by calibrate|gap]
+    python benchmarks/real_honesty.py FOLDER [MORE.mcap ...] [--half tuning|unseen] [--by calibrate|scale|gap]
 
 FOLDER holds recordings as arrays (*.npz: tm, m, tg, w, ta, a, tq, q, move, dev in SI units; where tg and ta are
 missing they equal tm) and `truth_by_optics.json`: for each recording the full matrix `A` (µT), the hard iron `h`
@@ -35,6 +35,7 @@ KNOWN = {"hard iron": 3, "gyroscope bias": 3, "delay": 1}
 Method = Callable[[mg.Recording], mg.Calibration]
 METHODS: dict[str, Method] = {
     "calibrate": mg.calibrate,
+    "scale": lambda recording: mg.calibrate(recording, gyroscope_scale=0.01),
     "gap": lambda recording: mg.find_gap(recording).calibration,
 }
 
