@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli.app import application
-from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.io import write_mcap
 
 

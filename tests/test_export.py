@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from magyc_gtsam import calibrate
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.export import TARGETS, export
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 from magyc_gtsam.study.known import skewed

@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import B, H, S, X
 
 import magyc_gtsam as mg
 from magyc_gtsam.factors.chain.vech import vech
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap import term_factor
 from magyc_gtsam.runners.batch import optimize
 from magyc_gtsam.runners.incremental import Incremental

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.effects.forms import FORMS, Term
+from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
+from magyc_gtsam.factors.effects.term import Term
 
 SOFT = np.array([[1.05, 0.04, 0.0], [0.04, 0.95, 0.02], [0.0, 0.02, 1.01]])
 HARD = np.array([2e-6, -12e-6, 9e-6])

@@ -15,7 +15,7 @@ from commands import run
 from sending import free_port
 
 import magyc_gtsam as mg
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.live.mavlink_parameters import settings_of
 
 mavutil = pytest.importorskip("pymavlink.mavutil")

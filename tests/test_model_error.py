@@ -15,7 +15,8 @@ from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.samples import one_sided, too_slow
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
-from magyc_gtsam.estimators.smoother.fit import descend, explained
+from magyc_gtsam.estimators.smoother.fit import descend
+from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 
 

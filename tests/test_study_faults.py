@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 import magyc_gtsam as mg
 from magyc_gtsam.cli import main
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.simulation import GYRO_BIAS, HARD_IRON, SOFT_IRON
 from magyc_gtsam.study.faults import running

@@ -9,8 +9,9 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, cross, exponential_matrices
-from magyc_gtsam.factors.effects.forms import FORMS, Term
+from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.factors.effects.term import Term
 
 _PASSES = 20  # most need three; where next to nothing of a change is read, the last digits are lost anyway
 _CLOSE = 1e-12  # T and rad/s

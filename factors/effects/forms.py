@@ -1,4 +1,4 @@
-"""The extra effects of the gap workflow as terms: what each adds to a sensor's reading, and one in a calibration.
+"""The extra effects of the gap workflow: what each adds to a sensor's reading.
 
 A form is linear in its value but for a rotation of axes: reading = base model + Σ value_k · column_k, with the
 columns a function of the signals at hand (time, field, rate, other channels) and of a setting that was searched
@@ -8,11 +8,9 @@ GTSAM factor (`effect_chain_factor`) and `Calibration.apply`.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_banded
@@ -243,62 +241,3 @@ FORMS: Mapping[str, Form] = MappingProxyType(
         "tone": Form("magnetometer", ("time",), _tone),
     }
 )
-
-
-@dataclass(frozen=True, eq=False)
-class Term:
-    """One effect in a calibration.
-
-    Attributes:
-        name: of the catalogue (`FORMS` holds those that change a reading; noise effects change none).
-        value: (k,) in SI units (T, rad/s, s, … per unit of the channel).
-        covariance: (k, k) of the value.
-        setting: what was searched over, and references of channels.
-    """
-
-    name: str
-    value: Array
-    covariance: Array
-    setting: Mapping[str, float] = dataclasses.field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        value = np.array(self.value, dtype=float)
-        covariance = np.array(self.covariance, dtype=float)
-        if value.ndim != 1 or covariance.shape != (len(value), len(value)):
-            raise MagycError(
-                f"term {self.name!r}: value {value.shape} and covariance {covariance.shape} do not fit together"
-            )
-        if not (np.isfinite(value).all() and np.isfinite(covariance).all()):
-            raise MagycError(f"term {self.name!r}: value and covariance must be finite")
-        value.flags.writeable = covariance.flags.writeable = False
-        object.__setattr__(self, "value", value)
-        object.__setattr__(self, "covariance", covariance)
-        object.__setattr__(self, "setting", MappingProxyType({k: float(v) for k, v in self.setting.items()}))
-
-    @property
-    def side(self) -> str | None:
-        """ "magnetometer" or "gyroscope"; None for an effect that changes the noise only."""
-        return FORMS[self.name].side if self.name in FORMS else None
-
-    @property
-    def sigma(self) -> Array:
-        """(k,) standard deviations."""
-        return np.sqrt(np.diag(self.covariance))
-
-    def evaluate(self, signals: Signals) -> Array:
-        """(3, n) what it adds to the reading of its side, T or rad/s."""
-        return FORMS[self.name].evaluate(signals, self.value, self.setting)
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON types."""
-        return {
-            "name": self.name,
-            "value": self.value.tolist(),
-            "covariance": self.covariance.tolist(),
-            "setting": dict(self.setting),
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Term:
-        """The inverse of `to_dict`."""
-        return cls(data["name"], data["value"], data["covariance"], data.get("setting") or {})

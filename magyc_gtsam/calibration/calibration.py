@@ -18,7 +18,7 @@ from magyc_gtsam.calibration.serialization import FORMAT, as_mapping, as_text, c
 from magyc_gtsam.calibration.signals import as_signals, given_signals, vectors
 from magyc_gtsam.export import do_not_use, export, parts_of
 from magyc_gtsam.factors.effects.corrections import corrected_field, corrected_rate, shifted
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import shortened
 from magyc_gtsam.observability import Observability

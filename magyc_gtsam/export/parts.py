@@ -10,8 +10,8 @@ import numpy as np
 from magyc_gtsam.export.ardupilot import motors_of
 from magyc_gtsam.export.correction import Array
 from magyc_gtsam.factors.effects.corrections import corrected_field
-from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.factors.effects.term import Term
 
 _ROTATIONS = ("misalignment", "axis-order")  # terms that turn the field to the gyroscope's axes
 

@@ -11,7 +11,8 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.effects.factor import effect_chain_factor
-from magyc_gtsam.factors.effects.forms import FORMS, Term
+from magyc_gtsam.factors.effects.forms import FORMS
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.problem import Active, Problem

@@ -9,7 +9,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.clocks import APART_IN_BRIEF, CLOCK_DRIFT
 from magyc_gtsam.gap.doubt import Doubt, doubted, left_open, with_doubt
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS

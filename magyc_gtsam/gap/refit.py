@@ -8,12 +8,13 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import fix_scale
-from magyc_gtsam.estimators.smoother.fit import Fit, adapt
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.problem import Active, Model, Problem

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.effects.forms import Term
 from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.fine import fine_twin
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.recording import Recording

@@ -13,7 +13,7 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.discrete import settled

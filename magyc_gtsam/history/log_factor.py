@@ -19,7 +19,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.estimators.smoother.gyroscope_scale import SCALED_AXES
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import clauses
 from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_iron_of, soft_iron_slope

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
 from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, LogFactor, calibration_of

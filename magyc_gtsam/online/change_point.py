@@ -23,7 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend, misfit, weigh
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.noise_levels import adapt, misfit, weigh
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech

@@ -12,7 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, colour_of, descend, weigh
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, colour_of, descend
+from magyc_gtsam.estimators.smoother.noise_levels import adapt, weigh
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows

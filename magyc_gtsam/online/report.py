@@ -6,7 +6,8 @@ from dataclasses import replace
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.clock_drift import speaks, with_drift
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise, suitable_turn
 from magyc_gtsam.estimators.smoother.search import disturbed, moved, with_skew
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain

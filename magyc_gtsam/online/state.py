@@ -10,8 +10,9 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.model_error.model_error import ModelError
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, adapt, begin, descend
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.known import known_of
+from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import skew_prior
 from magyc_gtsam.estimators.smoother.skew import HeldSkew, SkewPrior, skew_of, widened

@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.fit import Fit, explained
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.options import MOST_DRIFT
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.field_chain import DELAY

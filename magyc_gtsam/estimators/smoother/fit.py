@@ -1,4 +1,4 @@
-"""Fitting a field chain: damped Gauss–Newton on θ, robust weights, noise levels by variance components."""
+"""A field chain at its minimum, and the descent to it: damped Gauss–Newton on θ."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, SensorNoise, Weights
-from magyc_gtsam.factors.chain.facts import quadratic
+from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, Weights
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
@@ -29,18 +27,11 @@ PATIENCE = 300
 # The same for a question beside the calibration, which a fit without end does not answer, and for a start beside the
 # first: those of the same logs that led to another calibration took 12 to 53.
 BRIEF = 120
-ROUNDS = 20  # of robust weights and noise levels
-_SETTLED = 5e-3  # squared length of the last step in sigmas, of which at most a fiftieth was seen to be left
+SETTLED = 5e-3  # squared length of the last step in sigmas, of which at most a fiftieth was seen to be left
 NEAR = 4.0  # the same between rounds of noise and weights: two sigmas
-_WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
-_LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
-_NOISE_STABLE = 10.0  # squared length of the last step of the noise levels in their own sigmas, likewise
-_GYROSCOPE_RANGE = 3.0
-_MAGNETOMETER_FLOOR = 3.0
 _UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are linearised again
 _ROUNDING = 1e-9  # of a cost, where noise-free data leave next to none
 _COLOURED = 3.0  # standard deviations of an autocorrelation from which it counts
-_WEIGHTS_STABLE = 1e-3  # mean change of a robust weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +145,7 @@ def begin(chain: FieldChain, parameters: Array, free: np.ndarray, patience: int 
     return Fit(chain, state, weights, chain.eliminate(state, weights), free, patience=patience)
 
 
-def descend(fit: Fit, settled: float = _SETTLED) -> Fit:
+def descend(fit: Fit, settled: float = SETTLED) -> Fit:
     """Levenberg–Marquardt on θ (the directions follow exactly) until a step is below `settled`."""
     damping, spent = 0.0, 0
     state, reduced = fit.state, fit.reduced
@@ -198,123 +189,3 @@ def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Arr
     step = np.zeros(len(free))
     step[free] = short
     return step, length
-
-
-def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
-    """Directions and robust weights at given θ and noise."""
-    state, weights = chain.start(parameters), chain.unweighted()
-    before = weights
-    for _ in range(rounds):
-        state, before = chain.settled(state, weights), weights
-        weights = _reweigh(chain, chain.residuals(state))
-        moved = np.abs(weights.window - before.window).mean() + np.abs(weights.link - before.link).mean()
-        if moved < _WEIGHTS_STABLE:
-            break
-    held = np.zeros(len(parameters), dtype=bool)
-    return Fit(chain, state, weights, chain.eliminate(state, before), held)
-
-
-def misfit(fit: Fit, noise: SensorNoise) -> float:
-    """Sum of squares at `noise`, each window and link counting up to its rejection threshold."""
-    chain = replace(fit.chain, noise=noise)
-    window, link = chain.squares(fit.residuals)
-    return float(np.minimum(window, _WINDOW_OUTLIER).sum() + np.minimum(link, _LINK_OUTLIER).sum())
-
-
-def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS) -> Fit:
-    """Alternate robust weights, noise levels and descent until all three stand still.
-
-    Args:
-        fit: near the minimum.
-        reject: weigh down windows and links beyond the 99.9 % point of their χ².
-        short_term: the sensors' short-term noise, about which the noise levels are estimated (see
-            `improved_noise`); None keeps the noise as it is.
-    """
-    for _ in range(rounds):
-        weights = _reweigh(fit.chain, fit.residuals) if reject else fit.weights
-        moved = float(
-            np.abs(weights.window - fit.weights.window).sum() + np.abs(weights.link - fit.weights.link).sum()
-        )
-        fit = replace(fit, weights=weights)
-        noise, gain, freedom = fit.chain.noise, 0.0, fit.noise_freedom
-        if short_term is not None:
-            noise, gain, freedom = improved_noise(fit, short_term)
-        stable = gain < _NOISE_STABLE and moved < _WEIGHTS_STABLE * len(weights.window)
-        chain = replace(fit.chain, noise=noise)
-        reduced = chain.eliminate(fit.state, weights)
-        fit = replace(fit, chain=chain, reduced=reduced, iterations=fit.iterations + 1, noise_freedom=freedom)
-        # The noise levels' gradient holds at a minimum only, so descend in every round.
-        fit = descend(fit, _SETTLED if stable else NEAR)
-        if stable or not fit.converged:
-            return fit
-    return replace(fit, converged=False)
-
-
-def _reweigh(chain: FieldChain, residuals: Residuals) -> Weights:
-    """Weights min(1, (c²/χ²)²): one for all that the noise explains, then redescending."""
-    window, link = chain.squares(residuals)
-    return Weights(
-        np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-100)) ** 2),
-        np.minimum(1.0, (_LINK_OUTLIER / np.maximum(link, 1e-100)) ** 2),
-    )
-
-
-def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, float, float]:
-    """One average-information step on the restricted likelihood of the two noise levels.
-
-    Gilmour, Thompson and Cullis (1995). With Q the weighted squares of a group and D its redundancy
-    (residuals less the trace of its block of the hat matrix; the two traces add up to the number of
-    unknowns, so that only the windows' is computed), the gradient in log σ² is Q − D, and the average
-    information [[Q₁ − c, c], [c, Q₂ − c]] needs one more solve: c = gᵀ K⁻¹ g, g being the gradient of one
-    group (at the minimum the other's is −g) and K the full normal matrix.
-
-    The gyroscope's noise stays within a factor `_GYROSCOPE_RANGE` of its short-term noise, the
-    magnetometer's above a third of its own: where the field itself varies (indoors, over a wreck), the
-    likelihood would else call the gyroscope bad and the magnetometer perfect, and the bias would wander.
-
-    Returns:
-        The noise, the step's squared length in its own sigmas, and the links' redundancy D.
-    """
-    chain, weights, reduced = fit.chain, fit.weights, fit.reduced
-    residuals = fit.residuals
-    window, link = chain.squares(residuals)
-    covariance = fit.covariance
-    absorbed = chain.absorbed(reduced, covariance)
-    unknowns = float(2 * len(chain.windows) + fit.free.sum())
-    if chain.facts:  # what is known beforehand takes nothing from the data
-        unknowns -= float(np.sum(covariance * quadratic(chain.facts, fit.state.parameters)[2]))
-    squares = np.array([weights.window @ window, weights.link @ link])
-    redundancy = np.array(
-        [
-            3 * weights.window.sum() - absorbed,
-            2 * weights.link[chain.windows.linked].sum() - (unknowns - absorbed),
-        ]
-    )
-    shared = explained(fit, residuals.window / chain.window_sigma * np.sqrt(weights.window), covariance)
-    information = np.array([[squares[0] - shared, shared], [shared, squares[1] - shared]])
-    gradient = squares - redundancy
-    level = np.array(chain.noise)
-    low = np.array(short_term) / np.array([_MAGNETOMETER_FLOOR, _GYROSCOPE_RANGE])
-    high = np.array([np.inf, short_term.gyroscope * _GYROSCOPE_RANGE])
-    # A group with less than one degree of freedom of information, or at its bound, keeps the noise it has.
-    kept = (np.diag(information) > 1.0) & ~((level <= low) & (gradient < 0)) & ~((level >= high) & (gradient > 0))
-    if not kept.any():
-        return chain.noise, 0.0, float(redundancy[1])
-    step = np.zeros(2)
-    step[kept] = np.linalg.solve(information[np.ix_(kept, kept)], gradient[kept])
-    better = np.clip(level * np.exp(0.5 * np.clip(step, -2.0, 2.0)), low, high)
-    gain = float(np.abs(2 * np.log(better / level) * gradient)[kept].sum())
-    return SensorNoise(*better.tolist()), gain, float(redundancy[1])
-
-
-def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
-    """How much of the square of `whitened` (3, n) on the windows directions and θ can explain.
-
-    gᵀ K⁻¹ g for the gradient g that it leaves in them, by the elimination at hand.
-    """
-    reduced = fit.reduced
-    on_direction = np.einsum("ian,in->an", reduced.on_direction, whitened)
-    on_parameters = reduced.on_parameters.reshape(len(covariance), -1) @ whitened.ravel()
-    half, _ = dtbtrs(reduced.factor, on_direction.T.ravel(), uplo="L")
-    left = on_parameters - half @ reduced.half[:, :-1]
-    return float(half @ half + left @ covariance @ left)

@@ -23,7 +23,7 @@ from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import cross
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.recording import Array, Recording
 
 SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # the elements of the term `gyro-scale` that are estimated

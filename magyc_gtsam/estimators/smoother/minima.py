@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, misfit
+from magyc_gtsam.estimators.smoother.fit import NEAR, Fit
+from magyc_gtsam.estimators.smoother.noise_levels import misfit
 from magyc_gtsam.factors.chain.vech import unvech
 
 _CLOSE = 1.1  # ratio of two minima's misfits from which they count as close

@@ -9,7 +9,7 @@ import numpy as np
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother import starts
 from magyc_gtsam.estimators.smoother.clock_drift import restamped
-from magyc_gtsam.estimators.smoother.fit import weigh
+from magyc_gtsam.estimators.smoother.noise_levels import weigh
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import FieldChain

@@ -12,20 +12,10 @@ import numpy as np
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.smoother import axes, starts
 from magyc_gtsam.estimators.smoother.dip import dip_fact, dip_of, relinearised
-from magyc_gtsam.estimators.smoother.fit import (
-    BRIEF,
-    NEAR,
-    PATIENCE,
-    ROUNDS,
-    Fit,
-    adapt,
-    begin,
-    descend,
-    misfit,
-    weigh,
-)
+from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, PATIENCE, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.minima import apart, close, lowest, positive, same, strength
+from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit, weigh
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.parts import by_a_part
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise

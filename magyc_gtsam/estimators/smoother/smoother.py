@@ -33,7 +33,7 @@ from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.factors.effects.forms import Term
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Array, Recording
