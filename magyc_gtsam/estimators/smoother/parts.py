@@ -12,8 +12,9 @@ from itertools import pairwise
 import numpy as np
 
 from magyc_gtsam.estimators.smoother import starts
-from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, Fit, adapt, begin, descend, misfit, weigh
+from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.minima import apart
+from magyc_gtsam.estimators.smoother.noise_levels import adapt, misfit, weigh
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.errors import MagycError
 
