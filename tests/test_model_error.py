@@ -12,12 +12,15 @@ from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.model_error.components import fit_components, likeliest
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
-from magyc_gtsam.estimators.model_error.samples import one_sided, too_slow
+from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided, too_slow
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import descend
 from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.study.faults.catalogue import FAULTS
+from magyc_gtsam.study.faults.scoring import score
+from magyc_gtsam.study.faults.signals import record
 
 
 @pytest.fixture(scope="module")
@@ -274,6 +277,18 @@ def test_the_shift_by_spikes_to_one_side_is_found_whole(share: float) -> None:
     assert found is not None
     np.testing.assert_allclose(found.shift, spikes.mean(axis=0), atol=0.05 * size.mean())
     assert one_sided(recording) is None
+
+
+@pytest.mark.parametrize("seed", [2171, 2172, 2173])
+def test_steps_of_a_coarse_magnetometer_are_covered(seed: int) -> None:
+    """What rounding does comes back with the attitude, and is no noise: the heading was off by 3 to 6 sigmas."""
+    fault = FAULTS["coarse"]
+    assert coarse_step(record("low", seed, fault, fault.weak, "coarse").recording("steps of the noise")) == 0
+    recording = record("low", seed, fault, fault.strong, "coarse").recording("steps of ten times the noise")
+    assert coarse_step(recording) == pytest.approx(fault.strong)
+    calibration = calibrate(recording)
+    assert "steps" in [each["name"] for each in calibration.diagnostics["model_error"]["components"]]
+    assert score(calibration).outcome == "right and trusted"
 
 
 def test_spikes_to_one_side_are_covered_or_not_trusted() -> None:

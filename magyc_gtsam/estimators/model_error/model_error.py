@@ -16,8 +16,8 @@ from magyc_gtsam.estimators.model_error.component import Component, tested
 from magyc_gtsam.estimators.model_error.families import FAMILIES
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.not_excluded import not_excluded
-from magyc_gtsam.estimators.model_error.physical import PHYSICAL
-from magyc_gtsam.estimators.model_error.samples import one_sided
+from magyc_gtsam.estimators.model_error.physical import COARSE, PHYSICAL
+from magyc_gtsam.estimators.model_error.samples import coarse_step, one_sided
 from magyc_gtsam.estimators.model_error.shown import shown_by
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import Streams
@@ -69,7 +69,7 @@ class ModelError:
 
 def model_error(fit: Fit, recording: Streams | None = None) -> ModelError:
     """The model error of a fit at its minimum, and of what its recording's samples show within windows."""
-    error = _of_windows(fit)
+    error = _of_windows(fit, 0.0 if recording is None else coarse_step(recording))
     outliers = None if recording is None else one_sided(recording)
     if outliers is None:
         return error
@@ -83,13 +83,14 @@ def model_error(fit: Fit, recording: Streams | None = None) -> ModelError:
     return ModelError(error.covariance + covariance, (*error.components, found), error.possible)
 
 
-def _of_windows(fit: Fit) -> ModelError:
+def _of_windows(fit: Fit, step: float) -> ModelError:
     if len(fit.chain.windows) < _LEAST_WINDOWS:
         return ModelError(np.zeros_like(fit.reduced.information))
-    beside, motion = fit.beside, WindowMotion.of(fit)
+    beside, motion = fit.beside, WindowMotion.of(fit, step)
     # A skew that the fit was asked for is in its own covariance.
     families = [family for family in FAMILIES if fit.skew is None or family.name != "skew"]
-    every = tested(beside, motion, [*PHYSICAL, *(family for family in families if family.first)])
+    physical = (*PHYSICAL, COARSE) if step else PHYSICAL
+    every = tested(beside, motion, [*physical, *(family for family in families if family.first)])
     found = []
     if max(each.gain for each in every) > _SUSPECT:
         every += tested(beside, motion, [family for family in families if not family.first])

@@ -34,6 +34,7 @@ class WindowMotion:
         strength: T; soft_iron: (3, 3) T, times it.
         delay: s, of the magnetometer behind the gyroscope; gyroscope_step: s between its samples.
         rate_noise: rad/s, deviation of a window's rate of turn by the gyroscope's noise, an axis.
+        step: T, of the magnetometer where it is coarse; 0 where it is not.
     """
 
     time: Array
@@ -50,10 +51,11 @@ class WindowMotion:
     delay: float
     gyroscope_step: float
     rate_noise: float
+    step: float = 0.0
 
     @classmethod
-    def of(cls, fit: Fit) -> WindowMotion:
-        """Of a fit at its minimum."""
+    def of(cls, fit: Fit, step: float = 0.0) -> WindowMotion:
+        """Of a fit at its minimum, and the step of a coarse magnetometer, T."""
         windows, parameters = fit.chain.windows, fit.state.parameters
         soft = unvech(parameters[:6])
         rotation = fit.chain.rotation(parameters)
@@ -63,7 +65,7 @@ class WindowMotion:
         )
         g = fit.state.direction
         unit, change = np.einsum("ijn,jn->in", rotation, g), np.einsum("ijn,jn->in", windows.rotation_rate, g)
-        step = np.maximum(np.diff(windows.time), 1e-9)
+        apart = np.maximum(np.diff(windows.time), 1e-9)
         return cls(
             time=windows.time,
             rotation=rotation,
@@ -77,8 +79,9 @@ class WindowMotion:
             strength=float(np.cbrt(abs(np.linalg.det(soft)))),
             soft_iron=soft,
             delay=float(parameters[DELAY]),
-            gyroscope_step=median(windows.link_time / step),
-            rate_noise=fit.chain.noise.gyroscope * float(np.sqrt(median(windows.link_time / step**2))),
+            gyroscope_step=median(windows.link_time / apart),
+            rate_noise=fit.chain.noise.gyroscope * float(np.sqrt(median(windows.link_time / apart**2))),
+            step=step,
         )
 
     @cached_property

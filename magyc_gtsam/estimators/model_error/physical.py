@@ -67,6 +67,21 @@ def _filter(motion: WindowMotion) -> UnmodelledColumns:
     return UnmodelledColumns(_one(motion.reading_curvature), None)
 
 
+def _steps(motion: WindowMotion) -> UnmodelledColumns:
+    """Of the error by rounding, a sawtooth of the reading, the first harmonic at any phase, averaged over a window."""
+    swept = motion.reading_change * np.gradient(motion.time)
+    phase = 2 * np.pi * motion.reading / motion.step
+    size = motion.strength * np.sinc(swept / motion.step)
+    return UnmodelledColumns(
+        np.concatenate([_each_axis(size * np.sin(phase)), _each_axis(size * np.cos(phase))]), None
+    )
+
+
+def _by_step(motion: WindowMotion) -> float:
+    """Of the field's strength: the first harmonic of a sawtooth as high as a step."""
+    return motion.step / (np.pi * motion.strength)
+
+
 def _gain_drift(motion: WindowMotion) -> UnmodelledColumns:
     """Each axis' gain moves evenly."""
     share = np.linspace(-1, 1, len(motion.time))
@@ -112,6 +127,15 @@ def _if_felt(amplitude: float) -> float:
     return amplitude if amplitude > _LEAST_FILTER else 0.0
 
 
+COARSE = ColumnFamily(
+    "steps",
+    "the magnetometer's steps put its reading off by {}",
+    _steps,
+    0.1,
+    prior=EVEN,
+    expected=_by_step,
+    octaves=2,
+)
 PHYSICAL = (
     ColumnFamily("bend", "the reading bends by {} of the field", _bend, 0.02, prior=LIKELY),
     ColumnFamily(
