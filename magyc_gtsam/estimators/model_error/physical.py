@@ -177,7 +177,7 @@ PHYSICAL = (
     ),
     ColumnFamily(
         "gyroscope:scale",
-        "the gyroscope's scale is off by {}",
+        "the gyroscope's scale is off by {}, which calibrate --gyroscope-scale estimates",
         WindowMotion.gyroscope_scale,
         0.03,
         prior=COMMON,
@@ -185,7 +185,7 @@ PHYSICAL = (
     ),
     ColumnFamily(
         "gyroscope:scales",
-        "the scales of the gyroscope's axes are off by {}",
+        "the scales of the gyroscope's axes are off by {}, which calibrate --gyroscope-scale estimates",
         WindowMotion.gyroscope_scales,
         0.03,
         prior=GENERAL,
