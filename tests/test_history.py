@@ -204,6 +204,13 @@ def test_a_log_that_fails_stays_a_row() -> None:
         mg.calibrate_many(good, times=[0.0])
 
 
+def test_one_log_predicts_the_next(dives: tuple[LogFactor, ...]) -> None:
+    covariance, following = dives[0].covariance, History([dives[0]]).next.sigma["hard_iron"] * 1e6
+    assert covariance is not None
+    assert (following > np.sqrt(np.diag(covariance)[5:8])).all()
+    assert (following < 3.0).all()  # the walk to the next log, which nothing is known of yet
+
+
 def test_two_instruments_are_told_apart(dives: tuple[LogFactor, ...]) -> None:
     plan = SeasonPlan(dives=8, jumps=0, wrecks=0, wrong_units=0)
     right = 0

@@ -75,7 +75,11 @@ class Instrument:
         """Return mean (p + 3,) and covariance of what is shared and h, µT, one median interval on, without jump."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
         interval = float(np.median(elapsed)) if len(elapsed) else 1.0
-        share = self.bank.share
+        # A labelling without any log used has nothing to predict from.
+        calibrated = np.array([log.mean is not None for log in self.logs])
+        used = ((self.bank.label != WRONG) & calibrated).any(axis=1)
+        share = self.bank.share * used[:, None]
+        share = share / share.sum()
         mean: Array = np.einsum("kc,kci->i", share, self.bank.mean)
         off = self.bank.mean - mean
         covariance = np.einsum("kc,kcij->ij", share, self.bank.covariance)
