@@ -5,33 +5,38 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
+from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
-from magyc_gtsam.factors.chain.rate_columns import turned_by
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 _VAGUE = 1e-4  # rad⁻², information of a direction before anything was seen of it
+_AT_ONCE = 50_000  # numbers of one axis that are filtered at once, so that they stay in the processor's cache
 
 
 class ForwardFilter(NamedTuple):
     """The forward filter of a factorised chain.
 
-    before, after (3, 2, n − 1): whitened link Jacobians on its two directions; factor: banded Cholesky factor;
-    below (2, 2, n − 1): its off-diagonal blocks L_{n,n−1}; ahead (2, 2, n): covariance of the predictions;
-    seen (3, 2, n): window Jacobians; scatter, whitener (3, 3, n): innovation covariance and its inverse root.
+    before, after (3, 2, n − 1): whitened link Jacobians on its two directions; factor: banded Cholesky factor, `unit`
+    as the solutions want it; below (2, 2, n − 1): its off-diagonal blocks L_{n,n−1}; ahead (2, 2, n): covariance of the
+    predictions; seen (3, 2, n): window Jacobians; scatter, whitener (3, 3, n): innovation covariance and its inverse
+    root; from_half (2, 3, n − 1), from_link (3, 3, n − 1): whitened innovations of L⁻¹ c one window before, and of the
+    link to it, what comes from them first.
     """
 
     before: Array
     after: Array
     factor: Array
+    unit: UnitFactor
     below: Array
     ahead: Array
     seen: Array
     scatter: Array
     whitener: Array
+    from_half: Array
+    from_link: Array
 
     @classmethod
     def of(cls, chain: FieldChain, reduced: Reduced, link_weight: Array | None = None) -> ForwardFilter:
@@ -54,57 +59,71 @@ class ForwardFilter(NamedTuple):
             value, vector = np.linalg.eigh(np.moveaxis(scatter, 2, 0))
         if not finite or value.min() <= 0:
             raise MagycError("the innovations of the model have no finite covariance: a term is out of range")
-        whitener = np.moveaxis((vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2), 0, 2)
+        whitener = (vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2)
+        whitener = np.ascontiguousarray(np.moveaxis(whitener, 0, 2))
+        before, after = -reduced.basis[:, :, :-1] * scale, reduced.basis[:, :, 1:] * scale
+        gain = np.einsum("ijn,jan,abn->ibn", whitener, seen, ahead)[..., 1:]
         return cls(
-            -reduced.basis[:, :, :-1] * scale,
-            reduced.basis[:, :, 1:] * scale,
+            np.ascontiguousarray(before),
+            np.ascontiguousarray(after),
             factor,
+            UnitFactor.of(factor),
             below,
             ahead,
-            seen,
+            np.ascontiguousarray(seen),
             scatter,
             whitener,
+            np.einsum("ian,abn->bin", gain, below),
+            -np.einsum("ian,jan->jin", gain, after),
+        )
+
+    def of_units(self, window_scale: Array, link_scale: Array) -> ForwardFilter:
+        """The same filter for windows in T and links in rad, given one over their sigmas (n,) and (n − 1,)."""
+        return self._replace(
+            before=self.before * link_scale,
+            after=self.after * link_scale,
+            seen=self.seen * window_scale,
+            whitener=self.whitener * window_scale,
+            from_link=self.from_link * link_scale,
         )
 
     def __call__(self, window: Array, link: Array | None) -> Array:
         """Whitened innovations (p, 3, n) of windows (p, 3, n) and links (p, 3, n − 1), whitened by their sigmas."""
-        predicted, _ = self._passed(window, link)
-        ahead = turned_by(self.ahead, predicted)
-        for i in range(3):
-            window[:, i] -= self.seen[i, 0] * ahead[:, 0] + self.seen[i, 1] * ahead[:, 1]
-        return turned_by(self.whitener, window)
+        p, _, n = window.shape
+        result = np.empty((p, 3, n))
+        rows = max(_AT_ONCE // n, 1)
+        for first in range(0, p, rows):
+            part = slice(first, first + rows)
+            own, innovation, links = window[part], result[part], None if link is None else link[part]
+            half = self._half(own, links)[:, :, :-1]
+            _onto(self.whitener, own, innovation)
+            innovation[..., 1:] += _onto(self.from_half, half)
+            if links is not None:
+                innovation[..., 1:] += _onto(self.from_link, links)
+        return result
 
     def filtered(self, window: Array, link: Array) -> tuple[Array, Array]:
         """Tangent steps (2, n) to the filtered directions, and their covariance (2, 2, n)."""
-        predicted, _ = self._passed(window[None], link[None])
-        vector = predicted[0] + np.einsum("ian,in->an", self.seen, window)
+        predicted = np.einsum("ian,in->an", self.seen, window)
+        half = self._half(window[None], link[None])[0]
+        predicted[:, 1:] += np.einsum("ian,in->an", self.after, link)
+        predicted[:, 1:] -= np.einsum("abn,bn->an", self.below, half[:, :-1])
         information = np.linalg.inv(np.moveaxis(self.ahead, 2, 0))
         information += np.moveaxis(np.einsum("ian,ibn->abn", self.seen, self.seen), 2, 0)
         covariance = np.moveaxis(np.linalg.inv(information), 0, 2)
-        return -np.einsum("abn,bn->an", covariance, vector), covariance
+        return -np.einsum("abn,bn->an", covariance, predicted), covariance
 
-    def _passed(self, window: Array, link: Array | None) -> tuple[Array, Array]:
-        """The predictions' information vectors (p, 2, n), and z = L⁻¹ c."""
-        p, _, n = window.shape
-        right = np.zeros((p, n, 2))
-        for a in (0, 1):
-            right[:, :, a] = _along(self.seen[:, a], window)
-            if link is not None:
-                right[:, 1:, a] += _along(self.after[:, a], link)
-                right[:, :-1, a] += _along(self.before[:, a], link)
-        half, _ = dtbtrs(self.factor, right.reshape(p, 2 * n).T, uplo="L")
-        half = half.T.reshape(p, n, 2)
-        predicted = np.zeros((p, 2, n))
-        for a in (0, 1):
-            predicted[:, a, 1:] = -(self.below[a, 0] * half[:, :-1, 0] + self.below[a, 1] * half[:, :-1, 1])
-            if link is not None:
-                predicted[:, a, 1:] += _along(self.after[:, a], link)
-        return predicted, half
+    def _half(self, window: Array, link: Array | None) -> Array:
+        """(p, 2, n) L⁻¹ c."""
+        right = _onto(self.seen, window)
+        if link is not None:
+            right[..., 1:] += _onto(self.after, link)
+            right[..., :-1] += _onto(self.before, link)
+        half = forward_solved(self.unit, right).reshape(len(right), -1, 2)
+        return np.ascontiguousarray(np.swapaxes(half, 1, 2))
 
 
-def _along(vector: Array, columns: Array) -> Array:
-    """(p, n) products of vectors (3, n) with columns (p, 3, n); faster than einsum."""
-    result: Array = vector[0] * columns[:, 0]
-    result += vector[1] * columns[:, 1]
-    result += vector[2] * columns[:, 2]
+def _onto(matrix: Array, columns: Array, out: Array | None = None) -> Array:
+    """(p, b, n) products of columns (p, a, n) with matrices (a, b, n), which einsum does in order."""
+    result: Array = np.einsum("pan,abn->pbn", columns, matrix, out=out)
     return result

@@ -7,6 +7,7 @@ A mean_j Rⱼᵀ [g]× (φⱼ − φ̄).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
+_AT_ONCE = 50_000  # numbers of one axis that are worked on at once, so that they stay in the processor's cache
+
 
 class RateColumns(NamedTuple):
     """Unwhitened derivatives per unit of the error: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad."""
@@ -24,53 +27,86 @@ class RateColumns(NamedTuple):
     link: Array
 
 
-def attitude(samples: Preintegration, rate: Array) -> Array:
-    """(3, 3, G) sensor → integrated world at the gyroscope's samples, of the true rate (3, G)."""
-    track = GyroscopeTrack.integrate(samples.gyroscope_time, rate.T, interval_mean=samples.interval_mean)
-    return track.matrices.reshape(3, 3, -1)
+@dataclass(frozen=True, eq=False)
+class RateErrors:
+    """An integrated gyroscope, whose rate may be in error.
 
-
-def rate_columns(
-    samples: Preintegration, windows: FieldWindows, soft_iron: Array, direction: Array, turn: Array, columns: Array
-) -> RateColumns:
-    """The derivatives of a chain's residuals on the value of an error of the rate.
-
-    Args:
-        samples, windows: of both sensors, integrated.
-        soft_iron: (3, 3) times the field strength, T.
-        direction: (3, n) of the field in the integrated world.
-        turn: (3, 3, G) `attitude` at the gyroscope's samples.
-        columns: (k, 3, G) rad/s per unit, at the gyroscope's samples.
+    Attributes:
+        samples: of both sensors.
+        turn: (3, 3, G) sensor → integrated world at the gyroscope's samples.
+        before, share: (M,) gyroscope sample before each magnetometer sample, and how far it lies towards the next.
+        window_of, count: (M,) window of each magnetometer sample, (n,) samples of each window.
+        back: (3, 3, M) integrated world → sensor at the gyroscope's sample next to each magnetometer sample.
     """
-    turned = turned_by(turn, columns)
-    angle = np.zeros_like(turned)
-    if samples.interval_mean:
-        steps = turned[..., 1:] * samples.step
-    else:
-        steps = 0.5 * (turned[..., 1:] + turned[..., :-1]) * samples.step
-    np.cumsum(-steps, axis=-1, out=angle[..., 1:])
-    when, gyro_time = samples.magnetometer_time - windows.delay, samples.gyroscope_time
-    nearest = np.clip(np.searchsorted(gyro_time, when), 0, len(gyro_time) - 1)
-    if len(when) == len(gyro_time) and np.array_equal(when, gyro_time):
-        at = angle
-    else:
-        at = np.stack([[np.interp(when, gyro_time, a) for a in column] for column in angle])
-    count = np.diff(np.append(samples.starts, len(when)))
-    window_of = np.repeat(np.arange(len(count)), count)
-    mean = np.add.reduceat(at, samples.starts, axis=-1) / count
-    link = -cross(direction[:, None, :-1], np.diff(mean).swapaxes(0, 1)).swapaxes(0, 1)
-    inside = at - mean[..., window_of]
-    swung = cross(direction[:, None, window_of], inside.swapaxes(0, 1))
-    body = turned_by(np.swapaxes(turn[..., nearest], 0, 1), swung.swapaxes(0, 1))
-    window = np.einsum("ij,pjn->pin", soft_iron, np.add.reduceat(body, samples.starts, axis=-1) / count)
-    return RateColumns(window, link)
+
+    samples: Preintegration
+    turn: Array
+    before: np.ndarray
+    share: Array
+    window_of: np.ndarray
+    count: np.ndarray
+    back: Array
+
+    @classmethod
+    def of(cls, samples: Preintegration, rate: Array, delay: float) -> RateErrors:
+        """Of the true rate (3, G) rad/s, the magnetometer taken `delay` s earlier."""
+        time, when = samples.gyroscope_time, samples.magnetometer_time - delay
+        track = GyroscopeTrack.integrate(time, rate.T, interval_mean=samples.interval_mean)
+        turn = track.matrices.reshape(3, 3, -1)
+        next_ = np.searchsorted(time, when)
+        before = np.clip(next_ - 1, 0, len(time) - 2)
+        share = np.clip((when - time[before]) / samples.step[before], 0.0, 1.0)
+        nearest = np.clip(next_, 0, len(time) - 1)
+        count = np.diff(np.append(samples.starts, len(when)))
+        back = np.ascontiguousarray(np.swapaxes(turn, 0, 1).take(nearest, axis=-1))
+        return cls(samples, turn, before, share, np.repeat(np.arange(len(count)), count), count, back)
+
+    def columns(self, windows: FieldWindows, soft_iron: Array, direction: Array, error: Array) -> RateColumns:
+        """The derivatives of a chain's residuals on the value of an error of the rate.
+
+        Args:
+            windows: of the samples, integrated.
+            soft_iron: (3, 3) times the field strength, T.
+            direction: (3, n) of the field in the integrated world.
+            error: (k, 3, G) rad/s per unit, at the gyroscope's samples.
+        """
+        window, link = np.empty((len(error), 3, len(windows))), np.empty((len(error), 3, len(windows) - 1))
+        at_once = max(_AT_ONCE // self.turn.shape[-1], 1)
+        for first in range(0, len(error), at_once):
+            part = slice(first, first + at_once)
+            self._onto(direction, error[part], window[part], link[part])
+        return RateColumns(np.einsum("ij,pjn->pin", soft_iron, window), link)
+
+    def _onto(self, direction: Array, error: Array, window: Array, link: Array) -> None:
+        """Writes what errors do to windows, in units of the iron, and to links."""
+        samples, starts = self.samples, self.samples.starts
+        turned = turned_by(self.turn, error)
+        angle = np.zeros_like(turned)
+        steps = turned[..., 1:] if samples.interval_mean else 0.5 * (turned[..., 1:] + turned[..., :-1])
+        steps *= -samples.step
+        np.cumsum(steps, axis=-1, out=angle[..., 1:])
+        inside = angle.take(self.before, axis=-1)
+        ahead = angle.take(self.before + 1, axis=-1)
+        ahead -= inside
+        ahead *= self.share
+        inside += ahead
+        mean = np.add.reduceat(inside, starts, axis=-1) / self.count
+        link[:] = cross(np.diff(mean).swapaxes(0, 1), direction[:, None, :-1]).swapaxes(0, 1)
+        inside -= mean.take(self.window_of, axis=-1)
+        window[:] = np.add.reduceat(turned_by(self.back, self._swing(direction, inside)), starts, axis=-1)
+        window /= self.count
+
+    def _swing(self, direction: Array, inside: Array) -> Array:
+        """(k, 3, M) g × φ of a window's direction (3, n) and angles (k, 3, M)."""
+        x, y, z = direction.take(self.window_of, axis=-1)
+        result = np.empty_like(inside)
+        result[:, 0] = y * inside[:, 2] - z * inside[:, 1]
+        result[:, 1] = z * inside[:, 0] - x * inside[:, 2]
+        result[:, 2] = x * inside[:, 1] - y * inside[:, 0]
+        return result
 
 
 def turned_by(rotation: Array, columns: Array) -> Array:
-    """(p, a, n) columns turned by (a, a, n)."""
-    result = np.zeros_like(columns)
-    for j in range(columns.shape[1]):
-        if columns[:, j].any():
-            for i in range(columns.shape[1]):
-                result[:, i] += rotation[i, j] * columns[:, j]
+    """(p, 3, n) columns turned by (3, 3, n)."""
+    result: Array = np.einsum("pjn,jin->pin", columns, np.swapaxes(rotation, 0, 1))
     return result

@@ -21,8 +21,7 @@ from scipy.linalg.lapack import dtbtrs
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, WITH_SKEW, FieldChain, iron_matrix
 from magyc_gtsam.factors.chain.preintegration import Preintegration
-from magyc_gtsam.factors.chain.rate_columns import attitude as attitudes
-from magyc_gtsam.factors.chain.rate_columns import rate_columns
+from magyc_gtsam.factors.chain.rate_columns import RateErrors
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
@@ -123,9 +122,9 @@ def effect_chain_factor(
         link = np.zeros((len(value), 3, len(windows) - 1))
         window[~rated] = on_field
         if rated.any():
-            turn = attitudes(corrected, corrected.angular_rate.T - parameters[9:12, None])
-            soft = iron_matrix(parameters)
-            window[rated], link[rated] = rate_columns(corrected, windows, soft, state.direction, turn, on_rate)
+            rate = corrected.angular_rate.T - parameters[9:12, None]
+            errors = RateErrors.of(corrected, rate, windows.delay)
+            window[rated], link[rated] = errors.columns(windows, iron_matrix(parameters), state.direction, on_rate)
         information, gradient, alone = bordered(chain, state, reduced, window, link)
         root, pull = semidefinite_root(
             (information * unit * unit[:, None])[np.ix_(rows, rows)], (gradient * unit)[rows], (alone * unit)[rows]

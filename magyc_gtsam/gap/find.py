@@ -157,7 +157,7 @@ def _looked(
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
     result = search(recording, base, short_term, names, _problem, report)
     report(0.7)
-    said = answer(recording, base, short_term, names, _problem, discrete)
+    said = answer(recording, base, short_term, names, _problem, discrete, result.first.fine)
     stated, result = marginals(said.posterior), weighed(result, said, short_term)
     report(0.9)
     gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)

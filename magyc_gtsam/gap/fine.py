@@ -59,15 +59,23 @@ def _edge(field: Array, rate: float) -> float:
 
 def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseScore]:
     """Every noise effect's test."""
-    v = fine.innovation
-    spiky = spikes(v, fine.level, limit)
-    # What is spiky would look like a comb of tones, and hide colour.
-    length = np.sqrt((v**2).sum(axis=0))
-    calm = v * np.minimum(1.0, 4.0 / np.maximum(length, 1e-12))
-    calm = calm / np.sqrt((calm**2).mean())
     return [
-        spiky,
-        tone(calm, fine.time, fine.level, limit, fine.edge),
-        coloured_noise(calm, fine.rate, fine.level, limit),
+        *single_scores(fine, limit),
+        coloured_noise(_calm(fine), fine.rate, fine.level, limit),
         quantisation(recording, fine.level),
     ]
+
+
+def single_scores(fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
+    """The tests of wrong samples and of a tone."""
+    spiky = spikes(fine.innovation, fine.level, limit)
+    return spiky, tone(_calm(fine), fine.time, fine.level, limit, fine.edge)
+
+
+def _calm(fine: Fine) -> Array:
+    """The innovations without what is spiky, which would look like a comb of tones, and hide colour."""
+    v = fine.innovation
+    length = np.sqrt((v**2).sum(axis=0))
+    calm = v * np.minimum(1.0, 4.0 / np.maximum(length, 1e-12))
+    result: Array = calm / np.sqrt((calm**2).mean())
+    return result

@@ -47,7 +47,11 @@ def families(twin: Twin) -> list[Family]:
                 _on_field(partial(_hats_of, knots=knots)),
             ),
             Family(f"time:world-{knots}", "time, in the world's axes", partial(_in_world, knots=knots)),
-            Family(f"time:gyroscope-{knots}", "time, on the gyroscope", _on_rate(partial(_hats_of, knots=knots))),
+            Family(
+                f"time:gyroscope-{knots}",
+                "time, on the gyroscope",
+                _on_rate(partial(_hats_of, knots=knots), False),
+            ),
         ]
     attitude = "the direction of the field (attitude)"
     result += [
@@ -71,14 +75,16 @@ def families(twin: Twin) -> list[Family]:
     if twin.windows.acceleration is not None:
         result += [
             Family("tilt:magnetometer", "pitch and roll", _on_field(lambda t: _tilts(t.windows)), (3, 1)),
-            Family("tilt:gyroscope", "pitch and roll, on the gyroscope", _on_rate(_tilts)),
-            Family("tilt:products", "pitch and roll, on the gyroscope", _on_rate(_tilt_products), (3, 1)),
+            Family("tilt:gyroscope", "pitch and roll, on the gyroscope", _on_rate(_tilts, False)),
+            Family("tilt:products", "pitch and roll, on the gyroscope", _on_rate(_tilt_products, False), (3, 1)),
         ]
     for kind in twin.windows.channels:
         where = f"the channel {kind}"
         result += [
             Family(f"{kind}:magnetometer", where, _on_field(partial(_channel_of, kind=kind))),
-            Family(f"{kind}:gyroscope", f"{where}, on the gyroscope", _on_rate(partial(_channel, kind=kind))),
+            Family(
+                f"{kind}:gyroscope", f"{where}, on the gyroscope", _on_rate(partial(_channel, kind=kind), False)
+            ),
         ]
         if kind != "position":  # times the field it is the field's gradient
             result.append(Family(f"{kind}×field", f"{where} times the field", _channel_field(kind), (1, 3)))
@@ -89,8 +95,8 @@ def _on_field(profiles: Callable[[Twin], Array]) -> Callable[[Twin], Columns]:
     return lambda twin: Columns(per_axis(profiles(twin)), None)
 
 
-def _on_rate(profiles: Callable[..., Array]) -> Callable[[Twin], Columns]:
-    return lambda twin: twin.of_slow_profile(lambda signals: per_axis(profiles(signals)))
+def _on_rate(profiles: Callable[..., Array], reads_rate: bool = True) -> Callable[[Twin], Columns]:
+    return lambda twin: twin.of_slow_profile(lambda signals: per_axis(profiles(signals)), reads_rate)
 
 
 def _hats(time: Array, knots: int) -> Array:
@@ -197,7 +203,7 @@ def _rate_times_field(twin: Twin) -> Array:
 
 def _field_on_rate(twin: Twin) -> Columns:
     columns = per_axis(_powers(_unit(twin), 1, 2))
-    return twin.of_slow_profile(lambda signals: columns)
+    return twin.of_slow_profile(lambda signals: columns, reads_rate=False)
 
 
 def _channel(signals: Signals, kind: str) -> Array:

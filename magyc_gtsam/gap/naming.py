@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.fine import Fine
+from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Projector, Score, Variant
 from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.recording import Recording
 
 _OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # with time alone
 _IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
@@ -75,16 +77,26 @@ def less(found: Sequence[Found], places: Container[int]) -> tuple[Found, ...]:
 class Look:
     """One look at a model: all scores, strongest first, with the held-out gains of those that matter.
 
-    A gain of 0 is that of a channel which explains no more than it would at other times.
+    A gain of 0 is that of a channel which explains no more than it would at other times. Single samples are looked at
+    when they are asked for.
     """
 
+    recording: Recording
     refit: Refit
     scores: list[Score]
-    noise: list[NoiseScore]
-    fine: Fine
     innovation: Array
     projector: Projector
     gains: dict[str, float]
+
+    @cached_property
+    def fine(self) -> Fine:
+        """The innovations sample by sample."""
+        return fine_innovations(self.recording, self.refit.model)
+
+    @cached_property
+    def noise(self) -> list[NoiseScore]:
+        """Scores of the effects on single samples."""
+        return noise_scores(self.recording, self.fine, NOISE_LIMIT)
 
 
 def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | None:

@@ -7,8 +7,9 @@ own thirteenth parameter.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNo
 from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration
+from magyc_gtsam.factors.chain.rate_columns import RateErrors
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS, Setting
@@ -30,6 +32,7 @@ _CLOSE = 1e-7  # rad/s
 _RUNAWAY = 10.0  # times the first change, beyond which the passes do not come to an end
 _BENT = 5  # passes for magnetometer terms that bend the reading
 _NEARBY = 1e-8  # T
+_KEPT = 3  # integrations of one problem, of a search that goes to and fro between its models
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,26 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
+class Integrated:
+    """The gyroscope without some terms, integrated at one bias and delay.
+
+    Attributes:
+        samples: with the terms taken out.
+        rate: (3, G) rad/s, the true rate.
+        windows: at the bias and delay.
+    """
+
+    samples: Preintegration
+    rate: Array
+    windows: FieldWindows
+
+    @cached_property
+    def errors(self) -> RateErrors:
+        """What further errors of the rate do."""
+        return RateErrors.of(self.samples, self.rate, self.windows.delay)
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """One recording, cut into windows, with everything interpolated to where the forms read it.
 
@@ -81,6 +104,7 @@ class Problem:
     magnetometer: Signals
     gyroscope: Signals
     rate_noise: float
+    _kept: dict[Hashable, Integrated] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def of(cls, recording: Recording, samples: Preintegration) -> Problem:
@@ -120,20 +144,15 @@ def _others(recording: Recording, at: Array) -> Signals:
     return Signals(at, acceleration=acceleration, channels=channels)
 
 
-def prepare(problem: Problem, model: Model) -> tuple[Preintegration, Array]:
-    """The samples with the gyroscope's terms taken out, and the true rate (3, G) rad/s.
+def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
+    """(3, G) rad/s, the rate that the sensor would have read less its bias and the gyroscope's terms.
 
     Raises:
         MagycError: terms so large that a reading belongs to no one rate, so that the passes run away.
     """
-    samples = problem.samples
-    bias = model.parameters[9:12]
-    measured = samples.angular_rate.T - bias[:, None]
-    terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope"]
-    if not terms:
-        return samples, measured
+    measured: Array = problem.samples.angular_rate.T - bias[:, None]
     true, changes = measured, [np.inf]
-    for _ in range(_PASSES):
+    for _ in range(_PASSES if terms else 0):
         signals, before = replace(problem.gyroscope, rate=true), true
         true = measured - sum(FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms)
         changes.append(float(np.abs(true - before).max()))
@@ -143,15 +162,36 @@ def prepare(problem: Problem, model: Model) -> tuple[Preintegration, Array]:
             raise MagycError(
                 f"{' and '.join(t.name for t in terms)}: as large as this, a reading belongs to more than one rate"
             )
-    return samples.with_rate((true + bias[:, None]).T), true
+    return true
+
+
+def _integrated(problem: Problem, model: Model) -> Integrated:
+    """The gyroscope integrated as a model has it; kept, for a change of the noise or a new term at 0 asks the same.
+
+    Raises:
+        MagycError: terms so large that a reading belongs to no one rate.
+    """
+    bias, delay = model.parameters[9:12], float(model.parameters[DELAY])
+    terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope" and t.value.any()]
+    key = (
+        bias.tobytes(),
+        delay,
+        *((t.name, tuple(sorted(t.setting.items())), t.value.tobytes()) for t in terms),
+    )
+    if key not in problem._kept:
+        rate = _true_rate(problem, terms, bias)
+        samples = problem.samples.with_rate((rate + bias[:, None]).T) if terms else problem.samples
+        while len(problem._kept) >= _KEPT:
+            del problem._kept[next(iter(problem._kept))]
+        problem._kept[key] = Integrated(samples, rate, samples.integrate(bias, delay))
+    return problem._kept[key]
 
 
 def window_signals(problem: Problem, windows: FieldWindows, state: ChainState, rate: Array) -> Signals:
     """What the forms read, window by window, as the model has it."""
     parameters, g = state
     soft = unvech(parameters[:6])
-    late = parameters[DELAY] - windows.delay
-    rotation = windows.rotation + late * windows.rotation_rate
+    rotation = windows.rotation
     at = problem.magnetometer
     gyro_time = problem.gyroscope.time
     rates = np.stack([np.interp(at.time - parameters[DELAY], gyro_time, axis) for axis in rate])
@@ -181,14 +221,14 @@ def _answer(bent: Sequence[Active], signals: Signals) -> Array:
     return 1 + (more - less) / (2 * _NEARBY)
 
 
-def build(problem: Problem, model: Model) -> tuple[FieldChain, ChainState, Reduced, Array]:
-    """The chain of a model, settled, and the true rate (3, G).
+def build(problem: Problem, model: Model) -> tuple[FieldChain, ChainState, Reduced, Integrated]:
+    """The chain of a model, settled, and the gyroscope that it is of.
 
     The magnetometer's terms read the field as the model has it, so that the chain is settled, corrected and
     settled again; and again where they clip or bend the reading, which is then linearised as it is bent.
     """
-    samples, rate = prepare(problem, model)
-    windows = samples.integrate(model.parameters[9:12], model.parameters[DELAY])
+    gyroscope = _integrated(problem, model)
+    windows, rate = gyroscope.windows, gyroscope.rate
     plain = FieldChain(windows, model.noise)
     terms = [
         t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "magnetometer" and t.name != "timing"
@@ -201,4 +241,4 @@ def build(problem: Problem, model: Model) -> tuple[FieldChain, ChainState, Reduc
             corrected = replace(windows, field=windows.field - _added(terms, signals))
             chain_ = FieldChain(corrected, model.noise, answer=_answer(bent, signals) if bent else None)
         state, reduced = chain_.settle(chain_.start(model.parameters), chain_.unweighted())
-    return chain_, state, reduced, rate
+    return chain_, state, reduced, gyroscope

@@ -97,14 +97,16 @@ def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
     return value * deviations, covariance * np.outer(deviations, deviations)
 
 
-def refit(problem: Problem, model: Model, short_term: SensorNoise | None) -> Refit:
+def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known: Twin | None = None) -> Refit:
     """Everything jointly, re-linearised at each step; noise levels in between (None keeps them).
+
+    `known` is a twin of the same problem, perhaps of the same model without terms that are new.
 
     Raises:
         MagycError: a term whose effect on the readings is beyond all bounds.
     """
     converged = False
-    twin = Twin.of(problem, model)
+    twin = (known and known.beside(model)) or Twin.of(problem, model)
     covariance = np.zeros((0, 0))
     for _ in range(_ROUNDS if short_term is not None else 1):
         for _ in range(_STEPS):

@@ -11,8 +11,9 @@ exponential and is extrapolated from their upper tenth; χ² tables know neither
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby, islice
 
 import numpy as np
 from scipy.stats import ncx2
@@ -23,9 +24,10 @@ from magyc_gtsam.gap.generic import Family, families
 from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.twin import Twin, together
 
 DRAWS = 500
+_AT_ONCE = 100_000  # numbers made ready at once, so that they stay in the processor's cache
 _DEPENDENT = 1e-6  # share of a column that must be left beside the base model
 
 
@@ -134,19 +136,35 @@ def variant(
     setting: Mapping[str, float], columns: Array, project: Projector, pull: Array | None = None
 ) -> Variant:
     """A candidate's columns made ready."""
-    size = np.sqrt(np.einsum("pn,pn->p", columns, columns))
-    kept = size > 0
-    scaled = columns / np.where(kept, size, 1.0)[:, None]
-    free = project(scaled)
-    value, vector = np.linalg.eigh(free @ free.T)
-    good = value > _DEPENDENT
-    root = np.sqrt(value[good])
-    unit = (vector[:, good] / root).T @ free
-    back = (vector[:, good] / root) / np.where(kept, size, 1.0)[:, None]
-    left = float(np.sqrt(np.einsum("pn,pn->", free, free) / max(kept.sum(), 1)))
     pull = np.zeros(len(columns)) if pull is None else pull
-    offset = back.T @ (pull - project.shared_pull(columns))
-    return Variant(setting, columns, unit, back, left, pull, offset)
+    return ready([setting], columns[None], project, pull[None])[0]
+
+
+def ready(
+    settings: Sequence[Mapping[str, float]], columns: Array, project: Projector, pull: Array
+) -> list[Variant]:
+    """Candidates of as many columns (s, k, 3n) each, made ready at once; their pulls (s, k)."""
+    count, width, rows = columns.shape
+    size = np.sqrt(np.einsum("skn,skn->sk", columns, columns))
+    kept = size > 0
+    scale = np.where(kept, size, 1.0)
+    flat = (columns / scale[..., None]).reshape(-1, rows)
+    free = project(flat).reshape(columns.shape)
+    shared = project.shared_pull(flat).reshape(count, width) * scale
+    value, vector = np.linalg.eigh(free @ free.swapaxes(1, 2))
+    good = value > _DEPENDENT
+    root = vector / np.sqrt(np.where(good, value, 1.0))[:, None]
+    unit = root.swapaxes(1, 2) @ free
+    back = root / scale[..., None]
+    left = np.sqrt(np.einsum("skn,skn->s", free, free) / np.maximum(kept.sum(axis=1), 1))
+    offset = np.einsum("ski,sk->si", back, pull - shared)
+    result = []
+    for i, setting in enumerate(settings):
+        own = slice(None) if good[i].all() else good[i]
+        result.append(
+            Variant(setting, columns[i], unit[i, own], back[i][:, own], float(left[i]), pull[i], offset[i, own])
+        )
+    return result
 
 
 def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[str, tuple[str, list[Variant]]]:
@@ -171,6 +189,8 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
 
 def _determined(one: Variant, within: float) -> Variant:
     """Without the directions of the values that the motion does not determine to `within`: absurd values would do."""
+    if not np.isfinite(within):
+        return one
     value, sigma, d = np.linalg.svd(one.back, full_matrices=False)
     kept = sigma <= within
     return replace(one, unit=d[kept] @ one.unit, back=(value * sigma)[:, kept], offset=d[kept] @ one.offset)
@@ -183,25 +203,26 @@ def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
     pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
     result = [_determined(variant({}, rows, project, pull), family.within)]
     for width in family.parts:
-        for first in range(0, len(rows), width):
-            part = slice(first, first + width)
-            result.append(variant({"first": float(first), "width": float(width)}, rows[part], project, pull[part]))
+        whole = len(rows) // width
+        settings = [{"first": float(width * i), "width": float(width)} for i in range(whole)]
+        parts = rows[: whole * width].reshape(whole, width, -1)
+        result += ready(settings, parts, project, pull[: whole * width].reshape(whole, width))
+        if whole * width < len(rows):
+            rest = {"first": float(whole * width), "width": float(width)}
+            result.append(variant(rest, rows[whole * width :], project, pull[whole * width :]))
     return result
 
 
 def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str, float]]) -> list[Variant]:
-    """A named effect at several settings, whitened together."""
-    parts = [TERMS[name].regressors(twin, setting) for setting in settings]
-    ends = np.cumsum([len(part.window) for part in parts])
-    whole = type(parts[0])(
-        np.concatenate([part.window for part in parts]),
-        None if parts[0].link is None else np.concatenate([part.link for part in parts]),
-    )
-    rows = np.split(twin.whiten(whole), ends[:-1])
-    return [
-        variant(setting, columns, project, part.pull)
-        for setting, columns, part in zip(settings, rows, parts, strict=True)
-    ]
+    """A named effect at several settings, neighbours of as many columns together."""
+    made = ((setting, TERMS[name].regressors(twin, setting)) for setting in settings)
+    result: list[Variant] = []
+    for count, alike in groupby(made, key=lambda each: len(each[1].window)):
+        while some := list(islice(alike, max(_AT_ONCE // (3 * twin.n * count), 1))):
+            rows = twin.whiten(together([part for _, part in some])).reshape(len(some), count, -1)
+            pull = np.array([np.zeros(count) if part.pull is None else part.pull for _, part in some])
+            result += ready([setting for setting, _ in some], rows, project, pull)
+    return result
 
 
 def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tuple[list[Score], Array, Projector]:
@@ -210,7 +231,7 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
     innovation = project(twin.residual().reshape(1, -1))[0]
     found = candidates(twin, project, names)
     flat = [(name, index) for name, (_, many) in found.items() for index in range(len(many))]
-    units = np.concatenate([found[name][1][index].unit for name, index in flat]).astype(np.float32)
+    units = np.concatenate([found[name][1][index].unit for name, index in flat], dtype=np.float32)
     ranks = np.array([len(found[name][1][index].unit) for name, index in flat])
     starts = np.concatenate([[0], np.cumsum(ranks)])[:-1]
     white = random.standard_normal((innovation.size, DRAWS), dtype=np.float32)

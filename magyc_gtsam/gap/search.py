@@ -19,9 +19,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange, with_two_causes
 from magyc_gtsam.gap.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.naming import (
-    NOISE_LIMIT,
     Found,
     Look,
     choices,
@@ -80,15 +78,13 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
             for s in scores
         ]
     scores.sort(key=lambda s: -s.evidence)
-    fine = fine_innovations(recording, refitted.model)
-    noise = noise_scores(recording, fine, NOISE_LIMIT)
     confirm = _confirmation(refitted, innovation)
     gains = {s.name: confirm(s) for s in scores if s.evidence > 3.0}
     for s in scores:
         tried = s.significant and not s.generic and gains[s.name] > 0
         if tried and not in_its_own_time(s, refitted.twin, innovation, projector):
             gains[s.name] = 0.0
-    return Look(refitted, scores, noise, fine, innovation, projector, gains)
+    return Look(recording, refitted, scores, innovation, projector, gains)
 
 
 def _confirmation(refitted: Refit, innovation: Array) -> Callable[[Score], float]:

@@ -47,7 +47,7 @@ class State:
     def refitted(self, model: Model) -> Refit | None:
         """Another model at its minimum; None where the data do not determine its terms beside the rest."""
         try:
-            ahead = refit(self.problem, model, self.short_term)
+            ahead = refit(self.problem, model, self.short_term, self.current.twin)
         except MagycError:
             return None
         return ahead if ahead.converged else None

@@ -9,7 +9,7 @@ at once, without a loop over windows; their sum of squares is the field chain's 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -20,12 +20,12 @@ from magyc_gtsam.factors.chain.banded import inverse_blocks
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain
 from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
-from magyc_gtsam.factors.chain.rate_columns import attitude, rate_columns, turned_by
+from magyc_gtsam.factors.chain.rate_columns import turned_by
 from magyc_gtsam.factors.chain.rotations import Array, cross, skew
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS, Setting
 from magyc_gtsam.factors.effects.signals import Signals
-from magyc_gtsam.gap.problem import Active, Model, Problem, build, window_signals
+from magyc_gtsam.gap.problem import Active, Integrated, Model, Problem, build, window_signals
 
 _DIFFERENCE = 1e-3  # rad/s
 
@@ -41,6 +41,12 @@ class Columns(NamedTuple):
     pull: Array | None = None
 
 
+def together(parts: Sequence[Columns]) -> Columns:
+    """The columns of several, of one side, without their pull."""
+    links = [part.link for part in parts if part.link is not None]
+    return Columns(np.concatenate([part.window for part in parts]), np.concatenate(links) if links else None)
+
+
 @dataclass(frozen=True, eq=False)
 class Twin:
     """A model linearised on a recording.
@@ -49,7 +55,6 @@ class Twin:
         problem, model: what it is of.
         chain, state, reduced: the field chain, settled.
         windows, gyroscope: the signals of windows and of the gyroscope's samples.
-        turn: (3, 3, G) attitude at the gyroscope's samples.
     """
 
     problem: Problem
@@ -59,16 +64,16 @@ class Twin:
     reduced: Reduced
     windows: Signals
     gyroscope: Signals
-    turn: Array
+    _integrated: Integrated
     _filter: ForwardFilter
 
     @classmethod
     def of(cls, problem: Problem, model: Model) -> Twin:
         """Linearise a model."""
-        chain, state, reduced, rate = build(problem, model)
+        chain, state, reduced, integrated = build(problem, model)
         gyroscope = Signals(
             problem.gyroscope.time,
-            rate=rate,
+            rate=integrated.rate,
             acceleration=problem.gyroscope.acceleration,
             channels=problem.gyroscope.channels,
         )
@@ -78,9 +83,9 @@ class Twin:
             chain,
             state,
             reduced,
-            window_signals(problem, chain.windows, state, rate),
+            window_signals(problem, chain.windows, state, integrated.rate),
             gyroscope,
-            attitude(problem.samples, rate),
+            integrated,
             ForwardFilter.of(chain, reduced),
         )
 
@@ -94,6 +99,19 @@ class Twin:
         """(n,) s."""
         return self.chain.windows.time
 
+    def beside(self, model: Model) -> Twin | None:
+        """That of a model with further terms at 0, of which nothing is linearised anew; None where it is another."""
+        own, count = self.model, len(self.model.terms)
+        same = model.noise == own.noise and np.array_equal(model.parameters, own.parameters)
+        more = model.terms[count:]
+        if not same or model.terms[:count] != own.terms or any(term.value.any() for term in more):
+            return None
+        result = replace(self, model=model)
+        if np.array_equal(model.free, own.free):
+            added = [self.whiten(self.columns(t.name, t.setting)) for t in more if t.name != "timing"]
+            result.__dict__["base_columns"] = np.concatenate([self.base_columns, *added])
+        return result
+
     def residual(self) -> Array:
         """(3, n) the whitened innovations of the data."""
         residuals = self.chain.residuals(self.state)
@@ -102,14 +120,16 @@ class Twin:
         return self._filter(window, link)[0]
 
     def innovations(self, window: Array, link: Array) -> Array:
-        """(k, 3, n) of draws of the noise of windows (k, 3, n), overwritten, and of links (k, 3, n − 1), in sigmas."""
+        """(k, 3, n) of draws of the noise of windows (k, 3, n) and of links (k, 3, n − 1), in sigmas."""
         return self._filter(window, link)
 
     def whiten(self, columns: Columns) -> Array:
         """(p, 3n) innovations of regressors."""
-        window = columns.window * self.chain.window_scale
-        link = None if columns.link is None else columns.link * self.chain.link_scale
-        return self._filter(window, link).reshape(len(window), -1)
+        return self._filter_of_units(columns.window, columns.link).reshape(len(columns.window), -1)
+
+    @cached_property
+    def _filter_of_units(self) -> ForwardFilter:
+        return self._filter.of_units(self.chain.window_scale, self.chain.link_scale)
 
     @cached_property
     def base_columns(self) -> Array:
@@ -146,13 +166,16 @@ class Twin:
         """Regressors of errors of the rate given as a function of the gyroscope's signals (p, 3, ·) rad/s."""
         return self.on_gyroscope(profile(self.gyroscope))._replace(pull=self.rate_pull(profile))
 
-    def of_slow_profile(self, profile: Callable[[Signals], Array]) -> Columns:
-        """As `of_profile`, from the windows' mean signals: to second order in the rotation inside a window."""
+    def of_slow_profile(self, profile: Callable[[Signals], Array], reads_rate: bool = True) -> Columns:
+        """As `of_profile`, from the windows' mean signals: to second order in the rotation inside a window.
+
+        What reads no rate has none of the gyroscope's noise in it, and is not pulled.
+        """
         at = self._rates_at_windows
         turned = turned_by(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
         angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
         link = -cross(self.state.direction[:, None, :-1], angle.swapaxes(0, 1)).swapaxes(0, 1)
-        return Columns(np.zeros_like(turned), link, self.rate_pull(profile))
+        return Columns(np.zeros_like(turned), link, self.rate_pull(profile) if reads_rate else None)
 
     @cached_property
     def _rates_at_windows(self) -> Signals:
@@ -167,9 +190,8 @@ class Twin:
     def on_gyroscope(self, rate: Array) -> Columns:
         """Regressors of errors of the rate (p, 3, G) rad/s."""
         soft = unvech(self.state.parameters[:6])
-        return Columns(
-            *rate_columns(self.problem.samples, self.chain.windows, soft, self.state.direction, self.turn, rate)
-        )
+        at = self._integrated.errors
+        return Columns(*at.columns(self.chain.windows, soft, self.state.direction, rate))
 
     def rate_pull(self, profile: Callable[[Signals], Array]) -> Array:
         """(p,) expected score, without any effect, of regressors `profile` (p, 3, ·) that read the measured rate.

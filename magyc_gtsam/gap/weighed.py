@@ -22,7 +22,6 @@ from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.field_variation import FieldVariation
-from magyc_gtsam.gap.fine import fine_innovations
 from magyc_gtsam.gap.naming import Found, less, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.refit import refit, without_term
@@ -85,8 +84,7 @@ def _without(result: Search, places: Container[int], short_term: SensorNoise) ->
     for index in reversed(indices):
         model = without_term(model, index)
     fitted = refit(result.problem, model, short_term)
-    last = replace(result.last, refit=fitted, fine=fine_innovations(result.recording, fitted.model))
-    return replace(result, found=found, last=last)
+    return replace(result, found=found, last=replace(result.last, refit=fitted))
 
 
 def _score(variation: FieldVariation) -> NoiseScore:

@@ -11,12 +11,12 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.colour import beside_colour, colour_of
-from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, noise_of, smoothed, without
+from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, singles_of, smoothed, without
 from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.fine import fine_innovations
-from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.fine import Fine, fine_innovations
+from magyc_gtsam.gap.noise_effects import NoiseScore, quantisation
 from magyc_gtsam.gap.problem import Model, Problem
 from magyc_gtsam.gap.refit import Refit, refit
 from magyc_gtsam.recording import Recording
@@ -50,14 +50,15 @@ def answer(
     names: Sequence[str],
     prepare: Callable[[Recording], Problem],
     settled: Sequence[NoiseScore] = (),
+    fine: Fine | None = None,
 ) -> Answer:
-    """The posterior of one recording, whose base model was fitted."""
+    """The posterior of one recording, whose base model was fitted; `fine` is beside that, where it is known."""
     allowed = tuple(name for name in names if name in TERMS)
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
     given, problem, model = recording, base.twin.problem, base.model
     level = short_term
-    fine, found = noise_of(given, model)
-    coarse = found["quantisation"]
+    fine = fine or fine_innovations(given, model)
+    coarse = quantisation(given, fine.level)
     stepped = coarse.significant and coarse.name in names
     if stepped:  # which is seen at once, and passes for a reading that is bent
         said[coarse.name] = PRIOR.certain
@@ -72,7 +73,7 @@ def answer(
         if stepped and not turn:  # once more, by a better model
             recording = smoothed(given, model, coarse, fine_innovations(given, model))
             problem = prepare(recording)
-        fine, found = noise_of(recording, model)
+        fine, found = singles_of(recording, model)
         for name in SINGLE:
             score, known = found[name], said.get(name, -np.inf)
             odds = log_odds(score)
@@ -83,7 +84,7 @@ def answer(
             if odds > 0:
                 recording = without(recording, model, fine, score)
                 problem = prepare(recording)
-                fine, found = noise_of(recording, model)
+                fine, found = singles_of(recording, model)
         if recording is before:
             break
     return Answer(recording, tree, _posterior(tree, said, COLOUR in names))

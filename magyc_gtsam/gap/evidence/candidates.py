@@ -17,11 +17,12 @@ from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.field_variation import waves
 from magyc_gtsam.gap.generic import Family, families
-from magyc_gtsam.gap.twin import Columns, Twin
+from magyc_gtsam.gap.twin import Columns, Twin, together
 
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, whose they are, at which setting, its log prior
 Stack = tuple[Array, Array, list[Part]]
 COURSE = "time:sensor"
+_AT_ONCE = 100_000  # numbers worked on at once, so that they stay in the processor's cache
 _WHOLE = 0.5  # probability that a family is wanted as a whole, not in one of its parts
 
 
@@ -89,12 +90,18 @@ class Candidates:
     def changed(self, change: Callable[[Array], Array]) -> Candidates:
         """With other columns in place of these, row by row."""
         columns = change(self.columns)
-        batches = tuple(replace(batch, gram=_gram(columns[batch.rows])) for batch in self.batches)
+        batches = tuple(replace(batch, gram=_gram(columns, batch.rows)) for batch in self.batches)
         return Candidates(columns, self.pull, batches)
 
 
-def _gram(columns: Array) -> Array:
-    result: Array = columns @ columns.swapaxes(1, 2)
+def _gram(columns: Array, places: np.ndarray) -> Array:
+    """(B, k, k) of columns (N, 3n) at places (B, k)."""
+    count, width = places.shape
+    result = np.empty((count, width, width))
+    some = max(_AT_ONCE // max(width * columns.shape[1], 1), 1)
+    for first in range(0, count, some):
+        own = columns[places[first : first + some]]
+        np.matmul(own, own.swapaxes(1, 2), out=result[first : first + some])
     return result
 
 
@@ -103,7 +110,7 @@ def _batches(columns: Array, groups: Mapping[int, Sequence[Part]]) -> Iterator[B
         rows = np.array([part for part, _, _, _ in many])
         yield Batch(
             rows,
-            _gram(columns[rows]),
+            _gram(columns, rows),
             tuple(name for _, name, _, _ in many),
             tuple(setting for _, _, setting, _ in many),
             np.array([prior for _, _, _, prior in many]),
@@ -133,20 +140,20 @@ def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:
     """A name at some settings, each as likely as the other."""
     made = [TERMS[name].regressors(twin, setting) for setting in settings]
-    links = [part.link for part in made]
-    whole = Columns(
-        np.concatenate([part.window for part in made]),
-        None if links[0] is None else np.concatenate([link for link in links if link is not None]),
-    )
+    ends = np.cumsum([len(part.window) for part in made])
+    places = np.split(np.arange(ends[-1]), ends[:-1])
     unit = np.concatenate(
         [what_matters(twin, name, s, len(p.window)) for s, p in zip(settings, made, strict=True)]
     )
-    pull = np.concatenate([np.zeros(len(p.window)) if p.pull is None else p.pull for p in made])
-    ends = np.cumsum([len(part.window) for part in made])
-    places = np.split(np.arange(ends[-1]), ends[:-1])
+    rows = np.empty((ends[-1], 3 * twin.n))
+    some = max(_AT_ONCE * len(made) // rows.size, 1)
+    for first in range(0, len(made), some):
+        own = slice(places[first][0], ends[min(first + some, len(made)) - 1])
+        np.multiply(twin.whiten(together(made[first : first + some])), unit[own, None], out=rows[own])
+    pull = np.concatenate([np.zeros(len(part.window)) if part.pull is None else part.pull for part in made])
     prior = -float(np.log(len(settings)))
     parts: list[Part] = [(place, name, setting, prior) for place, setting in zip(places, settings, strict=True)]
-    return twin.whiten(whole) * unit[:, None], pull * unit, parts
+    return rows, pull * unit, parts
 
 
 def what_matters(twin: Twin, name: str, setting: Setting, count: int) -> Array:

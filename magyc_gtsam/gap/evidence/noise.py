@@ -8,7 +8,7 @@ import numpy as np
 
 from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
+from magyc_gtsam.gap.fine import Fine, fine_innovations, single_scores
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.tones import heard, silenced
@@ -25,10 +25,10 @@ def log_odds(score: NoiseScore) -> float:
     return float(min(gain + PRIOR.named, 2 * PRIOR.certain)) if score.significant else -PRIOR.certain
 
 
-def noise_of(recording: Recording, model: Model) -> tuple[Fine, dict[str, NoiseScore]]:
-    """Each effect on single samples beside a model."""
+def singles_of(recording: Recording, model: Model) -> tuple[Fine, dict[str, NoiseScore]]:
+    """Each effect on single samples beside a model, of those that are seen sample by sample."""
     fine = fine_innovations(recording, model)
-    return fine, {score.name: score for score in noise_scores(recording, fine, 0.0)}
+    return fine, {score.name: score for score in single_scores(fine, 0.0)}
 
 
 def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -> Recording:

@@ -229,9 +229,8 @@ class Tree:
             setting = dict(self._finer(node, option).setting)
         count = len(term.regressors(node.fit.twin, setting).window)
         try:
-            fit = refit(
-                self._problem, with_term(node.fit.model, Active(option.name, setting, np.zeros(count))), None
-            )
+            model = with_term(node.fit.model, Active(option.name, setting, np.zeros(count)))
+            fit = refit(self._problem, model, None, node.fit.twin)
         except MagycError:
             self.refused.add(key)
             return None
