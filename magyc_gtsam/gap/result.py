@@ -33,8 +33,8 @@ class Effect:
         statistic, threshold: evidence when it was added: twice the gain in log-likelihood, and its 1 % level.
         applied: whether `gap.calibration` corrects it.
         sentence: one line that a navigator understands.
-        probability: that it is there, by the evidence of all sets of effects. The name is given by score tests, and not
-            corrected where it and what it may be instead are improbable.
+        probability: that it is there, by the evidence of all sets of effects; 0.985 at most, for what none of them
+            holds. The name is given by score tests, and not corrected where it and what it may be instead are improbable.
     """
 
     name: str
@@ -268,7 +268,7 @@ class Gap:
         next_manoeuvre: None where there is nothing to tell apart.
         doubt: why the calibration must not be used, and what to do; None where it may be.
         probabilities: of every name, of "field-variation" (the field of the place varies), of "unknown" (something that
-            is in no catalogue) and of "nothing"; empty where nothing was tested.
+            is in no catalogue, and at least 0.015) and of "nothing"; empty where nothing was tested.
         diagnostics: about the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …
     """
 

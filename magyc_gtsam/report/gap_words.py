@@ -77,10 +77,10 @@ def probability_sentence(gap: Gap) -> str:
 
 
 def per_cent(probability: float) -> str:
-    """Return a probability in per cent, bounded away from 0 and 100 %."""
-    if not 0.001 <= probability <= 0.999:
-        return "> 99.9 %" if probability > 0.5 else "< 0.1 %"
-    return f"{100 * probability:.{0 if 0.1 <= probability <= 0.9 else 1}f} %"
+    """Return a probability in per cent, as exactly as it is known, and bounded away from 0."""
+    if probability < 0.001:
+        return "< 0.1 %"
+    return f"{100 * probability:.{0 if probability >= 0.1 else 1}f} %"
 
 
 def hypothesis_label(hypothesis: Hypothesis) -> str:

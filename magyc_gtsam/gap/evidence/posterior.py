@@ -188,6 +188,8 @@ def key_of(tree: Tree, node: Node) -> tuple[str, ...]:
 
 
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
-    """Probabilities."""
+    """Probabilities, a share of which is kept for what this comparison does not hold: something unknown alone."""
     total = logsumexp(list(logs.values()))
-    return {key: float(np.exp(log - total)) for key, log in logs.items()}
+    result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in logs.items()}
+    result[(), True] = result.get(((), True), 0.0) + PRIOR.unforeseen
+    return result
