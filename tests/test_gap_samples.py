@@ -19,8 +19,8 @@ from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, sample_hol
 from magyc_gtsam.gap.objections import switched
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import determined, refit, with_term
-from magyc_gtsam.gap.score import Projector, variants
 from magyc_gtsam.gap.search import look
+from magyc_gtsam.gap.variants import Projector, variants
 
 
 def test_a_tone_faster_than_the_windows_is_sized_and_taken_out() -> None:

@@ -19,9 +19,10 @@ from magyc_gtsam.gap.noise_effects import coloured_noise, quantisation, sample_h
 from magyc_gtsam.gap.null import memory
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import refit, with_term
-from magyc_gtsam.gap.score import Projector, held_out_gain, interleaved, variant, variants
+from magyc_gtsam.gap.score import held_out_gain, interleaved
 from magyc_gtsam.gap.search import look
 from magyc_gtsam.gap.twin import Columns, Twin
+from magyc_gtsam.gap.variants import Projector, variant, variants
 from magyc_gtsam.gap.wrong_samples import spikes
 
 

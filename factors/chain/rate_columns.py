@@ -28,7 +28,7 @@ class RateColumns(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class RateErrors:
+class RateDerivatives:
     """An integrated gyroscope, whose rate may be in error.
 
     Attributes:
@@ -48,7 +48,7 @@ class RateErrors:
     back: Array
 
     @classmethod
-    def of(cls, samples: Preintegration, rate: Array, delay: float) -> RateErrors:
+    def of(cls, samples: Preintegration, rate: Array, delay: float) -> RateDerivatives:
         """Of the true rate (3, G) rad/s, the magnetometer taken `delay` s earlier."""
         time, when = samples.gyroscope_time, samples.magnetometer_time - delay
         track = GyroscopeTrack.integrate(time, rate.T, interval_mean=samples.interval_mean)

@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dtbtrs
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, WITH_SKEW, FieldChain, iron_matrix
 from magyc_gtsam.factors.chain.preintegration import Preintegration
-from magyc_gtsam.factors.chain.rate_columns import RateErrors
+from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, unvech
 from magyc_gtsam.factors.errors import MagycError
@@ -123,7 +123,7 @@ def effect_chain_factor(
         window[~rated] = on_field
         if rated.any():
             rate = corrected.angular_rate.T - parameters[9:12, None]
-            errors = RateErrors.of(corrected, rate, windows.delay)
+            errors = RateDerivatives.of(corrected, rate, windows.delay)
             window[rated], link[rated] = errors.columns(windows, iron_matrix(parameters), state.direction, on_rate)
         information, gradient, alone = bordered(chain, state, reduced, window, link)
         root, pull = semidefinite_root(

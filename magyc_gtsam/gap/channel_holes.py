@@ -8,11 +8,8 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.signals import kinds
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
-
-_PAUSES = 5.0  # times the spacing of a channel's own values, up to which a pause is none
-_SHORT = 10.0  # s, likewise
-_MOST = 0.5  # of the rows may be left out; a channel that would take more is not used
 
 
 def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
@@ -29,7 +26,7 @@ def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
             continue
         filled = [_filled(time, column) for column in columns]
         there = np.all([have for _, have in filled], axis=0)
-        if (known & there).mean() < 1 - _MOST:
+        if (known & there).mean() < 1 - RULES.rows_left_out:
             channels[name] = np.full_like(recording.channels[name], np.nan)
             said.append(f"{name}, which was logged in {there.mean():.0%} of the rows only")
             continue
@@ -50,5 +47,5 @@ def _filled(time: Array, column: Array) -> tuple[Array, np.ndarray]:
         return column, have
     own = time[have]
     spacing = np.diff(np.concatenate([time[:1], own, time[-1:]]))
-    long = spacing > max(_SHORT, _PAUSES * float(np.median(np.diff(own))))
+    long = spacing > max(RULES.pause, RULES.pause_spacings * float(np.median(np.diff(own))))
     return np.interp(time, own, column[have]), have | ~long[np.searchsorted(own, time)]

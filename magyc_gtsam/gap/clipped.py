@@ -6,9 +6,8 @@ from dataclasses import replace
 
 from magyc_gtsam.gap.doubt import Doubt, doubted, with_doubt
 from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
-
-MOST = 0.25  # share of the samples, beyond which the model of saturation is sigmas off: 2 at 0.4, 4 at 0.6
 
 
 def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
@@ -16,11 +15,11 @@ def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
     if clipped is None:
         return gap
     named = any(term.name == "saturation" for term in gap.calibration.terms)  # found now, or given
-    if named and clipped.share <= MOST and gap.verdict in ("none", "closed"):
+    if named and clipped.share <= RULES.cut_off and gap.verdict in ("none", "closed"):
         return gap
     why = "which the search did not name" if not named else "and something else is missing"
-    if clipped.share > MOST:
-        why = f"at most {MOST:.0%} can be modelled"
+    if clipped.share > RULES.cut_off:
+        why = f"at most {RULES.cut_off:.0%} can be modelled"
     remedy = "choose a larger full scale, or move what is magnetic away from the sensor"
     doubt = Doubt(f"axis {clipped.axes} of the magnetometer is cut off, {why}", remedy)
     doubted_gap = replace(

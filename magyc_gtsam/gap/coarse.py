@@ -17,10 +17,10 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.fine import fine_twin
 from magyc_gtsam.gap.problem import Model
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
 
 _TERMS = 8
-_BLURRED = 0.2  # of what the model leaves, up to which the staircase is too small to matter
 
 
 def unrounded(recording: Recording, rounded: Recording, model: Model, step: float, level: float) -> Recording:
@@ -33,7 +33,7 @@ def unrounded(recording: Recording, rounded: Recording, model: Model, step: floa
         level: T, standard deviation of what the model leaves of a sample.
     """
     noise = np.sqrt(max(level**2 - step**2 / 12, (0.05 * step) ** 2))
-    if step / np.pi * np.exp(-2 * (np.pi * noise / step) ** 2) < _BLURRED * level:
+    if step / np.pi * np.exp(-2 * (np.pi * noise / step) ** 2) < RULES.blurred * level:
         return recording
     twin = fine_twin(recording, model)
     time, reading = recording.magnetometer

@@ -14,15 +14,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.held_clock import on_own_clock
 from magyc_gtsam.gap.noise_effects import NoiseScore, quantisation, sample_hold
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
-
-_COARSE = 0.2  # step in sigmas from which values repeat by chance
-_SECOND = 1.0  # s over which readings are averaged to see whether they move
-_REST = 10  # such means that hardly differ are a rest
-_SAME = 0.03  # of the field's spread over the recording: less is no move
-_NEAR = 3  # means beside a rest in which a jump belongs to it
-_JUMP = 0.1  # of the field's spread
-_SPARED = 5.0  # s between the samples of a rest that count
 
 
 def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tuple[NoiseScore, ...]]:
@@ -74,37 +67,37 @@ def _unheld(recording: Recording, noise: float) -> Recording:
 
     To leave such repeats out would keep the first of each, and so make the magnetometer seem early.
     """
-    if quantisation(recording, noise).statistic < _COARSE:
+    if quantisation(recording, noise).statistic < RULES.repeats_by_chance:
         return recording
     return replace(recording, magnetic_field_fresh=recording.magnetic_field_stamped)
 
 
 def moving(recording: Recording) -> Recording:
-    """With one sample in `_SPARED` s where the reading stands still for `_REST` s or more.
+    """With one sample in `RULES.rest_spared` s where the reading stands still for `RULES.rest_means` s or more.
 
     A field that differs from place to place, by a microtesla or two in any room, differs by one number where the
     sensor rests, however long it rests there; told a hundred times it would pass for iron that came and went. A rest
     that begins or ends with a jump which no turn explains is kept: iron did come or go there.
     """
     time, field = recording.magnetometer
-    second = np.floor((time - time[0]) / _SECOND).astype(int)
+    second = np.floor((time - time[0]) / RULES.rest_mean).astype(int)
     number, starts, count = np.unique(second, return_index=True, return_counts=True)
-    if len(number) < 2 * _REST:
+    if len(number) < 2 * RULES.rest_means:
         return recording
     mean = np.add.reduceat(field, starts, axis=0) / count[:, None]
     spread = float(np.sqrt(mean.var(axis=0).sum()))
-    stretches = np.lib.stride_tricks.sliding_window_view(mean, _REST, axis=0)
-    calm = np.flatnonzero(np.ptp(stretches, axis=2).max(axis=1) < _SAME * spread)
+    stretches = np.lib.stride_tricks.sliding_window_view(mean, RULES.rest_means, axis=0)
+    calm = np.flatnonzero(np.ptp(stretches, axis=2).max(axis=1) < RULES.rest_same * spread)
     still = np.zeros(len(mean), dtype=bool)
-    still[np.unique(calm[:, None] + np.arange(_REST))] = True
+    still[np.unique(calm[:, None] + np.arange(RULES.rest_means))] = True
     edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)).reshape(-1, 2)
     jumps = _jumps(recording, time[starts], mean, spread)
     for first, end in edges:
-        if jumps[max(first - _NEAR, 0) : first].any() or jumps[end - 1 : end + _NEAR].any():
+        if jumps[max(first - RULES.rest_near, 0) : first].any() or jumps[end - 1 : end + RULES.rest_near].any():
             still[first:end] = False
     if not still.any() or still.all():
         return recording
-    spared = np.diff(np.floor((time - time[0]) / _SPARED), prepend=-1.0) > 0
+    spared = np.diff(np.floor((time - time[0]) / RULES.rest_spared), prepend=-1.0) > 0
     fresh = recording.magnetic_field_fresh.copy()
     fresh[fresh] = ~still[np.searchsorted(number, second)] | spared
     return replace(recording, magnetic_field_fresh=fresh)
@@ -115,7 +108,7 @@ def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.
     when, rate = recording.gyroscope
     turned = summed_rate(when, np.linalg.norm(rate, axis=1))
     # A mean reaches a second ahead of its first sample.
-    turn = np.interp(time[1:] + _SECOND, when, turned) - np.interp(time[:-1], when, turned)
+    turn = np.interp(time[1:] + RULES.rest_mean, when, turned) - np.interp(time[:-1], when, turned)
     change = np.linalg.norm(np.diff(mean, axis=0), axis=1)
-    result: np.ndarray = change > _JUMP * spread + 2 * spread * turn
+    result: np.ndarray = change > RULES.rest_jump * spread + 2 * spread * turn
     return result

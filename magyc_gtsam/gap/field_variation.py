@@ -24,13 +24,14 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import per_axis
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.score import Projector
 from magyc_gtsam.gap.twin import Columns, Twin
+from magyc_gtsam.gap.variants import Projector
 
 _MODES = 60  # of the time
 _CORRELATION = (1.0, 4.0, 16.0)  # s
 _AMPLITUDES = 1e-6 * 2.0 ** np.arange(-3.0, 4.0)  # T
 _SHARES = (0.0, 0.5, 1.0, 2.0)  # of attitude's part in the way's: alone it would be something that is no place
+COMBINATIONS = len(_CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
 _TURN = 0.6  # rad, of change with attitude: likeliest of 0.3, 0.6 and 1 on hand-held real logs
 _ATTITUDES = 80  # at which the function of attitude is spanned
 _LEAST = 0.05  # of its variance at one of them: a direction with less is left out

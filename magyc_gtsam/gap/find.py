@@ -25,11 +25,12 @@ from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.decision import marginals
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
-from magyc_gtsam.gap.noiseless import LEAST, noiseless
+from magyc_gtsam.gap.noiseless import noiseless
 from magyc_gtsam.gap.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import Refit, as_calibration, refit, widened
 from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.search import Search, search
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.gap.tones import silenced
@@ -39,7 +40,6 @@ from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 
-_WINDOW = 1.0  # s
 _ADD_NOISE = "give the simulated sensors the noise of the real ones, or record a log"
 _SILENT = f"a misfit has nothing to be measured against; {_ADD_NOISE}"
 
@@ -149,7 +149,7 @@ def _looked(
         doubt = Doubt(f"too little motion to determine the {weakest.what}", weakest.remedy)
         reasons = f"too little motion: {weakest.sentence}", doubt
     elif noiseless(recording):
-        silence = f"the magnetometer has no measurable noise (under {LEAST * 1e9:.2g} nT)"
+        silence = f"the magnetometer has no measurable noise (under {RULES.noiseless * 1e9:.2g} nT)"
         reasons = f"{silence}: {_SILENT}", Doubt(silence, _ADD_NOISE)
     if reasons is not None:
         gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
@@ -204,7 +204,7 @@ def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
 
 def _problem(recording: Recording) -> Problem:
     recording = moving(recording)
-    return Problem.of(recording, preintegrate(recording, _WINDOW))
+    return Problem.of(recording, preintegrate(recording, RULES.window))
 
 
 def base_model(recording: Recording, calibration: Calibration | None, short_term: SensorNoise) -> Refit:

@@ -10,13 +10,12 @@ from magyc_gtsam.estimators.smoother.preparation import preintegrate
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, quantisation, tone
 from magyc_gtsam.gap.problem import Model, Problem
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.gap.wrong_samples import spikes
 from magyc_gtsam.recording import Recording
 
 _MOST = 60000  # samples
-_MOTION = 0.98  # share of the field's changes that lie below the edge
-_HARMONICS = 2.0
 
 
 class Fine(NamedTuple):
@@ -54,7 +53,7 @@ def fine_twin(recording: Recording, model: Model) -> Twin:
 def _edge(field: Array, rate: float) -> float:
     power = (np.abs(np.fft.rfft(field - field.mean(axis=1)[:, None], axis=1)[:, 1:]) ** 2).sum(axis=0)
     held = np.cumsum(power) / max(float(power.sum()), 1e-300)
-    return float(_HARMONICS * (np.searchsorted(held, _MOTION) + 1) * rate / field.shape[1])
+    return float(RULES.motion_harmonics * (np.searchsorted(held, RULES.motion_held) + 1) * rate / field.shape[1])
 
 
 def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseScore]:

@@ -11,11 +11,10 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import per_axis
 from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Columns, Twin
 
 _KNOTS = (12, 40)  # of the splines in time
-_SHORTEST = 4.0  # s between knots
-_SHARE_OF_RATE = 0.016  # to which a scale or an angle must be determined
 
 
 class Family(NamedTuple):
@@ -38,7 +37,7 @@ def families(twin: Twin) -> list[Family]:
     duration = float(twin.time[-1] - twin.time[0])
     result = []
     for knots in _KNOTS:
-        if duration < knots * _SHORTEST:
+        if duration < knots * RULES.knots_apart:
             continue
         result += [
             Family(
@@ -66,9 +65,11 @@ def families(twin: Twin) -> list[Family]:
             "the rate of turn, on the gyroscope",
             _on_rate(lambda s: s.need("rate")),
             (),
-            _SHARE_OF_RATE,
+            RULES.determined_rate,
         ),
-        Family("rate:quadratic", "the rate of turn, on the gyroscope", _on_rate(_bent_rate), (), _SHARE_OF_RATE),
+        Family(
+            "rate:quadratic", "the rate of turn, on the gyroscope", _on_rate(_bent_rate), (), RULES.determined_rate
+        ),
         Family("rate:gyroscope", "products of rates of turn, on the gyroscope", _on_rate(_rate_squares), (3, 1)),
         Family("field:gyroscope", "attitude, on the gyroscope", _field_on_rate, (3,)),
     ]

@@ -11,13 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
-
-_ONE_ROW = 1.2  # rows by which the ages of held samples differ, if they come on a clock
-_HOLE = 1.5  # steps of the rows from which rows are missing
-_FEW = 10  # samples, from which a clock can be seen
-_BEAT = 4  # samples, at most, until those of a clock in step meet a row alike: a quarter of a row is open
-_IN_STEP = 0.99  # of the samples: a row that is late now and then breaks no step
 
 
 def on_own_clock(recording: Recording) -> Recording:
@@ -34,12 +29,12 @@ def on_own_clock(recording: Recording) -> Recording:
     """
     entries = recording.time[recording.magnetic_field_stamped]
     row = float(np.median(np.diff(entries)))
-    stretches = np.concatenate([[0], np.cumsum(np.diff(entries) > _HOLE * row)])
+    stretches = np.concatenate([[0], np.cumsum(np.diff(entries) > RULES.clock_hole * row)])
     time, field = recording.magnetometer
     stretch = stretches[np.searchsorted(entries, time)]
     seen = np.diff(stretch, prepend=-1) == 0  # how long the first of a stretch was held before is not
     time, field, stretch = time[seen], field[seen], stretch[seen]
-    if len(time) < _FEW or (np.diff(stretch) != 0).all():
+    if len(time) < RULES.clock_samples or (np.diff(stretch) != 0).all():
         return recording
     number, rows = _numbered(time, stretch, row), _numbered(entries, stretches, row)
     measured = _in_step(number, rows[np.searchsorted(entries, time)])
@@ -57,13 +52,13 @@ def _in_step(number: Array, rows: Array) -> Array | None:
     other.
     """
     period = float(np.polyfit(number, rows, 1)[0])
-    for beat in range(1, _BEAT + 1):
+    for beat in range(1, RULES.clock_beat + 1):
         every = round(period * beat)
         place = np.round(beat * rows - every * number).astype(int)
         first = place.min()
         count = np.concatenate([np.bincount(place - first), np.zeros(beat - 1)])
         within = np.convolve(count, np.ones(beat), "valid")
-        if within.max() >= _IN_STEP * len(number):
+        if within.max() >= RULES.clock_in_step * len(number):
             measured: Array = (every * number + first + int(within.argmax())) / beat
             return measured
     return None
@@ -75,7 +70,7 @@ def _on_a_line(number: Array, time: Array, row: float) -> Array | None:
     own: Array = time[0] + start + slope * number
     age = time - own
     spread = float(np.ptp(age))
-    if slope < row or spread > _ONE_ROW * row:
+    if slope < row or spread > RULES.clock_age * row:
         return None
     open_by = min(row / len(np.unique(np.round(age / row, 2))), max(row - spread, 0.0))
     return own + float(age.min()) - 0.5 * open_by
@@ -89,7 +84,7 @@ def _numbered(time: Array, stretch: np.ndarray, row: float) -> Array:
     """
     between, same = np.diff(time), np.diff(stretch) == 0
     period = float(between[same].mean())
-    missed = np.maximum(np.ceil((between - _ONE_ROW * row) / period), 1.0)
+    missed = np.maximum(np.ceil((between - RULES.clock_age * row) / period), 1.0)
     number = np.concatenate([[0.0], np.cumsum(np.where(same, missed, 0.0))])
     piece = np.unique(stretch, return_inverse=True)[1]
     size = np.bincount(piece)

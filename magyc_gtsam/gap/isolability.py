@@ -22,14 +22,14 @@ from magyc_gtsam.gap.naming import Look, choices, rivals_of
 from magyc_gtsam.gap.noise_isolability import noise_isolability
 from magyc_gtsam.gap.null import quantile, surprises
 from magyc_gtsam.gap.result import Isolability
-from magyc_gtsam.gap.score import Score, Variant
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.search import look
+from magyc_gtsam.gap.variants import Variant
 from magyc_gtsam.recording import Recording
 
-_POWER = 0.9
 _DIRECTIONS = 500  # of the values, over which the power is a mean
 _TRIALS = 60  # of naming an effect
-_MOST = 0.5  # share of them from which another name counts
 
 
 def isolability(recording: Recording) -> tuple[Isolability, ...]:
@@ -109,7 +109,9 @@ def _found_from(seen: Array, score: Score) -> float:
 
     # With it even the direction that is seen worst is found.
     enough = np.sqrt((4 * threshold + 100) / size.min())
-    return float(np.exp(brentq(lambda log: power(np.exp(log)) - _POWER, np.log(1e-6 * enough), np.log(enough))))
+    return float(
+        np.exp(brentq(lambda log: power(np.exp(log)) - RULES.found_with, np.log(1e-6 * enough), np.log(enough)))
+    )
 
 
 def _confused(name: str, signatures: Array, now: Look, random: np.random.Generator) -> dict[str, float]:
@@ -123,7 +125,9 @@ def _confused(name: str, signatures: Array, now: Look, random: np.random.Generat
         if options:
             given.append({options[0].name, *rivals_of(options[0], trial)})
     often = Counter(other for names in given for other in names - {name})
-    return {other: count / len(given) for other, count in often.most_common() if count > _MOST * len(given)}
+    return {
+        other: count / len(given) for other, count in often.most_common() if count > RULES.confused * len(given)
+    }
 
 
 def _trials(now: Look, innovations: Array) -> list[Look]:

@@ -14,13 +14,13 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import tone
 from magyc_gtsam.gap.result import GapMap, Line, Metrics, OpenLoop
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import interleaved
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.metrics import heading_deviation
 from magyc_gtsam.recording import Recording
 
 HORIZON = 20.0  # s
-_BLOCK = 10.0  # s
 _BINS = 30
 _FEW = 5  # windows below which a bin is left out
 
@@ -52,7 +52,7 @@ def measure(twin: Twin, calibration: Calibration, fine: Fine | None = None) -> M
 
 def held_out(twin: Twin, innovation: Array) -> float:
     """Log-likelihood per window (nats) on blocks that the parameters were not fitted to."""
-    base, block = twin.base_columns, interleaved(twin.time, _BLOCK)
+    base, block = twin.base_columns, interleaved(twin.time, RULES.block)
     flat = innovation.ravel()
     size = np.maximum(np.linalg.norm(base, axis=1), 1e-300)[:, None]
     square = 0.0

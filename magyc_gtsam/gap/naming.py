@@ -10,19 +10,20 @@ import numpy as np
 from scipy.stats import chi2
 
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.fine import Fine, fine_innovations, noise_scores
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Model
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.score import Projector, Score, Variant
+from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.variants import Projector, Variant
 from magyc_gtsam.recording import Recording
 
 _OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # with time alone
 _IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
-NOISE_LIMIT = float(np.log(22 / 0.01))
+NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +249,7 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         behind = choice.evidence - rival.evidence
         # What has many shapes, as a drift or what comes and goes, may have had another than those tried.
         shapes = any(TERMS[s.name].many_shapes or "until" in s.variant.setting for s in (choice, rival))
-        close = behind < min(RULES.ahead + RULES.shape * choice.evidence, 0.5 * choice.evidence)
+        close = behind < min(RULES.ahead + RULES.shape * choice.evidence, RULES.close_rival * choice.evidence)
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
         alike = rival.significant and behind < RULES.ahead and not _adds_beyond(choice.variant, rival.variant, now)
         tied = rival.significant and behind < max(RULES.tie[0], RULES.tie[1] * choice.evidence)

@@ -23,7 +23,6 @@ _BESIDE = 10  # bins to each side of a line that must lie far below it: a resona
 _LEAKS = 2  # bins to each side of a line into which it leaks
 _CELLS = 4  # of the grid per sample: at half the rate, rounding to them takes 3 % of an amplitude
 _EMPTY = 8.0  # times the samples, that a recording may last for its holes to be kept
-_PATTERN = 1e-3  # share of a constant's power that uneven stamps put at a frequency, from which it is their own
 _FLAT = 1e-6  # of the largest variance, below which a direction says nothing
 _LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
 _ROWS = 100  # that a share is told from, at least
@@ -109,7 +108,7 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     np.add.at(grid.T, cell, np.concatenate([innovation, np.ones((1, len(time)))]).T)
     power, frequency = _periodogram(grid[:3], 1 / step)
     pattern, _ = _periodogram(grid[3:], 1 / step)
-    of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > _PATTERN * len(time) ** 2
+    of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > RULES.pattern * len(time) ** 2
     power = np.where(of_pattern, 0.0, power * grid.shape[1] / len(time))
     # What leaks at half the rate meets its own mirror image there.
     below = frequency < 0.5 / (_CELLS * step) - (_LEAKS + 0.5) * frequency[0]
@@ -199,13 +198,13 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
 def lattice(values: Array) -> float:
     """The step of the lattice that the values lie on; 0 where there is none."""
     distinct = np.unique(values)
-    if len(distinct) > 0.5 * len(values) or len(distinct) < 3:
+    if len(distinct) > RULES.lattice_distinct * len(values) or len(distinct) < 3:
         return 0.0
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-6 * gaps.max()]
     step = float(gaps.min())
     multiples = gaps / step
-    return step if float(np.abs(multiples - np.round(multiples)).max()) < 0.02 else 0.0
+    return step if float(np.abs(multiples - np.round(multiples)).max()) < RULES.lattice_off else 0.0
 
 
 def sample_hold(recording: Recording) -> NoiseScore:

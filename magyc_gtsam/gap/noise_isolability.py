@@ -18,7 +18,6 @@ from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
 
-_POWER = 0.9
 _SHARE = 0.01  # of the samples that are spikes
 _TOGETHER = 1.0  # s, correlation time of the colour
 _MATTERS = 0.5e-6  # T, of a tone and of colour: half the noise of an ordinary magnetometer
@@ -59,7 +58,7 @@ def _certain(name: str, smallest: float, unit: str, words: str) -> Isolability:
 
 def _gain_needed() -> float:
     """Mean gain (nats) that passes the level with probability 0.9: a gain of G has a deviation of √(2 G)."""
-    spread = np.sqrt(2) * float(norm.ppf(_POWER))
+    spread = np.sqrt(2) * float(norm.ppf(RULES.found_with))
     return float((0.5 * (spread + np.sqrt(spread**2 + 4 * (NOISE_LIMIT + RULES.chance)))) ** 2)
 
 
@@ -71,7 +70,7 @@ def _solved(gain: Callable[[float], float], needed: float) -> float:
 def _tone(samples: int) -> float:
     """Amplitude: twice the height of a line is χ² of 6 degrees, not central by n a² / 2."""
     level = quantile(NOISE_LIMIT + RULES.unsure_line + 2 * float(np.log(samples / 2)), 6)
-    return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), _POWER)
+    return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), RULES.found_with)
 
 
 def _coloured(samples: int, rate: float) -> float:

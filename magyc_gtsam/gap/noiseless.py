@@ -7,11 +7,10 @@ from math import comb
 import numpy as np
 
 from magyc_gtsam.gap.noise_effects import lattice
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.recording import Recording
 
-LEAST = 5e-11  # T per sample: less than a laboratory's fluxgate has, more than rounding to single precision makes
 _ORDER = 12  # of the differences, which a motion sampled eight times or more in its shortest period does not enter
-_MOST = 90.0  # % of the differences; the others may span what is not smooth
 
 
 def noiseless(recording: Recording) -> bool:
@@ -20,8 +19,8 @@ def noiseless(recording: Recording) -> bool:
     Coarse readings that seldom change are none of these: their steps are an effect that can be named.
     """
     value = recording.magnetometer.value
-    if len(value) <= _ORDER or max(lattice(axis) for axis in value.T) > LEAST:
+    if len(value) <= _ORDER or max(lattice(axis) for axis in value.T) > RULES.noiseless:
         return False
     differences = np.diff(value, n=_ORDER, axis=0)
     level = np.sqrt((differences**2).mean(axis=1) / comb(2 * _ORDER, _ORDER))
-    return bool(np.percentile(level, _MOST) < LEAST)
+    return bool(np.percentile(level, RULES.noiseless_share) < RULES.noiseless)

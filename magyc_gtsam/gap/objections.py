@@ -13,7 +13,7 @@ from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, Look, faint, shape_of, we
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.score import Projector, Variant, variant
+from magyc_gtsam.gap.variants import Projector, Variant, variant
 
 _CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-hard-iron")
 

@@ -15,8 +15,9 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.score import Projector, Score, variant
+from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.variants import Projector, variant
 
 _SHIFTS = 32  # of the recording's length
 

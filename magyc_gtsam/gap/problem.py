@@ -18,7 +18,7 @@ from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, SensorNo
 from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration
-from magyc_gtsam.factors.chain.rate_columns import RateErrors
+from magyc_gtsam.factors.chain.rate_columns import RateDerivatives
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.factors.effects.forms import FORMS, Setting
@@ -83,9 +83,9 @@ class Integrated:
     windows: FieldWindows
 
     @cached_property
-    def errors(self) -> RateErrors:
+    def errors(self) -> RateDerivatives:
         """What further errors of the rate do."""
-        return RateErrors.of(self.samples, self.rate, self.windows.delay)
+        return RateDerivatives.of(self.samples, self.rate, self.windows.delay)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.null import surprises
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.score import Projector, Score, Variant, variant, variants
+from magyc_gtsam.gap.score import Score
+from magyc_gtsam.gap.variants import Projector, Variant, variant, variants
 
 _FEW = 20  # settings up to which a neighbour is tried at all of them
 

@@ -25,7 +25,6 @@ _ROUNDS = 3  # of noise levels
 _STEPS = 8
 _SHORTER = (1.0, 0.5, 0.2, 0.05)
 _ROUNDING = 0.5  # of a cost, to second order of the rotations
-_FEW = 3  # values of one vector, which the motion determines alike
 _GRID = 81
 _FOLLOWING = 3  # steps of the iron behind those of what bends the reading
 _ASTRAY = 100.0  # times the cost allowed, from which it is not followed
@@ -147,7 +146,7 @@ def tempered(problem: Problem, result: Refit, short_term: SensorNoise) -> Refit:
     """
     terms = list(result.model.terms)
     for index, term in enumerate(terms):
-        if len(term.value) > _FEW:
+        if len(term.value) > RULES.one_vector:
             value, covariance = _standardised(result, index)
             terms[index] = replace(term, prior=spread(value, covariance, TERMS[term.name].prior))
     if terms == list(result.model.terms):

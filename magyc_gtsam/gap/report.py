@@ -15,10 +15,10 @@ from magyc_gtsam.gap.neighbours import label_of, product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.refit import Refit
 from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Status, Verdict
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.step_time import step_time_sigma
 
-_POWER = 0.8
 FIELD_VARIES = "field of the place that varies"
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
 _TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
@@ -215,7 +215,7 @@ def _hypothesis(
         status, words = "explained", "significant until other effects are in the model"
     elif score.significant:
         status, words = "significant", "significant"
-    elif term and power < _POWER:
+    elif term and power < RULES.would_be_found:
         status, words = (
             "not enough information",
             f"the smallest effect that matters ({matters * scale:.2g} {term.unit}) would be found with "
@@ -297,7 +297,7 @@ def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: It
             "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
         )
         return Manoeuvre((), motion, f"to identify the effect: {motion}")
-    blind = [s for s in look.scores if s.name in TERMS and s.power(look.refit.twin) < _POWER]
+    blind = [s for s in look.scores if s.name in TERMS and s.power(look.refit.twin) < RULES.would_be_found]
     if blind:
         weakest = min(blind, key=lambda s: s.power(look.refit.twin))
         motion = TERMS[weakest.name].motion

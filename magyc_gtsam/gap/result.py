@@ -34,7 +34,8 @@ class Effect:
         applied: whether `gap.calibration` corrects it.
         sentence: one line that a navigator understands.
         probability: that it is there, by the evidence of all sets of effects; 0.985 at most, for what none of them
-            holds. The name is given by score tests, and not corrected where it and what it may be instead are improbable.
+            holds. The name is given by score tests, and not corrected where it and what it may be instead are
+            improbable.
     """
 
     name: str

@@ -11,9 +11,8 @@ exponential and is extrapolated from their upper tenth; χ² tables know neither
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby, islice
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import ncx2
@@ -24,37 +23,10 @@ from magyc_gtsam.gap.generic import Family, families
 from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Twin, together
+from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.variants import Projector, Variant, determined, ready, variant, variants
 
 DRAWS = 500
-_AT_ONCE = 100_000  # numbers made ready at once, so that they stay in the processor's cache
-_DEPENDENT = 1e-6  # share of a column that must be left beside the base model
-
-
-@dataclass(frozen=True, eq=False)
-class Variant:
-    """A candidate at one setting.
-
-    Attributes:
-        setting: of what is searched over.
-        columns: (k, 3n) whitened.
-        unit: (r, 3n) orthonormal, freed of the base model; r ≤ k.
-        back: (k, r) from d to the expected value.
-        left: share of the columns that the base model leaves, 0 to 1.
-        pull: (k,) expected score of the columns without any effect; `offset` (r,) that of `unit`.
-    """
-
-    setting: Mapping[str, float]
-    columns: Array
-    unit: Array
-    back: Array
-    left: float
-    pull: Array
-    offset: Array
-
-    def score(self, innovation: Array) -> Array:
-        """(r,) d, of innovations freed of the base model."""
-        return self.unit @ innovation - self.offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,62 +83,6 @@ class Score:
         return float(ncx2.sf(self.threshold, len(self.variant.unit), size))
 
 
-class Projector:
-    """Frees innovations of the base model's, whose columns (q, 3n) have an expected score (q,) of their own."""
-
-    def __init__(self, base: Array, pull: Array | None = None) -> None:
-        scale = np.linalg.norm(base, axis=1)
-        scale = np.where(scale > 0, scale, 1.0)
-        q, r = np.linalg.qr((base / scale[:, None]).T)
-        self._q = q[:, np.abs(np.diag(r)) > 1e-9]
-        pulled = np.zeros(len(base)) if pull is None else pull / scale
-        self._pull = np.linalg.lstsq(r.T, pulled, rcond=1e-9)[0][np.abs(np.diag(r)) > 1e-9]
-
-    def __call__(self, rows: Array) -> Array:
-        result: Array = rows - (rows @ self._q) @ self._q.T
-        return result
-
-    def shared_pull(self, rows: Array) -> Array:
-        """The part of the expected score of rows that the base model's columns have of it."""
-        result: Array = (rows @ self._q) @ self._pull
-        return result
-
-
-def variant(
-    setting: Mapping[str, float], columns: Array, project: Projector, pull: Array | None = None
-) -> Variant:
-    """A candidate's columns made ready."""
-    pull = np.zeros(len(columns)) if pull is None else pull
-    return ready([setting], columns[None], project, pull[None])[0]
-
-
-def ready(
-    settings: Sequence[Mapping[str, float]], columns: Array, project: Projector, pull: Array
-) -> list[Variant]:
-    """Candidates of as many columns (s, k, 3n) each, made ready at once; their pulls (s, k)."""
-    count, width, rows = columns.shape
-    size = np.sqrt(np.einsum("skn,skn->sk", columns, columns))
-    kept = size > 0
-    scale = np.where(kept, size, 1.0)
-    flat = (columns / scale[..., None]).reshape(-1, rows)
-    free = project(flat).reshape(columns.shape)
-    shared = project.shared_pull(flat).reshape(count, width) * scale
-    value, vector = np.linalg.eigh(free @ free.swapaxes(1, 2))
-    good = value > _DEPENDENT
-    root = vector / np.sqrt(np.where(good, value, 1.0))[:, None]
-    unit = root.swapaxes(1, 2) @ free
-    back = root / scale[..., None]
-    left = np.sqrt(np.einsum("skn,skn->s", free, free) / np.maximum(kept.sum(axis=1), 1))
-    offset = np.einsum("ski,sk->si", back, pull - shared)
-    result = []
-    for i, setting in enumerate(settings):
-        own = slice(None) if good[i].all() else good[i]
-        result.append(
-            Variant(setting, columns[i], unit[i, own], back[i][:, own], float(left[i]), pull[i], offset[i, own])
-        )
-    return result
-
-
 def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[str, tuple[str, list[Variant]]]:
     """{name: (place, variants)} of the named effects that can be tested, then of the generic families."""
     result: dict[str, tuple[str, list[Variant]]] = {}
@@ -179,7 +95,7 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
             many = variants(twin, project, name, settings)
             result[name] = (
                 "",
-                [_determined(v, RULES.determined * term.matters) for v in many] if term.many_shapes else many,
+                [determined(v, RULES.determined * term.matters) for v in many] if term.many_shapes else many,
             )
     beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
     for family in (*families(twin), *{f.name: f for f in beside}.values()):
@@ -187,21 +103,12 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
     return result
 
 
-def _determined(one: Variant, within: float) -> Variant:
-    """Without the directions of the values that the motion does not determine to `within`: absurd values would do."""
-    if not np.isfinite(within):
-        return one
-    value, sigma, d = np.linalg.svd(one.back, full_matrices=False)
-    kept = sigma <= within
-    return replace(one, unit=d[kept] @ one.unit, back=(value * sigma)[:, kept], offset=d[kept] @ one.offset)
-
-
 def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
     """A generic family as a whole and, where no named effect lies in it, each of its profiles and columns."""
     columns = family.columns(twin)
     rows = twin.whiten(columns)
     pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
-    result = [_determined(variant({}, rows, project, pull), family.within)]
+    result = [determined(variant({}, rows, project, pull), family.within)]
     for width in family.parts:
         whole = len(rows) // width
         settings = [{"first": float(width * i), "width": float(width)} for i in range(whole)]
@@ -210,18 +117,6 @@ def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
         if whole * width < len(rows):
             rest = {"first": float(whole * width), "width": float(width)}
             result.append(variant(rest, rows[whole * width :], project, pull[whole * width :]))
-    return result
-
-
-def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str, float]]) -> list[Variant]:
-    """A named effect at several settings, neighbours of as many columns together."""
-    made = ((setting, TERMS[name].regressors(twin, setting)) for setting in settings)
-    result: list[Variant] = []
-    for count, alike in groupby(made, key=lambda each: len(each[1].window)):
-        while some := list(islice(alike, max(_AT_ONCE // (3 * twin.n * count), 1))):
-            rows = twin.whiten(together([part for _, part in some])).reshape(len(some), count, -1)
-            pull = np.array([np.zeros(count) if part.pull is None else part.pull for _, part in some])
-            result += ready([setting for setting, _ in some], rows, project, pull)
     return result
 
 

@@ -36,8 +36,9 @@ from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import sharpened
 from magyc_gtsam.gap.refit import Refit, possible, refit, small, widened, without_term
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.score import Projector, Score, held_out_gain, interleaved, scan
+from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
+from magyc_gtsam.gap.variants import Projector
 from magyc_gtsam.recording import Recording
 
 _TURNS = RULES.most_terms + 8  # of looking, effects on the noise, what cannot be fitted and exchanges included
@@ -79,7 +80,7 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
         ]
     scores.sort(key=lambda s: -s.evidence)
     confirm = _confirmation(refitted, innovation)
-    gains = {s.name: confirm(s) for s in scores if s.evidence > 3.0}
+    gains = {s.name: confirm(s) for s in scores if s.evidence > RULES.worth_a_look}
     for s in scores:
         tried = s.significant and not s.generic and gains[s.name] > 0
         if tried and not in_its_own_time(s, refitted.twin, innovation, projector):
@@ -100,7 +101,7 @@ def _confirmation(refitted: Refit, innovation: Array) -> Callable[[Score], float
     base = beside(twin.base_columns[~local])
 
     def gain(score: Score) -> float:
-        length = 10.0 if score.generic else TERMS[score.name].block(score.variant.setting)
+        length = RULES.block if score.generic else TERMS[score.name].block(score.variant.setting)
         length = min(length, (twin.time[-1] - twin.time[0]) / RULES.blocks)
         columns = beside(score.variant.columns)
         return held_out_gain(base, columns, innovation, interleaved(twin.time, length))

@@ -9,7 +9,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.field_variation import field_variation
 from magyc_gtsam.gap.refit import Refit, without_term
-from magyc_gtsam.gap.score import Projector, variant
+from magyc_gtsam.gap.variants import Projector, variant
 
 _REACH = 60.0  # s to both sides
 _FEWEST = 12  # windows to both sides

@@ -28,7 +28,6 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.recording import Recording
 
-_WINDOW = 1.0  # s
 _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
@@ -53,7 +52,7 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
             "without which it predicts nothing; calibrate with smoother"
         )
     recording = _as_it_is_read(recording, calibration)
-    problem = Problem.of(recording, preintegrate(recording, _WINDOW))
+    problem = Problem.of(recording, preintegrate(recording, RULES.window))
     twin = _own_bias(problem, as_model(problem, calibration))
     return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
 

@@ -7,10 +7,8 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
-
-_UNLIKE = 0.7  # times a delay, by which plates differ from it: one plate by 2.4, one plate on each axis by 0
-_LOOSE = 0.03  # of delays and plates: how far the next order, which grows with the speed of turn, may be ahead
 
 
 def directions() -> list[dict[str, float]]:
@@ -53,7 +51,7 @@ def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
         return True
     matrix = value.reshape(3, 3)
     delay = float(np.trace(matrix)) / 3
-    return delay > 0 and float(np.linalg.norm(matrix - delay * np.eye(3))) > _UNLIKE * delay
+    return delay > 0 and float(np.linalg.norm(matrix - delay * np.eye(3))) > RULES.unlike_delay * delay
 
 
 def _say_misalignment(value: Array, sigma: Array, setting: Setting) -> str:
@@ -104,7 +102,7 @@ TIMING = EffectTerm(
     say=_say_timing,
     motion="turn fast one way and the other, about more than one axis",
     products=("speed", "speed²"),
-    loose=_LOOSE,
+    loose=RULES.next_order,
 )
 EDDY_PLANE = EffectTerm(
     name="eddy-plane",
@@ -121,5 +119,5 @@ EDDY_PLANE = EffectTerm(
     possible=_holds_back,
     refined=_plates_nearby,
     products=("speed", "speed²"),
-    loose=_LOOSE,
+    loose=RULES.next_order,
 )

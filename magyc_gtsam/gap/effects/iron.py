@@ -9,13 +9,13 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 
 _STEPS = 100  # times at which a step is looked for
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s by which what warms up lies behind the thermometer
 _ENDS = 16  # times at which something may be attached or taken off
 _FEW_MODES, _MANY_MODES = (0, 2, 4, 6), (9, 12)  # of a drift
-_FAR = 30.0  # deviations from 0, beyond which a channel's 0 says nothing about where no current flows
 _MARGIN = 4  # windows at both ends where a step would be no more than noise
 
 
@@ -32,7 +32,9 @@ def references(twin: Twin, kind: str) -> dict[str, float]:
 def _circuits(twin: Twin) -> list[dict[str, float]]:
     """All currents, or those that flow; of what is never near 0, as raw counts may be, what differs from its mean."""
     moving = _moving(twin, "current")
-    offset = {i: float(row.mean()) for i, row in moving.items() if abs(row.mean()) > _FAR * row.std()}
+    offset = {
+        i: float(row.mean()) for i, row in moving.items() if abs(row.mean()) > RULES.far_from_zero * row.std()
+    }
     if not offset and len(moving) == len(twin.windows.channels["current"]):
         return [{}]
     return [{f"reference_{i}": offset.get(i, 0.0) for i in moving}]

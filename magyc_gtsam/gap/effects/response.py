@@ -8,17 +8,14 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.alignment import directions, directions_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 
-_CLIPPED = 0.12  # of what is beyond a level, lost where it clips; less is a slight bend, and a gain none at all
-_BENT = 0.3  # of it, lost where it saturates over a knee; less is what a cubic loses
 _KNEES = (0.05, 0.15)  # of the largest reading, over which a core saturates
 _NEAR = np.linspace(0.9, 1.1, 41)  # of the likeliest level: those that are tried with each of these knees
 _FINE_KNEES = (0.0, 0.025, 0.05, 0.075, 0.1, 0.125, 0.15)  # of the largest reading
 _FOOT = 2.0  # knees below the level, where an eighth of what is lost in the end is lost
-_LOOP = 0.3  # of the field's span, that a loop may be wide
 _WIDTHS = (0.1, 0.33, 1.0)  # of the widest, that are tried
-_NO_LOOP = 0.95  # of the widest: one fitted as wide has run into the limit
 
 
 def _reading(twin: Twin) -> Array:
@@ -52,13 +49,18 @@ def _loops(twin: Twin) -> list[dict[str, float]]:
 
 def _widest(twin: Twin) -> float:
     """T, of a loop that closes: a wider one is a bent gain."""
-    return _LOOP * float(np.ptp(twin.windows.need("field"), axis=1).max())
+    return RULES.widest_loop * float(np.ptp(twin.windows.need("field"), axis=1).max())
 
 
 def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     widths = [min(setting["width"] * share, _widest(twin)) for share in (0.5, 0.7, 1.0, 1.4, 2.0)]
     where = [{}] if "x" not in setting else directions_nearby(setting)
     return [place | {"width": width} for width in widths for place in where]
+
+
+def _least_loss(setting: Setting) -> float:
+    """Share of what is beyond the level that is lost, at least."""
+    return RULES.bent_loss if setting.get("knee") else RULES.clipped_loss
 
 
 def _say_saturation(value: Array, sigma: Array, setting: Setting) -> str:
@@ -91,7 +93,7 @@ SATURATION = EffectTerm(
     motion="turn over, so that each axis sees its largest field in both directions",
     settings=_levels,
     refined=_levels_nearby,
-    possible=lambda twin, value, setting: bool(value[0] > (_BENT if setting.get("knee") else _CLIPPED)),
+    possible=lambda twin, value, setting: bool(value[0] > _least_loss(setting)),
 )
 CUBIC = EffectTerm(
     name="cubic",
@@ -118,6 +120,6 @@ HYSTERESIS = EffectTerm(
     motion="turn through the same headings slowly and fast, both ways",
     settings=_loops,
     refined=_loops_nearby,
-    possible=lambda twin, value, setting: setting["width"] < _NO_LOOP * _widest(twin),
+    possible=lambda twin, value, setting: setting["width"] < RULES.no_loop * _widest(twin),
     rough=True,
 )

@@ -14,6 +14,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import FORMS, Form, Setting, referenced
 from magyc_gtsam.factors.effects.signals import CHANNELS, Signals, rows_by_kind
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Columns, Twin
 
 Settings = Callable[[Twin], list[dict[str, float]]]
@@ -70,7 +71,7 @@ class EffectTerm:
     motion: str
     settings: Settings = plain
     refined: Callable[[Twin, Setting], list[dict[str, float]]] = lambda twin, setting: []
-    block: Callable[[Setting], float] = lambda setting: 10.0
+    block: Callable[[Setting], float] = lambda setting: RULES.block
     most: int = 1
     least: float = 0.0
     possible: Callable[[Twin, Array, Setting], bool] = lambda twin, value, setting: True

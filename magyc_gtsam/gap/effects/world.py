@@ -8,11 +8,11 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.iron import references
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured
+from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
 _SPACING = 2.0  # of the centres, in widths: the bump and its derivative make up for what lies between
-_ALIKE = 0.99  # correlation from which two rows of a channel are one
 _CENTRES = 170  # at most, of each width
 
 
@@ -23,7 +23,7 @@ def _directions(twin: Twin) -> list[dict[str, float]]:
         return [every]
     rows = twin.windows.channels["position"]
     rows = rows[rows.std(axis=1) > 0]
-    alike = np.abs(np.corrcoef(rows)) > _ALIKE
+    alike = np.abs(np.corrcoef(rows)) > RULES.same_row
     own = [i for i in range(len(alike)) if not alike[i, :i].any()]
     vertical = next((i for i in own if alike[i].sum() > 1), len(alike) - 1)
     names = list(every)
@@ -89,7 +89,7 @@ ANOMALY = EffectTerm(
     motion="pass the same place again on another heading",
     settings=_bumps,
     refined=_bumps_nearby,
-    block=lambda setting: float(np.clip(0.5 * setting["width"], 1.0, 10.0)),
+    block=lambda setting: float(np.clip(0.5 * setting["width"], 1.0, RULES.block)),
     most=2,
     between=0.25,
 )

@@ -23,9 +23,6 @@ from magyc_gtsam.recording import Recording
 
 COLOUR = "coloured-noise"
 _ROUNDS = 3  # of taking out what is found on single samples
-_HARDLY = -3.0  # log odds, below which it is not said to be possible
-_COLOURED = 0.0  # nats of colour at nothing, from which names are looked for beside it
-_DIRECTIONS = float(np.log(20))  # families, of which colour along one direction is one
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +75,7 @@ def answer(
             score, known = found[name], said.get(name, -np.inf)
             odds = log_odds(score)
             form = score.statistic < PRIOR.form * tree.best.of_field
-            if name not in names or (known > 0 and name != "tone") or odds < _HARDLY or form:
+            if name not in names or (known > 0 and name != "tone") or odds < PRIOR.hardly_single or form:
                 continue
             said[name] = max(odds, known)
             if odds > 0:
@@ -112,10 +109,8 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
             if power > PRIOR.form * node.explained:
                 colour = colour_of(left)
                 add(tuple(sorted((*key_of(tree, node), COLOUR))), False, node.log + PRIOR.named + colour.alike)
-                add(key_of(tree, node), True, node.log + PRIOR.unknown - _DIRECTIONS + colour.one_way)
-        if colour_of(tree.nodes[()].beside.left()).alike + PRIOR.named > max(
-            _COLOURED, tree.best.log - PRIOR.close
-        ):
+                add(key_of(tree, node), True, node.log + PRIOR.unknown - PRIOR.one_of_families + colour.one_way)
+        if colour_of(tree.nodes[()].beside.left()).alike + PRIOR.named > max(0.0, tree.best.log - PRIOR.close):
             for names, (log, colour) in beside_colour(tree).items():
                 key = tuple(sorted((*names, COLOUR)))
                 models[key, False] = max(

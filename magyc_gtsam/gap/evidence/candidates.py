@@ -23,7 +23,6 @@ Part = tuple[np.ndarray, str, Setting, float]  # places of columns, whose they a
 Stack = tuple[Array, Array, list[Part]]
 COURSE = "time:sensor"
 _AT_ONCE = 100_000  # numbers worked on at once, so that they stay in the processor's cache
-_WHOLE = 0.5  # probability that a family is wanted as a whole, not in one of its parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,9 +177,9 @@ def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:
         pull = np.zeros(len(rows)) if made.pull is None else made.pull * unit
         cut = [np.arange(first, first + width) for width in family.parts for first in range(0, len(rows), width)]
         cut = [part[part < len(rows)] for part in cut]
-        whole = float(np.log(_WHOLE)) if cut else 0.0
+        whole = float(np.log(PRIOR.whole)) if cut else 0.0
         parts: list[Part] = [(np.arange(len(rows)), family.name, {}, whole)]
-        share = float(np.log((1 - _WHOLE) / max(len(cut), 1)))
+        share = float(np.log((1 - PRIOR.whole) / max(len(cut), 1)))
         parts += [(part, family.name, {"first": float(part[0])}, share) for part in cut]
         yield rows, pull, parts
 

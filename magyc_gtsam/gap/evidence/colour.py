@@ -25,8 +25,6 @@ from magyc_gtsam.gap.evidence.weighing import weigh
 _ORDERS = (1, 2, 3, 4, 6)
 _TIMES = (0.5, 1.0, 2.0, 4.0)  # windows, about s, in which colour beside white noise decays
 _SHARES = (0.1, 0.2, 0.5, 1.0, 2.0)  # of its power, of the white noise's
-_NAMES = 2  # beside colour
-_HARDLY = -2.0  # nats, from which a name is worth a look there
 
 
 class Colour(NamedTuple):
@@ -98,7 +96,7 @@ def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
     names: tuple[str, ...] = ()
     log, left = 0.0, innovation
     soft, variance = candidates.columns[:0], np.zeros(0)
-    for _ in range(_NAMES + 1):
+    for _ in range(PRIOR.names_beside + 1):
         colour = colour_of(left)
         result[names] = log, colour
         white = partial(filtered, colour=colour)
@@ -106,7 +104,7 @@ def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
         beside = Beside(white(innovation), white(base), white(soft), variance, none)
         found = weigh(candidates.changed(white), beside)
         best = max((each for each in found.values() if each.name not in names), key=lambda each: each.log)
-        if best.log + PRIOR.named < _HARDLY:
+        if best.log + PRIOR.named < PRIOR.hardly_beside:
             break
         names, log = tuple(sorted((*names, best.name))), log + best.log
         own = candidates.of_setting(best.name, best.setting)

@@ -17,7 +17,6 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, weigh
 
 ONE_WAY = "time:one-way"
-_LEAST_POWER = 4.0
 
 
 def one_way(candidates: Candidates, beside: Beside, power: float) -> dict[str, Weighed]:
@@ -47,6 +46,6 @@ def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Besi
     own_rows = stacked[places]
     batch = Batch(places, own_rows @ own_rows.swapaxes(1, 2), (ONE_WAY,) * 2, ({}, {}), np.full(2, -np.log(2.0)))
     found = weigh(Candidates(stacked, np.zeros(len(stacked)), (batch,)), beside, explained)[ONE_WAY]
-    power = max(float(found.power[int(np.argmax(found.by_scale))]), _LEAST_POWER)
+    power = max(float(found.power[int(np.argmax(found.by_scale))]), PRIOR.least_power)
     cost = float(np.log(power / 2.0))  # of a half sphere 2π, the solid angle 4π / power
     return replace(found, log=found.log - cost, by_scale=found.by_scale - cost, tied=found.tied - cost)

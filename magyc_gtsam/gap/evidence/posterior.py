@@ -17,9 +17,6 @@ from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.rules import RULES
 
 Set = tuple[tuple[str, ...], bool]  # names, and whether something unknown is beside them
-_FORM = float(
-    np.log(0.5)
-)  # odds that a form is visibly not quite the catalogue's, while it is by less than `form`
 
 
 def weights(tree: Tree) -> dict[Set, float]:
@@ -33,7 +30,11 @@ def weights(tree: Tree) -> dict[Set, float]:
     for node in tree.nodes.values():
         key = key_of(tree, node)
         form, foreign = _families(tree, node)
-        add(key, False, np.logaddexp(node.log, node.log + _FORM + form) if np.isfinite(form) else node.log)
+        add(
+            key,
+            False,
+            np.logaddexp(node.log, node.log + PRIOR.not_quite + form) if np.isfinite(form) else node.log,
+        )
         if np.isfinite(foreign):
             add(key, True, node.log + PRIOR.unknown + foreign)
         for log in _products(node):

@@ -50,6 +50,14 @@ class Prior:
         likely: probability from which a name that was not found speaks against the answer.
         improbable: probability below which a name is not corrected; of 77 right names in 176 recordings none was below.
         certain: nats for what is seen at once, or not at all.
+        whole: probability that a family is wanted as a whole, not in one of its parts.
+        not_quite: log odds that a form is visibly not quite the catalogue's, while it is by less than `form`.
+        beyond: times the prior's deviation of a name, that no value reaches.
+        misfit: deviations of the mean square of white noise, from which a field that varies is worth a look.
+        least_power: squared sigmas, at least, by which the direction of a course along one axis is known.
+        one_of_families: log number of families, of which colour along one direction is one.
+        hardly_single: log odds, below which an effect on single samples is not said to be possible.
+        hardly_beside, names_beside: nats from which a name is worth a look beside colour, and how many are there.
     """
 
     scales: Array = field(default_factory=_octaves)
@@ -72,6 +80,15 @@ class Prior:
     likely: float = 0.5
     improbable: float = 0.05
     certain: float = 12.0
+    whole: float = 0.5
+    not_quite: float = float(np.log(0.5))
+    beyond: float = 2.0
+    misfit: float = 3.0
+    least_power: float = 4.0
+    one_of_families: float = float(np.log(20))
+    hardly_single: float = -3.0
+    hardly_beside: float = -2.0
+    names_beside: int = 2
 
 
 PRIOR = Prior()

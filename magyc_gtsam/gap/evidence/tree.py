@@ -23,16 +23,15 @@ from magyc_gtsam.gap.evidence.laplace import Terms, marginal
 from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
-from magyc_gtsam.gap.field_variation import FieldVariation, field_variation
+from magyc_gtsam.gap.field_variation import COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.neighbours import neighbours
 from magyc_gtsam.gap.problem import Active
 from magyc_gtsam.gap.refit import Refit, possible, refit, with_term, without_term
-from magyc_gtsam.gap.score import Projector
+from magyc_gtsam.gap.variants import Projector
 
 FIELD_VARIATION = "field-variation"
-_VARIES = float(np.log(84))  # of the amplitudes and times of a field that varies, of which the likeliest is taken
+_VARIES = float(np.log(COMBINATIONS))  # of which the likeliest is taken
 _FINER = 2  # rounds of refining a setting
-_MISFIT = 3.0  # deviations of the mean square of white noise, from which a field that varies is worth a look
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +200,7 @@ class Tree:
         return node
 
     def _children(self, node: Node) -> Iterator[Node]:
-        if node.variation is None and node.misfit > 1 + _MISFIT * np.sqrt(2 / self.freedom):
+        if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.freedom):
             key = tuple(sorted((*node.names, FIELD_VARIATION)))
             variation = field_variation(node.fit.twin)
             if len(variation.components):

@@ -20,8 +20,6 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import Batch, Candidates
 from magyc_gtsam.gap.evidence.prior import PRIOR
 
-_BEYOND = 2.0  # times the prior's deviation of a name, that no value reaches
-
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
@@ -118,7 +116,7 @@ def scales_of(name: str) -> np.ndarray:
     """(S,) which scales a name may have, by its data sheets; a family any."""
     if name not in TERMS:
         return np.ones(len(PRIOR.scales), dtype=bool)
-    return PRIOR.scales <= max(_BEYOND * TERMS[name].prior / TERMS[name].matters, PRIOR.scales[0])
+    return PRIOR.scales <= max(PRIOR.beyond * TERMS[name].prior / TERMS[name].matters, PRIOR.scales[0])
 
 
 def _averaged(name: str, many: list[_Part]) -> Weighed:

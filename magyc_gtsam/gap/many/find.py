@@ -21,10 +21,6 @@ from magyc_gtsam.gap.refit import as_calibration, widened
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 
-_HAS_IT = 0.5  # probability from which a log gets an effect of the place
-_PLAIN = 0.9  # from which what no name explains is a log's own
-_LEAST = 2  # logs that can be compared
-_MOSTLY = 0.5  # share of the logs, in which a value must be possible
 Progress = Callable[[float], None]
 
 
@@ -54,14 +50,14 @@ def find_gap_of_many(
     """
     report = progress or (lambda _: None)
     course = _begun(recordings, candidates, lambda share: report(0.4 * share))
-    if len(course.logs) >= _LEAST:
+    if len(course.logs) >= MODEL.least:
         for step in range(MODEL.most + 1):
             course, going = _step(course, candidates, step < MODEL.most)
             report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
             if not going:
                 break
     # What hangs together or stands out beside something unknown is its misfit, and no noise.
-    looked = len(course.logs) >= _LEAST and not course.unknown
+    looked = len(course.logs) >= MODEL.least and not course.unknown
     noise = noise_effects(course.logs, candidates) if looked else ()
     report(1.0)
     return _result(course, noise)
@@ -102,9 +98,9 @@ def _step(course: _Course, names: Sequence[str], more: bool) -> tuple[_Course, b
     if strongest.nats < MODEL.sure + MODEL.remain * sum(each.evidence for each in course.added):
         return course, False
     if not strongest.named:
-        few = strongest.present > _PLAIN
+        few = strongest.present > MODEL.plain
         alone = strongest.apart > strongest.shared and 0 < few.sum() <= max(1, MODEL.few * len(few))
-        if alone and len(few) - few.sum() >= _LEAST:
+        if alone and len(few) - few.sum() >= MODEL.least:
             return _left_out(course, few, strongest), True
         return replace(course, unknown=strongest.name), False
     if not more:
@@ -132,12 +128,12 @@ def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
     shared = weighed.instrument >= 0.5 and weighed.name not in OF_THE_INSTRUMENT
     said = []
     for log, best, present in zip(logs, weighed.best, weighed.present, strict=True):
-        if best is None or not (shared or present > _HAS_IT):
+        if best is None or not (shared or present > MODEL.has_it):
             continue
         value = np.linalg.pinv(best.information, hermitian=True) @ best.score
         value, setting = (weighed.value, weighed.setting) if shared else (value, best.setting)
         said.append(TERMS[weighed.name].possible(log.refitted.twin, value, setting))
-    return not said or float(np.mean(said)) >= _MOSTLY
+    return not said or float(np.mean(said)) >= MODEL.mostly
 
 
 def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
@@ -185,7 +181,7 @@ def _with(course: _Course, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> 
     settings: list[dict[str, float] | None] = []
     present: list[float] = []
     for log, best, probability in zip(course.logs, chosen.best, chosen.present, strict=True):
-        here = best is not None and (instrument or probability > _HAS_IT)
+        here = best is not None and (instrument or probability > MODEL.has_it)
         if not here or best is None:
             logs.append(log)
             settings.append(None)
@@ -222,7 +218,7 @@ def _result(course: _Course, noise: Sequence[SharedEffect]) -> GapOfMany:
     weights = tuple(Weight(each.name, each.shared, each.apart) for each in course.weighed)
     calibrations = {log.name: _calibration(log) for log in course.logs}
     named = "; ".join(effect.sentence for effect in effects)
-    if len(course.logs) < _LEAST:
+    if len(course.logs) < MODEL.least:
         verdict, said = "not enough information", f"{len(course.logs)} of the logs can be used, and two are needed"
     elif course.unknown:
         words = LABELS.get(course.unknown, course.unknown)

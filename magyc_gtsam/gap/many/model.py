@@ -24,6 +24,11 @@ class ManyModel:
         most: effects, at which a search ends.
         longest: s, correlation time from which noise that hangs together is a drift of something unknown.
         one_way: share of it along one axis, from which it is no noise.
+        alone: nats from which one log alone names an effect on the noise.
+        has_it: probability from which a log gets an effect of the place; plain: from which what no name explains is a
+            log's own.
+        mostly: share of the logs, in which a value must be possible.
+        least: logs that can be compared.
         settled: nats for and against what is seen or not seen at once: exchanged axes, held values, coarse steps.
     """
 
@@ -38,6 +43,11 @@ class ManyModel:
     most: int = 5
     longest: float = 4.0
     one_way: float = 0.75
+    alone: float = 6.0
+    has_it: float = 0.5
+    plain: float = 0.9
+    mostly: float = 0.5
+    least: int = 2
     settled: float = 20.0
 
 

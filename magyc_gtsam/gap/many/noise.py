@@ -23,7 +23,6 @@ _NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "colour
 _FITTED = ("coloured-noise", "spikes")
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _RANK = 2
-_HAS_IT = 0.5
 _LEAST = 1e-3  # nats of evidence, at which a p-value is 1
 
 
@@ -46,7 +45,7 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
     here = [
         (log, one, float(p))
         for log, one, p in zip(logs, own, present, strict=True)
-        if one is not None and p > _HAS_IT
+        if one is not None and p > MODEL.has_it
     ]
     if not here or not _of_its_form(name, [one for _, one, _ in here]):
         return None

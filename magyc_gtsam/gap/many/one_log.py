@@ -17,17 +17,17 @@ from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.fine import fine_innovations, noise_scores
+from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.problem import Active, Problem
 from magyc_gtsam.gap.refit import Refit, refit, with_term
-from magyc_gtsam.gap.score import Projector, Variant, candidates, variants
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.score import candidates
+from magyc_gtsam.gap.variants import Projector, Variant, variants
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 
-_WINDOW = 1.0  # s
-_LIMIT = 6.0  # nats from which one log alone names an effect on the noise
 _LEAST = 1e-10  # of the largest variance of a value, below which it is no direction of its own
-_PLAIN = 60.0  # statistic from which an effect is taken out before the colour is measured
 _OF_THE_LOG = ("start", "end")  # settings that are this recording's, beside the references of channels
 
 
@@ -96,7 +96,7 @@ class OneLog:
         short_term = short_term_noise(data)
         base = base_model(data, None, short_term)
         still = moving(data)
-        problem = Problem.of(still, preintegrate(still, _WINDOW))
+        problem = Problem.of(still, preintegrate(still, RULES.window))
         return cls(name, data, problem, short_term, base, discrete, (*usable.left_out, *unlogged))
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
@@ -137,7 +137,7 @@ class OneLog:
     def noise(self) -> dict[str, NoiseScore]:
         """{effect on the noise, or settled before: its test}, against the model as it is."""
         fine = fine_innovations(self.recording, self.refitted.model)
-        return {score.name: score for score in (*self.discrete, *noise_scores(self.recording, fine, _LIMIT))}
+        return {score.name: score for score in (*self.discrete, *noise_scores(self.recording, fine, MODEL.alone))}
 
     @property
     def _innovation(self) -> tuple[Projector, Array]:
@@ -149,7 +149,7 @@ class OneLog:
         """By how much the innovations repeat each other, without what the best named effect explains of them."""
         named = [one for name, many in found.items() if name in TERMS for one in many]
         gains = [float(np.sum(one.score(innovation) ** 2)) - 2 * len(one.unit) for one in named]
-        if gains and max(gains) > _PLAIN:
+        if gains and max(gains) > RULES.much:
             best = named[int(np.argmax(gains))]
             innovation = innovation - best.unit.T @ best.score(innovation)
         return colour_of(innovation.reshape(3, -1))
