@@ -36,9 +36,24 @@ def test_a_change_in_the_smaller_part_is_found(seed: int, start: float, end: flo
     assert "the hard iron changed at" in calibration.message
     found = hard_iron_change(changed, fitted(changed), mg.calibrate(recording), SmootherOptions())
     assert found is not None
-    assert abs(found.start - start) < 4
-    assert abs(found.end - end) < 4
+    np.testing.assert_allclose(found.stretches, [[start, end]], atol=4)
     np.testing.assert_allclose(found.change, 3 * CHANGE, atol=1.2e-6)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_hard_iron_that_jumps_to_and_fro_is_found(seed: int) -> None:
+    """As by a set/reset that fails; each stretch by itself would be too short, or hold what is not of it."""
+    recording = wide(seed)
+    away = np.isin(recording.time // 20, [1, 3, 4, 7, 10, 14, 16])
+    changed = with_field(recording, away[:, None] * 5 * CHANGE)
+    found = hard_iron_change(changed, fitted(changed), mg.calibrate(recording), SmootherOptions())
+    assert found is not None
+    expected = [[20, 40], [60, 100], [140, 160], [200, 220], [280, 300], [320, 340]]
+    np.testing.assert_allclose(found.stretches, expected, atol=4)
+    np.testing.assert_allclose(found.change, 5 * CHANGE, atol=1.2e-6)
+    calibration = mg.calibrate(changed)
+    assert not calibration.trusted
+    assert "the hard iron changed at 20 s and 40 s and 10 more times by 15 µT" in calibration.message
 
 
 def fitted(recording: mg.Recording) -> Fit:

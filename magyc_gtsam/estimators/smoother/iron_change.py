@@ -1,8 +1,8 @@
-"""Find a stretch of a recording in which the hard iron was another one.
+"""Find stretches of a recording in which the hard iron was another one.
 
-The robust fit leaves such a stretch out as disturbed, and says nothing of it where it is the smaller part. It does the
-same with a disturbance by the place. The two differ in what explains the stretch: after a change of the instrument the
-same soft iron and strength of the field with another hard iron, which the turns within the stretch determine.
+The robust fit leaves them out as disturbed, and says nothing of them where they are the smaller part. It does the same
+with disturbances by the place. The two differ in what explains the stretches: after a change of the instrument the same
+soft iron and strength of the field with another hard iron, which the turns within the stretches determine.
 """
 
 from __future__ import annotations
@@ -11,22 +11,26 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.factors.chain.facts import field_strength
+from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.sensor_faults.cut_off import inside
 
 
 @dataclass(frozen=True)
 class _Limits:
     """Measured on vehicles of five kinds with a jump of 3 µT an axis, and on real logs without one."""
 
-    shortest: float = 15.0  # s of a stretch; shorter ones seldom turn enough
+    shortest: float = 15.0  # s of a stretch, and of a break between two; shorter ones seldom turn enough
     disturbed: float = 0.5  # weight of a window below which it counts as disturbed
+    smoothed: float = 5.0  # s, in which the most of the windows decide
     explained: float = 0.8  # mean weight of the windows of a stretch that another hard iron explains
     noise: float = 1.5  # times the noise of the rest, at most, that remains in the stretch
     strength: float = 0.02  # relative difference of the field's strength that is none
@@ -39,17 +43,18 @@ _LIMITS = _Limits()
 
 
 class IronChange(NamedTuple):
-    """The hard iron of the stretch from `start` to `end` (s since the first row) less that of the rest, T (3,)."""
+    """The hard iron of `stretches` (k, 2), from and to in s since the first row, less that of the rest, T (3,)."""
 
-    start: float
-    end: float
+    stretches: Array
     change: Array
 
     def sentence(self, recording: Recording) -> str:
         """Return when and by how much, and what to do."""
         duration = recording.time[-1] - recording.time[0]
-        times = [t for t in (self.start, self.end) if _LIMITS.shortest < t < duration - _LIMITS.shortest]
-        listed = " and ".join(f"{t:.0f} s" for t in times) or f"{self.start:.0f} s"
+        times = [t for t in self.stretches.ravel() if _LIMITS.shortest < t < duration - _LIMITS.shortest]
+        listed = " and ".join(f"{t:.0f} s" for t in times[:2]) or f"{self.stretches[0, 0]:.0f} s"
+        if len(times) > 2:
+            listed += f" and {len(times) - 2} more times"
         shown, unit = recording.field_shown
         return (
             f"the hard iron changed at {listed} by {np.linalg.norm(self.change) * shown:.2g} {unit}: choose an "
@@ -60,17 +65,16 @@ class IronChange(NamedTuple):
 def hard_iron_change(
     recording: Recording, fit: Fit, calibration: Calibration, options: SmootherOptions
 ) -> IronChange | None:
-    """Return the stretch that another hard iron explains, None if there is no such stretch.
+    """Return the stretches that another hard iron explains, None if there are none.
 
     Args:
         recording: the data.
         fit, calibration: of the whole recording, the calibration with covariance.
         options: of that fit.
     """
-    stretch = _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window)
-    if stretch is None or not fit.converged or calibration.covariance is None:
+    stretches = _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window)
+    if not len(stretches) or not fit.converged or calibration.covariance is None:
         return None
-    start, end = stretch
     try:
         own = replace(
             options,
@@ -80,7 +84,12 @@ def hard_iron_change(
             delay=calibration.delay,
             clock_drift=0.0,
         )
-        other, _ = fit_field_chain(recording.between(start, end), own, start=fit.state.parameters, brief=True)
+        other, _ = fit_field_chain(
+            recording.rows(inside(stretches, recording.time - recording.time[0])),
+            own,
+            start=fit.state.parameters,
+            brief=True,
+        )
     except MagycError:  # too short, or without motion: it determines no hard iron; or the fit is none
         return None
     strength, size = (field_strength(each.state.parameters[:6])[0] for each in (fit, other))
@@ -93,15 +102,17 @@ def hard_iron_change(
     )
     apart = change @ np.linalg.solve(covariance, change) > _LIMITS.sigmas**2
     if explained and apart and np.linalg.norm(change) > _LIMITS.smallest * strength:
-        return IronChange(start, end, change)
+        return IronChange(stretches, change)
     return None
 
 
-def _disturbed(time: Array, weight: Array) -> tuple[float, float] | None:
-    """The stretch that holds the most of what is disturbed, and the least of what is not: the largest partial sum."""
-    excess = np.cumsum(_LIMITS.disturbed - weight)
-    before = np.minimum.accumulate(np.concatenate([[0.0], excess[:-1]]))
-    last = int(np.argmax(excess - before))
-    first = int(np.argmin(np.concatenate([[0.0], excess[:last]])))
-    start, end = float(time[first]), float(time[last])
-    return (start, end) if end - start >= _LIMITS.shortest else None
+def _disturbed(time: Array, weight: Array) -> Array:
+    """The stretches (k, 2) s in which most of what a few seconds hold is disturbed, joined over short breaks."""
+    size = round(_LIMITS.smoothed / max(median(np.diff(time)), 1e-9)) | 1
+    low = np.flatnonzero(median_filter(weight, size, mode="nearest") < _LIMITS.disturbed)
+    if not len(low):
+        return np.empty((0, 2))
+    breaks = np.flatnonzero(np.diff(time[low]) >= _LIMITS.shortest)
+    first, last = low[np.append(0, breaks + 1)], low[np.append(breaks, len(low) - 1)]
+    stretches = np.column_stack([time[first], time[last]])
+    return stretches[stretches[:, 1] - stretches[:, 0] >= _LIMITS.shortest]
