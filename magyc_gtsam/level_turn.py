@@ -92,7 +92,7 @@ class LevelTurn:
         """Return what `systematic` returns, with the `slopes` of the soft iron at hand."""
         variance = np.einsum("na,na->n", slopes @ covariance[:9, :9], slopes)
         if askew is not None:
-            turned = self._turned
+            turned = self.turned
             variance += np.einsum("na,na->n", turned @ askew.covariance - 2 * slopes @ askew.cross, turned)
         return cast(Array, np.degrees(np.sqrt(np.maximum(variance, 0.0))))
 
@@ -105,7 +105,7 @@ class LevelTurn:
         return cast(Array, self._across @ np.linalg.inv(soft_iron))
 
     @cached_property
-    def _turned(self) -> Array:
+    def turned(self) -> Array:
         """Derivative (n, 3) of heading, rad, with respect to a rotation between magnetometer and gyroscope."""
         return cross(self._across.T, self.field.T).T
 

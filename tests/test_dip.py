@@ -7,11 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Recording, calibrate, simulate
-from magyc_gtsam.estimators.smoother.dip import DipFact, dip_fact, known_dip, relinearised
+from magyc_gtsam.estimators.smoother.dip import DipFact, dip_fact, known_dip
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA, PlaceField
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.estimators.smoother.upright import relinearised
 from magyc_gtsam.study.efficiency import error
-from magyc_gtsam.study.known import placed, skewed
+from magyc_gtsam.study.known import skewed
+from magyc_gtsam.study.known_facts import placed
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from magyc_gtsam import Calibration, MagycError, calibrate, simulate
+from magyc_gtsam import Calibration, MagycError, Recording, calibrate, simulate
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
+from magyc_gtsam.report.verdict import judged
 from magyc_gtsam.simulation.sensor import HARD_IRON, SOFT_IRON
 from magyc_gtsam.study.efficiency import error
 
@@ -47,6 +49,32 @@ def test_the_matrix_and_the_strength_make_little_motion_enough(earlier, strength
     assert matrix < 0.6 * alone
     assert both < 0.25 * alone
     assert max(its, theirs) < 2.6  # χ² of 18 over 18, 99.9 %
+
+
+def tumbled(seed, hard_iron):
+    """20 s of turning about all axes by hand, at 100 Hz."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0, 20, 0.01)
+    frequency, phase, size = (random.uniform(*span, (3, 4)) for span in ((0.1, 0.5), (0, 6.3), (0.3, 1.2)))
+    swing = np.sin(2 * np.pi * frequency[:, :, None] * time + phase[:, :, None])
+    rate = np.einsum("ij,ijn->ni", size, swing)
+    turn = [Rotation.identity()]
+    for step in 0.005 * (rate[1:] + rate[:-1]):
+        turn.append(turn[-1] * Rotation.from_rotvec(step))
+    field = Rotation.concatenate(turn).inv().apply([20e-6, 0, 43e-6]) @ SOFT_IRON.T + hard_iron
+    field += 0.5e-6 * random.normal(size=field.shape)
+    return Recording(time, field, rate + 5e-3 * random.normal(size=rate.shape))
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_hard_iron_that_moved_far_is_found_as_soon_as_without_a_prior(earlier, axis):
+    """From the hard iron of before it took up to 20 iterations, and ran away on a piece of a real log."""
+    moved = HARD_IRON - 80e-6 * np.eye(3)[axis]
+    recording = tumbled(2, moved)
+    told = calibrate(recording, prior=earlier, hard_iron_walk=ANYTHING, misalignment=0)
+    alone = calibrate(recording, misalignment=0)
+    assert np.abs(told.hard_iron - moved).max() < 0.5e-6
+    assert told.diagnostics["iterations"] <= alone.diagnostics["iterations"] + 2
 
 
 def test_a_prior_that_did_not_walk_is_hardly_moved_by_little_data(earlier):
@@ -141,3 +169,24 @@ def test_where_the_motion_is_too_little_the_cheapest_fact_is_named(earlier, stre
     assert told.trusted, told.message
     stated = float(alone.message.split("place and date (--prior, --location, --date: hard iron ±")[1].split()[0])
     assert told.sigma["hard_iron"].max() * 1e6 == pytest.approx(stated, rel=0.5)
+
+
+def test_the_first_line_of_the_verdict_names_it_beside_the_manoeuvre():
+    recording = simulate("level", duration=60, seed=1).recording
+    verdict = judged(calibrate(recording), recording)
+    assert verdict.action.startswith("pitch or roll by 20° or more")
+    assert verdict.action.endswith("; or give --prior, --location, --date")
+    assert len(f"{verdict.cause} {verdict.action}".split()) <= 30
+
+
+def test_with_an_earlier_calibration_of_known_scale_the_place_is_what_is_left(strength):
+    wide = simulate("wide", seed=999).recording
+    recording = simulate("level", duration=60, seed=3).recording
+    place = (strength, None)
+    for scaled, remedy in ((True, "place and date (--location, --date: hard iron ±"), (False, "")):
+        prior = calibrate(wide, misalignment=0, **({"field": place} if scaled else {}))
+        walked = {"prior": prior, "hard_iron_walk": ANYTHING, "misalignment": 0}
+        told = calibrate(recording, **walked, soft_iron_walk=0.02)
+        assert not told.trusted
+        assert ("this motion is enough with " in told.message) == scaled
+        assert remedy in told.message

@@ -60,7 +60,7 @@ def test_it_is_decided_anew_from_what_was_marginalised() -> None:
         np.vstack([first.angular_rate, second.angular_rate]),
     )
     online = fed(both, until=220.0, horizon=120.0)
-    assert online.calibration.terms == ()
+    assert all(np.linalg.norm(term.value) < np.radians(0.1) for term in online.calibration.terms)
     open_before = np.sqrt(np.diag(online.calibration.diagnostics["skew"]["covariance"]))
     (term,) = fed(both, online=online).calibration.terms
     np.testing.assert_allclose(-term.value, angle, atol=4 * term.sigma.max())

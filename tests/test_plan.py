@@ -7,7 +7,7 @@ import pytest
 
 from magyc_gtsam import MagycError, calibrate, cli, simulate
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.study.known import placed
+from magyc_gtsam.study.known_facts import placed
 from magyc_gtsam.study.plan import WAYS, plan, shortest
 
 ALIGNED = SmootherOptions(misalignment=0)

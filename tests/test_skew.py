@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Calibration, MagycError, calibrate, simulate
-from magyc_gtsam.estimators.smoother.skew import AUTOMATIC
+from magyc_gtsam.estimators.smoother.skew import Believed, Profile
+from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.simulation.sensor import SOFT_IRON
 from magyc_gtsam.study.efficiency import error, nees
@@ -54,21 +55,49 @@ def test_apply_brings_the_field_to_the_gyroscopes_axes(tmp_path):
 
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "tiny", "level"])
-def test_without_a_skew_none_is_reported_and_the_sigmas_leave_room_for_one(motion):
-    scores, found = [], 0
+def test_without_a_skew_hardly_any_is_taken_out_and_the_sigmas_leave_room_for_one(motion):
+    scores, squares, found = [], [], 0
     for seed in range(10):
         simulation = simulate(motion, seed=100 + seed)
         calibration = calibrate(simulation.recording)
         plain = calibrate(simulation.recording, misalignment=0)
-        scores.append(nees(error(calibration, simulation.truth), calibration.covariance))
+        away = [error(each, simulation.truth) for each in (calibration, plain)]
+        scores.append(nees(away[0], calibration.covariance))
+        squares.append([np.sum(each[6:9] ** 2) for each in away])
         if calibration.terms:
             found += 1
             continue
         np.testing.assert_array_equal(calibration.hard_iron, plain.hard_iron)
         assert (np.diag(calibration.covariance - plain.covariance) > -1e-30).all()
         assert calibration.observability.heading_sigma >= plain.observability.heading_sigma
-    assert found <= 1  # by linear simulation, 1 in 100 at most
+    assert found <= 5  # by linear simulation one of 8 on moderate and tiny, of 50 on wide
+    asked, never = np.sqrt(np.mean(squares, axis=0))
+    assert asked < 1.1 * never  # by linear simulation 1.02
     assert 11 - 2 - 2.58 * np.sqrt(22 / len(scores)) < np.mean(scores) < 11 + 1.96 * np.sqrt(22 / len(scores))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 0.2, 0.7, 1.5])
+def test_the_heading_is_near_the_better_of_twelve_and_fifteen_parameters(degrees):
+    """In the linear model of moderate motion, where no rule is within 1.21 of it at every skew: the heading is off by
+    0.065° with twelve parameters and aligned chips, and by what is left of the yaw part of ε."""
+    random = np.random.default_rng(7)
+    angle = random.normal(size=(3000, 3))
+    angle *= degrees * DEGREE / np.linalg.norm(angle, axis=1)[:, None]
+    sigma = np.array([0.276, 0.248, 0.204]) * DEGREE
+    information = np.diag(sigma[[1, 2, 0]] ** -2)
+    seen = angle + np.sqrt(np.diag(np.linalg.inv(information))) * random.normal(size=angle.shape)
+    taken = np.zeros_like(angle)
+    for row, each in enumerate(seen):
+        believed = Believed.of(
+            Profile(information, information @ each, np.zeros((13, 3)), np.zeros(13)), AUTOMATIC
+        )
+        if believed.probability > AUTOMATIC.probable:
+            taken[row] = believed.resolved
+
+    def heading(left):
+        return np.hypot(0.065 * DEGREE, np.sqrt(np.mean(left[:, 2] ** 2)))
+
+    assert heading(taken - angle) < 1.3 * min(heading(angle), heading(seen - angle))
 
 
 def test_over_boards_as_they_are_believed_to_be_the_covariance_is_honest():
@@ -98,6 +127,12 @@ def test_where_the_motion_shows_no_skew_the_sigmas_hold_for_one_nevertheless(mot
         calibration = calibrate(simulation.recording)
         scores.append(nees(error(calibration, truth), calibration.covariance))
     assert np.mean(scores) < 22
+
+
+def test_what_is_taken_out_is_said_with_its_probability():
+    sure, unsure = (calibrate(skewed(motion, 0.7, 1)[0].recording) for motion in ("wide", "moderate"))
+    assert "the two chips are 0.7" in sure.message
+    assert "the two chips may be askew (probability " in unsure.message
 
 
 def test_a_number_is_the_deviation_of_the_prior():

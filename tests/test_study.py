@@ -83,4 +83,7 @@ def test_the_known_study_tells_a_skew_that_is_asked_from_one_that_is_not(tmp_pat
     assert facts["+ strength"].stated < 0.5 * facts["+ matrix"].stated < 0.5 * facts["alone"].stated
     assert facts["+ dip"].stated <= facts["+ strength"].stated
     assert facts["online + strength"].stated == pytest.approx(facts["+ strength"].stated, rel=0.05)
+    for cell in facts.values():  # one run
+        assert 0.1 < cell.error / cell.bound < 3
+        assert 0 < cell.ratio <= cell.of_sensors
     assert matrix_cell("wide", 1.0, rows).refused == 1.0

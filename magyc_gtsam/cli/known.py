@@ -1,4 +1,4 @@
-"""Options for prior knowledge: on the chips, an earlier calibration, the field at the location."""
+"""Options for prior knowledge: on the chips, an earlier calibration, location and heading."""
 
 from __future__ import annotations
 
@@ -29,12 +29,29 @@ class GivenFacts:
         typer.Option(metavar="PERCENT", help="Possible change (1σ) of the soft iron since --prior. Default: 0."),
     ] = None
 
+    heading: Annotated[
+        str | None,
+        typer.Option(
+            metavar="CHANNEL",
+            help="Channel of the log with the true heading of the sensor's x axis in degrees, as from two GNSS "
+            "antennas. It helps to find a rotation between the chips about the vertical. Needs an accelerometer, "
+            "--location and --date.",
+        ),
+    ] = None
+    heading_sigma: Annotated[
+        float | None,
+        typer.Option(metavar="DEGREES", help="What --heading may be off by all the time (1σ). Default: 1."),
+    ] = None
+
     def options(self, scale: Scale, method: str) -> dict[str, Any]:
         """Return the arguments of `magyc_gtsam.calibrate` for the options that were given.
 
         Raises:
             MagycError: a value is not a number, a file is not a calibration, or options contradict each other.
         """
+        from magyc_gtsam.estimators.smoother.options import HEADING_SIGMA
+        from magyc_gtsam.factors.errors import MagycError
+
         result: dict[str, Any] = {}
         place = scale.place() if method == "smoother" else None
         if place is not None:
@@ -44,6 +61,12 @@ class GivenFacts:
         result |= beforehand(self.misalignment, self.prior)
         if self.gyroscope_scale is not None:
             result["gyroscope_scale"] = self.gyroscope_scale * 1e-2
+        if self.heading is not None:
+            sigma = HEADING_SIGMA if self.heading_sigma is None else math.radians(self.heading_sigma)
+            result["heading"] = [self.heading, sigma]
+            result["declination"] = scale.declination()
+        elif self.heading_sigma is not None:
+            raise MagycError("--heading-sigma: has no effect without --heading CHANNEL")
         if self.hard_iron_walk is not None:
             result["hard_iron_walk"] = self.hard_iron_walk * 1e-6
         if self.soft_iron_walk is not None:

@@ -72,6 +72,21 @@ class Scale:
         field = self._world()
         return field.strength, field.inclination
 
+    def declination(self) -> float:
+        """Return the declination (rad) of the field at the location.
+
+        Raises:
+            MagycError: see `tesla`, or there is no location.
+        """
+        from magyc_gtsam.factors.errors import MagycError
+
+        if self.place() is None:
+            raise MagycError(
+                "--heading: the compass points to magnetic north; give --location LAT LON and --date for the "
+                "declination"
+            )
+        return self._world().declination
+
     def _world(self) -> WorldField:
         from magyc_gtsam.world_field import world_magnetic_field
 

@@ -90,7 +90,7 @@ def run(
     by: Annotated[
         list[str] | None, typer.Option(help="faults: batch, online, gap; may be repeated; default all.")
     ] = None,
-    first_seed: Annotated[int, typer.Option(min=0, help="efficiency, faults: of the first recording.")] = 0,
+    first_seed: Annotated[int, typer.Option(min=0, help="efficiency, faults, known: of the first recording.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes, of all but efficiency and gap.")] = 2,
     engine: Annotated[
         str,
@@ -133,7 +133,7 @@ def run(
     if study is Study.EFFICIENCY:
         _efficiency(runs, disturbed, noise, first_seed)
     elif study is Study.KNOWN:
-        _known(output or Path("results/known"), runs, workers)
+        _known(output or Path("results/known"), range(first_seed, first_seed + runs), workers)
     elif study is Study.LEADERBOARD:
         from magyc_gtsam.cli.study_leaderboard import leaderboard
 
@@ -208,12 +208,12 @@ def _efficiency(runs: int, disturbed: float, gyroscope_noise: float, first_seed:
     show("aligned: the chips are known to be aligned (misalignment=0)", "")
 
 
-def _known(folder: Path, runs: int, workers: int) -> None:
+def _known(folder: Path, seeds: range, workers: int) -> None:
     """Show errors and NEES by skew of the chips, and by prior knowledge."""
     from magyc_gtsam.study import known
 
     with stages() as stage:
-        rows = known.known_rows(known.units(runs), folder, workers, stage(f"{runs} runs a cell"))
+        rows = known.known_rows(known.units(seeds), folder, workers, stage(f"{len(seeds)} runs a cell"))
     table = []
     for motion in known.MOTIONS:
         for skew in (*known.SKEWS, None):
@@ -226,7 +226,7 @@ def _known(folder: Path, runs: int, workers: int) -> None:
     headings = [f"heading °, {way}" for way in known.WAYS] + ["× better"]
     headings += [*(f"NEES, {way}" for way in known.WAYS), "sensors and skew alone", "decided"]
     show_table(["motion", "skew °", *headings], table)
-    low, high = known.band(runs)
+    low, high = known.band(len(seeds))
     show(f"NEES of {known.FREEDOMS}, 95 % band {low:.2f} to {high:.2f}", "")
     show(
         "as believed: boards drawn as calibrate believes them to be, over which an honest NEES is in the band; "
@@ -242,11 +242,16 @@ def _known(folder: Path, runs: int, workers: int) -> None:
             table.append(
                 [motion, f"matrix off by {percent:g} %", *_fact(known.matrix_cell(motion, percent, rows))]
             )
-    show_table(["motion", "known", "hard iron error µT", "stated µT", "error²/σ²", "refused"], table)
-    low, high = known.band(runs, 3)
+    numbers = ["hard iron error µT", "× bound", "stated µT", "error²/σ²", "sensors alone", "refused"]
+    show_table(["motion", "known", *numbers], table)
+    low, high = known.band(len(seeds), 3)
     show(f"error²/σ², 95 % band {low / 3:.2f} to {high / 3:.2f}; rows in {folder / 'known.parquet'}", "")
 
 
 def _fact(cell: FactCell) -> list[str]:
-    """Return error and stated deviation of the hard iron (µT), error²/σ², and the share refused."""
-    return [f"{cell.error * 1e6:.3f}", f"{cell.stated * 1e6:.3f}", f"{cell.ratio:.2f}", f"{cell.refused:.0%}"]
+    """Return error (µT) and its ratio to the bound, stated deviation (µT), error²/σ² with and without what else an
+    instrument may do, and the share refused."""
+    stated = f"{cell.stated * 1e6:.3f}"
+    against = f"{cell.error / cell.bound:.2f}"
+    squares = f"{cell.ratio:.2f}", f"{cell.of_sensors:.2f}"
+    return [f"{cell.error * 1e6:.3f}", against, stated, *squares, f"{cell.refused:.0%}"]

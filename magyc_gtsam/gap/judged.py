@@ -11,7 +11,8 @@ from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
-from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, asked
+from magyc_gtsam.estimators.smoother.skew import asked
+from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.gap.doubt import Doubt

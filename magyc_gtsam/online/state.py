@@ -15,7 +15,8 @@ from magyc_gtsam.estimators.smoother.known import known_of
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import skew_prior
-from magyc_gtsam.estimators.smoother.skew import HeldSkew, SkewPrior, skew_of, widened
+from magyc_gtsam.estimators.smoother.skew import HeldSkew, skew_of, widened
+from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
 from magyc_gtsam.estimators.smoother.smoother import calibration_of
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS

@@ -9,6 +9,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import beyond_turning, field_jumps
+from magyc_gtsam.estimators.smoother.known import ENOUGH
 from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.level_turn import HeadingUncertainty
 from magyc_gtsam.recording import Recording
@@ -137,8 +138,15 @@ def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, 
         cause = f"too little motion to determine the {observability.weak[0].what}"
         if recording is not None and float(np.ptp(recording.magnetic_field, axis=0).max()) < _STILL:
             cause = "the instrument hardly moved"
-        return cause, _joined_remedies(missing)
+        return cause, _joined_remedies(missing) + _or_by_a_fact(calibration.message)
     return cause_and_action(first)
+
+
+def _or_by_a_fact(message: str) -> str:
+    """Return the options of the cheapest fact that would be enough for this motion; "" if none is."""
+    said = next((clause for clause in clauses(message) if clause.startswith(ENOUGH)), "")
+    options = said.removeprefix(ENOUGH).partition("(")[2].partition(":")[0]
+    return f"; or give {options}" if options else ""
 
 
 def _joined_remedies(remedies: list[str]) -> str:

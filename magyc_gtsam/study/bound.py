@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.smoother.starts import parameters
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise
+from magyc_gtsam.factors.chain.facts import Fact, quadratic
 from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.errors import MagycError
@@ -17,10 +20,10 @@ from magyc_gtsam.simulation import Simulation
 _EVERY_SAMPLE = 1e-9  # rad of rotation per window: one window per sample, so that no information is lost
 
 
-def cramer_rao(simulation: Simulation) -> Array:
+def cramer_rao(simulation: Simulation, facts: Sequence[Fact] = ()) -> Array:
     """Return the bound (12, 12) on the covariance of vech(soft iron, det 1), hard iron T and gyroscope bias rad/s.
 
-    It is the inverse of the information at the truth with known delay (zero) and one node per sample.
+    It is the inverse of the information at the truth, and of `facts`, with known delay (zero) and one node per sample.
 
     Raises:
         MagycError: the recording has no attitude, which gives the true directions, or has a delay.
@@ -37,6 +40,7 @@ def cramer_rao(simulation: Simulation) -> Array:
         parameters(scaled, truth.hard_iron, truth.gyro_bias, 0.0),
         np.einsum("ijn,ni->jn", windows.rotation, body),
     )
-    information = chain.eliminate(state, chain.unweighted()).information[:DELAY, :DELAY]
+    information = chain.eliminate(state, chain.unweighted()).information
+    information = (information + quadratic(facts, state.parameters)[2])[:DELAY, :DELAY]
     covariance = np.linalg.inv(information).astype(np.float64)
     return fix_scale(scaled, covariance)[2]

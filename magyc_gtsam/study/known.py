@@ -11,34 +11,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.engine import Progress, Row, run_many, write_rows
 from magyc_gtsam.estimators import calibrate
-from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA
-from magyc_gtsam.estimators.smoother.skew import AUTOMATIC
+from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.level_turn import turn_of
-from magyc_gtsam.online import OnlineCalibrator
-from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import Simulation, simulate
 from magyc_gtsam.simulation.sensor import SOFT_IRON
 from magyc_gtsam.study.efficiency import FREEDOMS, error, nees
+from magyc_gtsam.study.known_facts import FACTS, fact_row, matrix_row
 
 SKEWS = (0.0, 0.2, 0.7, 1.5)  # deg
 MOTIONS = ("wide", "moderate", "low", "tiny", "level")
 WAYS: Mapping[str, float | str] = {"asked": "auto", "never": 0, "always": np.radians(10.0)}
 LIMITED = (("tiny", 60.0), ("level", 600.0), ("ship", 600.0))
-FACTS = ("alone", "+ matrix", "+ strength", "+ dip", "online + matrix", "online + strength")
 PERCENTS = (0.2, 0.5, 1.0)
-_EARLIER = 990_001  # first seed of the earlier calibrations, one per run
-_OFFSET, _ROUGH = 0.1, 0.3  # m/s², constant offset and noise of an accelerometer's axis
-_MOVED = 100e-6  # T, by which the hard iron may have changed since the earlier calibration
 
 
 @dataclass(frozen=True)
@@ -67,13 +61,17 @@ class FactCell:
 
     Attributes:
         error, stated: root mean squares of hard iron error and stated sigma per axis, T.
-        ratio: squared error in units of the stated covariance, per degree of freedom.
+        bound: the same of the Cramér–Rao bound with that knowledge, as if it were right, T.
+        ratio, of_sensors: squared error in units of the stated covariance, and of that without what else an instrument
+            may do, per degree of freedom.
         refused: share of the runs that are not trusted.
     """
 
     error: float
+    bound: float
     stated: float
     ratio: float
+    of_sensors: float
     refused: float
 
 
@@ -114,37 +112,6 @@ def believed(seed: int) -> float:
             return float(np.degrees(size))
 
 
-class Placed(NamedTuple):
-    """A simulation with the operator's knowledge of the place.
-
-    Attributes:
-        recording: the recording, with errors of the accelerometer.
-        truth: the true calibration.
-        dip: true dip, rad.
-        field: (strength, dip) for `calibrate`, with errors of the world model's sigmas.
-    """
-
-    recording: Recording
-    truth: Calibration
-    dip: float
-    field: tuple[float, float]
-
-
-def placed(motion: str, duration: float, seed: int) -> Placed:
-    """Return a simulation with random errors of the accelerometer and of the world model."""
-    simulation = simulate(motion, duration, seed=seed)
-    random = np.random.default_rng([seed, 17])
-    north, east, down = simulation.field
-    dip = float(np.arctan2(down, np.hypot(north, east)))
-    force = simulation.recording.acceleration
-    assert force is not None
-    force = force + _OFFSET * random.normal(size=3) + _ROUGH * random.normal(size=force.shape)
-    strength = simulation.truth.field_strength
-    assert strength is not None
-    field = strength + FIELD_SIGMA * random.normal(), dip + DIP_SIGMA * random.normal()
-    return Placed(replace(simulation.recording, acceleration=force), simulation.truth, dip, field)
-
-
 def heading_error(simulation: Simulation, degrees: float, seed: int, calibration: Calibration) -> float:
     """Return the root-mean-square heading error over a level turn, deg, with the field in the gyroscope's axes."""
     truth = simulation.truth
@@ -160,7 +127,7 @@ def heading_error(simulation: Simulation, degrees: float, seed: int, calibration
     return float(np.degrees(np.sqrt(np.mean(np.angle(np.exp(1j * angle)) ** 2))))
 
 
-def units(runs: int, kinds: Iterable[str] = ("skew", "board", "fact", "matrix")) -> list[KnownCase]:
+def units(seeds: Iterable[int], kinds: Iterable[str] = ("skew", "board", "fact", "matrix")) -> list[KnownCase]:
     """Return the units of the whole study."""
     cells = {
         "skew": [(motion, size) for motion in MOTIONS for size in SKEWS],
@@ -168,7 +135,7 @@ def units(runs: int, kinds: Iterable[str] = ("skew", "board", "fact", "matrix"))
         "fact": list(LIMITED),
         "matrix": [(motion, size) for motion in ("wide", "tiny", "level") for size in PERCENTS],
     }
-    return [KnownCase(kind, *cell, seed) for seed in range(runs) for kind in kinds for cell in cells[kind]]
+    return [KnownCase(kind, *cell, seed) for seed in seeds for kind in kinds for cell in cells[kind]]
 
 
 def known_rows(
@@ -191,7 +158,11 @@ def known_rows(
 
 def worked(unit: KnownCase) -> Row:
     """Return one row with a column "<way> <number>" for all ways and numbers of the unit's kind."""
-    found = {"skew": _skew_row, "board": _skew_row, "fact": _fact_row, "matrix": _matrix_row}[unit.kind](unit)
+    if unit.kind in ("skew", "board"):
+        found = _skew_row(unit)
+    else:
+        row = {"fact": fact_row, "matrix": matrix_row}[unit.kind]
+        found = row(unit.motion, unit.size, unit.seed)
     return {f"{way} {name}": value for way, numbers in found.items() for name, value in numbers.items()}
 
 
@@ -213,57 +184,6 @@ def _skew_row(unit: KnownCase) -> dict[str, Row]:
             "refused": float(not calibration.trusted),
         }
     return rows
-
-
-@cache
-def _earlier(seed: int) -> Calibration:
-    return calibrate(simulate("wide", seed=_EARLIER + seed).recording, misalignment=0)
-
-
-def _fact_row(unit: KnownCase) -> dict[str, Row]:
-    run = placed(unit.motion, unit.size, unit.seed)
-    recording = replace(run.recording, attitude=None)
-    matrix: dict[str, Any] = {"prior": _earlier(unit.seed), "misalignment": 0}
-    ways: Mapping[str, Mapping[str, Any]] = {
-        "alone": {"misalignment": 0},
-        "+ matrix": matrix | {"hard_iron_walk": _MOVED},
-        "+ strength": matrix | {"hard_iron_walk": _MOVED, "field": (run.field[0], None)},
-        "+ dip": matrix | {"hard_iron_walk": _MOVED, "field": run.field},
-    }
-    rows = {way: _hard_iron(calibrate(recording, **options), run.truth) for way, options in ways.items()}
-    for way, field in (("matrix", None), ("strength", (run.field[0], None))):
-        online = OnlineCalibrator(**matrix, prior_walk=_MOVED, field=field)
-        online.update(recording.time, recording.magnetic_field, recording.angular_rate)
-        calibration = online.calibration
-        assert calibration is not None
-        rows[f"online + {way}"] = _hard_iron(calibration, run.truth)
-    return rows
-
-
-def _matrix_row(unit: KnownCase) -> dict[str, Row]:
-    """Calibrate with an earlier matrix that is off by a stretch in a random direction, and a known place."""
-    run = placed(unit.motion, 60.0 if unit.motion == "tiny" else 600.0, unit.seed)
-    shape = np.random.default_rng([unit.seed, 23]).normal(size=(3, 3))
-    shape = shape + shape.T - np.trace(shape + shape.T) / 3 * np.eye(3)
-    shape *= unit.size / 100 / np.abs(np.linalg.eigvalsh(shape)).max()
-    earlier = _earlier(unit.seed)
-    root = earlier.soft_iron @ (np.eye(3) + shape)
-    wrong = replace(earlier, soft_iron=0.5 * (root + root.T))
-    recording = replace(run.recording, attitude=None)
-    options: Mapping[str, Any] = {"prior": wrong, "hard_iron_walk": _MOVED, "field": run.field, "misalignment": 0}
-    return {"wrong": _hard_iron(calibrate(recording, **options), run.truth)}
-
-
-def _hard_iron(calibration: Calibration, truth: Calibration) -> Row:
-    away = error(calibration, truth)[6:9]
-    assert calibration.covariance is not None
-    block = calibration.covariance[6:9, 6:9]
-    return {
-        "error": float(np.mean(away**2)),
-        "stated": float(np.trace(block)) / 3,
-        "ratio": float(away @ np.linalg.solve(block, away)) / 3,
-        "refused": float(not calibration.trusted),
-    }
 
 
 def skew_cells(motion: str, degrees: float | None, rows: Mapping[KnownCase, Row]) -> dict[str, SkewCell]:
@@ -294,8 +214,9 @@ def matrix_cell(motion: str, percent: float, rows: Mapping[KnownCase, Row]) -> F
 
 
 def _fact_cell(way: str, mean: Callable[[str], float]) -> FactCell:
-    root = mean(f"{way} error") ** 0.5, mean(f"{way} stated") ** 0.5
-    return FactCell(*root, mean(f"{way} ratio"), mean(f"{way} refused"))
+    error, bound, stated = (mean(f"{way} {name}") ** 0.5 for name in ("error", "bound", "stated"))
+    ratio, of_sensors, refused = (mean(f"{way} {name}") for name in ("ratio", "of_sensors", "refused"))
+    return FactCell(error, bound, stated, ratio, of_sensors, refused)
 
 
 def _means(rows: Mapping[KnownCase, Row], kind: str, motion: str, size: float) -> Callable[[str], float]:

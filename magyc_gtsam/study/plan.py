@@ -18,7 +18,8 @@ from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.known import known_of, typical_matrix
 from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, held, widened
+from magyc_gtsam.estimators.smoother.skew import held, widened
+from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.facts import Fact, StrengthFact, field_strength, quadratic
 from magyc_gtsam.factors.chain.field_chain import SKEW
 from magyc_gtsam.factors.chain.rotations import Array

@@ -58,11 +58,16 @@ def remark(error: ModelError, noise: Array, whole: Array) -> str:
             f"hard iron ±{1e6 * np.sqrt(total):.2g} µT: sensor noise {1e6 * np.sqrt(own):.2g} µT, what the model does "
             f"not explain {1e6 * rest:.2g} µT ({place})"
         )
-    if error.field_variation is not None:
-        size, period = error.field_variation
-        within = "" if period is None else f" within some {0.5 * period:.2g} s"
-        parts.append(f"the field of the place varies by {1e6 * size:.2g} µT an axis{within}")
-    return "; ".join(parts)
+    return "; ".join(filter(None, [*parts, variation(error)]))
+
+
+def variation(error: ModelError) -> str:
+    """How the field of the place varies; "" where it does not."""
+    if error.field_variation is None:
+        return ""
+    size, period = error.field_variation
+    within = "" if period is None else f" within some {0.5 * period:.2g} s"
+    return f"the field of the place varies by {1e6 * size:.2g} µT an axis{within}"
 
 
 def _said(component: Component, error: ModelError) -> str:

@@ -12,6 +12,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.dip import dip_of, known_dip
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
+from magyc_gtsam.estimators.smoother.skew import on_skew
 from magyc_gtsam.factors.chain.facts import Fact, IronFact, LinearFact, StrengthFact, field_strength, quadratic
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
@@ -21,6 +22,7 @@ from magyc_gtsam.recording import Recording
 
 _FLOOR = np.r_[np.full(6, 1e-5), np.full(3, 1e-9)]  # sigmas, 1 and T, below which no calibration is known
 _CONTRADICTS = 31.8  # squared difference in its covariance: the 99.99 % point of χ² of eight degrees of freedom
+ENOUGH = "this motion is enough with"  # begins the sentence on facts that make up for too little motion
 _NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
@@ -182,22 +184,22 @@ def remedies(
         options: with what is known already.
         recording: says whether there is something that knows which way is up.
     """
-    if options.prior is not None:
-        return []
     parameters = fit.state.parameters[:PARAMETERS]
     strength, _ = field_strength(parameters[:6])
-    matrix = typical_matrix(parameters)
+    matrix, place = typical_matrix(parameters), StrengthFact(strength, FIELD_SIGMA)
     dip = () if dip_of(fit) is not None else known_dip(recording, fit)
     ways: tuple[tuple[str, str, tuple[Fact, ...]], ...] = (
         ("place and date", "--location, --date", dip),
         ("an earlier calibration of the instrument", "--prior", (matrix,)),
-        (
-            "an earlier calibration, place and date",
-            "--prior, --location, --date",
-            (matrix, StrengthFact(strength, FIELD_SIGMA)),
-        ),
+        ("an earlier calibration, place and date", "--prior, --location, --date", (matrix, place)),
     )
-    data = fit.reduced.information[:PARAMETERS, :PARAMETERS] / factor
+    if options.prior is not None:  # whose scale, where it is known, makes the strength of the field tell
+        known = options.place is not None or not _scaled(options.prior)
+        ways = () if known else (("place and date", "--location, --date", (place, *dip)),)
+    facts_given = tuple(fact for fact in fit.chain.facts if not on_skew(fact))
+    given = quadratic(facts_given, fit.state.parameters)[2]
+    every = quadratic(fit.chain.facts, fit.state.parameters)[2]
+    data = ((fit.reduced.information - every) / factor + given)[:PARAMETERS, :PARAMETERS]
     found = []
     for name, options_of, facts in ways:
         if not facts:
@@ -207,4 +209,4 @@ def remedies(
         if enough(covariance):
             worst = 1e6 * np.sqrt(max(float(np.linalg.eigvalsh(covariance[6:9, 6:9])[-1]), 0.0))
             found.append(f"{name} ({options_of}: hard iron ±{worst:.2g} µT)")
-    return [f"this motion is enough with {', or with '.join(found)}"] if found else []
+    return [f"{ENOUGH} {', or with '.join(found)}"] if found else []

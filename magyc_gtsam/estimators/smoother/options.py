@@ -17,6 +17,7 @@ MOST_SKEW = np.radians(45.0)
 MOST_SCALE = 0.1  # of a gyroscope: more is another unit
 FIELD_SIGMA = 150e-9  # T; what the World Magnetic Model is off by, by its own error budget
 DIP_SIGMA = np.radians(0.2)  # likewise
+HEADING_SIGMA = np.radians(1.0)  # of a sensor's x axis against that of its vehicle, mounted with care
 
 Pair = tuple[float, float]
 
@@ -29,6 +30,15 @@ class PlaceField:
     strength_sigma: float
     dip: float | None
     dip_sigma: float
+
+
+@dataclass(frozen=True)
+class KnownHeading:
+    """A channel with the heading of the sensor's x axis, sigma rad of its mean over a log, and declination rad."""
+
+    channel: str
+    sigma: float
+    declination: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +64,10 @@ class SmootherOptions:
         field: (strength T, dip rad) at the place, or ((strength, sigma), (dip, sigma)); the dip may be None. The
             strength sets the scale of the soft iron and, with a prior, informs the fit; the dip does where there is an
             accelerometer or an attitude.
+        heading: name of the channel that holds the heading of the sensor's x axis, degrees clockwise from north, or
+            (name, sigma rad) with what its mean over the log may be off by (default 1°). It informs the yaw part of a
+            skew, and needs an accelerometer.
+        declination: rad, of the field at the place, east positive; 0 where that heading is from magnetic north.
 
     Raises:
         MagycError: an option that is out of range.
@@ -72,6 +86,8 @@ class SmootherOptions:
     hard_iron_walk: float = 0.0
     soft_iron_walk: float = 0.0
     field: Any = None
+    heading: Any = None
+    declination: float = 0.0
 
     def __post_init__(self) -> None:
         check_field_strength(self.field_strength)
@@ -109,7 +125,10 @@ class SmootherOptions:
             )
         if self.field is not None and self.field_strength is not None:
             raise MagycError("field and field_strength: both set the strength of the field; give one of them")
-        _ = self.place
+        _number("declination", self.declination, -np.pi, np.pi, "rad")
+        if self.declination and self.heading is None:
+            raise MagycError("declination: it is of no use without a heading from true north; give it (heading=)")
+        _ = self.place, self.known_heading
 
     @property
     def reject(self) -> bool:
@@ -145,6 +164,20 @@ class SmootherOptions:
         return PlaceField(float(strength), float(sigma), dip, float(dip_sigma))
 
     @property
+    def known_heading(self) -> KnownHeading | None:
+        """`heading` with its sigma."""
+        if self.heading is None:
+            return None
+        named = isinstance(self.heading, str)
+        if not named and (not isinstance(self.heading, (tuple, list)) or len(self.heading) != 2):
+            raise MagycError(f"heading: {self.heading!r} is neither the name of a channel nor (name, sigma rad)")
+        name, sigma = (self.heading, HEADING_SIGMA) if named else self.heading
+        if not isinstance(name, str):
+            raise MagycError(f"heading: {name!r} is not the name of a channel")
+        _number("heading: its sigma", sigma, 0.0, np.pi, "rad")
+        return KnownHeading(name, float(sigma), float(self.declination))
+
+    @property
     def known_strength(self) -> float | None:
         """T, the strength that sets the scale of the soft iron."""
         place = self.place
@@ -161,7 +194,7 @@ class SmootherOptions:
         """What was chosen, JSON types; enough to run again."""
         chosen = {each.name: getattr(self, each.name) for each in fields(self)}
         result = {name: value for name, value in chosen.items() if value is not None or name in ("delay", "turn")}
-        for name in ("clock_drift", "gyroscope_scale", "hard_iron_walk", "soft_iron_walk"):
+        for name in ("clock_drift", "gyroscope_scale", "hard_iron_walk", "soft_iron_walk", "declination"):
             if not result[name]:
                 del result[name]
         result["robust"] = self.reject
@@ -170,6 +203,9 @@ class SmootherOptions:
         place = self.place
         if place is not None:
             result["field"] = [[place.strength, place.strength_sigma], [place.dip, place.dip_sigma]]
+        heading = self.known_heading
+        if heading is not None:
+            result["heading"] = [heading.channel, heading.sigma]
         if self.prior is not None:
             left_out = ("diagnostics", "observability", "configuration")
             result["prior"] = {k: v for k, v in self.prior.to_dict().items() if k not in left_out}

@@ -11,15 +11,18 @@ import numpy as np
 
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.smoother import axes, starts
-from magyc_gtsam.estimators.smoother.dip import dip_fact, dip_of, relinearised
+from magyc_gtsam.estimators.smoother.dip import dip_fact
 from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, PATIENCE, Fit, begin, descend
+from magyc_gtsam.estimators.smoother.heading import heading_fact
 from magyc_gtsam.estimators.smoother.known import Known, known_of
 from magyc_gtsam.estimators.smoother.minima import apart, close, lowest, positive, same, strength
 from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit, weigh
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.parts import by_a_part
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
-from magyc_gtsam.estimators.smoother.skew import AUTOMATIC, SkewPrior, asked, given, on_skew, skew_of, widened
+from magyc_gtsam.estimators.smoother.skew import asked, on_skew, skew_of, widened
+from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC, SkewPrior, given
+from magyc_gtsam.estimators.smoother.upright import relinearised, upright_facts
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
 from magyc_gtsam.factors.chain.facts import LinearFact
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, FieldChain
@@ -79,7 +82,8 @@ def fit_field_chain(
         )
     short_term = short_term_noise(recording) if noise is None else None
     level = short_term or SensorNoise(*noise)  # type: ignore[misc]
-    chain = FieldChain(windows, level, facts=(*known.facts, *dip_fact(recording, options.place)))
+    upright = (*dip_fact(recording, options.place), *heading_fact(recording, options.known_heading))
+    chain = FieldChain(windows, level, facts=(*known.facts, *upright))
     skew = skew_prior(options, known)
 
     def skewed(fit: Fit) -> Fit:
@@ -89,11 +93,14 @@ def fit_field_chain(
 
     progress(0.2)
     if start is None:
-        begun = starts.from_gyroscope(windows)
+        begun = begin(chain, starts.from_gyroscope(windows), free, patience)
         if known.soft_iron is not None and known.hard_iron is not None:
-            begun = starts.from_prior(windows, known.soft_iron, known.hard_iron, begun[9:12])
+            # The hard iron of before, or where it may have changed by far that of these data: what fits better.
+            _, iron, bias = np.split(begun.state.parameters[:12], [6, 9])
+            places = (starts.from_prior(windows, known.soft_iron, each, bias) for each in (known.hard_iron, iron))
+            begun = min((begin(chain, each, free, patience) for each in places), key=lambda fit: fit.reduced.cost)
         check_axes = cache(partial(axes.check, recording))  # which costs as much as a few iterations
-        best = first = _descended(samples, begin(chain, begun, free, patience), check_axes)
+        best = first = _descended(samples, begun, check_axes)
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
         if not explained or level.magnetometer > 0.1 * strength(best):
@@ -162,13 +169,13 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
         adapted: a fit of sixteen parameters at its own, with its noise levels and weights.
         prior, known: what is believed of a skew, and what an earlier calibration says of it.
     """
-    if known is None and len(fit.state.parameters) == PARAMETERS and dip_of(fit) is None:
+    if known is None and len(fit.state.parameters) == PARAMETERS and not upright_facts(fit):
         skew = asked(fit, prior)
-        if skew.probability <= prior.tested:
+        if skew.probability <= prior.probable:
             return fit.saying(skew)
     wide = widened(fit, prior, known)
     skew = skew_of(wide, prior, 1.0, decide=False)
-    if skew.probability > prior.tested:
+    if skew.probability > prior.probable:
         try:
             wide = adapted(descend(wide))
         except MagycError:  # it ran away, as where the field jumps

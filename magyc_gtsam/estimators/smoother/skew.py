@@ -8,85 +8,29 @@ split into ε and the rest a, and the data's information Λ, divided by the resi
     S = Λ_εε − Λ_εa Λ_aa⁻¹ Λ_aε,   b = S ε₀ − (g_ε − Λ_εa Λ_aa⁻¹ g_a),   Q = S + 1/s²,
     ln p(data | s) / p(data | 0) = ½ bᵀ Q⁻¹ b − ½ ln |I + s² S|,   ε | s ~ N(Q⁻¹ b, Q⁻¹).
 
-Where a skew is probable, its mean over all s is taken out of the readings, in the directions that the motion resolves;
-that is a decision, and is made with more belief in aligned chips than the covariance has (`SkewPrior.aligned`). Where
-not, the twelve parameters are reported as if there were none. Either way the second moment of ε about what was taken
-out, over all s, is carried into their covariance by da/dε = −Λ_aa⁻¹ Λ_aε, so that the stated sigmas hold.
+Where a skew is probable enough, its mean over all s is taken out of the readings, in the directions that the motion
+resolves; that is a decision, made with more belief in aligned chips than the covariance has (`SkewPrior.aligned`).
+Where not, the twelve parameters are reported as if there were none. Either way the second moment of ε about what was
+taken out, over all s, is carried into their covariance by da/dε = −Λ_aa⁻¹ Λ_aε, so that the stated sigmas hold.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
 from magyc_gtsam.factors.chain.chain_values import ChainState, Weights
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, iron_matrix
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _LEAST_SPLIT = 40  # windows, of a recording whose halves are compared
-
-
-@dataclass(frozen=True)
-class SkewPrior:
-    """What is believed of a skew before the data.
-
-    Attributes:
-        deviations: rad, of each angle; the boards that were measured are 0.7 to 1.3° askew in all, 0.4 to 0.75° an
-            angle.
-        weights: how far each is believed. Of those that were tried these have, over 160 recordings on each of five
-            motions and skews of 0 to 1.5°, a mean logarithm of the stated density no worse than others and a NEES of
-            8.7 to 12.1, but 13.6 at 1.5° in a level turn. Where the motion does not show a skew no weights bring all
-            sizes to 11: the room that is left for one is too much for aligned chips and too little for 1.5°.
-        aligned: how far aligned chips are believed where a skew is to be taken out: what is taken out of aligned chips
-            adds to their error, what is left in others is in the sigma. By the same simulation 0.65 leaves the error of
-            the hard iron of aligned chips within 3 % of that with twelve parameters, and the heading of every cell
-            within 1.29 times the better of twelve and fifteen. (By a threshold of 1.4 nats: 4 %, 1.28.)
-        probable: probability, with that belief, from which it is taken out.
-        resolved: rad, standard deviation of a direction of ε by the data beyond which it is left open: what is known
-            worse than boards differ would be noise in the heading (a level motion knows yaw to 1.4°).
-        most: rad, of a skew that is believed. Rooms whose field varies with the place show larger ones (BROAD's
-            trials with translation: 3.9°).
-        tested: the same by the fit without a skew, from which the chain is fitted with one, to decide.
-        apart: squared difference between the skews of the two halves, in their covariance, from which it is none;
-            the 99.99 % point of χ² with three degrees of freedom.
-    """
-
-    deviations: tuple[float, ...]
-    weights: tuple[float, ...]
-    aligned: float = 0.65
-    probable: float = 0.5
-    resolved: float = np.radians(0.5)
-    most: float = np.radians(2.0)
-    tested: float = 0.25
-    apart: float = 21.1
-
-    @property
-    def widest(self) -> float:
-        """rad, the largest deviation: what holds ε where the motion does not show it."""
-        return max(self.deviations)
-
-    @cached_property
-    def cautious(self) -> Array:
-        """(k,) the weights where aligned chips are believed by `aligned`; those given where none may be."""
-        weights, none = np.array(self.weights), np.array(self.deviations) == 0
-        if not none.any():
-            return weights
-        return np.where(none, self.aligned, (1 - self.aligned) * weights / weights[~none].sum())
-
-
-AUTOMATIC = SkewPrior(tuple(np.radians((0.0, 0.125, 0.25, 0.5, 1.0, 2.0))), (0.1, 0.02, 0.1, 0.3, 0.38, 0.1))
-
-
-def given(deviation: float) -> SkewPrior:
-    """A skew that is estimated with a prior of this deviation in rad, whatever the evidence."""
-    never = np.inf
-    return SkewPrior((deviation,), (1.0,), resolved=never, most=never, apart=never)
+_CERTAIN = 0.95  # probability of a skew from which it is said to be there
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +65,11 @@ class Skew:
         """What was taken out."""
         size = float(np.degrees(np.linalg.norm(self.value)))
         sigma = float(np.degrees(np.sqrt(self.value @ self.covariance @ self.value) / np.linalg.norm(self.value)))
+        if self.probability < _CERTAIN:
+            return (
+                f"the two chips may be askew (probability {self.probability:.0%}): the mean of what they may be, "
+                f"{size:.2f} ± {sigma:.2f}°, is taken out (misalignment)"
+            )
         return f"the two chips are {size:.2f} ± {sigma:.2f}° askew, which is taken out (misalignment)"
 
     def undecided(self) -> Skew:
@@ -129,7 +78,7 @@ class Skew:
         return replace(self, value=np.zeros(3), covariance=second, shift=self.shift - self.gain @ self.value)
 
 
-class _Profile(NamedTuple):
+class Profile(NamedTuple):
     """S (3, 3) and b (3,) of ε, see above; gain and shift as `Skew`, the latter at ε = 0."""
 
     information: Array
@@ -177,8 +126,8 @@ def skew_of(fit: Fit, prior: SkewPrior, factor: float, *, decide: bool = True) -
             raises, and its widening.
         decide: whether it may be taken out; else it is left open, however probable.
     """
-    profile = _profile(fit, factor)
-    believed = _Believed.of(profile, prior)
+    profile = profile_of(fit, factor)
+    believed = Believed.of(profile, prior)
     if not decide or believed.probability <= prior.probable:
         return believed.around(np.zeros(3), profile)
     doubt = _doubt(fit, believed.mean, prior, factor)
@@ -194,11 +143,11 @@ def asked(fit: Fit, prior: SkewPrior) -> Skew:
     )
     beside = fit.beside
     new = beside.of(UnmodelledColumns(columns, None))
-    profile = _Profile(new.normal, new.score, -beside.move(new), np.zeros(PARAMETERS))
-    return _Believed.of(profile, prior).around(np.zeros(3), profile)
+    profile = Profile(new.normal, new.score, -beside.move(new), np.zeros(PARAMETERS))
+    return Believed.of(profile, prior).around(np.zeros(3), profile)
 
 
-class _Believed(NamedTuple):
+class Believed(NamedTuple):
     """ε under each deviation of a prior: how far that is believed (k,), by the weights and in a decision, mean (k, 3)
     and variance (k, 3) along the principal axes (3, 3) of the data's information; which of these are resolved; and
     the nats of the likeliest against none, and the probability that there is any, in those."""
@@ -213,7 +162,7 @@ class _Believed(NamedTuple):
     probability: float
 
     @classmethod
-    def of(cls, profile: _Profile, prior: SkewPrior) -> _Believed:
+    def of(cls, profile: Profile, prior: SkewPrior) -> Believed:
         """The prior is the same about every axis, so that all is a sum over the principal axes."""
         known, axes = np.linalg.eigh(profile.information)
         known, pull = np.maximum(known, 0.0), profile.pull @ axes
@@ -239,7 +188,7 @@ class _Believed(NamedTuple):
         result: Array = self.axes @ np.where(self.kept, self.decisive @ self.angle, 0.0)
         return result
 
-    def around(self, value: Array, profile: _Profile, doubt: str = "") -> Skew:
+    def around(self, value: Array, profile: Profile, doubt: str = "") -> Skew:
         """With its second moment about `value`."""
         away = self.angle @ self.axes.T - value
         second = (self.axes * (self.share @ self.variance)) @ self.axes.T + (self.share * away.T) @ away
@@ -253,7 +202,7 @@ def _normalised(weights: Array, nats: Array) -> Array:
     return result
 
 
-def _profile(fit: Fit, factor: float) -> _Profile:
+def profile_of(fit: Fit, factor: float) -> Profile:
     """The data's say on ε, with all other parameters at their best for it; `factor` divides the information."""
     parameters, facts = fit.state.parameters, fit.chain.facts
     _, slope, believed = quadratic(facts, parameters)
@@ -272,7 +221,7 @@ def _profile(fit: Fit, factor: float) -> _Profile:
     gain, shift = np.zeros((PARAMETERS, 3)), np.zeros(PARAMETERS)
     gain[rest] = -solved[:, :3]
     shift[rest] = -solved[:, 3] + solved[:, :3] @ skewed
-    return _Profile(curvature, pull, gain, shift)
+    return Profile(curvature, pull, gain, shift)
 
 
 def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
@@ -314,7 +263,7 @@ def _of_part(fit: Fit, rows: slice, factor: float) -> _Angle:
     weights = Weights(fit.weights.window[rows], fit.weights.link[links])
     _, reduced = chain.settle(state, weights)
     part = replace(fit, chain=chain, state=state, weights=weights, reduced=reduced)
-    profile = _profile(part, factor)
+    profile = profile_of(part, factor)
     held_by = quadratic(chain.facts[-1:], state.parameters)[2][SKEW, SKEW]
     covariance = np.linalg.inv(profile.information + held_by).astype(np.float64)
     return _Angle(covariance @ profile.pull, covariance)

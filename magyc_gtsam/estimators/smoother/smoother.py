@@ -18,8 +18,8 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import field_jumps
 from magyc_gtsam.estimators.gauge import IronScale, fix_scale
 from magyc_gtsam.estimators.model_error import ModelError, model_error
+from magyc_gtsam.estimators.model_error.verdict import variation
 from magyc_gtsam.estimators.smoother.clock_drift import find_drift, restamped, with_drift
-from magyc_gtsam.estimators.smoother.dip import dip_of
 from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.gyroscope_scale import scale_of, with_scale
 from magyc_gtsam.estimators.smoother.iron_change import hard_iron_change
@@ -30,6 +30,7 @@ from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.estimators.smoother.search import Progress, fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import on_skew
+from magyc_gtsam.estimators.smoother.upright import upright_facts
 from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.chain.vech import unvech
@@ -155,11 +156,12 @@ def calibration_of(
 
         reasons += remedies(fit, colour * fit.widening, enough, options, recording)
     reasons += judgement.reasons
-    dip = dip_of(fit)
+    upright = upright_facts(fit)
+    unused = [fact.sentence for fact in upright if fact.contradiction]
     told = [
         f"converged in {fit.iterations} iterations",
         known_of(options).note,
-        "" if dip is None else dip.sentence,
+        *unused,
         judgement.remark,
     ]
     noise = fit.chain.noise
@@ -180,7 +182,7 @@ def calibration_of(
         delay_sigma=float(np.sqrt(judgement.delay_variance)) if fit.free[DELAY] else None,
         terms=terms,
         converged=not reasons,
-        message="; ".join(reasons or filter(None, told)),
+        message="; ".join(filter(None, [*reasons, *unused, variation(unexplained)] if reasons else told)),
         method="smoother",
         noise={"magnetic_field": noise.magnetometer, "angular_rate": noise.gyroscope},
         field_strength=unit,
@@ -204,7 +206,7 @@ def calibration_of(
                 .tolist()
             }
         )
-        | ({} if dip is None else dip.diagnostics),
+        | {name: said for fact in upright for name, said in fact.diagnostics.items()},
         configuration=dict(options.configuration),
     )
 

@@ -1,0 +1,142 @@
+"""A known heading as a fact: it tells the yaw part of a skew between the chips, which a level motion does not show.
+
+The heading of the sensor's x axis is known at some stamps k, from two GNSS antennas, a gyrocompass, or the course of a
+vehicle that does not drift. With the vertical p and the field's direction g in the integrated world, in which the x
+axis is a,
+
+    φ = atan2(−p · (g × a), g · a − (g · p)(a · p)),   y(θ) = mean_k (φ(t_k) + declination − heading_k) ~ N(0, σ²),
+    σ² = σ_heading² + σ_scatter² + σ_vertical²,
+
+where φ is interpolated between windows, and σ_heading is what the heading is off by all the time: the angle between the
+sensor's x axis and the axis of which the heading is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.fit import Fit, colour_of
+from magyc_gtsam.estimators.smoother.options import KnownHeading
+from magyc_gtsam.estimators.smoother.upright import (
+    UprightFact,
+    near,
+    upright,
+    vertical_of,
+    vertical_sigma,
+)
+from magyc_gtsam.factors.chain.rotations import Array, cross
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.recording import Recording
+
+_APART = 5.0  # s between two windows, up to which the heading is interpolated between them
+_LEAST = 8  # stamps
+_TILT = 1e-5  # rad, step of a derivative
+
+
+class _Between(NamedTuple):
+    """Stamps between windows `before` and `before` + 1 (k,), how far (k,), and their heading (k,)."""
+
+    before: np.ndarray
+    share: Array
+    heading: Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HeadingFact(UprightFact):
+    """y(θ) ~ N(0, σ²).
+
+    Args:
+        known: sigma and declination.
+        time: (k,) s, ascending.
+        heading: (k,) rad, of the sensor's x axis, clockwise from true north.
+    """
+
+    known: KnownHeading
+    time: Array
+    heading: Array
+    name = "heading"
+
+    @property
+    def sentence(self) -> str:
+        """See `UprightFact`."""
+        return (
+            f"the heading by the field and by {self.known.channel!r} differ by {np.degrees(self.measured):.1f}° on "
+            f"average ({self.contradiction:.1f} sigmas), which is not used: it must be the heading of the sensor's x "
+            "axis in degrees, and a course is none where the vehicle drifts; correct it, or give it a larger sigma"
+        )
+
+    def linearised(self, fit: Fit) -> HeadingFact:
+        """See `UprightFact`."""
+        found = upright(self.vertical, fit)
+        if found is None:
+            return self
+        up, counts, turn = found
+        g, ahead = fit.state.direction, fit.chain.windows.rotation[0]
+        level = np.linalg.norm(cross(ahead, up), axis=0) > 0.5  # else the axis points up or down
+        stamps = self._between(fit.chain.windows.time, counts & level)
+        if len(stamps.before) < _LEAST:
+            return self
+        azimuth = np.unwrap(_azimuth(g, ahead, up))
+        there = (1 - stamps.share) * azimuth[stamps.before] + stamps.share * azimuth[stamps.before + 1]
+        away = np.exp(1j * (there + self.known.declination - stamps.heading))
+        centre = float(np.angle(away.mean()))
+        apart = np.angle(away * np.exp(-1j * centre))
+        kept = near(apart, np.ones(len(apart), dtype=bool)) / 1.0
+        kept *= np.minimum(fit.weights.window[stamps.before], fit.weights.window[stamps.before + 1])
+        kept /= kept.sum()
+        measured = float(np.angle(np.exp(1j * (centre + kept @ apart))))
+        scatter = float(kept @ (apart - kept @ apart) ** 2)
+        weight = np.bincount(stamps.before, kept * (1 - stamps.share), g.shape[1])
+        weight += np.bincount(stamps.before + 1, kept * stamps.share, g.shape[1])
+        tilts = [_azimuth(g, ahead, up + _TILT * axis[:, None]) - _azimuth(g, ahead, up) for axis in np.eye(3)]
+        lever = np.einsum("n,in,ijn->j", weight, np.angle(np.exp(1j * np.array(tilts))) / _TILT, turn)
+        spread = scatter * colour_of(apart[None, kept > 0]) / np.count_nonzero(kept)
+        sigma = float(np.sqrt(self.known.sigma**2 + spread + vertical_sigma(self.vertical, lever) ** 2))
+        across = cross(up, g)
+        slopes = weight * across / np.einsum("in,in->n", across, across)
+        return self.at_minimum(fit, slopes, measured, 0.0, sigma)
+
+    def _between(self, time: Array, counts: np.ndarray) -> _Between:
+        before = np.searchsorted(time, self.time, side="right") - 1
+        inside = (before >= 0) & (before < len(time) - 1)
+        before, at, heading = before[inside], self.time[inside], self.heading[inside]
+        length = time[before + 1] - time[before]
+        kept = (length < _APART) & counts[before] & counts[before + 1]
+        return _Between(before[kept], ((at - time[before]) / length)[kept], heading[kept])
+
+
+def _azimuth(field: Array, ahead: Array, up: Array) -> Array:
+    """(n,) rad, clockwise from the horizontal field to `ahead`, both (3, n), about `up` (3, n)."""
+    turned = np.einsum("in,in->n", up, cross(field, ahead))
+    along = np.einsum("in,in->n", field, ahead) - np.einsum("in,in->n", field, up) * np.einsum(
+        "in,in->n", ahead, up
+    ) / np.einsum("in,in->n", up, up)
+    return np.arctan2(-turned / np.sqrt(np.einsum("in,in->n", up, up)), along)
+
+
+def heading_fact(recording: Recording, known: KnownHeading | None) -> tuple[HeadingFact, ...]:
+    """The fact, not linearised yet; none where no heading is known.
+
+    Raises:
+        MagycError: the recording does not have the channel, or nothing says which way is up.
+    """
+    if known is None:
+        return ()
+    channel = recording.channels.get(known.channel)
+    if channel is None or np.ndim(channel) != 1:
+        names = ", ".join(sorted(recording.channels)) or "none"
+        raise MagycError(
+            f"heading: the recording has no channel {known.channel!r} with one value a row; its channels: {names}"
+        )
+    vertical = vertical_of(recording)
+    if vertical is None or not vertical.signed:
+        raise MagycError(
+            "heading: without an accelerometer nothing says which way is up; add one to the recording, or leave the "
+            "heading away"
+        )
+    kept = np.isfinite(channel)
+    heading = np.radians(np.asarray(channel, dtype=float)[kept])
+    return (HeadingFact(vertical=vertical, known=known, time=recording.time[kept], heading=heading),)
