@@ -14,11 +14,12 @@ import numpy as np
 from magyc_gtsam.estimators.smoother import starts
 from magyc_gtsam.estimators.smoother.fit import BRIEF, NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.minima import apart
-from magyc_gtsam.estimators.smoother.noise_levels import adapt, misfit, weigh
+from magyc_gtsam.estimators.smoother.noise_levels import misfit, weigh
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.errors import MagycError
 
 _PARTS = 4
+_ROUNDS = 3  # of weights
 
 
 def by_a_part(fit: Fit, noise: SensorNoise, most: float) -> Fit | None:
@@ -34,10 +35,12 @@ def by_a_part(fit: Fit, noise: SensorNoise, most: float) -> Fit | None:
         part = chain.part(first, stop)
         try:
             own = descend(begin(part, starts.from_gyroscope(part.windows), fit.free, BRIEF), NEAR)
-            whole = weigh(chain, adapt(own, True, noise).state.parameters)
         except MagycError:  # too little motion
             continue
+        if not apart(own, fit):
+            continue
+        whole = weigh(chain, own.state.parameters, _ROUNDS)
         left = misfit(whole, noise)
-        if left < most and apart(whole, fit):
+        if left < most:
             most, found = left, replace(whole, free=fit.free, patience=BRIEF)
     return found

@@ -135,7 +135,9 @@ def fit_field_chain(
             if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # else it ran away
                 fits.append(_adapted(samples, fit, reject, short_term))
         best, _ = lowest(fits)
-        part = by_a_part(_without_skew(best), level, misfit(best, level)) if reject else None
+        part = None
+        if reject and disturbed(best):
+            part = by_a_part(_without_skew(best), level, misfit(best, level))
         if part is not None:
             part = _adapted(samples, part, reject, short_term)
             fits += [part] if apart(part, best) else []
