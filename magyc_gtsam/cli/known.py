@@ -67,6 +67,9 @@ class GivenFacts:
             result["declination"] = scale.declination()
         elif self.heading_sigma is not None:
             raise MagycError("--heading-sigma: has no effect without --heading CHANNEL")
+        for name, walk in (("hard-iron", self.hard_iron_walk), ("soft-iron", self.soft_iron_walk)):
+            if walk is not None and not walk >= 0:
+                raise MagycError(f"--{name}-walk: must be 0 or more, got {walk:g}")
         if self.hard_iron_walk is not None:
             result["hard_iron_walk"] = self.hard_iron_walk * 1e-6
         if self.soft_iron_walk is not None:
@@ -87,11 +90,14 @@ def beforehand(misalignment: str | None, prior: Path | None) -> dict[str, Any]:
         result["misalignment"] = misalignment
         if misalignment != "auto":
             try:
-                result["misalignment"] = math.radians(float(misalignment))
+                degrees = float(misalignment)
             except ValueError:
+                degrees = math.nan
+            if not 0 <= degrees < 45:
                 raise MagycError(
-                    f"--misalignment: must be a number of degrees or 'auto', got {misalignment!r}"
-                ) from None
+                    f"--misalignment: must be a number of degrees from 0 to 45, or 'auto', got {misalignment!r}"
+                )
+            result["misalignment"] = math.radians(degrees)
     if prior is not None:
         from magyc_gtsam.calibration import Calibration
 

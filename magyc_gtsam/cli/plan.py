@@ -61,7 +61,8 @@ def show_plan(heading: float, options: dict[str, Any], quiet: bool, json: bool) 
             if "prior" in chosen
             else "--prior, its matrix good to 0.2 %, its hard iron to nothing"
         )
-        + ". A skew between the chips as boards have it is left open.",
+        + ". A misalignment of the chips as boards have it is left open; level motion does not show its part about "
+        "the vertical. Where that is the limit, --heading helps, or --misalignment 0 if the chips are aligned.",
     )
     return 0
 
