@@ -62,7 +62,7 @@ class ForwardFilter(NamedTuple):
         whitener = (vector / np.sqrt(value)[:, None]) @ np.swapaxes(vector, 1, 2)
         whitener = np.ascontiguousarray(np.moveaxis(whitener, 0, 2))
         before, after = -reduced.basis[:, :, :-1] * scale, reduced.basis[:, :, 1:] * scale
-        gain = np.einsum("ijn,jan,abn->ibn", whitener, seen, ahead)[..., 1:]
+        gain = np.einsum("ian,abn->ibn", np.einsum("ijn,jan->ian", whitener, seen), ahead)[..., 1:]
         return cls(
             np.ascontiguousarray(before),
             np.ascontiguousarray(after),

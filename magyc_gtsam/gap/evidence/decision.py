@@ -19,4 +19,5 @@ def marginals(posterior: Mapping[Set, float]) -> dict[str, float]:
             result[UNKNOWN] += probability
         elif not names:
             result[NOTHING] += probability
-    return dict(sorted(result.items(), key=lambda one: -one[1]))
+    stated = {what: min(probability, 1.0) for what, probability in result.items()}  # sums are rounded
+    return dict(sorted(stated.items(), key=lambda one: -one[1]))
