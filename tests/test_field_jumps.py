@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,6 +38,9 @@ def test_without_a_gyroscope_or_samples_nothing_is_said() -> None:
     recording = mg.simulate("wide", 60).recording
     assert field_jumps(replace(recording, angular_rate=None)) == ()
     assert field_jumps(recording.rows(slice(0, 6))) == ()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert field_jumps(mg.simulate("wide", 120, 1, seed=0).recording) == ()  # too slowly sampled
 
 
 @pytest.mark.real

@@ -114,6 +114,15 @@ def test_logs_with_and_without_a_scale_are_not_joined(dives: list[mg.Recording])
         History([*with_scale.factors, *without.factors])
 
 
+def test_a_scale_beyond_its_prior_is_not_believed() -> None:
+    """Rates in a unit that is wrong by half, say."""
+    found = mg.calibrate(scaled("moderate", 2, np.full(3, 0.5)), gyroscope_scale=PRIOR)
+    assert not found.trusted
+    assert "check its unit, or expect more (gyroscope_scale)" in found.message
+    assert found.message.index("the gyroscope's scale would be off by") == 0
+    assert not [term for term in found.terms if term.name == "gyro-scale"]
+
+
 def test_a_prior_that_is_another_unit() -> None:
     dive = scaled("wide", 1, np.zeros(3))
     with pytest.raises(mg.MagycError, match=r"gyroscope_scale must be between 0 and 0\.1, got 1"):

@@ -87,9 +87,11 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
     if len(fit.chain.windows) < _LEAST_WINDOWS:
         return ModelError(np.zeros_like(fit.reduced.information))
     beside, motion = fit.beside, WindowMotion.of(fit, step)
-    # A skew that the fit was asked for is in its own covariance.
-    families = [family for family in FAMILIES if fit.skew is None or family.name != "skew"]
-    physical = (*PHYSICAL, COARSE) if step else PHYSICAL
+    # A skew that the fit was asked for, and scales that it estimates, are in its own covariance.
+    estimated = {"skew"} if fit.skew is not None else set()
+    estimated |= set(() if fit.terms is None else fit.terms.families)
+    families = [family for family in FAMILIES if family.name not in estimated]
+    physical = [family for family in (*PHYSICAL, *([COARSE] if step else [])) if family.name not in estimated]
     every = tested(beside, motion, [*physical, *(family for family in families if family.first)])
     found = []
     if max(each.gain for each in every) > _SUSPECT:

@@ -46,12 +46,13 @@ class EstimatedTerms(NamedTuple):
     """Parameters of a model beyond θ, which the chain's windows and links are corrected by.
 
     columns: by what a unit of each of m changes the residual; value (m,); precision (m,): with which each was held to 0
-    beforehand.
+    beforehand; families: names of those of the model error that they stand for.
     """
 
     columns: UnmodelledColumns
     value: Array
     precision: Array
+    families: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,24 @@ from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.recording import Array, Recording
 
 SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # the elements of the term `gyro-scale` that are estimated
+_FAMILIES = ("gyroscope:scale", "gyroscope:scales")
 _ROUNDS = 6
 _SETTLED = 0.01  # squared length of a step in sigmas
+_MOST = 4.0  # of the prior's deviations, beyond which g is no scale error of the sensor that the prior describes
+
+
+class ScaleError(NamedTuple):
+    """What `with_scale` found.
+
+    Attributes:
+        recording: with its rates corrected.
+        fit: of it, with the scales as terms.
+        doubt: why the scales are not believed, with the recording and the fit as they were given; "" where they are.
+    """
+
+    recording: Recording
+    fit: Fit
+    doubt: str = ""
 
 
 class GyroscopeScale(NamedTuple):
@@ -77,8 +93,8 @@ def scale_of(fit: Fit, factor: float) -> GyroscopeScale | None:
 
 def with_scale(
     recording: Recording, fit: Fit, deviation: float, refit: Callable[[Recording, Fit], Fit]
-) -> tuple[Recording, Fit]:
-    """Return the recording with its rates corrected, and its fit with the scales as terms.
+) -> ScaleError:
+    """Estimate the scales.
 
     Args:
         recording: as read.
@@ -86,24 +102,34 @@ def with_scale(
         deviation: of the prior of each axis' scale, relative.
         refit: the minimum of a corrected recording next to an earlier fit.
     """
-    value, corrected = np.zeros(3), recording
+    value, corrected, given = np.zeros(3), recording, fit
     fit = _beside_scale(fit, value, deviation)
     for _ in range(_ROUNDS):
         scale = scale_of(fit, fit.colour * fit.widening)
         assert scale is not None
+        if np.abs(scale.value).max() > _MOST * deviation:
+            return ScaleError(recording, given, _doubt(scale.value, deviation))
         step = scale.value - value
         if step @ np.linalg.solve(scale.covariance, step) < _SETTLED:
             break
         value = scale.value
         corrected = _corrected(recording, value, fit.state.parameters[9:12])
         fit = _beside_scale(refit(corrected, fit), value, deviation)
-    return corrected, fit
+    return ScaleError(corrected, fit)
+
+
+def _doubt(value: Array, deviation: float) -> str:
+    worst = int(np.argmax(np.abs(value)))
+    return (
+        f"the gyroscope's scale would be off by {100 * value[worst]:+.1f} % along {'xyz'[worst]}, where "
+        f"{100 * deviation:g} % (1σ) is expected: check its unit, or expect more (gyroscope_scale)"
+    )
 
 
 def _beside_scale(fit: Fit, value: Array, deviation: float) -> Fit:
     """Return a fit with the scales, at `value`, as terms."""
     columns = WindowMotion.of(fit).gyroscope_scales()
-    return replace(fit, terms=EstimatedTerms(columns, value, np.full(3, deviation**-2)))
+    return replace(fit, terms=EstimatedTerms(columns, value, np.full(3, deviation**-2), _FAMILIES))
 
 
 def _noise_shrunk(fit: Fit) -> Array:

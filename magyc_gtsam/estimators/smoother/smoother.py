@@ -60,8 +60,6 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
     if options.clock_drift:
         recording = restamped(recording, options.clock_drift)
     fit, rival = fit_field_chain(recording, options, progress=report)
-    if options.gyroscope_scale:
-        recording, fit = with_scale(recording, fit, options.gyroscope_scale, partial(_next_to, options))
     doubts = _contradictions(recording, options)
     calibration = calibration_of(recording, fit, rival, options, doubts=doubts)
     change = hard_iron_change(recording, fit, calibration, options)
@@ -74,8 +72,13 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
         return fit, lambda: calibration_of(again, fit, rival, options).converged
 
     drift = find_drift(recording, fit, calibration.converged, refit)
+    drift = None if drift is None else drift._replace(known=options.clock_drift)
+    if options.gyroscope_scale and change is None and not (drift is not None and drift.harms):
+        corrected, fit, doubt = with_scale(recording, fit, options.gyroscope_scale, partial(_next_to, options))
+        doubts = [doubt, *doubts] if doubt else doubts
+        calibration = calibration_of(corrected, fit, rival, options, doubts=doubts)
     report(1.0)
-    return with_drift(calibration, None if drift is None else drift._replace(known=options.clock_drift))
+    return with_drift(calibration, drift)
 
 
 def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
