@@ -16,6 +16,10 @@ SIGMAS = 3.0  # stated sigmas beyond which a result is wrong
 HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
 HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
+_MOVING = (
+    "timing",
+    "hysteresis",
+)  # terms of what happens, or has happened: readings at rest have no loop to take out
 _APART = 1e-3  # s between readings at rest, in which nothing happens
 _LEAST = 1e-9  # of a term's value, by which its slope is found where it has no sigma
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
@@ -89,7 +93,7 @@ def score(
 
 def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
     """Return readings (n, 3) T of an instrument at rest, calibrated as at the end of the log."""
-    at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name != "timing"))
+    at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name not in _MOVING))
     time = end + _APART * np.arange(len(readings))
     return at_rest.corrected(readings, time=time, angular_rate=np.tile(GYRO_BIAS, (len(readings), 1)))
 
