@@ -11,9 +11,9 @@ from scipy.stats import chi2
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.gap.agreement import GapMap, Line, Metrics, OpenLoop
 from magyc_gtsam.gap.fine import Fine
 from magyc_gtsam.gap.noise_effects import tone
-from magyc_gtsam.gap.result import GapMap, Line, Metrics, OpenLoop
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import interleaved
 from magyc_gtsam.gap.twin import Twin

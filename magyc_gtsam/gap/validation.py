@@ -15,6 +15,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.agreement import Metrics
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import TERMS
@@ -23,7 +24,7 @@ from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.moved import against
 from magyc_gtsam.gap.problem import Active, Model, Problem
 from magyc_gtsam.gap.refit import as_calibration, widened
-from magyc_gtsam.gap.result import Metrics, Moved
+from magyc_gtsam.gap.result import Moved
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.recording import Recording
