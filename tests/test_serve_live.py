@@ -271,6 +271,23 @@ def test_a_serial_port_that_is_named_by_hand(
         os.close(theirs)
 
 
+def test_a_port_is_not_chosen_while_another_is_typed(live_page: tuple[Any, Served]) -> None:
+    """The list of ports may come late; it fills in a field that nobody is in."""
+    page, _ = live_page
+    held: list[Any] = []
+    page.route("**/api/ports", lambda route: held.append(route))
+    for focused, value in ((False, "/dev/ttyS0"), (True, "")):
+        page.locator("[data-kind=mavlink]").click()
+        with page.expect_request("**/api/ports"):
+            page.locator("[data-kind=serial]").click()
+        page.locator("#serial-port").fill("")
+        page.locator("#serial-port" if focused else "#baud").focus()
+        page.locator("#ports").evaluate("list => list.replaceChildren()")
+        held.pop().fulfill(json={"ports": ["/dev/ttyS0"]})
+        page.locator("#ports option").wait_for(state="attached")
+        assert page.locator("#serial-port").input_value() == value
+
+
 def test_an_autopilot_over_mavlink(live_page: tuple[Any, Served], lines: list[dict[str, Any]]) -> None:
     """HIGHRES_IMU over loopback, to the last digit what Python gives on the values of the messages."""
     mavutil = pytest.importorskip("pymavlink.mavutil")

@@ -20,7 +20,8 @@ async function chooseSource(kind) {
     const { ports } = await ask("/api/ports");
     if (live.kind !== kind) return; // another was chosen in the meantime
     $("#ports").replaceChildren(...ports.map((name) => element("option", { value: name })));
-    if (!$("#serial-port").value) $("#serial-port").value = ports[0] || "";
+    const port = $("#serial-port");
+    if (!port.value && document.activeElement !== port) port.value = ports[0] || ""; // not between what somebody types
     if (!ports.length) $("#source-words").textContent = "No serial port is listed: plug the device in and tap Serial again, or write its name, such as /dev/ttyUSB0.";
   }
 }
