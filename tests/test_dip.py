@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fact_slopes import check_slope
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Recording, calibrate, simulate
 from magyc_gtsam.estimators.smoother.dip import DipFact, dip_fact, known_dip
 from magyc_gtsam.estimators.smoother.options import DIP_SIGMA, FIELD_SIGMA, PlaceField
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.estimators.smoother.upright import relinearised
 from magyc_gtsam.study.efficiency import error
 from magyc_gtsam.study.known import skewed
 from magyc_gtsam.study.known_facts import placed
@@ -28,20 +28,7 @@ def test_its_slope_is_the_derivative_of_the_dip_of_the_chain():
     place = PlaceField(50e-6, FIELD_SIGMA, run.dip, DIP_SIGMA)
     fit = replace(fit, chain=replace(fit.chain, facts=(*fit.chain.facts, *dip_fact(run.recording, place))))
 
-    def measured(parameters):
-        state, reduced = fit.chain.settle(fit.state._replace(parameters=parameters), fit.weights)
-        there, _ = relinearised(replace(fit, state=state, reduced=reduced))
-        (found,) = (fact for fact in there.chain.facts if isinstance(fact, DipFact))
-        return found
-
-    centre = fit.state.parameters
-    found = measured(centre)
-    step = np.r_[np.full(6, 3e-8), np.full(3, 3e-8), np.full(3, 2e-5), 1e-4, np.full(3, 1e-4)]
-    for k, size in enumerate(step):
-        moved = np.zeros(16)
-        moved[k] = size
-        change = (measured(centre + moved).measured - measured(centre - moved).measured) / (2 * size)
-        assert found.slope[k] * found.sigma * size == pytest.approx(change * size, rel=0.02, abs=3e-7), k
+    check_slope(fit, DipFact)
 
 
 @pytest.mark.parametrize("by", ["acceleration", "attitude"])

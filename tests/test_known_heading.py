@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fact_slopes import check_slope
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Calibration, MagycError, calibrate, cli, simulate
 from magyc_gtsam.estimators.smoother.heading import HeadingFact, heading_fact
 from magyc_gtsam.estimators.smoother.options import KnownHeading
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.estimators.smoother.upright import relinearised
 from magyc_gtsam.study.known import heading_error, skewed
 
 DEGREE = np.pi / 180
@@ -36,20 +36,7 @@ def test_its_slope_is_the_derivative_of_the_heading_of_the_chain():
     (fact,) = heading_fact(recording, KnownHeading("course", DEGREE, declination))
     fit = replace(fit, chain=replace(fit.chain, facts=(*fit.chain.facts, fact)))
 
-    def measured(parameters):
-        state, reduced = fit.chain.settle(fit.state._replace(parameters=parameters), fit.weights)
-        there, _ = relinearised(replace(fit, state=state, reduced=reduced))
-        (found,) = (fact for fact in there.chain.facts if isinstance(fact, HeadingFact))
-        return found
-
-    centre = fit.state.parameters
-    found = measured(centre)
-    step = np.r_[np.full(6, 3e-8), np.full(3, 3e-8), np.full(3, 2e-5), 1e-4, np.full(3, 1e-4)]
-    for k, size in enumerate(step):
-        moved = np.zeros(16)
-        moved[k] = size
-        change = (measured(centre + moved).measured - measured(centre - moved).measured) / (2 * size)
-        assert found.slope[k] * found.sigma * size == pytest.approx(change * size, rel=0.02, abs=3e-7), k
+    check_slope(fit, HeadingFact)
 
 
 def test_on_a_level_vehicle_the_heading_is_nearer_to_the_truth_and_its_sigma_smaller():
