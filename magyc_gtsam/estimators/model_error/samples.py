@@ -1,6 +1,6 @@
 """What is wrong within windows, where their means do not show it: outliers to one side, coarse steps, slow sampling.
 
-Both are seen in what neighbouring samples do, which motion hardly enters where it is sampled fast enough.
+All are seen in what neighbouring samples do, which motion hardly enters where it is sampled fast enough.
 """
 
 from __future__ import annotations

@@ -79,19 +79,20 @@ class HeadingFact(UprightFact):
         stamps = self._between(fit.chain.windows.time, counts & level)
         if len(stamps.before) < _LEAST:
             return self
-        azimuth = np.unwrap(_azimuth(g, ahead, up))
+        wrapped = _azimuth(g, ahead, up)
+        azimuth = np.unwrap(wrapped)
         there = (1 - stamps.share) * azimuth[stamps.before] + stamps.share * azimuth[stamps.before + 1]
         away = np.exp(1j * (there + self.known.declination - stamps.heading))
         centre = float(np.angle(away.mean()))
         apart = np.angle(away * np.exp(-1j * centre))
-        kept = near(apart, np.ones(len(apart), dtype=bool)) / 1.0
+        kept = near(apart, np.ones(len(apart), dtype=bool)).astype(float)
         kept *= np.minimum(fit.weights.window[stamps.before], fit.weights.window[stamps.before + 1])
         kept /= kept.sum()
         measured = float(np.angle(np.exp(1j * (centre + kept @ apart))))
         scatter = float(kept @ (apart - kept @ apart) ** 2)
         weight = np.bincount(stamps.before, kept * (1 - stamps.share), g.shape[1])
         weight += np.bincount(stamps.before + 1, kept * stamps.share, g.shape[1])
-        tilts = [_azimuth(g, ahead, up + _TILT * axis[:, None]) - _azimuth(g, ahead, up) for axis in np.eye(3)]
+        tilts = [_azimuth(g, ahead, up + _TILT * axis[:, None]) - wrapped for axis in np.eye(3)]
         lever = np.einsum("n,in,ijn->j", weight, np.angle(np.exp(1j * np.array(tilts))) / _TILT, turn)
         spread = scatter * colour_of(apart[None, kept > 0]) / np.count_nonzero(kept)
         sigma = float(np.sqrt(self.known.sigma**2 + spread + vertical_sigma(self.vertical, lever) ** 2))

@@ -9,6 +9,7 @@ from magyc_gtsam.estimators.gauge import IronScale
 from magyc_gtsam.estimators.model_error import ModelError
 from magyc_gtsam.estimators.model_error.samples import flickers, too_slow
 from magyc_gtsam.estimators.model_error.verdict import diagnostics, reason, remark
+from magyc_gtsam.estimators.smoother.gyroscope_scale import GyroscopeScale
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.estimators.smoother.skew import Skew
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS, SKEW
@@ -19,11 +20,12 @@ from magyc_gtsam.recording import Array, Recording
 
 
 class Posterior(NamedTuple):
-    """θ (13,) and its covariance (13, 13) with the skew's share, and the skew itself."""
+    """θ (13,) and its covariance (13, 13) with the shares of skew and gyroscope's scale, and these themselves."""
 
     parameters: Array
     covariance: Array
     skew: Skew | None
+    scale: GyroscopeScale | None = None
 
 
 class Judgement(NamedTuple):
@@ -66,7 +68,7 @@ def judge(
         recording: says how it moved; samples: of both sensors, which may be fewer.
         strength: T, of the field, where it is known; strength_sigma: its standard deviation.
     """
-    parameters, sensors, skew = known
+    parameters, sensors, skew, _ = known
     scale = IronScale.of(unvech(parameters[:6]), strength, strength_sigma)
     soft_iron, unit = scale.soft_iron, scale.strength
     covariance = sensors + unexplained.covariance[:PARAMETERS, :PARAMETERS]

@@ -123,7 +123,7 @@ def posterior(fit: Fit, factor: float) -> Posterior:
     if scale is not None:
         parameters = parameters + scale.shift
         covariance = covariance + scale.cross @ scale.gain.T
-    return Posterior(parameters, covariance, fit.skew)
+    return Posterior(parameters, covariance, fit.skew, scale)
 
 
 def calibration_of(
@@ -147,7 +147,7 @@ def calibration_of(
     unexplained = model_error(fit, samples) if unexplained is None else unexplained
     strength = options.known_strength, options.strength_sigma
     judgement = judge(known, unexplained, recording, samples, *strength)
-    parameters, _, skew = known
+    parameters, _, skew, scale = known
     unit, observability = judgement.strength, judgement.observability
     reasons = list(doubts) if skew is None or not skew.doubt else [*doubts, skew.doubt]
     reasons += _jumped(fit, recording) + _reasons(fit, rival, unit, observability)
@@ -172,9 +172,11 @@ def calibration_of(
     if skew is not None and skew.decided:
         terms = (Term("misalignment", -skew.value, skew.covariance),)
         told.insert(1, skew.sentence)
-    scale = scale_of(fit, colour * fit.widening)
+    with_scales: dict[str, Any] = {}
     if scale is not None:
         terms = (*terms, scale.term)
+        normalised = IronScale.of(unvech(parameters[:6]), *strength).of_parameters(scale.cross[:12])
+        with_scales = {"gyroscope_scale": normalised.tolist()}
     return Calibration(
         soft_iron=judgement.soft_iron,
         hard_iron=parameters[6:9],
@@ -200,15 +202,7 @@ def calibration_of(
             "disturbed": _disturbed(fit),
         }
         | judgement.diagnostics
-        | (
-            {}
-            if scale is None
-            else {
-                "gyroscope_scale": IronScale.of(unvech(parameters[:6]), *strength)
-                .of_parameters(scale.cross[:12])
-                .tolist()
-            }
-        )
+        | with_scales
         | {name: said for fact in upright for name, said in fact.diagnostics.items()},
         configuration=dict(options.configuration),
     )

@@ -16,10 +16,8 @@ SIGMAS = 3.0  # stated sigmas beyond which a result is wrong
 HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
 HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
-_MOVING = (
-    "timing",
-    "hysteresis",
-)  # terms of what happens, or has happened: readings at rest have no loop to take out
+# Terms of what happens or has happened: readings at rest have no loop to take out.
+_MOVING = ("timing", "hysteresis")
 _APART = 1e-3  # s between readings at rest, in which nothing happens
 _LEAST = 1e-9  # of a term's value, by which its slope is found where it has no sigma
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
