@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import with_minus
 from magyc_gtsam.level_turn import turn_of
 from magyc_gtsam.observability import Observability, Weakness
@@ -28,7 +29,7 @@ from magyc_gtsam.report.analysis import (
 )
 from magyc_gtsam.report.charts import packed
 from magyc_gtsam.report.page import render
-from magyc_gtsam.report.words import advice, stretch, uncertain
+from magyc_gtsam.report.words import advice, parameter_rows, stretch, uncertain
 
 SOFT_IRON = np.array([[1.10, 0.10, 0.04], [0.10, 0.88, 0.02], [0.04, 0.02, 1.22]])
 HARD_IRON = np.array([2e-6, 12e-6, 9e-6])
@@ -214,6 +215,24 @@ def test_numbers_carry_two_digits_of_their_sigma() -> None:
     assert uncertain(12.3456, 31.2).replace("\N{NO-BREAK SPACE}", " ") == "12 ± 31"
     assert uncertain(12.3456, np.nan) == "12.3456"
     assert stretch((119.6, 150.2)) == "119–151 s (1:59–2:31)"
+
+
+def test_terms_of_a_calibration_are_rows_in_the_units_of_the_page() -> None:
+    terms = (
+        Term("misalignment", np.radians([0.5, -1.0, 0.0]), np.eye(3) * np.radians(0.1) ** 2),
+        Term("gyro-scale", np.array([0.012, 0.0, -0.02]), np.eye(3) * 1e-6, {"x": 1.0, "y": 1.0, "z": 1.0}),
+        Term("timing", np.array([0.0125]), np.eye(1) * 1e-8),
+    )
+    calibration = replace(good(), terms=terms)
+    rows = dict(parameter_rows(calibration))
+    assert rows["Misalignment of the chips (°)"][:2] == [
+        "0.50 ±\N{NO-BREAK SPACE}0.10",
+        "−1.00 ±\N{NO-BREAK SPACE}0.10",
+    ]
+    assert rows["Gyroscope scale, read too large by (%)"][0] == "1.20 ±\N{NO-BREAK SPACE}0.10"
+    page = render(simulated(), calibration)
+    assert "timing (SI units): 0.0125" in page
+    assert "Term(" not in page
 
 
 def test_target_is_a_file_or_a_directory(tmp_path: Path) -> None:

@@ -18,6 +18,11 @@ from magyc_gtsam.report.analysis import Coverage, FieldHistory
 from magyc_gtsam.report.verdict import Verdict, degrees
 
 _MICRO = 1e6
+# Terms that `calibrate` may add, with a value for each axis: their names on the page and the factor from SI units.
+_TERMS = {
+    "misalignment": ("Misalignment of the chips (°)", float(np.degrees(1))),
+    "gyro-scale": ("Gyroscope scale, read too large by (%)", 1e2),
+}
 _TARGET_NAMES = {"px4": "PX4", "ardupilot": "ArduPilot", "vectornav": "VectorNav", "ros": "ROS 2"}
 _LONG = 12  # longer lists among the options are summarised
 
@@ -118,9 +123,10 @@ def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
         bias, bias_sigma = calibration.gyro_bias, sigma.get("gyro_bias", unknown)
         rows.append(row("Gyroscope bias (mrad/s)", bias, bias_sigma, 1e3))
         rows.append(row("Gyroscope bias (°/s)", bias, bias_sigma, float(np.degrees(1))))
-    if "gyroscope_scale" in calibration.diagnostics:
-        scales = next(term for term in calibration.terms if term.name == "gyro-scale")
-        rows.append(row("Gyroscope scale, read too large by (%)", scales.value, scales.sigma, 1e2))
+    for term in calibration.terms:
+        if term.name in _TERMS and len(term.value) == 3:
+            name, factor = _TERMS[term.name]
+            rows.append(row(name, term.value, term.sigma, factor))
     if calibration.delay or calibration.delay_sigma is not None:
         delay_sigma = np.nan if calibration.delay_sigma is None else calibration.delay_sigma
         rows.append(("Magnetometer lags by (ms)", [uncertain(calibration.delay * 1e3, delay_sigma * 1e3)]))
