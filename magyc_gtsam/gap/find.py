@@ -18,6 +18,7 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.channel_holes import without_channel_holes
 from magyc_gtsam.gap.clipped import with_clipped
+from magyc_gtsam.gap.corrected import as_calibration
 from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.doubt import Doubt
 from magyc_gtsam.gap.effects import NAMES
@@ -28,7 +29,7 @@ from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.noiseless import noiseless
 from magyc_gtsam.gap.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import Refit, as_calibration, refit, widened
+from magyc_gtsam.gap.refit import Refit, refit, widened
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.search import Search, search

@@ -11,30 +11,24 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap.clocks import APART_IN_BRIEF, CLOCK_DRIFT
+from magyc_gtsam.gap.corrected import as_calibration, unmoved
+from magyc_gtsam.gap.described import describe
 from magyc_gtsam.gap.doubt import Doubt, doubted, left_open, with_doubt
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.field_variation import field_variation
 from magyc_gtsam.gap.fine import Fine, fine_innovations
+from magyc_gtsam.gap.hypotheses import hypotheses
 from magyc_gtsam.gap.judged import judged
 from magyc_gtsam.gap.metrics import measure
 from magyc_gtsam.gap.moved import against, contradiction, moved
 from magyc_gtsam.gap.naming import Found, Look, as_found, term_places
 from magyc_gtsam.gap.noise_effects import NoiseScore
-from magyc_gtsam.gap.refit import (
-    Refit,
-    as_calibration,
-    determined,
-    refit,
-    tempered,
-    unmoved,
-    widened,
-    without_term,
-)
-from magyc_gtsam.gap.report import describe, hypotheses, manoeuvre, place_of, unseen, verdict
+from magyc_gtsam.gap.refit import Refit, determined, refit, tempered, widened, without_term
 from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.score import DRAWS
 from magyc_gtsam.gap.search import Search
+from magyc_gtsam.gap.verdict import manoeuvre, place_of, unseen, verdict
 from magyc_gtsam.gap.worth import pays
 
 

@@ -1,4 +1,4 @@
-"""Joint refit of the twelve parameters, the delay and the terms, and the calibration that comes of it."""
+"""Joint refit of the twelve parameters, the delay and the terms."""
 
 from __future__ import annotations
 
@@ -6,15 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.gauge import fix_scale
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.factors.chain.vech import unvech
-from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.problem import Active, Model, Problem
@@ -166,20 +162,6 @@ def spread(value: Array, covariance: Array, prior: float) -> float:
     return float(deviation[np.argmax(likelihood), 0])
 
 
-def unmoved(before: Calibration, after: Calibration) -> Calibration:
-    """`after` with the soft and hard iron of `before`, where they hardly differ against what is known of them.
-
-    An effect that moves the iron by little of its sigma was none of the heading's error; to follow it is to follow the
-    noise as often as not.
-    """
-    change = [after.soft_iron - before.soft_iron, after.hard_iron - before.hard_iron]
-    sigmas = [after.sigma["soft_iron"], after.sigma["hard_iron"]]
-    moved = np.concatenate([(c / np.maximum(s, 1e-300)).ravel() for c, s in zip(change, sigmas, strict=True)])
-    if float(np.sqrt((moved**2).mean())) > RULES.worth_moving:
-        return after
-    return replace(after, soft_iron=before.soft_iron, hard_iron=before.hard_iron)
-
-
 def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | None:
     """The twin after a step, shortened until the cost does not rise; None where no step helps."""
     for share in _SHORTER:
@@ -272,31 +254,3 @@ def without_term(model: Model, index: int) -> Model:
     free, parameters = model.free.copy(), model.parameters.copy()
     free[DELAY], parameters[DELAY] = False, 0.0
     return replace(model, free=free, parameters=parameters, terms=terms)
-
-
-def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Term, ...] = ()) -> Calibration:
-    """The model as a calibration; its terms in SI units, and terms that change no reading appended."""
-    model, parameters = result.model, result.model.parameters
-    base = np.flatnonzero(model.free)[:12]
-    covariance = result.covariance[: len(base), : len(base)]
-    soft_iron, unit, reported = fix_scale(unvech(parameters[:6]), covariance, field_strength)
-    terms = []
-    for index, term in enumerate(model.terms):
-        value, spread = result.value_of(index)
-        terms.append(Term(term.name, value, spread, term.setting))
-    late = [t for t in terms if t.name == "timing"]
-    return Calibration(
-        soft_iron,
-        parameters[6:9],
-        parameters[9:12],
-        covariance=reported,
-        delay=float(parameters[DELAY]),
-        delay_sigma=float(late[0].sigma[0]) if late else None,
-        terms=(*terms, *extra),
-        converged=result.converged,
-        message="converged" if result.converged else "the joint refit did not converge",
-        method="gap",
-        noise={"magnetic_field": model.noise.magnetometer, "angular_rate": model.noise.gyroscope},
-        field_strength=unit,
-        diagnostics={"windows": result.twin.n, "cost": float(result.twin.reduced.cost)},
-    )
