@@ -17,6 +17,7 @@ from magyc_gtsam.cli import main
 from magyc_gtsam.io import write_mcap
 from magyc_gtsam.recording import Samples
 from magyc_gtsam.sensor_faults.gate import SampleGate
+from magyc_gtsam.sensor_faults.spikes import Spikes, has_spikes
 from magyc_gtsam.sensor_faults.zeros import ZeroRates
 from magyc_gtsam.simulation import Simulation
 
@@ -178,6 +179,55 @@ def test_zero_rates_are_found_however_the_stream_is_cut() -> None:
         np.testing.assert_array_equal(times, passed[0])
 
 
+def test_spikes_of_a_gyroscope_are_left_out(wide: Simulation) -> None:
+    """Batch and online: of 2 rad/s in 5 % of the samples, which had moved a trusted hard iron by 20 µT."""
+    recording, random = wide.recording, np.random.default_rng(4)
+    hit = random.random(6000) < 0.05
+    rate = recording.angular_rate + hit[:, None] * random.normal(0, 2.0, (6000, 3))
+    online, counts = mg.OnlineCalibrator(), set()
+    for i in range(0, 6000, 250):
+        online.update(recording.time[i : i + 250], recording.magnetic_field[i : i + 250], rate[i : i + 250])
+    for calibration in (mg.calibrate(replace(recording, angular_rate=rate)), online.calibration):
+        assert calibration.trusted
+        (left_out,) = calibration.diagnostics["left_out"]
+        counts.add(int(re.fullmatch(r"angular_rate: (\d+) samples are spikes of the gyroscope, .*", left_out)[1]))
+        error = (calibration.hard_iron - wide.truth.hard_iron) / calibration.sigma["hard_iron"]
+        assert np.abs(error).max() < 4
+    assert counts == {online.progress.left_out}
+    assert 0.95 * hit.sum() <= counts.pop() <= hit.sum()
+
+
+def test_spikes_are_found_however_the_stream_is_cut() -> None:
+    random, time = np.random.default_rng(5), 0.1 * np.arange(3000)
+    rate = 0.3 * np.sin(np.outer(time, [0.5, 0.7, 0.3])) + random.normal(0, 5e-3, (3000, 3))
+    hit = random.random(3000) < 0.1
+    rate[hit] += random.normal(0, 2.0, (hit.sum(), 3))
+    passed = []
+    for size in (3000, 1, 7):
+        gate = SampleGate(Spikes())
+        parts = [gate.take(Samples(time[i : i + size], rate[i : i + size])) for i in range(0, 3000, size)]
+        passed.append(np.concatenate([part.time for part in parts]))
+    # The last six are not decided by size 1.
+    before = [times[times < time[-6]] for times in passed]
+    assert 0.9 * hit.sum() < 3000 - len(passed[0]) <= hit.sum()
+    for times in before[1:]:
+        np.testing.assert_array_equal(times, before[0])
+
+
+def test_fast_motion_has_no_spikes() -> None:
+    """Out of rest: oscillations of two to a hundred samples a period, one alone and two together, steps and ramps."""
+    random, row = np.random.default_rng(6), np.arange(1000)
+    frequency = np.geomspace(0.01, 0.5, 200)
+    waves = np.sin(2 * np.pi * (np.outer(row, frequency) + random.random(200)))
+    together = waves + 0.7 * waves[:, random.permutation(200)]
+    steps = np.tile(np.clip((row[:, None] % 100 - 50) / np.array([0.5, 3.0, 10.0]), 0.0, 1.0), 20)
+    for motion in (waves, together, steps):
+        rate = 3.0 * motion
+        rate[:200] = 0.0
+        rate += random.normal(0, 5e-3, rate.shape)
+        assert not any(has_spikes(axes) for axes in np.array_split(rate, rate.shape[1] // 3, axis=1))
+
+
 def test_on_the_command_line(
     wide: Simulation,
     mistaken: Callable[[str, str], None],
@@ -248,6 +298,7 @@ def test_real_logs_have_none(shared_data: Path) -> None:
             recording = mg.read(log)
             assert find_stuck(recording) == [], log.name
             assert find_clipped_field(recording) is None, log.name
+            assert not has_spikes(recording.gyroscope.value), log.name
 
 
 def test_a_unit_taken_for_another(wide: Simulation) -> None:

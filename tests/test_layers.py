@@ -73,6 +73,7 @@ def test_a_fault_of_a_sensor_has_one_detector() -> None:
         "Repeats": "a magnetometer that repeats its samples",
         "Zeros": "zeros in place of a field",
         "ZeroRates": "zeros in place of a rate",
+        "Spikes": "single samples that stand out of all motion",
         "CutOff": "turns beyond the gyroscope's full scale",
         "FullScale": "a field beyond the magnetometer's full scale",
     }

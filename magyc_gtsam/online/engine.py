@@ -28,8 +28,8 @@ class Progress:
             or that the estimate has converged.
         weak: the weak directions, worst first, each with the motion that would determine it.
         coverage: share of the sphere of field directions (sensor frame) visited, 0 to 1.
-        left_out: number of samples left out so far: repeated or late stamps, values that are not finite, stuck axes,
-            turns that were cut off.
+        left_out: number of samples left out so far: repeated or late stamps, values that are not finite, zeros in place
+            of values, spikes, stuck axes, turns that were cut off.
         stuck: axes that were or are stuck, the largest share first; their samples are not used.
         clipped: what the gyroscope's full scale cut off so far; windows are not linked across it.
         clipped_field: what the magnetometer's full scale cut off so far, if it is enough to do harm; the samples are
@@ -135,7 +135,9 @@ def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
 def with_left_out(calibration: Calibration | None, faults: SensorFaults, duration: float) -> Calibration | None:
     """Return the calibration after `duration` s with what was left out, as the batch methods report it."""
     where = [
-        fault.where for fault in (*faults.stuck(duration), *faults.no_values, faults.clipped) if fault is not None
+        fault.where
+        for fault in (*faults.stuck(duration), *faults.single_samples, faults.clipped)
+        if fault is not None
     ]
     refused = refusal(faults)
     if calibration is None or not (where or refused):

@@ -12,9 +12,11 @@ from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
 from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.repeats import Repeats
+from magyc_gtsam.sensor_faults.single_samples import FaultySamples
+from magyc_gtsam.sensor_faults.spikes import Spikes
 from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes, field_turned
 from magyc_gtsam.sensor_faults.stuck_finding import Stuck, named
-from magyc_gtsam.sensor_faults.zeros import NoValues, ZeroRates, Zeros
+from magyc_gtsam.sensor_faults.zeros import ZeroRates, Zeros
 
 _WAITING = 60.0  # s, longest wait for the samples of the other sensor
 
@@ -31,13 +33,15 @@ class SensorFaults:
         self._shown, self._whole = shown, samples is not None
         self.zeros = Zeros()
         self.zero_rates = ZeroRates()
+        self.spikes = Spikes()
         self.cut_off = CutOff()
         self.full_scale = FullScale(samples, samples) if samples is not None else FullScale()
         self.repeats = Repeats()
         self.magnetometer = StuckAxes()
         self.gyroscope = StuckAxes(self._field_turned, *([np.inf] if self._whole else []))
-        # A long turn at full scale looks like a stuck axis, so it is rejected first.
         self._zero_gates = SampleGate(self.zeros), SampleGate(self.zero_rates)
+        self._spike_gate = SampleGate(self.spikes)
+        # A long turn at full scale looks like a stuck axis, so it is rejected first.
         self._cut_off_gate = SampleGate(self.cut_off)
         self._gates = SampleGate(self.magnetometer), SampleGate(self.gyroscope)
         self._field = GrowingRows(4)  # magnetometer samples later than the gyroscope's
@@ -57,7 +61,7 @@ class SensorFaults:
     def take(self, magnetometer: Samples, gyroscope: Samples, repeated: Array) -> tuple[Samples, Samples]:
         """Return the usable samples; `repeated` (n,) s are the stamps at which the magnetometer repeated a sample."""
         of_field, of_rate = self._zero_gates
-        magnetometer, gyroscope = of_field.take(magnetometer), of_rate.take(gyroscope)
+        magnetometer, gyroscope = of_field.take(magnetometer), self._spike_gate.take(of_rate.take(gyroscope))
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
         if len(gyroscope.time):
@@ -75,12 +79,14 @@ class SensorFaults:
     @property
     def dropped(self) -> int:
         """Return the number of samples that were dropped."""
-        return sum(gate.dropped for gate in (*self._zero_gates, self._cut_off_gate, *self._gates))
+        return sum(
+            gate.dropped for gate in (*self._zero_gates, self._spike_gate, self._cut_off_gate, *self._gates)
+        )
 
     @property
-    def no_values(self) -> tuple[NoValues, ...]:
-        """Return what was found of rows that stand for no value."""
-        findings = self.zeros.finding(), self.zero_rates.finding()
+    def single_samples(self) -> tuple[FaultySamples, ...]:
+        """Return what was found of single faulty samples."""
+        findings = self.zeros.finding(), self.zero_rates.finding(), self.spikes.finding()
         return tuple(finding for finding in findings if finding is not None)
 
     @property
@@ -124,6 +130,7 @@ class SensorFaults:
         return {
             "zeros": self._zero_gates[0],
             "zero_rates": self._zero_gates[1],
+            "spikes": self._spike_gate,
             "cut_off": self._cut_off_gate,
             "magnetometer": self._gates[0],
             "gyroscope": self._gates[1],

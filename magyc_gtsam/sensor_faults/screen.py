@@ -11,6 +11,7 @@ import numpy as np
 
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.sensor_faults import full_scale, largest_value, stuck
+from magyc_gtsam.sensor_faults.spikes import has_spikes
 
 
 def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
@@ -25,7 +26,9 @@ def may_be_faulty(recording: Recording, sensors: Sequence[str]) -> bool:
     if recording.angular_rate is None or "angular_rate" not in sensors:
         return False
     rate = recording.gyroscope.value
-    return _has_zeros(rate) or any(_may_be_stuck(axis) or _levels_off(axis) for axis in _axes(rate))
+    if _has_zeros(rate) or any(_may_be_stuck(axis) or _levels_off(axis) for axis in _axes(rate)):
+        return True
+    return has_spikes(rate)
 
 
 def _axes(values: Array) -> Iterator[Array]:

@@ -13,8 +13,8 @@ from magyc_gtsam.sensor_faults.cut_off import Clipped, inside
 from magyc_gtsam.sensor_faults.faults import SensorFaults
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 from magyc_gtsam.sensor_faults.screen import may_be_faulty
+from magyc_gtsam.sensor_faults.single_samples import FaultySamples
 from magyc_gtsam.sensor_faults.stuck_finding import MOST, SMALL, Stuck
-from magyc_gtsam.sensor_faults.zeros import NoValues
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,21 +24,21 @@ class Usable:
     Attributes:
         recording: the rows without faults.
         stuck: axes that were stuck for more than a share of `SMALL`, the largest share first.
-        zeros: samples that are placeholders (zero on all axes), per sensor.
+        single: single faulty samples: placeholders (zero on all axes) of each sensor, spikes of the gyroscope.
         cut_off: what the gyroscope's full scale cut off; None if nothing.
         clipped: what the magnetometer's full scale cut off, which stays in the rows; None if nothing.
     """
 
     recording: Recording
     stuck: tuple[Stuck, ...]
-    zeros: tuple[NoValues, ...]
+    single: tuple[FaultySamples, ...]
     cut_off: Clipped | None
     clipped: ClippedField | None
 
     @property
     def left_out(self) -> list[str]:
         """Return a message per fault that was left out."""
-        return [fault.where for fault in (*self.stuck, *self.zeros, self.cut_off) if fault is not None]
+        return [fault.where for fault in (*self.stuck, *self.single, self.cut_off) if fault is not None]
 
 
 def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_field", "angular_rate")) -> Usable:
@@ -65,13 +65,13 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     for start, end in (stretch for each in faulty for stretch in each.stretches):
         kept &= (time < start) | (time > end)
     usable = recording
-    for finding in faults.no_values:
-        if finding.sensor == "magnetic_field":
-            usable = _without_zero_fields(usable)
-        else:
-            usable = _without_zero_rates(usable, faults.zero_rates.rejects(time))
+    if faults.zeros.finding() is not None:
+        usable = _without_zero_fields(usable)
+    no_rate = faults.zero_rates.rejects(time) | faults.spikes.rejects(time)
+    if no_rate.any():
+        usable = _without_rates(usable, no_rate)
     usable = usable if kept.all() else usable.rows(kept)
-    return Usable(usable, stuck, faults.no_values, cut_off, faults.clipped_field)
+    return Usable(usable, stuck, faults.single_samples, cut_off, faults.clipped_field)
 
 
 def _without_zero_fields(recording: Recording) -> Recording:
@@ -87,13 +87,13 @@ def _without_zero_fields(recording: Recording) -> Recording:
     )
 
 
-def _without_zero_rates(recording: Recording, zero: np.ndarray) -> Recording:
-    """Replace placeholders of the gyroscope as `Recording.from_streams` fills rows without a sample of it."""
+def _without_rates(recording: Recording, faulty: np.ndarray) -> Recording:
+    """Replace `faulty` (n,) rates as `Recording.from_streams` fills rows without a sample of the gyroscope."""
     time, rate = recording.time, recording.angular_rate
     assert rate is not None
-    measured = np.flatnonzero(~zero)
+    measured = np.flatnonzero(~faulty)
     if recording.angular_rate_is == "interval-mean":
         filled = rate[measured[np.searchsorted(measured, np.arange(len(rate)))]]
     else:
         filled = np.column_stack([np.interp(time, time[measured], axis[measured]) for axis in rate.T])
-    return replace(recording, angular_rate=filled, angular_rate_fresh=recording.angular_rate_fresh & ~zero)
+    return replace(recording, angular_rate=filled, angular_rate_fresh=recording.angular_rate_fresh & ~faulty)

@@ -7,11 +7,11 @@ before and after lie on the same side of zero by many steps of the sensor.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.sensor_faults.single_samples import SingleSamples
 
 # Consecutive zeros of a gyroscope. A vehicle of a simulation without noise may stop for longer; what is longer by far
 # is left to `stuck`.
@@ -22,70 +22,24 @@ _BESIDE = 10.0
 _ROUNDING = (
     1e-6  # of the largest reading: what changes by less is no step of a sensor, but rounding in its conversion
 )
-_SENSORS = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}
 
 
-@dataclass(frozen=True)
-class NoValues:
-    """Samples of `sensor` that stand for no value: their number, and their share of all samples."""
-
-    sensor: str
-    count: int
-    share: float
-
-    @property
-    def where(self) -> str:
-        """Return how many there are."""
-        return (
-            f"{self.sensor}: {self.count} samples are zero on all axes of the {_SENSORS[self.sensor]} and stand for no "
-            f"value ({self.share:.1%} of its samples)"
-        )
-
-
-class Zeros:
-    """Find the placeholders of the magnetometer: all samples that are zero on all axes; a `gate.Detector`."""
-
-    pending = np.inf
-    sensor = "magnetic_field"
+class Zeros(SingleSamples):
+    """Find the placeholders of the magnetometer: all samples that are zero on all axes."""
 
     def __init__(self) -> None:
-        self._latest = np.empty(0)  # s, stamps of the placeholders found in the last block
-        self._taken = self._count = 0
+        super().__init__("magnetic_field", "are zero on all axes of the magnetometer and stand for no value")
 
     def observe(self, block: Samples) -> None:
         """Take the next samples."""
-        self._found(block.time[~block.value.any(axis=1)], len(block.time))
-
-    def _found(self, stamps: Array, taken: int) -> None:
-        self._latest = stamps
-        self._taken += taken
-        self._count += len(stamps)
-
-    def rejects(self, time: Array) -> np.ndarray:
-        """Return (n,) bool: the samples at `time` (n,) that were found in the last block."""
-        return np.isin(time, self._latest) if len(self._latest) else np.zeros(len(time), dtype=bool)
-
-    def finding(self) -> NoValues | None:
-        """Return what was found so far, or None."""
-        return NoValues(self.sensor, self._count, self._count / self._taken) if self._count else None
-
-    def state(self) -> Mapping[str, Array]:
-        """Return the state for `restore`."""
-        return {"counts": np.array([self._taken, self._count])}
-
-    def restore(self, state: Mapping[str, Array]) -> None:
-        """Continue from `state`."""
-        self._taken, self._count = (int(v) for v in state["counts"])
+        self.found(block.time[~block.value.any(axis=1)], len(block.time))
 
 
-class ZeroRates(Zeros):
+class ZeroRates(SingleSamples):
     """Find the placeholders of the gyroscope: short runs of zeros between readings that are far from zero."""
 
-    sensor = "angular_rate"
-
     def __init__(self) -> None:
-        super().__init__()
-        self.pending = np.inf
+        super().__init__("angular_rate", "are zero on all axes of the gyroscope and stand for no value")
         self._open = np.full((1, 4), np.nan)  # time and value of the last reading, and of the zeros since
         self._step = np.inf  # rad/s, smallest change of any axis
         self._largest = 0.0  # rad/s, largest reading of any axis
@@ -102,9 +56,9 @@ class ZeroRates(Zeros):
         if zero.any():
             before = np.full(carried, self._step)
             step = np.append(before, np.minimum(np.minimum.accumulate(steps.min(axis=1)), self._step))
-            self._found(self._placeholders(rows, zero, step), len(block.time))
+            self.found(self._placeholders(rows, zero, step), len(block.time))
         else:
-            self._found(block.time[:0], len(block.time))
+            self.found(block.time[:0], len(block.time))
         self._step, self._largest = float(steps.min(initial=self._step)), float(largest[-1])
         last = int(np.flatnonzero(~zero)[-1])
         self._open = rows[last : last + _LONGEST_RUN + 2].copy()
@@ -125,14 +79,10 @@ class ZeroRates(Zeros):
 
     def state(self) -> Mapping[str, Array]:
         """Return the state for `restore`."""
-        return {
-            **super().state(),
-            "open": self._open,
-            "numbers": np.array([self.pending, self._step, self._largest]),
-        }
+        return {**super().state(), "open": self._open, "numbers": np.array([self._step, self._largest])}
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Continue from `state`."""
         super().restore(state)
         self._open = state["open"]
-        self.pending, self._step, self._largest = (float(v) for v in state["numbers"])
+        self._step, self._largest = (float(v) for v in state["numbers"])

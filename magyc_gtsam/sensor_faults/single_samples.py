@@ -1,0 +1,65 @@
+"""What the detectors of single faulty samples share: which were found, their number and their share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from magyc_gtsam.recording import Array
+
+
+@dataclass(frozen=True)
+class FaultySamples:
+    """Single faulty samples of `sensor`: what they do, their number, and their share of all samples."""
+
+    sensor: str
+    what: str
+    count: int
+    share: float
+
+    @property
+    def where(self) -> str:
+        """Return how many there are."""
+        return f"{self.sensor}: {self.count} samples {self.what} ({self.share:.1%} of its samples)"
+
+
+class SingleSamples:
+    """A `gate.Detector` of single samples, except for `observe`.
+
+    Args:
+        sensor: "magnetic_field" or "angular_rate".
+        what: what the faulty samples do, a predicate.
+    """
+
+    def __init__(self, sensor: str, what: str) -> None:
+        self.pending = np.inf
+        self._sensor, self._what = sensor, what
+        self._latest = np.empty(0)  # s, stamps of those found in the last block
+        self._taken = self._count = 0
+
+    def found(self, stamps: Array, taken: int) -> None:
+        """Note the stamps (n,) s of the faulty samples that a block of `taken` samples decided."""
+        self._latest = stamps
+        self._taken += taken
+        self._count += len(stamps)
+
+    def rejects(self, time: Array) -> np.ndarray:
+        """Return (n,) bool: the samples at `time` (n,) that were found in the last block."""
+        return np.isin(time, self._latest) if len(self._latest) else np.zeros(len(time), dtype=bool)
+
+    def finding(self) -> FaultySamples | None:
+        """Return what was found so far, or None."""
+        if not self._count:
+            return None
+        return FaultySamples(self._sensor, self._what, self._count, self._count / self._taken)
+
+    def state(self) -> Mapping[str, Array]:
+        """Return the state for `restore`."""
+        return {"counts": np.array([self._taken, self._count]), "pending": np.array(self.pending)}
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from `state`."""
+        self._taken, self._count = (int(v) for v in state["counts"])
+        self.pending = float(state["pending"])
