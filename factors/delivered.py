@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -93,6 +94,10 @@ class Delivered:
     def is_block(self) -> bool:
         """Whether it is a block of samples on an attitude, which the coarse alignment understands."""
         return self.details is not None and not self.details.on_direction
+
+    def within(self, spans: Sequence[tuple[float, float]]) -> bool:
+        """Whether it is a block of samples in one of these spans, s."""
+        return self.details is not None and any(first <= self.details.block.time < last for first, last in spans)
 
     def make(self, view: View) -> None:
         """The quadratic at the present estimate."""

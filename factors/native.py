@@ -27,17 +27,15 @@ from magyc_gtsam.factors.entrance import Entrance, Optimize
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.examination import Examiner
 from magyc_gtsam.factors.health import BlockFit, Health, HealthLimits, Word
-from magyc_gtsam.factors.kernels import narrowed
-from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.factors.solver import Solver, View, new_slots, update_solver
 from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
+from magyc_gtsam.factors.warm_up import WarmUp
 
 _QUIET = 4  # blocks after those that had waited, until their quadratics are renewed, that are not judged
 _QUIET_AFTER = 3  # blocks after those of a disturbance were taken out
 _EARLY = 30  # blocks until which quadratics that are far from settled postpone the judging
-_RECENT_KERNELS = 40  # blocks by whose misfit a kernel's width is set
 
 
 class NativeFactors:
@@ -79,7 +77,7 @@ class NativeFactors:
         self._entrance = Entrance(alignment)
         self._examiner = None if health is None else Examiner(health)
         self._delivered: list[Delivered] = []
-        self._robust: list[BlockDetails] = []
+        self._kernels = WarmUp()
         self._staleness = Staleness(recent, growth)
 
     def __len__(self) -> int:
@@ -155,7 +153,7 @@ class NativeFactors:
                 graph.push_back(each.native)
             remove = [each.slot for each in renewed]
             result = update_solver(solver, graph, gtsam.Values(), timestamps, remove)
-            self._place(solver, renewed, new_slots(solver, result), 0)
+            self._place(solver, result, renewed)
         return rounds
 
     @one_thread
@@ -184,14 +182,15 @@ class NativeFactors:
         values = self._entrance.start(own, values, fresh, run)
         first = own.size()
         self._delivered = fresh
-        self._warm_up(View(values), fresh)
+        self._kernels.narrow(View(values), fresh)
         for i, each in enumerate(fresh):
-            self._make(each, View(values))
+            if self.quadratic:
+                each.make(View(values))
             each.slot = first + i
             own.push_back(each.native)
         for _ in range(rounds):
             values = run(own, values)
-            self._warm_up(View(values), [])
+            self._kernels.narrow(View(values))
             stale = self._renew(fresh, View(values))
             if not stale:
                 break
@@ -219,7 +218,7 @@ class NativeFactors:
         fresh, examiner = new.fresh, self._examiner
         view = View(solver, values)
         self._forget(view)
-        self._warm_up(view, fresh)
+        self._kernels.narrow(view, fresh)
         remove = [each.slot for each in self._withdraw_disturbed()]
         admission = self._entrance.admit(view, fresh, self._delivered, new.others)
         entering = admission.entering
@@ -229,8 +228,8 @@ class NativeFactors:
             self._delivered = [each for each in self._delivered if each not in admission.leaving]
         renewed = self._renew(self._staleness.due(self._delivered, len(entering)), view)
         remove += [each.slot for each in admission.leaving + renewed] + admission.remove
-        for each in entering:
-            self._make(each, view)
+        for each in entering if self.quadratic else []:
+            each.make(view)
         self._delivered += entering
         placed = entering + renewed
         pushed = new.others
@@ -243,7 +242,7 @@ class NativeFactors:
         last = eliminated_last(new.others, entering, renewed)
         result = update_solver(solver, pushed, self._entrance.covered(view.new, pushed), timestamps, remove, last)
         if pushed is not new.others:
-            self._place(solver, placed, new_slots(solver, result), pushed.size() - len(placed))
+            self._place(solver, result, placed, admission.pull)
         if examiner is not None and entering and self._entrance.entered:
             if len(entering) > len(fresh):
                 examiner.quiet = _QUIET
@@ -262,22 +261,11 @@ class NativeFactors:
         spans = [] if self._examiner is None else self._examiner.spans_over()
         if self._examiner is None or not spans:
             return []
-
-        def inside(each: Delivered) -> bool:
-            return each.details is not None and any(
-                first <= each.details.block.time < last for first, last in spans
-            )
-
-        gone = [each for each in self._delivered if inside(each)]
-        self._delivered = [each for each in self._delivered if not inside(each)]
+        gone = [each for each in self._delivered if each.within(spans)]
+        self._delivered = [each for each in self._delivered if not each.within(spans)]
         self.withdrawn += len(gone)
         self._examiner.quiet = _QUIET_AFTER
         return gone
-
-    def _make(self, delivered: Delivered, view: View) -> None:
-        """The quadratic at the present estimate."""
-        if self.quadratic:
-            delivered.make(view)
 
     def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
         """Those of the quadratics that were stale; they are new ones now. Python factors are the solver's to renew."""
@@ -294,36 +282,13 @@ class NativeFactors:
             examiner.quiet = _QUIET
         return renewed
 
-    def _place(self, solver: Solver, placed: list[Delivered], slots: list[int] | None, first: int) -> None:
-        """Learn the slots of what was pushed."""
-        if slots is None and isinstance(solver, gtsam.BatchFixedLagSmoother):  # look them up
-            factors = solver.getFactors()
-            for i in reversed(range(factors.size())):
-                if not factors.exists(i):
-                    continue
-                factor = factors.at(i)
-                for each in placed:
-                    if factor is each.native:
-                        each.slot = i
-                if factor is self._entrance.pull:
-                    self._entrance.pull_slot = i
-            return
-        assert slots is not None
-        for i, each in enumerate(placed):
-            each.slot = slots[first + i]
-        if self._entrance.pull is not None and self._entrance.pull_slot < 0:
-            self._entrance.pull_slot = slots[first - 1]
-
-    def _warm_up(self, view: View, fresh: list[Delivered]) -> None:
-        """Kernels start wide and narrow as the blocks come to fit."""
-        for each in fresh:
-            if each.details is not None and each.details.robust is not None:
-                each.factor.error(view.values(each.factor.keys()))  # sets `misfit`
-                self._robust.append(each.details)
-        if not self._robust:
-            return
-        width = narrowed([details.misfit for details in self._robust[-_RECENT_KERNELS:]])
-        for details in self._robust:
-            details.width = width
-        if width == 1.0:  # those before need no more care
-            del self._robust[:-_RECENT_KERNELS]
+    def _place(
+        self, solver: Solver, result: Any, placed: list[Delivered], pull: gtsam.NonlinearFactor | None = None
+    ) -> None:
+        """Learn the slots of what was pushed last: the prior that turns the graph, and quadratics."""
+        turning = [] if pull is None else [pull]
+        slots = new_slots(solver, result, turning + [each.native for each in placed])
+        if pull is not None:
+            self._entrance.pull_slot = slots.pop(0)
+        for each, slot in zip(placed, slots, strict=True):
+            each.slot = slot

@@ -119,12 +119,15 @@ def update_solver(
     return solver.update(graph, values, stamps, list(remove))
 
 
-def new_slots(solver: Solver, result: Any) -> list[int] | None:
-    """The slots of the factors that an update brought, None where the solver does not tell them."""
-    if isinstance(solver, gtsam.BatchFixedLagSmoother):
-        return None
+def new_slots(solver: Solver, result: Any, last: Sequence[gtsam.NonlinearFactor]) -> list[int]:
+    """The slots of the last factors that an update brought, in their order."""
+    if isinstance(solver, gtsam.BatchFixedLagSmoother):  # does not tell them
+        factors = solver.getFactors()
+        held = [(i, factors.at(i)) for i in range(factors.size()) if factors.exists(i)]
+        return [next(i for i, factor in reversed(held) if factor is each) for each in last]
     done = result if isinstance(solver, gtsam.ISAM2) else solver.getISAM2Result()
-    return list(done.getNewFactorsIndices())
+    slots = list(done.getNewFactorsIndices())
+    return slots[len(slots) - len(last) :]
 
 
 def _check_solver(solver: object) -> None:

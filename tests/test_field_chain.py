@@ -150,7 +150,7 @@ def test_what_the_windows_lose_is_the_trace_of_the_dense_hat_matrix(chain, state
     kept = np.delete(np.arange(size), DELAY)
     covariance = np.zeros((size, size))
     covariance[np.ix_(kept, kept)] = np.linalg.inv(reduced.information[np.ix_(kept, kept)])
-    assert chain.absorbed(reduced, covariance) == pytest.approx(expected, abs=1e-5)
+    assert reduced.absorbed(covariance) == pytest.approx(expected, abs=1e-5)
     assert expected + (q[3 * n :] ** 2).sum() == pytest.approx(len(kept) + 2 * n)
 
 

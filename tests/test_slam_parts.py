@@ -326,7 +326,7 @@ def test_a_view_puts_new_values_on_top():
     new.insert(X(0), gtsam.Rot3())
     isam = gtsam.ISAM2()
     result = update_solver(isam, graph, values, None, [])
-    assert new_slots(isam, result) == [0, 1]
+    assert new_slots(isam, result, [graph.at(0), graph.at(1)]) == [0, 1]
     view = View(isam, new)
     assert view.exists(X(0))
     assert view.exists(A(0))

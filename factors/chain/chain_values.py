@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
+from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, inverse_blocks
 from magyc_gtsam.factors.chain.rotations import Array
 
 
@@ -60,3 +63,28 @@ class Reduced(NamedTuple):
     band: Array
     factor: Array
     half: Array
+
+    def absorbed(self, covariance: Array) -> float:
+        """How much of the windows' squared residuals the fit absorbs, in expectation.
+
+        The trace of the windows' block of the hat matrix; `covariance` (p, p) is the inverse of the
+        information (zeros for fixed parameters).
+        """
+        s00, s01, s11 = inverse_blocks(self.band, self.factor)
+        j0, j1 = self.on_direction[:, 0], self.on_direction[:, 1]
+        inner = np.vdot((j0 * j0).sum(axis=0), s00) + np.vdot((j1 * j1).sum(axis=0), s11)
+        inner += 2 * np.vdot((j0 * j1).sum(axis=0), s01)
+        across = self.on_parameters - np.einsum("ian,pan->pin", self.on_direction, self._solved)
+        flat = across.reshape(len(covariance), -1)
+        return float(inner + np.vdot(covariance @ flat, flat))
+
+    @property
+    def direction_slopes(self) -> Array:
+        """(p, 3, n) dg/dθ, every direction at its best for θ: −T H⁻¹ C."""
+        slopes: Array = -np.einsum("ian,pan->pin", self.basis, self._solved)
+        return slopes
+
+    @property
+    def _solved(self) -> Array:
+        """H⁻¹ C: (p, 2, n)."""
+        return backward_solved(UnitFactor.of(self.factor), self.half[:, :-1].T)

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg.lapack import dpbtrf, dpbtrs, dtbtrs
 
-from magyc_gtsam.factors.chain.banded import UnitFactor, backward_solved, forward_solved, inverse_blocks
+from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, SensorNoise, Weights
 from magyc_gtsam.factors.chain.directions import QuadraticPrior, Sight, stepped
 from magyc_gtsam.factors.chain.facts import Fact, quadratic
@@ -245,21 +245,6 @@ class FieldChain:
                 break
         return state
 
-    def absorbed(self, reduced: Reduced, covariance: Array) -> float:
-        """How much of the windows' squared residuals the fit absorbs, in expectation.
-
-        The trace of the windows' block of the hat matrix; `covariance` (p, p) is the inverse of the
-        information (zeros for fixed parameters).
-        """
-        s00, s01, s11 = inverse_blocks(reduced.band, reduced.factor)
-        j0, j1 = reduced.on_direction[:, 0], reduced.on_direction[:, 1]
-        inner = np.vdot((j0 * j0).sum(axis=0), s00) + np.vdot((j1 * j1).sum(axis=0), s11)
-        inner += 2 * np.vdot((j0 * j1).sum(axis=0), s01)
-        solve = _solve(reduced)
-        across = reduced.on_parameters - np.einsum("ian,pan->pin", reduced.on_direction, solve)
-        flat = across.reshape(len(covariance), -1)
-        return float(inner + np.vdot(covariance @ flat, flat))
-
     def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
         """What is known of θ and the first direction besides the windows; here nothing."""
         return None
@@ -308,14 +293,3 @@ def iron_matrix(parameters: Array) -> Array:
 def _turn_of(parameters: Array) -> Array:
     """Exp(ε), from the gyroscope's axes to the magnetometer's."""
     return exponential_matrices(parameters[SKEW, None])[:, :, 0]
-
-
-def direction_slopes(reduced: Reduced) -> Array:
-    """(p, 3, n) dg/dθ, every direction at its best for θ: −T H⁻¹ C."""
-    slopes: Array = -np.einsum("ian,pan->pin", reduced.basis, _solve(reduced))
-    return slopes
-
-
-def _solve(reduced: Reduced) -> Array:
-    """H⁻¹ C: (p, 2, n)."""
-    return backward_solved(UnitFactor.of(reduced.factor), reduced.half[:, :-1].T)

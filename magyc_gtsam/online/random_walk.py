@@ -142,7 +142,7 @@ def _squares(fit: Fit) -> tuple[Array, Array]:
     """Return the weighted squares of windows and links and their redundancies, as `improved_noise` counts them."""
     chain, weights = fit.chain, fit.weights
     window, link = chain.squares(chain.residuals(fit.state))
-    absorbed = chain.absorbed(fit.reduced, fit.covariance)
+    absorbed = fit.reduced.absorbed(fit.covariance)
     unknowns = 2 * len(chain.windows) + int(fit.free.sum())
     links = 2 * float(weights.link[chain.windows.linked].sum())
     return (

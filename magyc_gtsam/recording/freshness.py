@@ -47,3 +47,51 @@ def fresh_rows(time: Array, values: Array, held_share: float = 0.0, longest_hold
         last_fresh = np.maximum.accumulate(np.where(fresh, time, -np.inf))
         fresh |= time - last_fresh > longest_hold
     return fresh
+
+
+def sample_masks(
+    time: Array,
+    magnetic_field: Array,
+    angular_rate: Array | None,
+    field_fresh: Any = None,
+    rate_fresh: Any = None,
+    field_stamped: Any = None,
+) -> dict[str, Mask]:
+    """Check the masks of a recording that are given, and derive the others from the data.
+
+    Args:
+        time: (n,) s.
+        magnetic_field, angular_rate: (n, 3) samples.
+        field_fresh, rate_fresh, field_stamped: (n,) as in `Recording`, or None.
+
+    Returns:
+        `magnetic_field_fresh`, `angular_rate_fresh` and `magnetic_field_stamped`.
+
+    Raises:
+        MagycError: a mask of another shape, a fresh row that is not stamped, fewer than 3 fresh rows.
+    """
+    if field_stamped is None:
+        field_stamped = field_fresh
+    if field_fresh is None:
+        field_fresh = fresh_rows(time, magnetic_field)
+    if rate_fresh is None and angular_rate is not None:
+        rate_fresh = fresh_rows(time, angular_rate, HELD_GYROSCOPE, LONGEST_HOLD)
+    given = {
+        "magnetic_field_fresh": field_fresh,
+        "angular_rate_fresh": rate_fresh,
+        "magnetic_field_stamped": field_stamped,
+    }
+    masks = {name: row_mask(name, mask, len(time)) for name, mask in given.items()}
+    fresh = masks["magnetic_field_fresh"]
+    not_stamped = fresh & ~masks["magnetic_field_stamped"]
+    if not_stamped.any():
+        raise MagycError(
+            f"magnetic_field_stamped: row {int(np.argmax(not_stamped))} is fresh in magnetic_field_fresh and must "
+            "be stamped too"
+        )
+    if fresh.sum() < 3:
+        raise MagycError(
+            "magnetic_field: fewer than 3 different samples, all others repeat the row before; "
+            "the sensor is stuck or the wrong column was read"
+        )
+    return masks

@@ -27,7 +27,7 @@ from magyc_gtsam.recording.checks import (
     unit_quaternions,
     without_no_values,
 )
-from magyc_gtsam.recording.freshness import HELD_GYROSCOPE, LONGEST_HOLD, fresh_rows, row_mask
+from magyc_gtsam.recording.freshness import sample_masks
 from magyc_gtsam.recording.stamps import Hole, check_seconds, holes, origin_of, seconds
 from magyc_gtsam.recording.time_base import Stream, unite
 
@@ -119,38 +119,16 @@ class Recording:
             channels[name], note = without_no_values(name, channels[name])
             put(self, "notes", (*self.notes, note) if note else self.notes)
         put(self, "channels", MappingProxyType(channels))
-        self._set_masks()
-
-    def _set_masks(self) -> None:
-        """Check the masks that are given, and derive the others from the data."""
-        stamped, fresh, rate_fresh = (
-            self.magnetic_field_stamped,
+        masks = sample_masks(
+            time,
+            self.magnetic_field,
+            self.angular_rate,
             self.magnetic_field_fresh,
             self.angular_rate_fresh,
+            self.magnetic_field_stamped,
         )
-        if stamped is None:
-            stamped = fresh
-        if fresh is None:
-            fresh = fresh_rows(self.time, self.magnetic_field)
-        if rate_fresh is None and self.angular_rate is not None:
-            rate_fresh = fresh_rows(self.time, self.angular_rate, HELD_GYROSCOPE, LONGEST_HOLD)
-        for name, mask in (
-            ("magnetic_field_fresh", fresh),
-            ("angular_rate_fresh", rate_fresh),
-            ("magnetic_field_stamped", stamped),
-        ):
-            object.__setattr__(self, name, row_mask(name, mask, len(self.time)))
-        not_stamped = self.magnetic_field_fresh & ~self.magnetic_field_stamped
-        if not_stamped.any():
-            raise MagycError(
-                f"magnetic_field_stamped: row {int(np.argmax(not_stamped))} is fresh in magnetic_field_fresh and must "
-                "be stamped too"
-            )
-        if self.magnetic_field_fresh.sum() < 3:
-            raise MagycError(
-                "magnetic_field: fewer than 3 different samples, all others repeat the row before; "
-                "the sensor is stuck or the wrong column was read"
-            )
+        for name, mask in masks.items():
+            put(self, name, mask)
 
     @property
     def magnetometer(self) -> Samples:

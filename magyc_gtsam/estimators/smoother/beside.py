@@ -23,9 +23,9 @@ import numpy as np
 from scipy.linalg.blas import dgemm
 
 from magyc_gtsam.estimators.smoother.columns import Columns, Products, RateErrors, joined
-from magyc_gtsam.estimators.smoother.estimated import ROUNDING, Estimated
-from magyc_gtsam.estimators.smoother.fit import Fit
-from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
+from magyc_gtsam.estimators.smoother.estimated import ROUNDING
+from magyc_gtsam.estimators.smoother.whitened_fit import WhitenedFit
+from magyc_gtsam.factors.chain.banded import forward_solved
 from magyc_gtsam.factors.chain.rotations import Array, along
 
 # Columns times windows that go through the elimination at a time: few calls, and all that is at hand in the cache.
@@ -83,25 +83,8 @@ class New:
 
 
 @dataclass(frozen=True, eq=False)
-class ColumnProducts:
+class ColumnProducts(WhitenedFit):
     """The products of columns with one fit at its minimum."""
-
-    fit: Fit
-
-    @cached_property
-    def freedom(self) -> float:
-        """Degrees of freedom of the residual: a window that is weighed down counts for less."""
-        fit = self.fit
-        weights = fit.weights.window.sum() * 3 + fit.weights.link[fit.chain.windows.linked].sum() * 2
-        return float(max(weights - 2 * len(fit.chain.windows) - self._estimated.free.sum(), 1.0))
-
-    @cached_property
-    def square(self) -> float:
-        """rᵀ P r, what the fit leaves."""
-        left = self._left
-        return float(np.vdot(left.window, left.window) + np.vdot(left.link, left.link)) - float(
-            left.absorbed @ left.absorbed + left.explained @ left.explained
-        )
 
     def of(self, columns: Columns) -> New:
         """What is new in columns."""
@@ -127,10 +110,10 @@ class ColumnProducts:
         """G, s and what the parameters explain, of groups all on the same sensors, or products with the same axes."""
         if not groups:
             return {}
-        left, each = self._left, list(groups.values())
+        left, each = self.left, list(groups.values())
         part = self._products(each) if isinstance(each[0], Products) else self._dense(each)
-        absorbed = forward_solved(self._factor, part.border)
-        explained = self._estimated.explained(part.pull - self._estimated.half @ absorbed.T)
+        absorbed = forward_solved(self.factor, part.border)
+        explained = self.estimated.explained(part.pull - self.estimated.half @ absorbed.T)
         score = absorbed @ left.absorbed + explained.T @ left.explained - part.score
         result, first = {}, 0
         for i, group in groups.items():
@@ -147,16 +130,16 @@ class ColumnProducts:
     def absorbed(self, columns: Columns) -> Array:
         """(k, 2n) Zᵀ of columns."""
         part = self._products([columns]) if isinstance(columns, Products) else self._dense([columns])
-        return forward_solved(self._factor, part.border)
+        return forward_solved(self.factor, part.border)
 
     def _dense(self, groups: Sequence[Columns]) -> _Part:
         """The products of any columns."""
-        own, left = self._estimated, self._left
+        own, left = self.estimated, self.left
         together = joined(groups)
         window = None if together.window is None else together.window * self.window_scale
         link = None if together.link is None else together.link * self.link_scale
         count = together.size
-        border = self._border(count, window, link)
+        border = self.border(count, window, link)
         pull, score = np.zeros((len(own.free), count)), np.zeros(count)
         if window is not None:
             window = window.reshape(count, -1)
@@ -178,18 +161,18 @@ class ColumnProducts:
 
     def _products(self, groups: Sequence[Columns]) -> _Part:
         """Those of profiles along the same axes: what the axes have is the same for all profiles."""
-        own, size = self._estimated, len(self._estimated.free)
+        own, size = self.estimated, len(self.estimated.free)
         products = [group for group in groups if isinstance(group, Products)]
         axes, profiles = (
             products[0].axes * self.window_scale,
             np.concatenate([each.profiles for each in products]),
         )
         (count, _, n), transposed = axes.shape, profiles.T
-        of_axes = self._border(count, axes, None)
+        of_axes = self.border(count, axes, None)
         border = (profiles[:, None, None] * of_axes).reshape(-1, 2, n)
         on_parameters = np.einsum("pin,bin->pbn", own.window, axes)
         pull = (on_parameters.reshape(-1, n) @ transposed).reshape(size, count, -1)
-        score = along(self._left.window.reshape(3, n), axes) @ transposed
+        score = along(self.left.window.reshape(3, n), axes) @ transposed
         between = np.einsum("ain,bin->abn", axes, axes)
         pairs = [(a, b) for a in range(count) for b in range(a, count) if between[a, b].any()]
 
@@ -213,69 +196,8 @@ class ColumnProducts:
         if not groups:
             return []
         explained = np.concatenate([new.explained for new in groups], axis=1)
-        result = self._estimated.moved(explained)[: len(self.fit.free)]
+        result = self.estimated.moved(explained)[: len(self.fit.free)]
         return np.split(result, np.cumsum([len(new.score) for new in groups[:-1]]), axis=1)
-
-    def _border(self, count: int, window: Array | None, link: Array | None) -> Array:
-        """(k, 2, n) products of the directions' Jacobian with whitened columns."""
-        reduced = self.fit.reduced
-        border = np.zeros((count, 2, reduced.basis.shape[2]))
-        if window is not None:
-            np.einsum("ian,kin->kan", reduced.on_direction, window, out=border)
-        if link is not None:
-            border[:, :, 1:] += np.einsum("ian,kin->kan", reduced.after, link)
-            border[:, :, :-1] += np.einsum("ian,kin->kan", reduced.before, link)
-        return border
-
-    @cached_property
-    def _factor(self) -> UnitFactor:
-        return UnitFactor.of(self.fit.reduced.factor)
-
-    @cached_property
-    def _left(self) -> _Left:
-        fit = self.fit
-        residuals = fit.residuals
-        window = residuals.window * self._residual_scale
-        link = residuals.link * self.link_scale
-        absorbed = forward_solved(self._factor, self._border(1, window[None], link[None]))[0]
-        own = self._estimated
-        pull = own.window.reshape(len(own.free), -1) @ window.ravel() - own.half @ absorbed
-        pull[own.linked] += own.link @ link.ravel()
-        pull += own.pull
-        return _Left(window.ravel(), link.ravel(), absorbed, self._estimated.explained(pull[:, None])[:, 0])
-
-    @cached_property
-    def window_scale(self) -> Array:
-        """(n,) or (3, n) 1/T, what whitens columns of the windows."""
-        answer = self.fit.chain.answer
-        return self._residual_scale if answer is None else answer * self._residual_scale
-
-    @cached_property
-    def _residual_scale(self) -> Array:
-        """(n,) 1/T, what whitens residuals of the windows."""
-        result: Array = np.sqrt(self.fit.weights.window) * self.fit.chain.window_scale
-        return result
-
-    @cached_property
-    def link_scale(self) -> Array:
-        """(n − 1,) 1/rad, what whitens those of the links."""
-        return np.sqrt(self.fit.weights.link) * self.fit.chain.link_scale
-
-    @cached_property
-    def _estimated(self) -> Estimated:
-        def absorb(count: int, window: Array, link: Array) -> Array:
-            return forward_solved(self._factor, self._border(count, window, link))
-
-        return Estimated.of(self.fit, self._residual_scale, self.link_scale, absorb)
-
-
-class _Left(NamedTuple):
-    """The residual as `New` has columns: window (3n,), link (3n − 3,), absorbed (2n,), explained (free,)."""
-
-    window: Array
-    link: Array
-    absorbed: Array
-    explained: Array
 
 
 class _Part(NamedTuple):

@@ -101,7 +101,7 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
     residuals = fit.residuals
     window, link = chain.squares(residuals)
     covariance = fit.covariance
-    absorbed = chain.absorbed(reduced, covariance)
+    absorbed = reduced.absorbed(covariance)
     unknowns = float(2 * len(chain.windows) + fit.free.sum())
     if chain.facts:  # what is known beforehand takes nothing from the data
         unknowns -= float(np.sum(covariance * quadratic(chain.facts, fit.state.parameters)[2]))

@@ -18,7 +18,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.skew import with_angles
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.chain_values import ChainState
-from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, direction_slopes
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.level_turn import vertical
@@ -140,7 +140,7 @@ class UprightFact(ABC):
         """Linearised where y is `measured`, from its derivative by the directions (3, n)."""
         at = with_angles(fit.state.parameters)
         wide = fit.chain.eliminate(ChainState(at, fit.state.direction), fit.weights)
-        total = np.einsum("in,pin->p", slopes, direction_slopes(wide))
+        total = np.einsum("in,pin->p", slopes, wide.direction_slopes)
         value = (measured - known) / sigma
         return replace(self, value=value, slope=total / sigma, at=at, measured=measured, sigma=sigma)
 
