@@ -4,7 +4,6 @@
     python benchmarks/online.py batch [--runs 100]       end result against batch, efficiency and NEES, at the end and
                                                          when it first says converged
     python benchmarks/online.py steps [--runs 100]       steps of 2 µT found within 30 s; their time and size
-    python benchmarks/online.py walks [--runs 20]        a hard iron that walks, followed
     python benchmarks/online.py alarms [--hours 100]     false alarms in clean motion
     python benchmarks/online.py kills [--runs 1000]      killed and resumed again and again
     python benchmarks/online.py real FOLDER              real recordings against batch (see real_recordings.py)
@@ -195,45 +194,6 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def walks(arguments):
-    """A hard iron that walks at random by `--size` µT per √h, followed with the option and without."""
-    runs, walk, hours = arguments.runs or 20, arguments.size * 1e-6, arguments.hours or 0.5
-    print("hard iron, from its convergence on, every five minutes: rms error µT, stated µT, rms of error / stated")
-    for motion in arguments.motion or MOTIONS:
-        for option in ({"hard_iron_walk": walk}, {}):
-            squares, stated, score, false = [], [], [], 0
-            for seed in range(arguments.seed, arguments.seed + runs):
-                simulation = mg.simulate(motion, duration=3600 * hours, seed=seed)
-                recording, truth = simulation.recording, simulation.truth.hard_iron
-                random = np.random.default_rng(10_000 + seed).standard_normal((len(recording.time), 3))
-                moved = walk * np.cumsum(random * np.sqrt(np.median(np.diff(recording.time)) / 3600), axis=0)
-                online, last = (
-                    mg.OnlineCalibrator(**option),
-                    np.searchsorted(recording.time, np.arange(300, 3600 * hours + 1, 300)),
-                )
-                for start, end in pairwise(np.concatenate([[0], last])):
-                    rows = slice(start, end)
-                    online.update(
-                        recording.time[rows],
-                        recording.magnetic_field[rows] + moved[rows],
-                        recording.angular_rate[rows],
-                    )
-                    calibration = online.calibration
-                    if calibration is not None and online.converged:
-                        error = calibration.hard_iron - truth - moved[end - 1]
-                        covariance = calibration.covariance[6:9, 6:9]
-                        squares.append(error @ error / 3)
-                        stated.append(np.trace(covariance) / 3)
-                        score.append(error @ np.linalg.solve(covariance, error) / 3)
-                false += len(online.changes)
-            print(
-                f"{motion:10s}{'with' if option else 'without':8s}{1e6 * np.sqrt(np.mean(squares)):8.3f}"
-                f"{1e6 * np.sqrt(np.mean(stated)):8.3f}{np.sqrt(np.mean(score)):8.2f}"
-                f"  ({runs} runs, {len(squares)} readings, steps {false})",
-                flush=True,
-            )
-
-
 def alarms(arguments):
     """Clean motion, an hour at a time after the first."""
     hours, count = arguments.hours or 100, 0
@@ -297,14 +257,14 @@ def real(arguments):
 def main() -> None:
     """Run one part and print its table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parts = {part.__name__: part for part in (mission, batch, steps, walks, alarms, kills, real)}
+    parts = {part.__name__: part for part in (mission, batch, steps, alarms, kills, real)}
     parser.add_argument("part", choices=parts)
     parser.add_argument("folder", type=Path, nargs="?", default=Path("."))
     parser.add_argument("--runs", type=int)
     parser.add_argument("--hours", type=float)
-    parser.add_argument("--size", type=float, default=2.0, help="steps: µT; walks: µT per √h")
-    parser.add_argument("--seed", type=int, default=0, help="batch, steps, walks: the first one")
-    parser.add_argument("--motion", action="append", choices=MOTIONS, help="batch, steps, walks: only this one")
+    parser.add_argument("--size", type=float, default=2.0, help="steps: µT")
+    parser.add_argument("--seed", type=int, default=0, help="batch, steps: the first one")
+    parser.add_argument("--motion", action="append", choices=MOTIONS, help="batch, steps: only this one")
     arguments = parser.parse_args()
     parts[arguments.part](arguments)
 
