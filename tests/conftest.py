@@ -20,10 +20,33 @@ settings.register_profile("any machine", deadline=None, suppress_health_check=[H
 settings.load_profile("any machine")
 
 
+# The files that take longest, by their processor time or because they wait for other processes. They are begun first:
+# the last file that is begun leaves the other processes idle for as long as it takes.
+LONGEST = (
+    "test_gap_rates.py",
+    "test_gap_real.py",
+    "test_many.py",
+    "test_serve_page.py",
+    "test_serve_live.py",
+    "test_gap_find.py",
+    "test_gap_honest.py",
+    "test_gap_isolability.py",
+    "test_gap_values.py",
+    "test_online_changes.py",
+    "test_magyc_ifg.py",
+    "test_gap_channels.py",
+)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "real: reads the real recordings (../shared/data)")
     # What a shell starts in the background ignores interrupts, and so would the commands that tests interrupt.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    order = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(LONGEST)))
 
 
 @pytest.fixture(scope="session")

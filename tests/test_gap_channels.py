@@ -135,8 +135,7 @@ def test_no_current_effect_is_rejected_in_any_unit(scale: float) -> None:
     assert row.smallest * scale == pytest.approx(0.028, rel=0.3)
 
 
-@pytest.mark.parametrize("stand_in", [-99999.0, 1e30])
-@pytest.mark.parametrize("direct", [True, False])
+@pytest.mark.parametrize(("stand_in", "direct"), [(-99999.0, False), (1e30, True)])
 def test_what_stands_for_no_value_hides_no_effect(stand_in: float, direct: bool) -> None:
     """Nor is it applied; the note says where it is. Direct, or in a stream that is interpolated."""
     recording = mg.simulate("wide", 300, seed=3, effects=["temperature-hard-iron"]).recording

@@ -12,6 +12,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
 from magyc_gtsam.gap.discrete import moving
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_words import assumption_rows
 from magyc_gtsam.simulation.environment import CHANNELS
 
@@ -49,6 +50,16 @@ def with_field(base: mg.Recording, added: np.ndarray, **channels: np.ndarray) ->
     return replace(base, magnetic_field=base.magnetic_field + added, channels={**base.channels, **channels})
 
 
+@pytest.fixture(scope="module")
+def late() -> mg.Recording:
+    return recording(12, delay=0.08)
+
+
+@pytest.fixture(scope="module")
+def found_late(late: mg.Recording) -> Gap:
+    return mg.find_gap(late)
+
+
 def test_the_catalogue_is_complete() -> None:
     assert sorted(NAMES) == sorted(CATALOGUE)
     assert set(LABELS) == set(CATALOGUE)
@@ -68,8 +79,8 @@ def test_silent_where_nothing_is_hidden() -> None:
     assert {h.status for h in gap.hypotheses} <= {"rejected", "not enough information", "explained", "vetoed"}
 
 
-def test_a_late_magnetometer_is_found_with_its_delay_and_the_gap_shrinks() -> None:
-    gap = mg.find_gap(recording(12, delay=0.08))
+def test_a_late_magnetometer_is_found_with_its_delay_and_the_gap_shrinks(found_late: Gap) -> None:
+    gap = found_late
     assert gap.verdict == "closed"
     assert gap.names == ("timing",)
     (effect,) = gap.effects
@@ -152,18 +163,15 @@ def test_what_is_in_no_catalogue_is_called_unknown_and_nothing_is_changed() -> N
     assert "nothing was changed" in gap.sentence
 
 
-def test_candidates_restrict_the_names() -> None:
-    base = recording(12, delay=0.08)
-    gap = mg.find_gap(base, candidates=["motor-current", "cubic"])
+def test_candidates_restrict_the_names(late: mg.Recording) -> None:
+    gap = mg.find_gap(late, candidates=["motor-current", "cubic"])
     assert "timing" not in gap.names
     with pytest.raises(mg.MagycError, match="candidates"):
-        mg.find_gap(base, candidates=["gremlins"])
+        mg.find_gap(late, candidates=["gremlins"])
 
 
-def test_a_calibration_with_the_effect_leaves_no_gap() -> None:
-    base = recording(12, delay=0.08)
-    found = mg.find_gap(base)
-    again = mg.find_gap(base, calibration=found.calibration)
+def test_a_calibration_with_the_effect_leaves_no_gap(late: mg.Recording, found_late: Gap) -> None:
+    again = mg.find_gap(late, calibration=found_late.calibration)
     assert again.verdict == "none"
 
 
@@ -214,7 +222,9 @@ def test_that_something_without_a_name_is_missing_in_the_users_simulator() -> No
 def test_an_effect_in_data_and_simulator_is_compared_by_its_size() -> None:
     measured = mg.simulate("wide", 200, seed=5, effects=[("hard-iron-step", 4.0), ("timing", 2.0)]).recording
     simulated = mg.simulate("wide", 200, seed=6, effects=[("hard-iron-step", 2.0), ("timing", 2.0)]).recording
-    said = {a.what: a for a in mg.find_gap(measured, simulated=simulated).assumptions}
+    candidates = ["hard-iron-step", "hard-iron-drift", "timing"]
+    gap = mg.find_gap(measured, simulated=simulated, candidates=candidates)
+    said = {a.what: a for a in gap.assumptions}
     assert said["jump of the hard iron"].rejected
     assert said["jump of the hard iron"].measured == pytest.approx(2.4, abs=0.2)
     assert said["jump of the hard iron"].simulated == pytest.approx(1.2, abs=0.2)

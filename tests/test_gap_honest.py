@@ -27,6 +27,12 @@ def nothing(clean: mg.Recording) -> Gap:
     return mg.find_gap(clean)
 
 
+@pytest.fixture(scope="module")
+def late() -> mg.Recording:
+    """With a delay of twice the published strength."""
+    return mg.simulate("wide", 200, seed=5, effects=[("timing", 2.0)]).recording
+
+
 def test_silence_says_what_it_could_not_have_heard() -> None:
     """Level turns cannot show what comes of acceleration, and the words say so."""
     gap = mg.find_gap(mg.simulate("moderate", 200, seed=2, effects=["g-sensitivity"]).recording)
@@ -50,10 +56,10 @@ def test_a_calibration_that_is_given_is_tested(clean: mg.Recording, nothing: Gap
     assert gap.moved[0].after - gap.moved[0].before == pytest.approx(-20, abs=0.1)
 
 
-def test_a_term_of_another_log_is_contradicted(clean: mg.Recording) -> None:
-    late = mg.find_gap(mg.simulate("wide", 200, seed=5, effects=[("timing", 2.0)]).recording)
-    assert late.names == ("timing",)
-    gap = mg.find_gap(clean, calibration=late.calibration)
+def test_a_term_of_another_log_is_contradicted(clean: mg.Recording, late: mg.Recording) -> None:
+    found = mg.find_gap(late)
+    assert found.names == ("timing",)
+    gap = mg.find_gap(clean, calibration=found.calibration)
     assert any(row.name.startswith("magnetometer delay") for row in gap.moved)
     assert "does not fit" in gap.sentence
 
@@ -96,15 +102,14 @@ def test_clocks_that_drift_apart_are_no_delay() -> None:
 
 
 def test_another_log_may_contradict(
-    clean: mg.Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    clean: mg.Recording, late: mg.Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_mcap(tmp_path / "clean.mcap", clean)
-    write_mcap(tmp_path / "late.mcap", mg.simulate("wide", 200, seed=5, effects=[("timing", 2.0)]).recording)
+    write_mcap(tmp_path / "late.mcap", late)
     write_mcap(tmp_path / "again.mcap", mg.simulate("wide", 200, seed=6, effects=[("timing", 2.0)]).recording)
-    late, out = str(tmp_path / "late.mcap"), str(tmp_path / "out")
     for other, code in (("clean", 1), ("again", 0)):
-        asked = ["gap", late, "--validate", str(tmp_path / f"{other}.mcap"), "--output", out, "--quiet"]
-        assert cli.main(asked) == code
+        log, another, out = (str(tmp_path / name) for name in ("late.mcap", f"{other}.mcap", "out"))
+        assert cli.main(["gap", log, "--validate", another, "--output", out, "--quiet"]) == code
         assert ("does not hold on clean.mcap" in capsys.readouterr().err) == bool(code)
 
 
@@ -125,8 +130,7 @@ def test_the_time_of_a_step_has_a_sigma() -> None:
     assert max(sigmas) > 3 * min(sigmas)
 
 
-def test_restricted_candidates_are_not_called_a_catalogue() -> None:
-    late = mg.simulate("wide", 200, seed=5, effects=[("timing", 2.0)]).recording
+def test_restricted_candidates_are_not_called_a_catalogue(late: mg.Recording) -> None:
     gap = mg.find_gap(late, candidates=["hard-iron-step"])
     assert gap.verdict == "unknown"
     assert "among the candidates" in gap.sentence

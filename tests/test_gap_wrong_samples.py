@@ -104,10 +104,12 @@ def test_a_real_misfit_neither_makes_nor_hides_them(shared_data: Path) -> None:
     way = random.standard_normal((len(log.time), 3))
     wrong = 2.2e-6 * hit[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
     fresh = log.magnetic_field_fresh
-    spiky = mg.find_gap(replace(log, magnetic_field=log.magnetic_field + wrong))
+    candidates = ["sample-hold", "timing", "misalignment", "coloured-noise", "spikes", "tone", "quantisation"]
+    spiky = mg.find_gap(replace(log, magnetic_field=log.magnetic_field + wrong), candidates=candidates)
     found = next(effect for effect in spiky.effects if effect.name == "spikes")
     assert 0.6 < found.setting["count"] / (hit & fresh).sum() < 1.1
     coarse = 0.84e-6 * np.round(log.magnetic_field / 0.84e-6)
-    stepped = mg.find_gap(replace(log, magnetic_field=coarse, magnetic_field_fresh=None))
+    rounded = replace(log, magnetic_field=coarse, magnetic_field_fresh=None)
+    stepped = mg.find_gap(rounded, candidates=candidates)
     assert "quantisation" in stepped.names
     assert "spikes" not in stepped.names

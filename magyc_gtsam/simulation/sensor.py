@@ -101,7 +101,7 @@ def simulate(
     random = np.random.default_rng(seed)
     angles = path(random)  # drawn before the noise
     attitude, body_rate = kinematics(*angles(time))
-    late, _ = kinematics(*angles(time - delay))
+    late = kinematics(*angles(time - delay))[0] if delay else attitude
     noise = random.standard_normal((2, samples, 3)) * np.reshape([magnetometer_noise, gyroscope_noise], (2, 1, 1))
     field, soft_iron, hard_iron, gyro_bias = (
         np.asarray(v, dtype=float) for v in (field, soft_iron, hard_iron, gyro_bias)
