@@ -50,20 +50,24 @@ class Component:
 
 
 class Tested(NamedTuple):
-    """A family beside a fit: its columns' products, their principal axes, and its gain in log-likelihood by itself."""
+    """A family beside a fit: its columns' products, their principal axes, and its gain in log-likelihood by itself.
+
+    `moving` are the columns that move the parameters: more than `new`, of which the data say something.
+    """
 
     family: ColumnFamily
     new: New
     principal: Principal
     gain: float
+    moving: New
 
 
 def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Tested]) -> list[Array]:
     """(P, k) of each by how much a unit of each column puts the parameters off those that hold at the end."""
-    result = beside.moves([each.new for each in families])
+    result = beside.moves([each.moving for each in families])
     for each, move in zip(families, result, strict=True):
         if each.family.at_end is not None:
-            there = each.family.at_end(motion) * _beside_terms(each.new)
+            there = each.family.at_end(motion) * _beside_terms(each.moving)
             move[: len(there)] -= there
     return result
 
@@ -85,7 +89,7 @@ def _tested(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Seque
     groups = [principal(each.normal, each.score) for each in new]
     found = likeliest_of_each(groups, beside.square, beside.freedom, most)
     each = zip(families, new, groups, found, strict=True)
-    return [Tested(family, own, group, best.gain) for family, own, group, best in each]
+    return [Tested(family, own, group, best.gain, own) for family, own, group, best in each]
 
 
 def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
@@ -93,6 +97,8 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
 
     That noise is in the residual as well, so that the score of such a column is biased.
     """
+    if tested.family.mixed and tested.gain > _SAYS:
+        return _without_noisy_mixtures(beside, motion, tested)
     family, kept = tested.family, _beside_terms(tested.new)
     if tested.gain < _SAYS or (kept.all() and not family.from_rate):
         return tested
@@ -103,3 +109,22 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
     if kept.all():
         return tested
     return _tested(beside, [family], [beside.of(columns.only(kept))])[0]
+
+
+def _without_noisy_mixtures(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
+    """Without the mixtures of columns that the gyroscope's noise makes up, which move the parameters all the same.
+
+    Nothing is learnt of them, and they have the amplitude that the others show.
+    """
+    family, columns = tested.family, tested.family.columns(motion).dense
+    noise = beside.of(columns.less(family.columns(motion.noisier).dense)).normal
+    value, axes, _ = tested.principal
+    kept = np.einsum("ki,kl,li->i", axes, noise, axes) < _NOISE_SHARE * value
+    if kept.all():
+        return tested
+    some = axes[:, kept] @ axes[:, kept].T
+    new = tested.new
+    told = New(
+        some @ new.normal @ some, new.score @ some, new.explained @ some, lambda: columns.mixed(some), beside
+    )
+    return _tested(beside, [family], [told])[0]._replace(moving=new)

@@ -51,6 +51,7 @@ class ColumnFamily:
         expected: of a motion, the largest amplitude that what is known otherwise leaves; None where that is `most`.
         octaves: of amplitude, downwards from the largest, each as likely as the other.
         from_rate: whether the columns are made of changes of the measured rate of turn.
+        mixed: whether mixtures of its columns are what the gyroscope's noise makes up. The data say nothing of these.
         at_end: of a motion, (13, k) by how much the parameters at the end of the recording differ from their mean.
         waves: half waves in the recording, from and up to; None where it is not one of time.
     """
@@ -70,6 +71,7 @@ class ColumnFamily:
     expected: Callable[[WindowMotion], float] | None = None
     octaves: int = 6
     from_rate: bool = False
+    mixed: bool = False
 
     def likely(self, motion: WindowMotion) -> float:
         """The largest amplitude that is believed before the data show one."""

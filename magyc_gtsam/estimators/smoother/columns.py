@@ -41,6 +41,11 @@ class UnmodelledColumns(NamedTuple):
             None if self.window is None else share * self.window, None if self.link is None else share * self.link
         )
 
+    def mixed(self, matrix: Array) -> UnmodelledColumns:
+        """Mixtures of the columns, by a matrix (k, k)."""
+        parts = [None if part is None else np.tensordot(matrix, part, 1) for part in self]
+        return UnmodelledColumns(*parts)
+
 
 class EstimatedTerms(NamedTuple):
     """Parameters of a model beyond θ, which the chain's windows and links are corrected by.
