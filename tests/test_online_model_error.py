@@ -31,3 +31,15 @@ def test_online_states_the_same_model_error(tmp_path: Path) -> None:
     whole, noise = (np.trace(c[6:9, 6:9]) for c in (result.covariance, result.noise_covariance))
     assert whole > 4 * noise
     np.testing.assert_allclose(whole, np.trace(batch.covariance[6:9, 6:9]), rtol=0.75)
+
+
+def test_a_fit_without_information_on_the_bias_is_no_crash() -> None:
+    """A swell of 1.8 s in samples of 1 Hz: the covariance of one refit on the way is infinite."""
+    fault = FAULTS["swell-at-1-hz"]
+    recording = record("wide", 930, fault, fault.strong, "swell-at-1-hz").recording("swell")
+    online = mg.OnlineCalibrator()
+    for i in range(0, 600, 20):
+        rows = slice(i, i + 20)
+        online.update(recording.time[rows], recording.magnetic_field[rows])
+        online.update(recording.time[rows], angular_rate=recording.angular_rate[rows])
+    assert online.calibration is None or not online.calibration.trusted
