@@ -37,7 +37,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A plain log, one with a magnetometer delay and another of the same instrument."""
     folder = tmp_path_factory.mktemp("logs")
     for name, seed, effects in (("plain", 1, ()), ("late", 2, ("timing",)), ("again", 3, ("timing",))):
-        write_mcap(folder / f"{name}.mcap", simulate("wide", 400, seed=seed, effects=effects).recording)
+        write_mcap(folder / f"{name}.mcap", simulate("wide", 200, seed=seed, effects=effects).recording)
     write_mcap(folder / "brief.mcap", simulate("wide", 2).recording)
     other = simulate("wide", 100, hard_iron=np.array([1e-4, -2e-4, 3e-4]))
     write_mcap(folder / "other.mcap", other.recording)
@@ -55,7 +55,7 @@ def quiet_terminal() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def late() -> tuple[mg.Recording, Gap]:
     """A magnetometer delay, found."""
-    recording = simulate("wide", 400, seed=2, effects=("timing",)).recording
+    recording = simulate("wide", 200, seed=2, effects=("timing",)).recording
     return recording, mg.find_gap(recording)
 
 

@@ -35,7 +35,7 @@ def spread(calibration: mg.Calibration, recording: mg.Recording) -> float:
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.09])
-@pytest.mark.parametrize(("every", "rate", "seed"), [(2, 10, 1), (3, 10, 2), (5, 10, 3), (5, 100, 1)])
+@pytest.mark.parametrize(("every", "rate", "seed"), [(2, 10, 1), (5, 10, 3), (5, 100, 1)])
 def test_a_clock_in_step_with_the_rows_makes_no_delay(every: int, rate: int, seed: int, delay: float) -> None:
     """Half a row would be 50 ms at 10 Hz."""
     recording = in_step(every, rate, delay, seed)
@@ -136,8 +136,8 @@ def test_held_samples_are_stamped_by_the_clock_that_they_show(period: float, see
 @pytest.mark.parametrize(
     "kept",
     [
-        lambda time: ((time < 100) | (time > 117.3)) & ((time < 350) | (time > 379.1)),
-        lambda time: (np.arange(len(time)) < 2000) | (np.arange(len(time)) > 2002),
+        lambda time: ((time < 50) | (time > 67.3)) & ((time < 175) | (time > 204.1)),
+        lambda time: (np.arange(len(time)) < 1000) | (np.arange(len(time)) > 1002),
         lambda time: time % 20 < 10,
         lambda time: time % 30 < 5,
     ],
@@ -145,7 +145,7 @@ def test_held_samples_are_stamped_by_the_clock_that_they_show(period: float, see
 )
 def test_a_hole_in_the_log_hides_no_clock(kept: Callable[[Array], Array]) -> None:
     """How many samples a hole holds is open by one from the rows at its ends, and is not from those beside it."""
-    full = mg.simulate("wide", duration=600, seed=4, effects=("sample-hold",)).recording
+    full = mg.simulate("wide", duration=300, seed=4, effects=("sample-hold",)).recording
     rows = kept(full.time - full.time[0])
     assert full.angular_rate is not None
     holes = mg.Recording(full.time[rows], full.magnetic_field[rows], full.angular_rate[rows])
