@@ -172,11 +172,3 @@ def test_a_saturation_is_no_cubic_beside_it(seed: int) -> None:
     said = stated_of(mg.simulate("wide", 200, seed=seed, effects=["saturation"]).recording)
     assert said["saturation"] > 0.9
     assert said.get("cubic", 0.0) < 0.3
-
-
-def test_coarse_steps_are_no_saturation() -> None:
-    """Of three times the noise, beside a misalignment."""
-    effects = ["misalignment", ("quantisation", 2.0)]
-    said = stated_of(mg.simulate("wide", 300, seed=2, effects=effects).recording)
-    assert min(said["misalignment"], said["quantisation"]) > 0.9
-    assert said.get("saturation", 0.0) < 0.3

@@ -93,15 +93,6 @@ def test_the_first_model_beside_a_magnet_does_not_hang_on_rounding(shared_data: 
     np.testing.assert_allclose(hard_iron[0], [-5.6, -1, 64.6], atol=1)
 
 
-def test_a_step_that_was_put_in(shared_data: Path) -> None:
-    """Of 6 µT, in the log of a walk."""
-    recording = mg.read(shared_data / "nexus5_augmented_reality.mcap")
-    stepped, (truth,) = inject(recording, mg.calibrate(recording), [("hard-iron-step", 10.0)], seed=7)
-    (found,) = [e for e in mg.find_gap(stepped).effects if e.name == "hard-iron-step"]
-    assert found.setting["time"] - recording.time[0] == pytest.approx(truth.drawn["time"], abs=1.0)
-    np.testing.assert_allclose(found.value, 6.0 * truth.drawn["direction"], atol=1.0)
-
-
 def test_effects_put_into_the_log_of_a_phone(shared_data: Path) -> None:
     """A quarter of those that such a log can take, beside what is missing in it as it is."""
     phone = mg.read(shared_data / "nexus5_calibration_d1.mcap")

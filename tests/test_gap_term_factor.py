@@ -21,7 +21,7 @@ from magyc_gtsam.runners.incremental import Incremental
 def test_what_gap_named_is_a_factor(name: str) -> None:
     """Two stretches of the log share it, and give the value that the search gave, one after the other on iSAM2."""
     simulation = mg.simulate("wide", duration=200, seed=2, effects=[(name, 3.0)])
-    found = mg.find_gap(simulation.recording).calibration
+    found = mg.find_gap(simulation.recording, candidates=[name]).calibration
     (term,) = found.terms
     truth, strength = simulation.truth, found.field_strength
     assert strength is not None

@@ -37,11 +37,14 @@ def test_coarse_steps_bend_no_other_name(motion: str, seed: int) -> None:
 
 
 def test_a_misalignment_beside_coarse_steps_is_found_and_of_its_size() -> None:
-    simulation = mg.simulate("wide", 300, seed=1, effects=["misalignment", ("quantisation", 2.0)])
+    """And the steps, of six times the noise, are no saturation."""
+    simulation = mg.simulate("wide", 300, seed=2, effects=["misalignment", ("quantisation", 2.0)])
     both = mg.find_gap(simulation.recording)
     assert sorted(effect.name for effect in both.effects) == ["misalignment", "quantisation"]
     askew = next(effect for effect in both.effects if effect.name == "misalignment")
     assert np.linalg.norm(askew.value) == pytest.approx(1e3 * np.deg2rad(2.6), rel=0.1)
+    assert min(both.probabilities["misalignment"], both.probabilities["quantisation"]) > 0.9
+    assert both.probabilities.get("saturation", 0.0) < 0.3
 
 
 def test_the_spread_of_values_is_found() -> None:
