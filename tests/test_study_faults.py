@@ -103,6 +103,9 @@ def test_terms_count_as_they_stand_at_the_end() -> None:
     assert off.hard_iron_sigmas == pytest.approx(2e-6 / np.hypot(1e-7, 2e-6))
     remembering = replace(named(step, 1e-7), terms=(*named(step, 1e-7).terms, loop))
     assert score(remembering, end=600.0).hard_iron < 1e-9  # a loop needs what came before
+    tone = Term("tone", np.full(6, 5e-6), 1e-16 * np.eye(6), {"frequency": 0.3})
+    humming = replace(named(step, 1e-7), terms=(*named(step, 1e-7).terms, tone))
+    assert score(humming, end=600.0).hard_iron < 1e-9  # which the true readings do not have
 
 
 def test_the_stated_heading_is_that_of_a_draw() -> None:

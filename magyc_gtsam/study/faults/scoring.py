@@ -16,8 +16,8 @@ SIGMAS = 3.0  # stated sigmas beyond which a result is wrong
 HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
 HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
-# Terms of what happens or has happened: readings at rest have no loop to take out.
-_MOVING = ("timing", "hysteresis")
+# Terms of what happens or has happened: the true readings at rest have no loop and no tone to take out.
+_HAPPENING = ("timing", "hysteresis", "tone")
 _APART = 1e-3  # s between readings at rest, in which nothing happens
 _LEAST = 1e-9  # of a term's value, by which its slope is found where it has no sigma
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
@@ -91,7 +91,7 @@ def score(
 
 def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
     """Return readings (n, 3) T of an instrument at rest, calibrated as at the end of the log."""
-    at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name not in _MOVING))
+    at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name not in _HAPPENING))
     time = end + _APART * np.arange(len(readings))
     return at_rest.corrected(readings, time=time, angular_rate=np.tile(GYRO_BIAS, (len(readings), 1)))
 
