@@ -95,27 +95,26 @@ def _tested(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Seque
 def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
     """Where the data speak for the family: without the columns that are terms, or that the gyroscope's noise makes up.
 
-    That noise is in the residual as well, so that the score of such a column is biased.
+    That noise is in the residual as well, so that the score of such a column is biased. It moves the parameters all the
+    same, with the amplitude that it has by its odds, or that the others show.
     """
     if tested.family.mixed and tested.gain > _SAYS:
         return _without_noisy_mixtures(beside, motion, tested)
-    family, kept = tested.family, _beside_terms(tested.new)
-    if tested.gain < _SAYS or (kept.all() and not family.from_rate):
+    family, more = tested.family, _beside_terms(tested.new)
+    if tested.gain < _SAYS or (more.all() and not family.from_rate):
         return tested
-    columns = family.columns(motion).dense
+    columns, kept = family.columns(motion).dense, more
     if family.from_rate:
         noise = beside.of(columns.less(family.columns(motion.noisier).dense)).normal.diagonal()
-        kept &= noise < _NOISE_SHARE * tested.new.normal.diagonal()
+        kept = more & (noise < _NOISE_SHARE * tested.new.normal.diagonal())
     if kept.all():
         return tested
-    return _tested(beside, [family], [beside.of(columns.only(kept))])[0]
+    moving = tested.new if more.all() else beside.of(columns.only(more))
+    return _tested(beside, [family], [beside.of(columns.only(kept))])[0]._replace(moving=moving)
 
 
 def _without_noisy_mixtures(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
-    """Without the mixtures of columns that the gyroscope's noise makes up, which move the parameters all the same.
-
-    Nothing is learnt of them, and they have the amplitude that the others show.
-    """
+    """As `_informative`, without mixtures of columns that the gyroscope's noise makes up."""
     family, columns = tested.family, tested.family.columns(motion).dense
     noise = beside.of(columns.less(family.columns(motion.noisier).dense)).normal
     value, axes, _ = tested.principal
