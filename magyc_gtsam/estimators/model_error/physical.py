@@ -17,9 +17,6 @@ from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 
 _LATE = 0.3  # s, the lag of an axis at which the first and the second order have their true proportion
-# Of half the sweep of an axis, the widths of a play: on loops of 0.5 and 3 µT their columns gain 150 to 1,100 nats
-# together, where the sign of the change and a narrower sweep gained 75 to 190.
-_WIDTHS = (0.1, 0.4)
 _BAND = 0.02  # rad/s, half of a gyroscope's dead band
 _DATA_SHEET = 0.03  # share, the largest error of a gyroscope's scale before the data show one
 # Share, the largest when they do. A gyroscope filtered by 0.5 s loses 10 to 30 % of turns to and fro, which looks like
@@ -54,31 +51,13 @@ def _dead_zone(motion: WindowMotion) -> UnmodelledColumns:
 
 
 def _play(motion: WindowMotion) -> UnmodelledColumns:
-    """The reading stays behind the field by up to a width, of some of the sweep of its axis."""
-    reading = motion.reading
-    sweep = 0.5 * np.maximum(np.ptp(reading, axis=1, keepdims=True), ALIKE * motion.strength)
-    width = np.concatenate([share * sweep for share in _WIDTHS])
-    every = np.tile(reading, (len(_WIDTHS), 1))
-    behind = (_followed(every, width) - every) / width
-    return UnmodelledColumns(
-        motion.strength * np.concatenate([_each_axis(each) for each in np.split(behind, len(_WIDTHS))]), None
-    )
-
-
-def _followed(values: Array, width: Array) -> Array:
-    """(k, n) what follows values (k, n) once they have moved by `width` (k, 1), from the middle of both.
-
-    Each step y → clip(y, x − w, x + w) is a clip, and clips compose to clips: all of them by doubling.
-    """
-    low, high = values - width, values + width
-    low[:, 0] = high[:, 0] = values[:, 0]
-    reach = 1
-    while reach < values.shape[1]:
-        least, most = low[:, reach:], high[:, reach:]
-        both = (np.minimum(np.maximum(side[:, :-reach], least), most) for side in (low, high))
-        least[:], most[:] = tuple(both)
-        reach *= 2
-    return low
+    """The reading stays behind the field by a width, whichever way it goes, and its sweep is narrower by as much."""
+    change = motion.reading_change
+    spread = np.sqrt(np.mean(change**2, axis=1, keepdims=True))
+    behind = _sign(change, _SHARP * np.maximum(spread, ALIKE * motion.strength))
+    low, high = motion.reading.min(axis=1, keepdims=True), motion.reading.max(axis=1, keepdims=True)
+    narrower = (2 * motion.reading - low - high) / np.maximum(high - low, 1e-3 * motion.strength)
+    return UnmodelledColumns(motion.strength * np.concatenate([_each_axis(behind), _each_axis(narrower)]), None)
 
 
 def _late_axis(motion: WindowMotion) -> UnmodelledColumns:
