@@ -24,6 +24,7 @@ from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 from magyc_gtsam.gap.find import _problem as problem_of
 from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.neighbours import neighbours
 
 RANDOM = np.random.default_rng(3)
 ROWS = 60
@@ -75,10 +76,40 @@ def test_probabilities_are_of_all_sets() -> None:
 
 def test_a_share_is_kept_for_what_no_set_holds() -> None:
     """However much the data say for one of them; what is decided from a limit on can still be attained."""
-    stated = marginals(normalised({((), False): 0.0, (("timing",), False): 1000.0}))
-    assert stated == pytest.approx({"timing": 1 - PRIOR.unforeseen, UNKNOWN: PRIOR.unforeseen, NOTHING: 0.0})
+    stated = marginals(normalised({((), True): 0.0, ((), False): 1000.0}))
+    assert stated == pytest.approx({NOTHING: 1 - PRIOR.unforeseen, UNKNOWN: PRIOR.unforeseen})
     assert PRIOR.sure < 1 - PRIOR.unforeseen
     assert PRIOR.unforeseen < PRIOR.improbable
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
+    """Any of them together, at odds that grow with their number; effects on single samples are not among them."""
+    odds = PRIOR.imitated + (0.0 if unknown else PRIOR.all_named)
+    ratio = {count: float(np.exp(odds + (count - 1) * PRIOR.each_more)) for count in (1, 2, 3)}
+    names = (FIELD_VARIATION, "cubic", "timing", "tone")
+    stated = marginals(normalised({(names, unknown): 0.0}))
+    total = 1 + 2 * ratio[1] + ratio[2]
+    share = 1 - PRIOR.unforeseen
+    assert stated["cubic"] == pytest.approx(share * (1 + ratio[1]) / total)
+    assert stated["tone"] == stated[FIELD_VARIATION] == pytest.approx(share)
+    three = marginals(normalised({(("cubic", "gyro-scale", "timing"), unknown): 0.0}))
+    all_three = 1 + 3 * ratio[1] + 3 * ratio[2] + ratio[3]
+    assert three["cubic"] == pytest.approx(share * (1 + 2 * ratio[1] + ratio[2]) / all_three)
+
+
+def test_a_product_pays_for_the_time_of_its_jump() -> None:
+    """In place of a jump, its product with another signal is at the jump's time, which was searched for as well."""
+    recording = mg.simulate("wide", 200, seed=3, effects=(("hard-iron-step", 1.0),)).recording
+    tree = Tree(base_model(recording, None, short_term_noise(recording)), ("hard-iron-step",))
+    node = tree.nodes[()]
+    step = node.found["hard-iron-step"]
+    assert step.search > 3
+    for family in neighbours(node.fit.twin, "hard-iron-step", step.setting):
+        free = weigh(Candidates.of(node.fit.twin, (), [family]), node.beside, node.named)[family.name]
+        paid = node.found[family.name]
+        assert paid.log == pytest.approx(free.log - step.search)
+        np.testing.assert_allclose(paid.by_scale, free.by_scale - step.search)
 
 
 def test_a_field_that_varies_is_in_the_hypotheses() -> None:

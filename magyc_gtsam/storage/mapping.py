@@ -38,7 +38,7 @@ def load_mapping(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
         largest = _LARGEST.get(kind, _LARGEST_YAML)
         if path.stat().st_size > largest:
             raise MagycError(
-                f"{path}: {path.stat().st_size} bytes, at most {largest} are read; is it the right file?"
+                f"{path}: has {path.stat().st_size} bytes, a {what} at most {largest}; is it the right file?"
             )
         text = path.read_text(encoding="utf-8")
         data = parse_json(text) if kind == ".json" else parse_yaml(text)
@@ -48,8 +48,8 @@ def load_mapping(path: str | os.PathLike[str], what: str) -> dict[str, Any]:
         raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
     except MagycError as error:
         raise MagycError(str(error) if str(path) in str(error) else f"{path}: {error}") from None
-    except UnicodeDecodeError as error:
-        raise MagycError(f"{path}: not readable as {kind} ({shortened(error)})") from None
+    except UnicodeDecodeError:
+        raise MagycError(f"{path}: not a text file; a {what} as YAML or JSON is expected here") from None
     if not isinstance(data, dict):
         raise MagycError(f"{path}: not a {what}: expected a mapping of names to values")
     return data

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from itertools import combinations
 
 import numpy as np
 from scipy.special import logsumexp
@@ -85,7 +86,7 @@ def _nameless(node: Node) -> list[Weighed]:
 
 
 def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
-    """(what else there is, nats) of each name, and of all, being a part of something that is in no catalogue.
+    """(what else there is, nats) of each name being a part of something that is in no catalogue.
 
     The rest of it is a family: as large as is seen, where that is more than the form of the name and of the field; or,
     of one name, of a power tied to that of what is named, and too small to be seen beside it.
@@ -101,8 +102,6 @@ def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tu
     if node.variation is not None:
         powers[FIELD_VARIATION] = node.of_field
     parts = [(set(key) - {name}, power, name != FIELD_VARIATION) for name, power in powers.items()]
-    if len(key) > 1:
-        parts.append((set(), sum(powers.values()), False))
     for less, power, small in parts:
         least = PRIOR.form * max(power, node.of_field)
         large = np.concatenate([*(each.by_scale[each.power > least] for each in families), [-np.inf]])
@@ -190,7 +189,26 @@ def key_of(tree: Tree, node: Node) -> tuple[str, ...]:
 
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
     """Probabilities, a share of which is kept for what this comparison does not hold: something unknown alone."""
-    total = logsumexp(list(logs.values()))
-    result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in logs.items()}
+    weighed = _with_one_cause(logs)
+    total = logsumexp(list(weighed.values()))
+    result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in weighed.items()}
     result[(), True] = result.get(((), True), 0.0) + PRIOR.unforeseen
     return result
+
+
+def _with_one_cause(logs: Mapping[Set, float]) -> dict[Set, float]:
+    """Log weights with, beside each set, one cause in no catalogue that looks like any of its names together.
+
+    The more names it takes, the likelier this is: each of them pays for its own prior, the one cause once. A field that
+    varies, and what is found on single samples, stay as they are. A part of such a cause is usually seen as something
+    unknown.
+    """
+    more: dict[Set, list[float]] = {key: [log] for key, log in logs.items()}
+    for (names, unknown), log in logs.items():
+        of_catalogue = [name for name in names if name in TERMS]
+        for count in range(1, len(of_catalogue) + 1):
+            odds = PRIOR.imitated + (count - 1) * PRIOR.each_more + (0.0 if unknown else PRIOR.all_named)
+            for alike in combinations(of_catalogue, count):
+                others = tuple(name for name in names if name not in alike)
+                more.setdefault((others, True), []).append(log + odds)
+    return {key: float(logsumexp(each)) for key, each in more.items()}

@@ -103,9 +103,7 @@ class Tree:
         plain = terms.beside(None)
         self.square, self.freedom = plain.square, len(terms.residual) - len(terms.base)
         self.nodes: dict[tuple[str, ...], Node] = {}
-        self.refused: set[tuple[str, ...]] = (
-            set()
-        )  # sets with a value that no such effect can have, or without a fit
+        self.refused: set[tuple[str, ...]] = set()  # sets with an impossible value, or without a fit
         first = self._node((), root, None, 0.0)
         self.nodes[first.key] = first
         self._grow([first, *self._given(root, given)])
@@ -283,13 +281,14 @@ class Tree:
         for each in best_of(found, PRIOR.beam):
             found[each.name] = self._finer(node, each)
             node.refined.add(each.name)
-        # A product with another signal may be there beside its name, and in place of one that is likely.
-        likely = [each for each in best_of(found, PRIOR.beam) if each.log > 0]
-        settings = [(each.name, each.setting) for each in likely]
-        settings += [(term.name, term.setting) for term in node.fit.model.terms]
-        products = {f.name: f for name, setting in settings for f in neighbours(twin, name, setting)}
+        # A product with another signal may be there beside its name, and in place of one that is likely: at the
+        # setting of that, for which it costs the same search.
+        likely = [(each.name, each.setting, each.search) for each in best_of(found, PRIOR.beam) if each.log > 0]
+        likely += [(term.name, term.setting, 0.0) for term in node.fit.model.terms]
+        products = {f.name: (f, cost) for name, at, cost in likely for f in neighbours(twin, name, at)}
         if products:
-            found |= weigh(Candidates.of(twin, (), products.values()), node.beside, node.named)
+            made = weigh(Candidates.of(twin, (), [f for f, _ in products.values()]), node.beside, node.named)
+            found |= {name: each.less(products[name][1]) for name, each in made.items()}
         if "hard-iron-drift" not in node.names:
             found |= one_way(self.candidates, node.beside, node.named)
         return found

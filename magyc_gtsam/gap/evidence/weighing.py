@@ -46,6 +46,10 @@ class Weighed:
     tied: float
     cell: float
 
+    def less(self, search: float) -> Weighed:
+        """With a search paid for, by which its columns were chosen."""
+        return replace(self, log=self.log - search, by_scale=self.by_scale - search)
+
     def with_cell(self, finer: Weighed) -> Weighed:
         """With the share of the prior of its likeliest setting spread over finer settings around it."""
         by_scale = np.logaddexp(self.by_scale, finer.by_scale + self.cell)
