@@ -13,12 +13,10 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import Found, Look, choices, less, related, term_places
 from magyc_gtsam.gap.refined import nearer, sharpened
-from magyc_gtsam.gap.refit import determined, possible, without_term
+from magyc_gtsam.gap.refit import possible, without_term
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Score
 from magyc_gtsam.gap.steps import State, terms_of, with_effect
-
-_DRIFT = "hard-iron-drift"
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +44,8 @@ def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
         ahead = None
     if ahead is None or not _newcomers(ahead, state):
         return Way(sharp, None)
-    if not possible(ahead.current, -1) and any(
-        related(choice.name, other.name) for other in choices(now, state.found, {choice.name})
-    ):
-        return Way(sharp, None)  # a rival takes its place
-    if choice.significance < RULES.certain * choice.limit and not determined(ahead.current, -1):
-        return Way(sharp, None, (choice.name,))  # too little of too much that the motion leaves open
+    if not possible(ahead.current, -1):
+        return Way(sharp, None)  # something else looks like it
     return Way(sharp, ahead)
 
 
@@ -81,55 +75,6 @@ def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -
         if ahead is not None:
             done.add(name)
             return ahead
-    return None
-
-
-def with_two_causes(state: State, now: Look, seen: Callable[[State], Look]) -> State | None:
-    """With a drift exchanged for two changes of the hard iron that explain more than it does, and leave no more.
-
-    What warms and is moved once drifts in no other way, but no one cause of it explains as much as the drift. None:
-    there are none.
-    """
-    places = term_places(state.found, state.current.model)
-    place = next((place for place in places if state.found[place].name == _DRIFT), None)
-    if place is None:
-        return None
-    current = state.refitted(without_term(state.current.model, places[place]))
-    if current is None:
-        return None
-    ahead, explained = replace(state, current=current, found=less(state.found, {place})), []
-    for _ in range(2):
-        cause = _best_cause(ahead, seen(ahead))
-        if cause is None:
-            return None
-        ahead, evidence = cause
-        explained.append(evidence)
-    both = sum(explained)
-    if min(explained) < RULES.each_cause * both:
-        return None
-    better = both - rest(seen(ahead)) > state.found[place].evidence - rest(now) + RULES.two_causes
-    return ahead if better else None
-
-
-def _best_cause(state: State, now: Look) -> tuple[State, float] | None:
-    """A state with the strongest effect, of one change, that a drift is confused with, and its evidence."""
-    causes = [
-        at_sharpest(score, now)
-        for score in now.scores
-        if not score.generic
-        and score.significant
-        and now.gains.get(score.name, 0.0) > 0
-        and related(_DRIFT, score.name)
-        and "until" not in score.variant.setting
-        and all(term.name != score.name for term in now.refit.model.terms)
-    ]
-    for sharp in sorted(causes, key=lambda score: -score.evidence):
-        try:
-            ahead = tried(state, now, sharp, sharp).state
-        except MagycError:
-            continue
-        if ahead is not None:
-            return ahead, sharp.evidence
     return None
 
 

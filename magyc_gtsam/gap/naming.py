@@ -200,10 +200,6 @@ def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
     most = max([f.statistic for f in found if f.name in TERMS] + weights(current), default=0.0)
     if score.statistic < RULES.trace * most:
         return True
-    if score.name == "hard-iron-step" and any(
-        f.name == "hard-iron-drift" and score.statistic < f.statistic for f in found
-    ):
-        return True  # a slow change that is steeper here than there, not something that jumped
     for place, index in places.items():
         one, rough = found[place], TERMS[found[place].name].rough
         if not related(one.name, score.name) and one.name != score.name:
@@ -253,9 +249,7 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
         alike = rival.significant and behind < RULES.ahead and not _adds_beyond(choice.variant, rival.variant, now)
         tied = rival.significant and behind < max(RULES.tie[0], RULES.tie[1] * choice.evidence)
-        # A channel that explains more, if at other times as well: what changed may have followed it.
-        slow = rival.significant and now.gains.get(rival.name) == 0.0 and behind < 0 and choice.name in _OF_TIME
-        if alike or slow or (related(choice.name, rival.name) and (tied or (shapes and close))):
+        if alike or (related(choice.name, rival.name) and (tied or (shapes and close))):
             result.append(rival.name)
     return tuple(dict.fromkeys((*result, *_untested(choice.name, now.refit.twin), *_too_slow(choice.name, now))))
 

@@ -13,7 +13,7 @@ from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, Look, faint, shape_of, we
 from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.refit import Refit, without_term
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.variants import Projector, Variant, variant
+from magyc_gtsam.gap.variants import Projector, variant
 
 _CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-hard-iron")
 
@@ -106,34 +106,14 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
 
 
 def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
-    """The generic families that explained the data clearly better than all names together.
-
-    Not those of fewer values whose signature the names hold: they say the same, and pay for less.
-    """
-    names = {f.name for f in found if f.name in TERMS}
-    if not names:
+    """The generic families that explained the data clearly better than all names together."""
+    evidence = [f.evidence for f in found if f.name in TERMS]
+    if not evidence:
         return []
-    named = sum(f.evidence for f in found if f.name in TERMS)
+    named = sum(evidence)
     ahead = named + max(RULES.beats[0], RULES.beats[1] * named)
-    own = _span([s.variant.unit for s in first.scores if s.name in names])
     return [
         s.name
         for s in first.scores
-        if s.generic
-        and s.significant
-        and s.evidence > ahead
-        and first.gains.get(s.name, 0.0) > 0
-        and not _within(own, s.variant, first.innovation)
+        if s.generic and s.significant and s.evidence > ahead and first.gains.get(s.name, 0.0) > 0
     ]
-
-
-def _span(units: Sequence[Array]) -> Array:
-    """Orthonormal rows that span those of all."""
-    _, size, rows = np.linalg.svd(np.concatenate(units), full_matrices=False)
-    return np.asarray(rows[size**2 > RULES.shared])
-
-
-def _within(own: Array, other: Variant, innovation: Array) -> bool:
-    """Whether what a candidate explains is held by orthonormal rows that are more than its values."""
-    explained = other.score(innovation) @ other.unit
-    return len(other.unit) < len(own) and _squared(own @ explained) > RULES.held_by_names * _squared(explained)

@@ -26,7 +26,6 @@ class Rules:
     beside_colour: float = 1.4  # thresholds that a name must pass beside coloured noise
     blocks: int = 8  # of the held-out veto, at least: each half must hold some of every manoeuvre
     by_chance: float = 0.5  # of the way from a clock's variance of how long rows repeat to that of chance
-    certain: float = 2.0  # limits that the significance of what the motion does not determine must pass
     # nats by which two fitted parameters of a noise model can seem to gain (with room to spare)
     chance: float = 9.0
     changes: int = 2  # with time, that one recording may hold
@@ -37,24 +36,20 @@ class Rules:
     determined: float = 4.0  # smallest values that matter, up to which a motion determines a value
     # of a prior's deviation, up to which the data have told something of every direction
     determined_by_data: float = 0.75
-    # share of their evidence that each of two causes must have: a drift that is steeper once is no step beside another
-    each_cause: float = 1 / 6
     # probability of any name by chance, all candidates together, in a recording without an effect
     family_wise: float = 0.01
     field_differs: float = 0.02  # of the field: a degree of heading
     field_varies: float = 5.0  # nats: twice what clean recordings show by chance (at most 2.3)
     firm: float = 0.7  # share of what a term should explain beside whatever else is missing
-    # share of what a family explains from which the names hold it: 0.995 of what they are, 0.7 of others
-    held_by_names: float = 0.98
     held_rows: float = 0.08  # share of rows that repeat exactly
     late: float = 0.01  # rad of a turn
     left: float = 0.2  # share of an effect's statistic that it or a rival may pick up after it
     little: float = 0.3  # share of a term's signature that a family which holds it may lack
     longest_colour: float = 4.0  # s, correlation time beyond which colour is called a drift of something unknown
     lowest_bins: int = 5  # of a tone: slower ones are drifts
-    many: int = 9  # values of one family, from which half of the data do not determine them for the other half
     most_of: float = 0.7  # share of a wider family's statistic from which the simple delay is preferred
     most_terms: int = 5  # effects in one recording, at which a search ends
+    many: int = 9  # values of one family, from which half of the data do not determine them for the other half
     mostly: float = 0.6  # share that a term must explain of what families that hold its signature could explain
     moved: float = 2.0  # sigmas from which a parameter is reported as moved
     much: float = 60.0  # statistic from which an effect is taken out before the colour is measured
@@ -76,7 +71,6 @@ class Rules:
     too_slow: float = 0.7  # of what the channel explains, that it still holds when shifted: it is too slow to tell
     trace: float = 0.03  # share of an effect's statistic below which another may be its form, whatever the name
     tried: int = 3  # names in a tie, at most
-    two_causes: float = 9.0  # nats, by which two causes must be ahead of a drift
     unsure_line: float = 2.0  # nats more that a line must stand out, for the floor below it is estimated
     weak: float = 50.0  # nats, up to which what is small may be the shadow of another effect
     worth_moving: float = 0.5  # sigma, in the mean, by which the iron must move to be moved

@@ -11,12 +11,11 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange, with_two_causes
+from magyc_gtsam.gap.alternatives import at_sharpest, rest, tried, with_exchange
 from magyc_gtsam.gap.clocks import CLOCK_DRIFT, drift_apart
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.naming import (
@@ -25,16 +24,14 @@ from magyc_gtsam.gap.naming import (
     choices,
     less,
     loudest,
-    shape_of,
     term_places,
     with_forms,
 )
-from magyc_gtsam.gap.neighbours import product_of
-from magyc_gtsam.gap.objections import ahead_of_names, leftover, stands, switched
+from magyc_gtsam.gap.objections import leftover, stands, switched
 from magyc_gtsam.gap.own_time import in_its_own_time
 from magyc_gtsam.gap.problem import Problem
 from magyc_gtsam.gap.refined import sharpened
-from magyc_gtsam.gap.refit import Refit, possible, refit, small, widened, without_term
+from magyc_gtsam.gap.refit import Refit, refit, small, without_term
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.score import Score, held_out_gain, interleaved, scan
 from magyc_gtsam.gap.steps import Prepare, State, with_more_modes, with_noise
@@ -149,8 +146,6 @@ def search(
             continue
         if not options or len(state.current.model.terms) >= RULES.most_terms:
             better = with_exchange(state, seen, exchanged)
-            if better is None and len(state.current.model.terms) < RULES.most_terms:
-                better = with_two_causes(state, now, seen)
             if better is None:
                 break
             state, now = widest(better)
@@ -180,12 +175,10 @@ def search(
         left = (*left, *(f.name for f in state.found if f.name == "coloured-noise"))
     places = term_places(final.found, final.current.model)
     weak = {p for p, i in places.items() if final.found[p].evidence < RULES.weak and small(final.current, i)}
-    other = {p for p, i in places.items() if not possible(final.current, i)}
-    slight, others = (tuple(final.found[p].name for p in sorted(every)) for every in (weak - other, other))
-    final = _without(final, weak | other)
+    slight = tuple(final.found[p].name for p in sorted(weak))
+    final = _without(final, weak)
     if final.current is not state.current:
         now = seen(final)
-    left = tuple(dict.fromkeys((*left, *_of_no_value(now, final.found, others))))
     if drift_apart(now.refit):
         left = (CLOCK_DRIFT, *left)
     return Search(final.recording, final.problem, first, now, with_forms(final.found, now), left, slight)
@@ -203,7 +196,7 @@ def _best(ahead: Sequence[tuple[float, State, Look]]) -> tuple[float, State, Loo
 
 
 def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
-    """Without the terms that lean on what is missing, or show no more than their noise once the others are gone."""
+    """Without the terms that lean on what is missing."""
     current, found = state.current, state.found
     # A line at the motion's frequencies that is stronger than a name is what the name was mistaken for.
     line = max((n.evidence for n in first.noise if n.name == "tone" and not n.significant), default=0.0)
@@ -212,16 +205,9 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
         for place, index in term_places(found, current.model).items()
         if found[place].evidence < line
         or _again(current, index, now, left)
-        or _of_another_form(current, index, now, left)
         or not stands(current, index, found[place], now, left)
     }
-    if ahead_of_names(first, [f for i, f in enumerate(found) if i not in loose]):
-        # What is left of the names is not the best that can be said.
-        loose = set(term_places(found, current.model))
     firm = _without(state, loose)
-    honest = widened(firm.current)
-    faint = {place for place, i in term_places(firm.found, honest.model).items() if not _shows(honest, i)}
-    firm = _without(firm, faint)
     # What is missing would pass for colour.
     return replace(firm, found=tuple(f for f in firm.found if f.name != "coloured-noise"))
 
@@ -238,32 +224,8 @@ def _without(state: State, places: Container[int]) -> State:
     return replace(state, current=kept, found=less(state.found, places))
 
 
-def _of_no_value(now: Look, found: Sequence[Found], names: Container[str]) -> list[str]:
-    """Those of some names, of which no value was possible, that are still wanted: something else looks like them."""
-    return [
-        score.name
-        for score in now.scores
-        if score.name in names
-        and score.significant
-        and now.gains.get(score.name, 0.0) > 0
-        and not shape_of(score, now.refit, found)
-    ]
-
-
-def _shows(honest: Refit, index: int) -> bool:
-    """Whether the value of a term is more than its noise, beside what is missing."""
-    return honest.weight_of(index) > chi2.isf(RULES.family_wise, len(honest.value_of(index)[0]))
-
-
 def _again(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
     """Whether a term is wanted oftener than it may be had, and nearly as much: steps in a row are no step."""
     name = current.model.terms[index].name
     more = max((s.statistic for s in now.scores if s.name == name), default=np.inf)
     return name in left and more > RULES.left * current.weight_of(index)
-
-
-def _of_another_form(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
-    """Whether products of a term with other signals explain much beside it: it is of their form, not of its own."""
-    products = [name for name in left if product_of(name) == current.model.terms[index].name]
-    explained = {s.name: s.statistic - len(s.variant.unit) for s in now.scores}
-    return any(explained.get(name, np.inf) > RULES.left * current.weight_of(index) for name in products)
