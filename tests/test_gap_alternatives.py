@@ -1,4 +1,4 @@
-"""Names that explain as much as each other."""
+"""Names that explain as much as each other, and what more is known of them later."""
 
 from __future__ import annotations
 
@@ -7,9 +7,26 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 import magyc_gtsam as mg
+from magyc_gtsam.gap import search
 from magyc_gtsam.gap.naming import faint
+from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.steps import _asked
+
+
+def test_what_is_left_decides_only_where_it_is_less_than_what_is_explained() -> None:
+    def decided(*each: tuple[float, str, float]) -> Any:
+        """Of names with their evidence and with what is left beside them."""
+        looks = [
+            (evidence, name, SimpleNamespace(scores=[SimpleNamespace(name="x", evidence=left)], gains={"x": 1.0}))
+            for evidence, name, left in each
+        ]
+        return search._best(looks)[1]  # type: ignore[arg-type]
+
+    assert decided((175.0, "current", 50.0), (169.0, "drift", 5.0)) == "drift"
+    assert decided((175.0, "current", 220.0), (169.0, "drift", 209.0)) == "current"
 
 
 def test_beside_colour_a_name_must_pass_clearly() -> None:
@@ -40,3 +57,23 @@ def test_two_causes_are_not_one_drift() -> None:
             if step.name == "hard-iron-step":
                 assert np.linalg.norm(step.value - jump) < 4 * np.linalg.norm(step.sigma)
     assert named.count({"temperature-hard-iron", "hard-iron-step"}) >= 2, named
+
+
+def test_a_weak_name_beside_a_strong_rival_explains_a_fifth_of_it() -> None:
+    """Of what each explains in one model; what is strong by itself stands, as do the plates of a matrix."""
+
+    def asked(weights: dict[str, float], index: int, uneven: str = "") -> float:
+        terms = [Active(n, {"uneven": 1.0} if n == uneven else {}, np.zeros(3)) for n in weights]
+        current: Any = SimpleNamespace(
+            model=SimpleNamespace(terms=terms), weight_of=lambda i: list(weights.values())[i]
+        )
+        return _asked(current, index, range(len(terms)))
+
+    assert asked({"misalignment": 300.0, "cubic": 47.0}, 1) == pytest.approx(60.0)
+    assert asked({"misalignment": 3000.0, "cubic": 47.0}, 1) == pytest.approx(100.0)
+    assert asked({"misalignment": 300.0, "hard-iron-step": 47.0}, 1) == 0
+    # No loop is quite of the form of another.
+    assert asked({"hysteresis": 3000.0, "eddy-plane": 147.0}, 1) == pytest.approx(600.0)
+    assert asked({"hysteresis": 3000.0, "eddy-plane": 147.0}, 1, uneven="eddy-plane") == pytest.approx(600.0)
+    assert asked({"timing": 3000.0, "eddy-plane": 47.0}, 1, uneven="eddy-plane") == 0
+    assert asked({"timing": 47.0, "eddy-plane": 3000.0}, 0, uneven="eddy-plane") == 0
