@@ -65,6 +65,17 @@ def test_an_improbable_name_is_not_corrected(looked: Looked) -> None:
     assert again.effects[0].applied
 
 
+def test_something_unknown_that_is_sure_is_left(looked: Looked) -> None:
+    """The score tests leave nothing here, and the verdict says what the probabilities say."""
+    sure = {(("timing",), True): PRIOR.sure + 0.01, (("timing",), False): 0.09 - PRIOR.unforeseen}
+    gap = gap_by(looked, sure)
+    assert gap.effects[0].applied
+    assert gap.verdict == "open"
+    assert "missing" in gap.sentence
+    less = {(("timing",), True): PRIOR.sure - 0.01, (("timing",), False): 0.11}
+    assert gap_by(looked, less).verdict == "closed"
+
+
 def test_a_name_is_as_likely_as_all_that_it_may_be(looked: Looked) -> None:
     found, said, _, noise = looked
     two = replace(found, found=tuple(replace(one, rivals=("eddy-plane",)) for one in found.found))

@@ -3,7 +3,8 @@
 Score tests ask whether an effect explains more than noise would by chance. In a room the field varies, and much is
 explained by anything that is smooth. The posterior holds the field of the place in every set, so that it says which
 names are there beside it. A name that it holds for improbable is not corrected; where it is sure of the field's
-variation and of all names, and of nothing that has none, what is left to the score tests is that variation.
+variation and of all names, and of nothing that has none, what is left to the score tests is that variation; where it is
+sure of something unknown, that is left.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.field_variation import FieldVariation
 from magyc_gtsam.gap.naming import Found, less, term_places
+from magyc_gtsam.gap.neighbours import product_of
 from magyc_gtsam.gap.noise_effects import NoiseScore
 from magyc_gtsam.gap.refit import refit, without_term
 from magyc_gtsam.gap.search import Search
@@ -42,7 +44,7 @@ def weighed(result: Search, said: Answer, short_term: SensorNoise) -> Search:
     doubtful = {place for place, one in enumerate(result.found) if _improbable(one, said.posterior)}
     variation = said.tree.best.variation
     if variation is None or not _of_the_place(result, stated, doubtful):
-        return _marked(result, doubtful)
+        return _with_unknown(_marked(result, doubtful), said, stated[UNKNOWN])
     kept = _without(result, doubtful, short_term)
     score = _score(variation)
     found = Found(FIELD_VARIATION, score.statistic, 0.0, score.evidence, noise=score)
@@ -56,6 +58,16 @@ def _marked(result: Search, doubtful: Container[int]) -> Search:
     other = {place: one.name for place, one in enumerate(found) if one.improbable and one.name in _OF_NOISE}
     left = dict.fromkeys((*result.leftover, *other.values()))
     return replace(result, found=less(found, other), leftover=tuple(left))
+
+
+def _with_unknown(result: Search, said: Answer, probability: float) -> Search:
+    """A search that leaves something, where that there is something unknown is as good as sure."""
+    if result.leftover or probability < PRIOR.sure:
+        return result
+    best = said.tree.best
+    families = [each for each in best.found.values() if each.name not in TERMS and product_of(each.name) is None]
+    likeliest = max(families, key=lambda each: each.log, default=None)
+    return result if likeliest is None else replace(result, leftover=(likeliest.name,))
 
 
 def _improbable(one: Found, posterior: Mapping[Set, float]) -> bool:
