@@ -157,7 +157,7 @@ GOOD = yaml.safe_dump(Calibration(SOFT_IRON, HARD_IRON).to_dict())
 BAD_FILES = {
     "broken YAML": ("cal.yaml", "soft_iron: [1, 2", "not readable as .yaml"),
     "broken JSON": ("cal.json", "{", "not readable as .json"),
-    "binary": ("cal.yaml", b"\xff\xfe\x00\x01", "not readable as .yaml"),
+    "binary": ("cal.yaml", b"\xff\xfe\x00\x01", "not a text file; a calibration as YAML or JSON"),
     "a list": ("cal.yaml", "[1, 2]", "not a calibration"),
     "empty": ("cal.yaml", "", "not a calibration"),
     "something else": ("cal.yaml", "camera: {fx: 500}", "not a calibration: format is None"),
@@ -310,7 +310,7 @@ def test_a_key_that_is_no_name_is_refused(tmp_path):
     with pytest.raises(MagycError, match="is not a name"):
         Calibration.load(path)
     path.write_text("a: [" + "1, " * 1_000_000 + "]\n")  # minutes in a YAML reader
-    with pytest.raises(MagycError, match="at most 2097152 are read"):
+    with pytest.raises(MagycError, match="3000006 bytes, a calibration at most 2097152"):
         Calibration.load(path)
 
 

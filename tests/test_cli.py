@@ -313,7 +313,7 @@ def test_one_line_on_standard_error(arguments: str, says: str, logs: Path, tmp_p
         ("calibrate {logs}/dive.mcap --angular-rate-is never", "'never' is not one of"),
         ("calibrate {logs}/dive.mcap --frobnicate", "No such option: --frobnicate"),
         ("frobnicate", "No such command 'frobnicate'"),
-        ("apply {logs}/dive.mcap {logs}/dive.mcap -o out.csv", "dive.mcap: not readable"),
+        ("apply {logs}/dive.mcap {logs}/dive.mcap -o out.csv", "dive.mcap: not a text file"),
         ("apply none.yaml {logs}/dive.mcap -o out.bag", "must end in .mcap or .csv"),
         ("apply none.yaml {logs}/dive.mcap -o {logs}/dive.mcap", "is the log itself"),
         ("export none.yaml px4", "none.yaml: no such file"),

@@ -17,8 +17,9 @@ from magyc_gtsam.factors import (
 )
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from slam import Layout, Run, Vehicle
+from slam_cost import Layout, Run
 from slam_health import Drive
+from vehicle import Vehicle
 
 ISOTROPIC = gtsam.noiseModel.Isotropic.Sigma
 DISTURBED = 75.0  # s, when something happens

@@ -82,13 +82,15 @@ def _spikes(value: Array, noise: Array, first: int) -> tuple[np.ndarray, np.ndar
 def _noise_of_blocks(value: Array) -> Array:
     """Return the noise (b, 3) of the full blocks of value (n, 3), at least the smallest change in each.
 
-    The lower quartile: spikes in 20 % of the samples reach half of the second differences.
+    The lower quartile: spikes in 20 % of the samples reach half of the second differences. Those that are zero are of
+    samples that are held or cut off, and say nothing of the noise.
     """
     blocks = value[: len(value) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, value.shape[1])
     change = np.diff(blocks, axis=1)
     second = np.abs(np.diff(change, axis=1))
-    place = second.shape[1] // 4
-    quartile = np.partition(second, place, axis=1)[:, place]
+    place = np.count_nonzero(second, axis=1, keepdims=True) // 4
+    ordered = np.sort(np.where(second > 0, second, np.inf), axis=1)
+    quartile = np.take_along_axis(ordered, place, axis=1)[:, 0]
     step = np.min(np.abs(change), axis=1, where=change != 0, initial=np.inf)
     result: Array = np.maximum(quartile / _QUARTILE, step)
     return result

@@ -98,11 +98,11 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
     That noise is in the residual as well, so that the score of such a column is biased. It moves the parameters all the
     same, with the amplitude that it has by its odds, or that the others show.
     """
-    if tested.family.mixed and tested.gain > _SAYS:
-        return _without_noisy_mixtures(beside, motion, tested)
     family, more = tested.family, _beside_terms(tested.new)
-    if tested.gain < _SAYS or (more.all() and not family.from_rate):
+    if tested.gain < _SAYS or (more.all() and not (family.from_rate or family.mixed)):
         return tested
+    if more.all() and family.mixed:
+        return _without_noisy_mixtures(beside, motion, tested)
     columns, kept = family.columns(motion).dense, more
     if family.from_rate:
         noise = beside.of(columns.less(family.columns(motion.noisier).dense)).normal.diagonal()
