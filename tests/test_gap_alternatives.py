@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import magyc_gtsam as mg
-from magyc_gtsam.gap import search
-from magyc_gtsam.gap.naming import faint
-from magyc_gtsam.gap.problem import Active
-from magyc_gtsam.gap.steps import _asked
+from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.search import search
+from magyc_gtsam.gap.search.naming import faint
+from magyc_gtsam.gap.search.steps import _asked
 
 
 def test_what_is_left_decides_only_where_it_is_less_than_what_is_explained() -> None:

@@ -13,7 +13,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.factors import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.gap import term_factor
-from magyc_gtsam.gap.channel_holes import without_channel_holes
+from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation.environment import CHANNELS
 

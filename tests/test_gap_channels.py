@@ -11,7 +11,7 @@ import magyc_gtsam as mg
 from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.gap import isolability
-from magyc_gtsam.gap.corrected import unmoved
+from magyc_gtsam.gap.outcome.corrected import unmoved
 from magyc_gtsam.recording import Array
 from magyc_gtsam.recording.checks import no_values
 from magyc_gtsam.simulation.environment import CHANNELS

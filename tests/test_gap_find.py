@@ -10,8 +10,8 @@ import pytest
 
 import magyc_gtsam as mg
 from magyc_gtsam.gap import isolability
-from magyc_gtsam.gap.discrete import moving
 from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.preparation.discrete import moving
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.report.gap_words import assumption_rows
 from magyc_gtsam.simulation.environment import CHANNELS

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 import magyc_gtsam as mg
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import NAMES
-from magyc_gtsam.gap.noise_effects import sample_hold
+from magyc_gtsam.gap.preparation.discrete import settled
+from magyc_gtsam.gap.samples.noise_effects import sample_hold
 
 
 def in_step(every: int, rate: int, delay: float, seed: int) -> mg.Recording:

@@ -13,12 +13,12 @@ from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.corrected import as_calibration
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.judged import fit_of, judged
-from magyc_gtsam.gap.problem import Active
-from magyc_gtsam.gap.refit import Refit, prior_of, refit, widened, with_term
-from magyc_gtsam.gap.twin import Columns
+from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.refit import Refit, prior_of, refit, widened, with_term
+from magyc_gtsam.gap.model.twin import Columns
+from magyc_gtsam.gap.outcome.corrected import as_calibration
+from magyc_gtsam.gap.outcome.judged import fit_of, judged
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.report.gap_verdict import as_judged, judged_gap
 from magyc_gtsam.report.verdict import said

@@ -10,14 +10,14 @@ import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.isolability import isolability
-from magyc_gtsam.gap.naming import NOISE_LIMIT
-from magyc_gtsam.gap.neighbours import neighbours, product_of
-from magyc_gtsam.gap.noise_effects import coloured_noise, tone
-from magyc_gtsam.gap.noise_isolability import noise_isolability
-from magyc_gtsam.gap.null import largest_surprises, surprises
-from magyc_gtsam.gap.twin import Twin
-from magyc_gtsam.gap.wrong_samples import spikes
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.samples.noise_effects import coloured_noise, tone
+from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
+from magyc_gtsam.gap.samples.wrong_samples import spikes
+from magyc_gtsam.gap.scores.isolability import isolability
+from magyc_gtsam.gap.scores.neighbours import neighbours, product_of
+from magyc_gtsam.gap.scores.null import largest_surprises, surprises
+from magyc_gtsam.gap.search.naming import NOISE_LIMIT
 from magyc_gtsam.simulation.environment import CHANNELS
 
 

@@ -11,16 +11,16 @@ from scipy.stats import chi2
 
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import NAMES, TERMS
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.naming import NOISE_LIMIT, Found, less, term_places
-from magyc_gtsam.gap.noise_effects import NoiseScore, coloured_noise, sample_hold, tone
-from magyc_gtsam.gap.objections import switched
-from magyc_gtsam.gap.problem import Active
-from magyc_gtsam.gap.refit import determined, refit, with_term
-from magyc_gtsam.gap.search import look
-from magyc_gtsam.gap.variants import Projector, variants
+from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.refit import determined, refit, with_term
+from magyc_gtsam.gap.model.variants import Projector, variants
+from magyc_gtsam.gap.preparation.discrete import settled
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, sample_hold, tone
+from magyc_gtsam.gap.search.naming import NOISE_LIMIT, Found, less, term_places
+from magyc_gtsam.gap.search.objections import switched
+from magyc_gtsam.gap.search.search import look
 
 
 def test_a_tone_faster_than_the_windows_is_sized_and_taken_out() -> None:

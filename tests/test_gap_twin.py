@@ -15,15 +15,15 @@ from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.noise_effects import coloured_noise, quantisation, sample_hold, tone
-from magyc_gtsam.gap.null import memory
-from magyc_gtsam.gap.problem import Active
-from magyc_gtsam.gap.refit import refit, with_term
-from magyc_gtsam.gap.score import held_out_gain, interleaved
-from magyc_gtsam.gap.search import look
-from magyc_gtsam.gap.twin import Columns, Twin
-from magyc_gtsam.gap.variants import Projector, variant, variants
-from magyc_gtsam.gap.wrong_samples import spikes
+from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.refit import refit, with_term
+from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.model.variants import Projector, variant, variants
+from magyc_gtsam.gap.samples.noise_effects import coloured_noise, quantisation, sample_hold, tone
+from magyc_gtsam.gap.samples.wrong_samples import spikes
+from magyc_gtsam.gap.scores.null import memory
+from magyc_gtsam.gap.scores.score import held_out_gain, interleaved
+from magyc_gtsam.gap.search.search import look
 
 
 @pytest.fixture(scope="module")

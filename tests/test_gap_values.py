@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
-from magyc_gtsam.gap.coarse import rounding
 from magyc_gtsam.gap.effects.term import measured
-from magyc_gtsam.gap.refit import spread
+from magyc_gtsam.gap.model.refit import spread
+from magyc_gtsam.gap.samples.coarse import rounding
 from magyc_gtsam.simulation import MILLIGAUSS
 
 

@@ -10,9 +10,9 @@ import pytest
 import magyc_gtsam as mg
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.foreign_text import MOST_WORDS
-from magyc_gtsam.gap.agreement import GapMap, Metrics, OpenLoop
-from magyc_gtsam.gap.doubt import left_open
 from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
+from magyc_gtsam.gap.outcome.doubt import left_open
 from magyc_gtsam.gap.result import Effect, Gap, Manoeuvre
 from magyc_gtsam.report.gap_verdict import Validation, as_judged, judged_gap
 

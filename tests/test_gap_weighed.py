@@ -18,11 +18,11 @@ from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.find import _problem as problem_of
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.naming import Found
-from magyc_gtsam.gap.outcome import gap_of
-from magyc_gtsam.gap.refit import Refit
-from magyc_gtsam.gap.search import Search, search
-from magyc_gtsam.gap.weighed import weighed
+from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.outcome.outcome import gap_of
+from magyc_gtsam.gap.search.naming import Found
+from magyc_gtsam.gap.search.search import Search, search
+from magyc_gtsam.gap.search.weighed import weighed
 from magyc_gtsam.report.gap_words import key_numbers
 
 Looked = tuple[Search, Answer, Refit, SensorNoise]

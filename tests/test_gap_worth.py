@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.field_variation import field_variation, functions_of_attitude
 from magyc_gtsam.gap.find import base_model
-from magyc_gtsam.gap.problem import Active
-from magyc_gtsam.gap.refit import refit, widened, with_term
-from magyc_gtsam.gap.twin import Twin
-from magyc_gtsam.gap.worth import expected, pays, predicted
+from magyc_gtsam.gap.model.field_variation import field_variation, functions_of_attitude
+from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.refit import refit, widened, with_term
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.outcome.worth import expected, pays, predicted
 
 
 def twin_of(recording: mg.Recording) -> Twin:

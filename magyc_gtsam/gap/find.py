@@ -16,26 +16,26 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
-from magyc_gtsam.gap.channel_holes import without_channel_holes
-from magyc_gtsam.gap.clipped import with_clipped
-from magyc_gtsam.gap.corrected import as_calibration
-from magyc_gtsam.gap.discrete import moving, settled
-from magyc_gtsam.gap.doubt import Doubt
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.decision import marginals
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
-from magyc_gtsam.gap.noiseless import noiseless
-from magyc_gtsam.gap.outcome import gap_of, nothing_tested
-from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import Refit, refit, widened
+from magyc_gtsam.gap.model.problem import Active, Model, Problem
+from magyc_gtsam.gap.model.refit import Refit, refit, widened
+from magyc_gtsam.gap.outcome.corrected import as_calibration
+from magyc_gtsam.gap.outcome.doubt import Doubt
+from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
+from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
+from magyc_gtsam.gap.preparation.clipped import with_clipped
+from magyc_gtsam.gap.preparation.discrete import moving, settled
+from magyc_gtsam.gap.preparation.noiseless import noiseless
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.search import Search, search
+from magyc_gtsam.gap.samples.tones import silenced
+from magyc_gtsam.gap.search.search import Search, search
+from magyc_gtsam.gap.search.weighed import weighed
 from magyc_gtsam.gap.simulated import Side, compare
-from magyc_gtsam.gap.tones import silenced
-from magyc_gtsam.gap.weighed import weighed
 from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording

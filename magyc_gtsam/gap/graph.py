@@ -14,9 +14,9 @@ from magyc_gtsam.factors.effects.factor import effect_chain_factor
 from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.channel_holes import without_channel_holes
-from magyc_gtsam.gap.problem import Active, Problem
-from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.model.problem import Active, Problem
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.gap.validation import as_model
 from magyc_gtsam.recording import Recording
 
@@ -97,7 +97,7 @@ def _check(calibration: Calibration, terms: Sequence[Term], own: Sequence[Term],
         if term.name == "tone":
             raise MagycError(
                 "term 'tone': the windows' means do not hold it; take it out of the readings first, by "
-                "magyc_gtsam.gap.tones.silenced(recording, [term]), and leave it out of the factor"
+                "magyc_gtsam.gap.samples.tones.silenced(recording, [term]), and leave it out of the factor"
             )
     if not own:
         raise MagycError("a timing without another term: a delay is a variable of field_chain_factor")

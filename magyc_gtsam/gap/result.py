@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.gap.agreement import Metrics
-from magyc_gtsam.gap.doubt import Doubt
+from magyc_gtsam.gap.outcome.agreement import Metrics
+from magyc_gtsam.gap.outcome.doubt import Doubt
 from magyc_gtsam.recording import Array
 
 Verdict = Literal["none", "closed", "unknown", "open", "not enough information"]

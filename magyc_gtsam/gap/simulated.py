@@ -16,10 +16,10 @@ from scipy.stats import norm
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import unvech, vech
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.naming import Look
-from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.result import Assumption, Effect, Gap
 from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.search.naming import Look
 
 _Row = tuple[str, float, float, float, str]
 _AXES = ("x", "y", "z")

@@ -15,19 +15,19 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.agreement import Metrics
-from magyc_gtsam.gap.channel_holes import without_channel_holes
-from magyc_gtsam.gap.corrected import as_calibration
-from magyc_gtsam.gap.discrete import settled
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.find import base_model, needs_gyroscope
-from magyc_gtsam.gap.metrics import measure
-from magyc_gtsam.gap.moved import against
-from magyc_gtsam.gap.problem import Active, Model, Problem
-from magyc_gtsam.gap.refit import widened
+from magyc_gtsam.gap.model.problem import Active, Model, Problem
+from magyc_gtsam.gap.model.refit import widened
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.outcome.agreement import Metrics
+from magyc_gtsam.gap.outcome.corrected import as_calibration
+from magyc_gtsam.gap.outcome.metrics import measure
+from magyc_gtsam.gap.outcome.moved import against
+from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
+from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.result import Moved
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Twin
 from magyc_gtsam.recording import Recording
 
 _BIAS = slice(9, 12)

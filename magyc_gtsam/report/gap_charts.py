@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.agreement import GapMap, Metrics, OpenLoop
+from magyc_gtsam.gap.outcome.agreement import GapMap, Metrics, OpenLoop
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.level_turn import vertical
 from magyc_gtsam.metrics import heading_error

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 
-from magyc_gtsam.gap.agreement import GapMap, OpenLoop
+from magyc_gtsam.gap.outcome.agreement import GapMap, OpenLoop
 from magyc_gtsam.recording import Array
 from magyc_gtsam.report.plots import CALIBRATED, INK, RAW, clock
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from magyc_gtsam.foreign_text import MOST_WORDS, clauses
-from magyc_gtsam.gap.agreement import Metrics
-from magyc_gtsam.gap.doubt import Doubt, with_doubt
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.outcome.agreement import Metrics
+from magyc_gtsam.gap.outcome.doubt import Doubt, with_doubt
 from magyc_gtsam.gap.result import Effect, Gap, Moved
 from magyc_gtsam.report.verdict import Verdict, said
 

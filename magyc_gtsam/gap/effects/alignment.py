@@ -7,8 +7,8 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Twin
 
 
 def directions() -> list[dict[str, float]]:

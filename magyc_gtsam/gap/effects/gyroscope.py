@@ -8,7 +8,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import RATE_MATRIX, Setting
 from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
-from magyc_gtsam.gap.twin import Twin
+from magyc_gtsam.gap.model.twin import Twin
 
 _LEVELS = (1.0, 3.0, 10.0)  # rad/s, from which a scale may grow less and less
 

@@ -9,8 +9,8 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Twin
 
 _STEPS = 100  # times at which a step is looked for
 _LAGS = (0.0, 20.0, 60.0, 180.0)  # s by which what warms up lies behind the thermometer

@@ -8,8 +8,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.alignment import directions, directions_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Twin
 
 _KNEES = (0.05, 0.15)  # of the largest reading, over which a core saturates
 _NEAR = np.linspace(0.9, 1.1, 41)  # of the likeliest level: those that are tried with each of these knees

@@ -14,8 +14,8 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import FORMS, Form, Setting, referenced
 from magyc_gtsam.factors.effects.signals import CHANNELS, Signals, rows_by_kind
+from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Columns, Twin
 
 Settings = Callable[[Twin], list[dict[str, float]]]
 Say = Callable[[Array, Array, Setting], str]

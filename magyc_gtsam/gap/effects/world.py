@@ -8,8 +8,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.gap.effects.iron import references
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured
+from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.twin import Twin
 
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
 _SPACING = 2.0  # of the centres, in widths: the bump and its derivative make up for what lies between

@@ -15,10 +15,10 @@ from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, singles_of, smoothe
 from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.fine import Fine, fine_innovations
-from magyc_gtsam.gap.noise_effects import NoiseScore, quantisation
-from magyc_gtsam.gap.problem import Model, Problem
-from magyc_gtsam.gap.refit import Refit, refit
+from magyc_gtsam.gap.model.problem import Model, Problem
+from magyc_gtsam.gap.model.refit import Refit, refit
+from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation
 from magyc_gtsam.recording import Recording
 
 COLOUR = "coloured-noise"

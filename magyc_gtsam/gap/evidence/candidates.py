@@ -15,9 +15,9 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting, per_axis
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.field_variation import waves
-from magyc_gtsam.gap.generic import Family, families
-from magyc_gtsam.gap.twin import Columns, Twin, together
+from magyc_gtsam.gap.model.field_variation import waves
+from magyc_gtsam.gap.model.twin import Columns, Twin, together
+from magyc_gtsam.gap.scores.generic import Family, families
 
 Part = tuple[np.ndarray, str, Setting, float]  # places of columns, whose they are, at which setting, its log prior
 Stack = tuple[Array, Array, list[Part]]

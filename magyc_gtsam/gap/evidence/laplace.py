@@ -14,8 +14,8 @@ from magyc_gtsam.gap.evidence.beside import Beside
 from magyc_gtsam.gap.evidence.candidates import what_matters
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import scales_of
-from magyc_gtsam.gap.field_variation import FieldVariation
-from magyc_gtsam.gap.refit import Refit
+from magyc_gtsam.gap.model.field_variation import FieldVariation
+from magyc_gtsam.gap.model.refit import Refit
 
 _START, _SWEEPS = 4.0, 2  # of the scales, in which each is averaged over with the others at their likeliest
 

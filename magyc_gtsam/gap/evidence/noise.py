@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.gap.coarse import unrounded
 from magyc_gtsam.gap.evidence.prior import PRIOR
-from magyc_gtsam.gap.fine import Fine, fine_innovations, single_scores
-from magyc_gtsam.gap.noise_effects import NoiseScore
-from magyc_gtsam.gap.problem import Model
-from magyc_gtsam.gap.tones import heard, silenced
+from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.samples.coarse import unrounded
+from magyc_gtsam.gap.samples.fine import Fine, fine_innovations, single_scores
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.samples.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
 SINGLE = ("spikes", "tone")  # seen sample by sample; the rest hangs together over windows

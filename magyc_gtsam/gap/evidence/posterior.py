@@ -13,9 +13,9 @@ from magyc_gtsam.gap.evidence.laplace import Terms
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Node, Tree, related
 from magyc_gtsam.gap.evidence.weighing import Weighed
-from magyc_gtsam.gap.neighbours import product_of
-from magyc_gtsam.gap.problem import Active
+from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.scores.neighbours import product_of
 
 Set = tuple[tuple[str, ...], bool]  # names, and whether something unknown is beside them
 

@@ -23,11 +23,11 @@ from magyc_gtsam.gap.evidence.laplace import Terms, marginal
 from magyc_gtsam.gap.evidence.one_way import one_way
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
-from magyc_gtsam.gap.field_variation import COMBINATIONS, FieldVariation, field_variation
-from magyc_gtsam.gap.neighbours import neighbours
-from magyc_gtsam.gap.problem import Active
-from magyc_gtsam.gap.refit import Refit, possible, refit, with_term
-from magyc_gtsam.gap.variants import Projector
+from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
+from magyc_gtsam.gap.model.problem import Active
+from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term
+from magyc_gtsam.gap.model.variants import Projector
+from magyc_gtsam.gap.scores.neighbours import neighbours
 
 FIELD_VARIATION = "field-variation"
 _VARIES = float(np.log(COMBINATIONS))  # of which the likeliest is taken

@@ -9,16 +9,16 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.corrected import as_calibration
 from magyc_gtsam.gap.effects import LABELS, TERMS
-from magyc_gtsam.gap.judged import judged
 from magyc_gtsam.gap.many.model import MODEL, MOMENTS, OF_THE_INSTRUMENT
 from magyc_gtsam.gap.many.noise import noise_effects
 from magyc_gtsam.gap.many.one_log import OneLog, Test
 from magyc_gtsam.gap.many.result import GapOfMany, Own, SharedEffect, Weight
 from magyc_gtsam.gap.many.told import Added, told
 from magyc_gtsam.gap.many.weighing import WeighedOverLogs, weigh
-from magyc_gtsam.gap.refit import widened
+from magyc_gtsam.gap.model.refit import widened
+from magyc_gtsam.gap.outcome.corrected import as_calibration
+from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.recording.expected import expect_recording
 

@@ -17,7 +17,7 @@ from magyc_gtsam.gap.many.model import MODEL
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import InLog, SharedEffect
 from magyc_gtsam.gap.many.weighing import mixture, nats_of
-from magyc_gtsam.gap.noise_effects import NoiseScore
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 
 _NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "coloured-noise")
 _FITTED = ("coloured-noise", "spikes")

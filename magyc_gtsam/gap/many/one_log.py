@@ -13,17 +13,17 @@ from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.channel_holes import without_channel_holes
-from magyc_gtsam.gap.discrete import moving, settled
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.many.model import MODEL
-from magyc_gtsam.gap.noise_effects import NoiseScore
-from magyc_gtsam.gap.problem import Active, Problem
-from magyc_gtsam.gap.refit import Refit, refit, with_term
+from magyc_gtsam.gap.model.problem import Active, Problem
+from magyc_gtsam.gap.model.refit import Refit, refit, with_term
+from magyc_gtsam.gap.model.variants import Projector, Variant, variants
+from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
+from magyc_gtsam.gap.preparation.discrete import moving, settled
 from magyc_gtsam.gap.rules import RULES
-from magyc_gtsam.gap.score import candidates
-from magyc_gtsam.gap.variants import Projector, Variant, variants
+from magyc_gtsam.gap.samples.fine import fine_innovations, noise_scores
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.scores.score import candidates
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 

@@ -11,7 +11,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import LABELS, TERMS
 from magyc_gtsam.gap.many.one_log import OneLog
 from magyc_gtsam.gap.many.result import InLog, SharedEffect
-from magyc_gtsam.gap.refit import widened
+from magyc_gtsam.gap.model.refit import widened
 
 _FIRST = 4  # logs that a sentence names
 

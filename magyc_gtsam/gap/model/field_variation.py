@@ -1,0 +1,167 @@
+"""The field of the place as variance components, beside which everything else has to explain the data.
+
+On real logs the field is not constant: it wanders along the way, and depends on attitude, to which a hand or an arm
+ties the position. Both are random functions of low rank in the world's axes: cosines of time with the spectrum of an
+Ornstein–Uhlenbeck process, and a Gaussian process on rotations (by Nyström). With their whitened columns Z, amplitudes
+Λ and a noise ρ from window to window, innovations freed of the model's columns have
+
+    ln Z = −½ [ (|v|² − |L⁻¹ √Λ Z v|²) / ρ² + 2 Σ ln L_ii + n ln ρ² ],   L Lᵀ = I + √Λ Z Zᵀ √Λ,
+
+whose maximum over a grid of amplitudes is taken (restricted maximum likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.forms import per_axis
+from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.model.variants import Projector
+from magyc_gtsam.gap.rules import RULES
+
+_MODES = 60  # of the time
+_CORRELATION = (1.0, 4.0, 16.0)  # s
+_AMPLITUDES = 1e-6 * 2.0 ** np.arange(-3.0, 4.0)  # T
+_SHARES = (0.0, 0.5, 1.0, 2.0)  # of attitude's part in the way's: alone it would be something that is no place
+COMBINATIONS = len(_CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
+_TURN = 0.6  # rad, of change with attitude: likeliest of 0.3, 0.6 and 1 on hand-held real logs
+_ATTITUDES = 80  # at which the function of attitude is spanned
+_LEAST = 0.05  # of its variance at one of them: a direction with less is left out
+_SWEEPS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class FieldVariation:
+    """How much the field varies over a recording.
+
+    Attributes:
+        gain: nats by which it explains the innovations better than a field that stands still.
+        along, attitude: T, standard deviations along the way and with attitude; noise: ρ, in the sensors' noise.
+        period: s, correlation time along the way.
+        components: (k, 3n) whitened columns, whose amplitudes have the deviation ρ.
+    """
+
+    gain: float
+    along: float
+    attitude: float
+    noise: float
+    period: float
+    components: Array
+    _columns: Array
+    _less: Array
+
+    @property
+    def evident(self) -> bool:
+        """Whether the field varies at all."""
+        return self.gain > RULES.field_varies
+
+    def whiten(self, rows: Array) -> Array:
+        """Rows (k, 3n) that were whitened for the sensors' noise, whitened for the field's variation too."""
+        result: Array = (rows - ((rows @ self._columns.T) * self._less) @ self._columns) / self.noise
+        return result
+
+
+def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
+    """The amplitudes under which what a model leaves is most likely.
+
+    In the sensor's axes it is no place: the same functions of time and attitude, of what moves with the sensor.
+    """
+    put = _in_world if in_world else _in_sensor
+    project = Projector(twin.base_columns, twin.base_pull)
+    v = project(twin.residual().reshape(1, -1))[0]
+    cosines, courses = waves(twin.time)
+    raw = np.concatenate([put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))])
+    shapes = [np.zeros(3 * len(cosines))]
+    shapes += [amplitude * np.repeat(course, 3) for amplitude, course in product(_AMPLITUDES, courses)]
+    turned = len(raw) - 3 * len(cosines)
+    search = _Search(v, project(raw), 3 * twin.n - len(twin.base_columns))
+
+    def deviations(shape: int, share: int) -> Array:
+        along = float(np.sqrt((shapes[shape] ** 2).sum() / 3))
+        return np.concatenate([shapes[shape], np.full(turned, _SHARES[share] * along)])
+
+    @cache  # of a sweep that changes nothing the next one asks the same
+    def log_of(shape: int, share: int) -> float:
+        return search.log(deviations(shape, share))[0]
+
+    shape, share = len(shapes) // 2, 1
+    for _ in range(_SWEEPS):
+        shape = _best([log_of(i, share) for i in range(len(shapes))])
+        share = _best([log_of(shape, i) for i in range(len(_SHARES))])
+    chosen = deviations(shape, share)
+    log, noise = search.log(chosen)
+    still, _ = search.log(np.zeros(len(raw)), fixed=True)
+    period = _CORRELATION[(shape - 1) % len(_CORRELATION)] if shape else 0.0
+    scaled = raw[chosen > 0] * chosen[chosen > 0, None]
+    value, vector = np.linalg.eigh(scaled @ scaled.T)
+    kept = value > 1e-9 * max(float(value.max(initial=0.0)), 1e-300)
+    columns = (vector[:, kept] / np.sqrt(value[kept])).T @ scaled
+    along = float(np.sqrt((shapes[shape] ** 2).sum() / 3)) * noise
+    less = 1 - 1 / np.sqrt(1 + value[kept])
+    return FieldVariation(log - still, along, _SHARES[share] * along, noise, period, scaled, columns, less)
+
+
+def waves(time: Array) -> tuple[Array, Array]:
+    """(k, n) cosines of time, and (3, k) deviations of their amplitudes for each correlation time, of unit variance."""
+    duration = float(time[-1] - time[0])
+    order = np.arange(1, min(_MODES, len(time) // 4) + 1)
+    cosines = np.sqrt(2) * np.cos(order[:, None] * np.pi * (time - time[0]) / duration)
+    power = 1 / (1 + (np.pi * order / duration * np.array(_CORRELATION)[:, None]) ** 2)
+    return cosines, np.sqrt(power / power.sum(axis=1, keepdims=True))
+
+
+def _best(logs: Sequence[float]) -> int:
+    return int(np.argmax(logs))
+
+
+class _Search:
+    """ln Z of innovations (3n,) for amplitudes of columns (k, 3n), both freed of the model's."""
+
+    def __init__(self, innovation: Array, columns: Array, freedom: int) -> None:
+        self._gram, self._score = columns @ columns.T, columns @ innovation
+        self._square, self._freedom = float(innovation @ innovation), freedom
+
+    def log(self, deviations: Array, fixed: bool = False) -> tuple[float, float]:
+        """ln Z and ρ, which is 1 where it is `fixed`, and never less."""
+        use = deviations > 0
+        d = deviations[use]
+        inner = d[:, None] * self._gram[np.ix_(use, use)] * d
+        inner[np.diag_indices_from(inner)] += 1.0
+        lower = cholesky(inner, lower=True, check_finite=False) if len(d) else inner
+        y = solve_triangular(lower, d * self._score[use], lower=True) if len(d) else np.zeros(0)
+        rest = max(self._square - float(y @ y), 1e-9)
+        variance = 1.0 if fixed else max(rest / self._freedom, 1.0)
+        logs = 2 * float(np.log(np.diag(lower)).sum()) + self._freedom * float(np.log(variance))
+        return -0.5 * (rest / variance + logs), float(np.sqrt(variance))
+
+
+def _in_world(twin: Twin, profiles: Array) -> Array:
+    """(3k, 3n) whitened columns of profiles (k, n) along each of the world's axes, T as read."""
+    soft = unvech(twin.state.parameters[:6])
+    from_world = np.einsum("ij,jkn->kin", soft / np.cbrt(np.linalg.det(soft)), twin.windows.need("to_sensor"))
+    return twin.whiten(Columns((profiles[:, None, None] * from_world).reshape(-1, 3, twin.n), None))
+
+
+def _in_sensor(twin: Twin, profiles: Array) -> Array:
+    """The same along each of the sensor's axes."""
+    return twin.whiten(Columns(per_axis(profiles), None))
+
+
+def functions_of_attitude(to_sensor: Array) -> Array:
+    """(k, n) orthogonal functions that span a smooth random one of unit variance."""
+    n = to_sensor.shape[-1]
+    some = np.unique(np.linspace(0, n - 1, min(n, _ATTITUDES)).astype(int))
+    apart = 3 - np.einsum("abn,abm->nm", to_sensor, to_sensor[..., some])  # 2 − 2 cos θ
+    kernel = np.exp(-0.5 * apart / _TURN**2)
+    value, vector = np.linalg.eigh(kernel[some])
+    kept = value > _LEAST
+    result: Array = (kernel @ (vector[:, kept] / np.sqrt(value[kept]))).T
+    return result

@@ -1,0 +1,250 @@
+"""The twin: the model as a state space, whose innovations are white where the model is right.
+
+The state is the field's direction in the integrated world; it stands still but for the gyroscope's noise, and the
+magnetometer reads it linearly. One banded factorisation of the field chain holds the whole forward filter: with L
+its Cholesky factor, the prediction for window n has the information Π = s² I − L_{n,n−1} L_{n,n−1}ᵀ and the
+information vector afterᵀ e − L_{n,n−1} z_{n−1}, z = L⁻¹ c. So residuals and any number of regressors are filtered
+at once, without a loop over windows; their sum of squares is the field chain's cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.banded import inverse_blocks
+from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced
+from magyc_gtsam.factors.chain.field_chain import PARAMETERS, FieldChain
+from magyc_gtsam.factors.chain.forward_filter import ForwardFilter
+from magyc_gtsam.factors.chain.rate_columns import turned_by
+from magyc_gtsam.factors.chain.rotations import Array, cross, skew
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.gap.model.problem import Active, Integrated, Model, Problem, build, window_signals
+
+_DIFFERENCE = 1e-3  # rad/s
+
+
+class Columns(NamedTuple):
+    """Unwhitened regressors: of the windows (p, 3, n) T per unit, of the links (p, 3, n − 1) rad per unit or None.
+
+    pull: (p,) their expected score without any effect (`Twin.rate_pull`); None is zero.
+    """
+
+    window: Array
+    link: Array | None
+    pull: Array | None = None
+
+
+def together(parts: Sequence[Columns]) -> Columns:
+    """The columns of several, of one side, without their pull."""
+    links = [part.link for part in parts if part.link is not None]
+    return Columns(np.concatenate([part.window for part in parts]), np.concatenate(links) if links else None)
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """A model linearised on a recording.
+
+    Attributes:
+        problem, model: what it is of.
+        chain, state, reduced: the field chain, settled.
+        windows, gyroscope: the signals of windows and of the gyroscope's samples.
+    """
+
+    problem: Problem
+    model: Model
+    chain: FieldChain
+    state: ChainState
+    reduced: Reduced
+    windows: Signals
+    gyroscope: Signals
+    _integrated: Integrated
+    _filter: ForwardFilter
+
+    @classmethod
+    def of(cls, problem: Problem, model: Model) -> Twin:
+        """Linearise a model."""
+        chain, state, reduced, integrated = build(problem, model)
+        gyroscope = Signals(
+            problem.gyroscope.time,
+            rate=integrated.rate,
+            acceleration=problem.gyroscope.acceleration,
+            channels=problem.gyroscope.channels,
+        )
+        return cls(
+            problem,
+            model,
+            chain,
+            state,
+            reduced,
+            window_signals(problem, chain.windows, state, integrated.rate),
+            gyroscope,
+            integrated,
+            ForwardFilter.of(chain, reduced),
+        )
+
+    @property
+    def n(self) -> int:
+        """Windows."""
+        return len(self.chain.windows)
+
+    @property
+    def time(self) -> Array:
+        """(n,) s."""
+        return self.chain.windows.time
+
+    def beside(self, model: Model) -> Twin | None:
+        """That of a model with further terms at 0, of which nothing is linearised anew; None where it is another."""
+        own, count = self.model, len(self.model.terms)
+        same = model.noise == own.noise and np.array_equal(model.parameters, own.parameters)
+        more = model.terms[count:]
+        if not same or model.terms[:count] != own.terms or any(term.value.any() for term in more):
+            return None
+        result = replace(self, model=model)
+        if np.array_equal(model.free, own.free):
+            added = [self.whiten(self.columns(t.name, t.setting)) for t in more if t.name != "timing"]
+            result.__dict__["base_columns"] = np.concatenate([self.base_columns, *added])
+        return result
+
+    def residual(self) -> Array:
+        """(3, n) the whitened innovations of the data."""
+        residuals = self.chain.residuals(self.state)
+        window = residuals.window[None] * self.chain.window_scale
+        link = residuals.link[None] * self.chain.link_scale
+        return self._filter(window, link)[0]
+
+    def innovations(self, window: Array, link: Array) -> Array:
+        """(k, 3, n) of draws of the noise of windows (k, 3, n) and of links (k, 3, n − 1), in sigmas."""
+        return self._filter(window, link)
+
+    def whiten(self, columns: Columns) -> Array:
+        """(p, 3n) innovations of regressors."""
+        return self._filter_of_units(columns.window, columns.link).reshape(len(columns.window), -1)
+
+    @cached_property
+    def _filter_of_units(self) -> ForwardFilter:
+        return self._filter.of_units(self.chain.window_scale, self.chain.link_scale)
+
+    @cached_property
+    def base_columns(self) -> Array:
+        """(q, 3n) whitened regressors of the free parameters, then of the model's terms."""
+        free = np.flatnonzero(self.model.free)
+        window = self.reduced.on_parameters / self.chain.window_scale
+        link = np.zeros((PARAMETERS, 3, self.n - 1))
+        link[9:12] = -cross(self.state.direction[:, None, :-1], self.chain.windows.lever).swapaxes(0, 1)
+        parts = [self.whiten(Columns(window[free], link[free]))]
+        parts += [self.whiten(self.columns(t.name, t.setting)) for t in self.model.estimated]
+        return np.concatenate(parts)
+
+    @cached_property
+    def base_pull(self) -> Array:
+        """(q,) expected score of `base_columns` without any effect."""
+        parts = [np.zeros(int(self.model.free.sum()))]
+        parts += [
+            np.zeros(len(t.value)) if FORMS[t.name].side == "magnetometer" else self._pull(t)
+            for t in self.model.estimated
+        ]
+        return np.concatenate(parts)
+
+    def _pull(self, term: Active) -> Array:
+        return self.rate_pull(lambda signals: FORMS[term.name].columns(signals, term.setting))
+
+    def columns(self, name: str, setting: Setting) -> Columns:
+        """Regressors of a form."""
+        form = FORMS[name]
+        if form.side == "magnetometer":
+            return Columns(form.columns(self.windows, setting), None)
+        return self.of_profile(lambda signals: form.columns(signals, setting))
+
+    def of_profile(self, profile: Callable[[Signals], Array]) -> Columns:
+        """Regressors of errors of the rate given as a function of the gyroscope's signals (p, 3, ·) rad/s."""
+        return self.on_gyroscope(profile(self.gyroscope))._replace(pull=self.rate_pull(profile))
+
+    def of_slow_profile(self, profile: Callable[[Signals], Array], reads_rate: bool = True) -> Columns:
+        """As `of_profile`, from the windows' mean signals: to second order in the rotation inside a window.
+
+        What reads no rate has none of the gyroscope's noise in it, and is not pulled.
+        """
+        at = self._rates_at_windows
+        turned = turned_by(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
+        angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
+        link = -cross(self.state.direction[:, None, :-1], angle.swapaxes(0, 1)).swapaxes(0, 1)
+        return Columns(np.zeros_like(turned), link, self.rate_pull(profile) if reads_rate else None)
+
+    @cached_property
+    def _rates_at_windows(self) -> Signals:
+        """The gyroscope's signals, averaged over the windows."""
+        return Signals(
+            self.time,
+            rate=self.windows.rate,
+            acceleration=self.windows.acceleration,
+            channels=self.windows.channels,
+        )
+
+    def on_gyroscope(self, rate: Array) -> Columns:
+        """Regressors of errors of the rate (p, 3, G) rad/s."""
+        soft = unvech(self.state.parameters[:6])
+        at = self._integrated.errors
+        return Columns(*at.columns(self.chain.windows, soft, self.state.direction, rate))
+
+    def rate_pull(self, profile: Callable[[Signals], Array]) -> Array:
+        """(p,) expected score, without any effect, of regressors `profile` (p, 3, ·) that read the measured rate.
+
+        The gyroscope's noise η is in the regressor and in the link's residual alike. With J = ∂profile/∂ω, the
+        link's residual −[g]× R η and its share 1 − h that the smoother leaves, the score is pulled by
+        −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would shrink the noise and so seem to fit better. It is
+        the gyroscope's own noise that does so, not what else the model's noise level has to account for.
+        """
+        at = self._rates_at_windows
+        pull = np.zeros(len(profile(at)))
+        to_world = np.swapaxes(self.chain.windows.rotation, 0, 1)
+        rate = at.need("rate")
+        across = np.einsum("ijn,jkn->ikn", skew(self.state.direction.T).transpose(1, 2, 0), to_world)[..., :-1]
+        weight = np.einsum("ian,ijn,jbn->abn", across, self._link_redundancy, across)
+        for axis in range(3):
+            step = np.zeros((3, 1))
+            step[axis] = _DIFFERENCE
+            slope = profile(replace(at, rate=rate + step)) - profile(replace(at, rate=rate - step))
+            middle = 0.5 * (slope[..., 1:] + slope[..., :-1]) / (2 * _DIFFERENCE)
+            pull -= np.einsum("bn,pbn->p", weight[:, axis], middle)
+        own = min(1.0, self.problem.rate_noise / self.model.noise.gyroscope)
+        return own**2 * pull
+
+    @cached_property
+    def _link_redundancy(self) -> Array:
+        """(3, 3, n − 1) share of each link's noise that the smoother leaves in its residual, 0 across a hole."""
+        filter_ = self._filter
+        s00, s01, s11 = inverse_blocks(self.reduced.band, self.reduced.factor)
+        covariance = np.array([[s00, s01], [s01, s11]])
+        own = np.zeros((2, 2, self.n))
+        own[0, 0], own[1, 0], own[1, 1] = filter_.factor[0, ::2], filter_.factor[1, ::2], filter_.factor[0, 1::2]
+        # Neighbours: Cov_{n,n+1} = −(L_nn L_nnᵀ)⁻¹ H_{n,n+1} Cov_{n+1} and H_{n+1,n} = L_{n+1,n} L_nnᵀ.
+        gain = np.linalg.solve(own[..., :-1].transpose(2, 1, 0), filter_.below.transpose(2, 1, 0))
+        neighbour = -np.einsum("nab,bcn->acn", gain, covariance[..., 1:])
+        before, after = filter_.before, filter_.after
+        hat = np.einsum("ian,abn,jbn->ijn", before, covariance[..., :-1], before)
+        hat += np.einsum("ian,abn,jbn->ijn", after, covariance[..., 1:], after)
+        mixed = np.einsum("ian,abn,jbn->ijn", before, neighbour, after)
+        hat += mixed + np.swapaxes(mixed, 0, 1)
+        linked = (self.chain.link_scale > 0).astype(float)
+        return (np.eye(3)[:, :, None] - hat) * linked
+
+    def predictions(self) -> tuple[Array, Array]:
+        """(3, n) the direction filtered up to each window, and (3, 3, n) its covariance in rad²."""
+        residuals = self.chain.residuals(self.state)
+        tangent, covariance = self._filter.filtered(
+            residuals.window * self.chain.window_scale, residuals.link * self.chain.link_scale
+        )
+        basis = self.reduced.basis
+        g = self.state.direction + np.einsum("ian,an->in", basis, tangent)
+        return g, np.einsum("ian,abn,jbn->ijn", basis, covariance, basis)
+
+    def log_determinant(self) -> Array:
+        """(n,) of the innovations' covariance before whitening, in window sigmas."""
+        return np.log(np.linalg.det(np.moveaxis(self._filter.scatter, 2, 0)))

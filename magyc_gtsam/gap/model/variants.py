@@ -1,0 +1,119 @@
+"""Candidates made ready for a score test: freed of the base model's columns, and orthonormal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby, islice
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.model.twin import Twin, together
+
+_AT_ONCE = 100_000  # numbers made ready at once, so that they stay in the processor's cache
+_DEPENDENT = 1e-6  # share of a column that must be left beside the base model
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A candidate at one setting.
+
+    Attributes:
+        setting: of what is searched over.
+        columns: (k, 3n) whitened.
+        unit: (r, 3n) orthonormal, freed of the base model; r ≤ k.
+        back: (k, r) from d to the expected value.
+        left: share of the columns that the base model leaves, 0 to 1.
+        pull: (k,) expected score of the columns without any effect; `offset` (r,) that of `unit`.
+    """
+
+    setting: Mapping[str, float]
+    columns: Array
+    unit: Array
+    back: Array
+    left: float
+    pull: Array
+    offset: Array
+
+    def score(self, innovation: Array) -> Array:
+        """(r,) d, of innovations freed of the base model."""
+        return self.unit @ innovation - self.offset
+
+
+class Projector:
+    """Frees innovations of the base model's, whose columns (q, 3n) have an expected score (q,) of their own."""
+
+    def __init__(self, base: Array, pull: Array | None = None) -> None:
+        scale = np.linalg.norm(base, axis=1)
+        scale = np.where(scale > 0, scale, 1.0)
+        q, r = np.linalg.qr((base / scale[:, None]).T)
+        self._q = q[:, np.abs(np.diag(r)) > 1e-9]
+        pulled = np.zeros(len(base)) if pull is None else pull / scale
+        self._pull = np.linalg.lstsq(r.T, pulled, rcond=1e-9)[0][np.abs(np.diag(r)) > 1e-9]
+
+    def __call__(self, rows: Array) -> Array:
+        result: Array = rows - (rows @ self._q) @ self._q.T
+        return result
+
+    def shared_pull(self, rows: Array) -> Array:
+        """The part of the expected score of rows that the base model's columns have of it."""
+        result: Array = (rows @ self._q) @ self._pull
+        return result
+
+
+def variant(
+    setting: Mapping[str, float], columns: Array, project: Projector, pull: Array | None = None
+) -> Variant:
+    """A candidate's columns made ready."""
+    pull = np.zeros(len(columns)) if pull is None else pull
+    return ready([setting], columns[None], project, pull[None])[0]
+
+
+def ready(
+    settings: Sequence[Mapping[str, float]], columns: Array, project: Projector, pull: Array
+) -> list[Variant]:
+    """Candidates of as many columns (s, k, 3n) each, made ready at once; their pulls (s, k)."""
+    count, width, rows = columns.shape
+    size = np.sqrt(np.einsum("skn,skn->sk", columns, columns))
+    kept = size > 0
+    scale = np.where(kept, size, 1.0)
+    flat = (columns / scale[..., None]).reshape(-1, rows)
+    free = project(flat).reshape(columns.shape)
+    shared = project.shared_pull(flat).reshape(count, width) * scale
+    value, vector = np.linalg.eigh(free @ free.swapaxes(1, 2))
+    good = value > _DEPENDENT
+    root = vector / np.sqrt(np.where(good, value, 1.0))[:, None]
+    unit = root.swapaxes(1, 2) @ free
+    back = root / scale[..., None]
+    left = np.sqrt(np.einsum("skn,skn->s", free, free) / np.maximum(kept.sum(axis=1), 1))
+    offset = np.einsum("ski,sk->si", back, pull - shared)
+    result = []
+    for i, setting in enumerate(settings):
+        own = slice(None) if good[i].all() else good[i]
+        result.append(
+            Variant(setting, columns[i], unit[i, own], back[i][:, own], float(left[i]), pull[i], offset[i, own])
+        )
+    return result
+
+
+def determined(one: Variant, within: float) -> Variant:
+    """Without the directions of the values that the motion does not determine to `within`: absurd values would do."""
+    if not np.isfinite(within):
+        return one
+    value, sigma, d = np.linalg.svd(one.back, full_matrices=False)
+    kept = sigma <= within
+    return replace(one, unit=d[kept] @ one.unit, back=(value * sigma)[:, kept], offset=d[kept] @ one.offset)
+
+
+def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str, float]]) -> list[Variant]:
+    """A named effect at several settings, neighbours of as many columns together."""
+    made = ((setting, TERMS[name].regressors(twin, setting)) for setting in settings)
+    result: list[Variant] = []
+    for count, alike in groupby(made, key=lambda each: len(each[1].window)):
+        while some := list(islice(alike, max(_AT_ONCE // (3 * twin.n * count), 1))):
+            rows = twin.whiten(together([part for _, part in some])).reshape(len(some), count, -1)
+            pull = np.array([np.zeros(count) if part.pull is None else part.pull for _, part in some])
+            result += ready([setting for setting, _ in some], rows, project, pull)
+    return result

@@ -1,0 +1,1 @@
+"""What is said of a search: effects, verdict, calibration, and how well model and data agree."""

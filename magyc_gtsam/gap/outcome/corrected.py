@@ -1,0 +1,57 @@
+"""The calibration that comes of a refit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.gauge import fix_scale
+from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.vech import unvech
+from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.rules import RULES
+
+
+def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Term, ...] = ()) -> Calibration:
+    """The model as a calibration; its terms in SI units, and terms that change no reading appended."""
+    model, parameters = result.model, result.model.parameters
+    base = np.flatnonzero(model.free)[:12]
+    covariance = result.covariance[: len(base), : len(base)]
+    soft_iron, unit, reported = fix_scale(unvech(parameters[:6]), covariance, field_strength)
+    terms = []
+    for index, term in enumerate(model.terms):
+        value, spread = result.value_of(index)
+        terms.append(Term(term.name, value, spread, term.setting))
+    late = [t for t in terms if t.name == "timing"]
+    return Calibration(
+        soft_iron,
+        parameters[6:9],
+        parameters[9:12],
+        covariance=reported,
+        delay=float(parameters[DELAY]),
+        delay_sigma=float(late[0].sigma[0]) if late else None,
+        terms=(*terms, *extra),
+        converged=result.converged,
+        message="converged" if result.converged else "the joint refit did not converge",
+        method="gap",
+        noise={"magnetic_field": model.noise.magnetometer, "angular_rate": model.noise.gyroscope},
+        field_strength=unit,
+        diagnostics={"windows": result.twin.n, "cost": float(result.twin.reduced.cost)},
+    )
+
+
+def unmoved(before: Calibration, after: Calibration) -> Calibration:
+    """`after` with the soft and hard iron of `before`, where they hardly differ against what is known of them.
+
+    An effect that moves the iron by little of its sigma was none of the heading's error; to follow it is to follow the
+    noise as often as not.
+    """
+    change = [after.soft_iron - before.soft_iron, after.hard_iron - before.hard_iron]
+    sigmas = [after.sigma["soft_iron"], after.sigma["hard_iron"]]
+    moved = np.concatenate([(c / np.maximum(s, 1e-300)).ravel() for c, s in zip(change, sigmas, strict=True)])
+    if float(np.sqrt((moved**2).mean())) > RULES.worth_moving:
+        return after
+    return replace(after, soft_iron=before.soft_iron, hard_iron=before.hard_iron)

@@ -1,0 +1,119 @@
+"""What a search found as effects: value and sigma in the effect's unit, and a sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.axes import Arrangement
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.result import Effect
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.search.naming import Found, term_places
+from magyc_gtsam.gap.search.step_time import step_time_sigma
+
+FIELD_VARIES = "field of the place that varies"
+IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation", FIELD_VARIATION)
+_TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
+_OPEN = "named, not corrected: this motion does not determine all of its values"
+_UNSURE = "named, not corrected: an unrecorded channel may be the cause"
+_IMPROBABLE = "named, not corrected: beside all else that may be there it is improbable"
+_UNPAID = (
+    "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
+)
+_TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
+_OPEN = "named, not corrected: this motion does not determine all of its values"
+_UNSURE = "named, not corrected: an unrecorded channel may be the cause"
+_IMPROBABLE = "named, not corrected: beside all else that may be there it is improbable"
+_UNPAID = (
+    "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
+)
+_OPEN = "named, not corrected: this motion does not determine all of its values"
+_UNSURE = "named, not corrected: an unrecorded channel may be the cause"
+_IMPROBABLE = "named, not corrected: beside all else that may be there it is improbable"
+_UNPAID = (
+    "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
+)
+
+
+def _setting(refitted: Refit, index: int) -> dict[str, float]:
+    """What was searched over, with the deviation of a time."""
+    term = refitted.model.terms[index]
+    if term.name != "hard-iron-step":
+        return dict(term.setting)
+    return {**term.setting, "time_sigma": step_time_sigma(refitted, index)}
+
+
+def _noise_sentence(noise: NoiseScore) -> str:
+    value, setting = float(noise.value[0]), noise.setting
+    if noise.name == "tone":
+        size = float(np.linalg.norm(noise.value))
+        return f"a tone of {setting['frequency']:.2f} Hz, {size * 1e6:.2g} µT, is on the magnetometer"
+    if noise.name == "coloured-noise":
+        return (
+            f"the magnetometer's noise is correlated over {setting['correlation_time']:.2g} s "
+            f"({value * 1e6:.2g} µT): there are fewer independent samples than rows"
+        )
+    if noise.name == "spikes":
+        return f"{setting['count']:.0f} single magnetometer samples are wrong by {value * 1e6:.2g} µT and were left out"
+    if noise.name == "quantisation":
+        return f"the magnetometer's resolution is {value * 1e6:.2g} µT, {setting['ratio']:.1f} times its noise"
+    if noise.name == FIELD_VARIATION:
+        return (
+            f"the field of the place varies by {value * 1e6:.2g} µT along the way and with attitude: sigmas allow "
+            "for it, and no calibration takes it out"
+        )
+    if noise.name == "sample-hold":
+        return f"the magnetometer repeats {setting['share']:.0%} of its rows; held rows were left out"
+    arrangement = Arrangement(noise.value.reshape(3, 3), "", 1 - setting["explained"])
+    return f"the sensors' axes differ: read the gyroscope as {arrangement.axes}"
+
+
+def describe(
+    found: Sequence[Found], refitted: Refit, uncorrected: Container[int], unpaid: Container[int] = ()
+) -> tuple[Effect, ...]:
+    """The effects as values; `uncorrected` are the places of what is named only, `unpaid` of what gains nothing."""
+    indices = term_places(found, refitted.model)
+
+    def why(place: int, one: Found) -> str:
+        if place not in uncorrected:
+            return ""
+        if one.improbable:
+            return _IMPROBABLE
+        return _UNPAID if place in unpaid else _UNSURE if one.unsure else _OPEN
+
+    return tuple(_described(f, refitted, indices.get(i), why(i, f)) for i, f in enumerate(found))
+
+
+def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Effect:
+    """An effect; `index` is its place among the model's terms, None for what is no term; `why` it is not corrected."""
+    if found.noise is not None:
+        sentence = _noise_sentence(found.noise)
+        value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting
+        unit, scale = ("µT", 1e6) if found.name in IN_TESLA else ("", 1.0)
+        parameters = _TONE if found.name == "tone" else ("",) * len(value)
+    else:
+        assert index is not None
+        value, covariance = refitted.value_of(index)
+        sigma, setting = np.sqrt(np.diag(covariance)), _setting(refitted, index)
+        term = TERMS[found.name]
+        rows = term.rows(refitted.twin, setting)
+        unit, scale, parameters = term.unit, term.scale, term.names(len(value), rows)
+        sentence = term.sentence(value * scale, sigma * scale, setting, rows)
+    return Effect(
+        found.name,
+        LABELS.get(found.name, FIELD_VARIES),
+        value * scale,
+        sigma * scale,
+        parameters,
+        unit,
+        dict(setting),
+        found.rivals,
+        found.statistic,
+        found.threshold,
+        not why,
+        f"{sentence} ({why})" if why else sentence,
+    )

@@ -1,0 +1,123 @@
+"""Every candidate of a search with its evidence, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.outcome.described import IN_TESLA
+from magyc_gtsam.gap.result import Hypothesis, Status, Verdict
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.scores.score import Score
+from magyc_gtsam.gap.search.naming import Found, Look
+
+_VETOED = (
+    "significant, but it does not improve the prediction of held-out data",
+    "significant, but its channel, shifted in time, would explain as much",
+)
+
+
+def hypotheses(
+    look: Look,
+    names: Sequence[str],
+    found: Sequence[Found],
+    word: Verdict,
+    discrete: Sequence[NoiseScore],
+    left: Sequence[str] = (),
+    slight: Sequence[str] = (),
+) -> tuple[Hypothesis, ...]:
+    """Every candidate with its evidence, strongest first.
+
+    `discrete` are those that were settled before the look, `left` names that count in spite of a veto, `slight` what
+    would explain the data, and is too small and too weak to be named.
+    """
+    named = {f.name for f in found} if word in ("closed", "open") else set()
+    rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()
+    result = [(s.evidence, _hypothesis(s, look, named, rivals, left, slight)) for s in look.scores]
+    result += [(n.evidence, _noise_hypothesis(n, named)) for n in (*discrete, *look.noise) if n.name in names]
+    return tuple(h for _, h in sorted(result, key=lambda pair: -pair[0]))
+
+
+def _hypothesis(
+    score: Score, look: Look, named: set[str], rivals: set[str], left: Sequence[str], slight: Sequence[str]
+) -> Hypothesis:
+    term = TERMS.get(score.name)
+    power = score.power(look.refit.twin) if term else 1.0
+    matters = score.smallest(look.refit.twin) if term else 0.0
+    gain = look.gains.get(score.name, np.nan)
+    scale = term.scale if term else 1.0
+    status: Status
+    if score.name in named:
+        status, words = "named", "named"
+    elif score.significant and not gain > 0 and score.name not in left:
+        status, words = "vetoed", _VETOED[gain == 0]
+    elif score.significant and score.name in slight:
+        status, words = "slight", "significant, but so small that any other weak effect may pass for it"
+    elif score.significant and score.name in rivals:
+        status, words = "ambiguous", "this motion cannot tell it from the effect that was named"
+    elif score.significant and (named or slight):
+        status, words = "explained", "significant until other effects are in the model"
+    elif score.significant:
+        status, words = "significant", "significant"
+    elif term and power < RULES.would_be_found:
+        status, words = (
+            "not enough information",
+            f"the smallest effect that matters ({matters * scale:.2g} {term.unit}) would be found with "
+            f"probability {power:.0%} only",
+        )
+    else:
+        status, words = "rejected", "not significant, though what matters would have been found"
+    sigma = np.sqrt(np.diag(score.covariance))
+    return Hypothesis(
+        name=score.name,
+        label=term.label if term else f"anything in {score.place}",
+        generic=score.generic,
+        statistic=score.statistic,
+        threshold=score.threshold,
+        significant=score.significant,
+        parameters=len(score.expected),
+        expected=score.expected * scale,
+        sigma=sigma * scale,
+        unit=term.unit if term else "",
+        setting=dict(score.variant.setting),
+        power=power,
+        matters=matters * scale,
+        held_out_gain=gain,
+        status=status,
+        sentence=words,
+    )
+
+
+def _noise_hypothesis(noise: NoiseScore, named: set[str]) -> Hypothesis:
+    scale = 1e6 if noise.name in IN_TESLA else 1.0
+    status: Status
+    if noise.name in named:
+        status, words = "named", "named"
+    elif noise.significant:
+        status, words = (
+            ("explained", "significant until the effects above were added") if named else ("significant",) * 2
+        )
+    else:
+        of_form = "not significant" if noise.statistic < noise.threshold else "strong, but not of its form"
+        status, words = "rejected", of_form
+    return Hypothesis(
+        name=noise.name,
+        label=LABELS[noise.name],
+        generic=False,
+        statistic=noise.statistic,
+        threshold=noise.threshold,
+        significant=noise.significant,
+        parameters=len(noise.value),
+        expected=noise.value * scale,
+        sigma=noise.sigma * scale,
+        unit="µT" if scale > 1 else "",
+        setting=dict(noise.setting),
+        power=1.0,
+        matters=0.0,
+        held_out_gain=np.nan,
+        status=status,
+        sentence=words,
+    )

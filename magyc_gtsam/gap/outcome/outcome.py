@@ -1,0 +1,206 @@
+"""The gap that a search has found: what is said of it, the calibration with it, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.gap.effects import LABELS, NAMES, TERMS
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
+from magyc_gtsam.gap.model.field_variation import field_variation
+from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
+from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
+from magyc_gtsam.gap.outcome.described import describe
+from magyc_gtsam.gap.outcome.doubt import Doubt, doubted, left_open, with_doubt
+from magyc_gtsam.gap.outcome.hypotheses import hypotheses
+from magyc_gtsam.gap.outcome.judged import judged
+from magyc_gtsam.gap.outcome.metrics import measure
+from magyc_gtsam.gap.outcome.moved import against, contradiction, moved
+from magyc_gtsam.gap.outcome.verdict import manoeuvre, place_of, unseen, verdict
+from magyc_gtsam.gap.outcome.worth import pays
+from magyc_gtsam.gap.preparation.clocks import APART_IN_BRIEF, CLOCK_DRIFT
+from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
+from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.scores.score import DRAWS
+from magyc_gtsam.gap.search.naming import Found, Look, as_found, term_places
+from magyc_gtsam.gap.search.search import Search
+
+
+def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibration | None, seconds: float) -> Gap:
+    """The verdict "not enough information", for a reason at length, and in few words with what would help."""
+    fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
+    sentence = f"not enough information: {reason}; nothing was tested"
+    fitted = doubted(replace(fitted, message=sentence), doubt)
+    metrics = measure(base.twin, fitted)
+    return Gap(
+        verdict="not enough information",
+        sentence=sentence,
+        effects=(),
+        untested=(),
+        hypotheses=(),
+        before=metrics,
+        after=metrics,
+        moved=(),
+        calibration=fitted,
+        base=fitted,
+        next_manoeuvre=Manoeuvre((), doubt.action, f"to learn anything: {doubt.action}"),
+        doubt=doubt,
+        diagnostics={"windows": base.twin.n, "draws": 0, "seconds": seconds, "leftover": []},
+    )
+
+
+def gap_of(
+    result: Search,
+    base: Refit,
+    short_term: SensorNoise,
+    calibration: Calibration | None,
+    names: tuple[str, ...],
+    discrete: tuple[NoiseScore, ...],
+    seconds: float,
+) -> Gap:
+    """The gap that a search has found.
+
+    Args:
+        result: of the search.
+        base: the model that it began with.
+        short_term: noise of the sensors between neighbouring samples.
+        calibration: the one given, if any.
+        names: candidates.
+        discrete: scores of what was settled before the search (held samples, exchanged axes).
+        seconds: that it took.
+    """
+    strength = None if calibration is None else calibration.field_strength
+    first, plain = result.first, widened(result.last.refit)
+    base, held = widened(base), tempered(result.problem, result.last.refit, short_term)
+    last = replace(result.last, refit=widened(held))
+    found = (*(as_found(score) for score in discrete if score.significant), *result.found)
+    known, added = _on_noise(calibration, found)
+    open_places = {
+        place: index
+        for place, index in term_places(found, plain.model).items()
+        if found[place].unsure or found[place].improbable or not determined(plain, index)
+    }
+    unpaid = _unpaid(
+        result, held, {p: i for p, i in term_places(found, plain.model).items() if p not in open_places}
+    )
+    open_places |= unpaid
+    corrected, fine = _corrected(result, last, held, open_places.values(), short_term)
+    turned = tuple(term for term in added if term.name == "axis-order")  # in the data that all was fitted to
+    started = as_calibration(base, strength, (*known, *turned))
+    final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
+    catalogue = "in the catalogue" if names == NAMES else "among the candidates"
+    effects = describe(found, last.refit, open_places, unpaid)
+    word, sentence = verdict(effects, result.leftover, last, catalogue)
+    applied = word in ("closed", "open")
+    effects = effects if applied else ()
+    before = measure(first.refit.twin, started, first.fine)
+    after = before
+    if any(effect.applied for effect in effects) and result.found:
+        after = measure(corrected.twin, final, fine)
+        before = replace(before, open_loop=replace(before.open_loop, floor=after.open_loop.floor))
+    untested = _untested(names, base)
+    tested = hypotheses(first, names, found, word, discrete, result.leftover, result.slight)
+    if word == "none":
+        sentence = f"{sentence}; {unseen(tested, len(untested))}"
+    contradicted = () if calibration is None else against(calibration, started)
+    shifted = moved(started, final) if applied else ()
+    if contradicted and word == "none":
+        word = "closed"  # by the fit: the calibration was the model, and it does not hold
+    wanted = manoeuvre(first, found, word, open_places)
+    given, fitted = (final, corrected) if applied else (started, base)
+    used, untrusted = judged(given, fitted, result.recording, strength)
+    gap = Gap(
+        verdict=word,
+        sentence=contradiction(contradicted) + sentence,
+        effects=effects,
+        untested=untested,
+        hypotheses=tested,
+        before=before,
+        after=after,
+        moved=contradicted
+        + tuple(row for row in shifted if row.name not in {known.name for known in contradicted}),
+        calibration=used,
+        base=started if applied else used,
+        next_manoeuvre=wanted,
+        diagnostics={
+            "windows": first.refit.twin.n,
+            "draws": DRAWS,
+            "seconds": seconds,
+            "leftover": list(result.leftover),
+        },
+    )
+    if word in ("none", "closed"):
+        return gap if untrusted is None else replace(gap, doubt=untrusted)
+    if CLOCK_DRIFT in result.leftover:
+        return with_doubt(gap, APART_IN_BRIEF)
+    missing = place_of(result.leftover, last) if result.leftover else ""
+    return with_doubt(gap, left_open(effects, open_places, missing, wanted))
+
+
+def _unpaid(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
+    """Those of the terms found (place: index) whose correction does not pay beside a field that varies."""
+    if not places:
+        return {}
+    variation = field_variation(result.last.refit.twin)
+    if not variation.evident:
+        return {}
+    held, weak = widened(held), {}
+    for place, index in places.items():
+        without = widened(refit(result.problem, without_term(held.model, index), None))
+        if not pays(held, without, index, variation):
+            weak[place] = index
+    return weak
+
+
+def _on_noise(
+    calibration: Calibration | None, found: Sequence[Found]
+) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
+    """What is no term of the fit: of the calibration given, but for what was found again, and what was found."""
+    again = {f.name for f in found}
+    known = tuple(
+        t
+        for t in (calibration.terms if calibration is not None else ())
+        if t.name == "tone" or (t.side is None and t.name not in again)
+    )
+    added = tuple(
+        Term(f.name, f.noise.value, np.diag(f.noise.sigma**2), f.noise.setting)
+        for f in found
+        if f.noise is not None and f.name != FIELD_VARIATION
+    )
+    return known, added
+
+
+def _corrected(
+    result: Search, last: Look, held: Refit, open_places: Collection[int], short_term: SensorNoise
+) -> tuple[Refit, Fine]:
+    """The model without the terms that are named, not corrected, and its innovations sample by sample."""
+    corrected, first = last.refit, result.first
+    if 0 < len(open_places) == len(held.model.terms) and result.problem is first.refit.twin.problem:
+        return widened(first.refit), first.fine  # nothing is corrected, and stays as it was
+    if open_places:
+        model = held.model
+        for index in sorted(open_places, reverse=True):
+            model = without_term(model, index)
+        corrected = widened(refit(result.problem, model, short_term))
+    if corrected.model is result.last.refit.model:
+        return corrected, last.fine
+    return corrected, fine_innovations(result.recording, corrected.model)
+
+
+def _untested(names: tuple[str, ...], base: Refit) -> tuple[Untested, ...]:
+    """Effects whose channel the recording lacks."""
+    return tuple(
+        Untested(
+            n,
+            LABELS[n],
+            f"no {' or '.join(TERMS[n].missing(base.twin))} in the recording, or not in half of it, or it stands still",
+        )
+        for n in names
+        if n in TERMS and TERMS[n].missing(base.twin)
+    )

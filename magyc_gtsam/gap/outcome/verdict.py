@@ -1,0 +1,104 @@
+"""The verdict of a search in one sentence, and the next manoeuvre."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from magyc_gtsam.gap.effects import LABELS, TERMS
+from magyc_gtsam.gap.outcome.described import FIELD_VARIES
+from magyc_gtsam.gap.preparation.clocks import APART, CLOCK_DRIFT
+from magyc_gtsam.gap.result import Effect, Hypothesis, Manoeuvre, Verdict
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.scores.neighbours import label_of, product_of
+from magyc_gtsam.gap.search.naming import Found, Look
+
+_SPELLED = 3  # effects named one by one
+
+
+def verdict(effects: Sequence[Effect], left: Sequence[str], last: Look, catalogue: str) -> tuple[Verdict, str]:
+    """One word, and one sentence for a navigator.
+
+    Args:
+        effects: what was found.
+        left: names of what is left over.
+        last: the last look, in which that is.
+        catalogue: what the names were chosen from, in words.
+    """
+    if not effects and not left:
+        return "none", "the model and the data agree"
+    if left:
+        where = _place(left, last, catalogue)
+        firm = [effect.sentence for effect in effects if effect.name in TERMS or effect.name == "axis-order"]
+        if firm:
+            return "open", f"{'; '.join(firm)}; beside that, {where}"
+        return "unknown", f"{where}; nothing was changed"
+    # What moves the heading comes before what concerns the noise.
+    ordered = sorted(effects, key=lambda effect: effect.name not in TERMS and effect.name != "axis-order")
+    word: Verdict = "closed" if all(effect.applied for effect in ordered) else "open"
+    return word, "; ".join(effect.sentence for effect in ordered)
+
+
+def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
+    """What a verdict that nothing was found does not say: what is too small, and could not have been seen."""
+    blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
+    parts = [
+        f"a possible “{h.label}” is too weak to be distinguished from other weak effects"
+        for h in hypotheses
+        if h.status == "slight"
+    ]
+    if blind:
+        named = ", ".join(blind[:_SPELLED])
+        more = f" and {len(blind) - _SPELLED} more" if len(blind) > _SPELLED else ""
+        parts.append(f"this motion could not have shown every relevant value of {named}{more}")
+    if untested:
+        parts.append(f"{untested} effects could not be tested, because their channel is not in the log")
+    return "; ".join(parts) or "every relevant value of the tested effects would have been detected"
+
+
+def place_of(left: Sequence[str], last: Look) -> str:
+    """Where the strongest of what is left lives, in words."""
+    names = set(left)
+    for score in last.scores:
+        if score.name in names and score.generic:
+            return f"an effect that varies with {score.place} is missing"
+    label = next((LABELS.get(name) or label_of(name) for name in left if name in LABELS or product_of(name)), "")
+    return f"an effect similar to “{label}” is missing" if label else "something is missing"
+
+
+def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
+    """The same, with why it has no name."""
+    if CLOCK_DRIFT in left:
+        return APART
+    where = place_of(left, last)
+    return f"{where}, but of a different form" if "similar to" in where else f"{where}, and it is not {catalogue}"
+
+
+def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
+    """The motion that determines what is named only, separates an effect from its rivals, or finds the unseen."""
+    for place in uncorrected:
+        one = found[place]
+        motion = TERMS[one.name].motion
+        if one.unsure:
+            channels = dict.fromkeys(c for rival in one.rivals for c in TERMS[rival].missing(look.refit.twin))
+            motion = f"log the {' and the '.join(channels)} as well"
+        return Manoeuvre((one.name,), motion, f"to correct “{LABELS[one.name]}”: {motion}")
+    for f in found:
+        if f.rivals and f.name in TERMS and word in ("closed", "open"):
+            names = (f.name, *f.rivals)
+            needed = TERMS[f.rivals[0]].missing(look.refit.twin)
+            motion = f"log the {needed[0]} as well" if needed else TERMS[f.name].motion
+            labels = " from ".join(LABELS.get(n, FIELD_VARIES) for n in names[:2])
+            return Manoeuvre(names, motion, f"to distinguish {labels}: {motion}")
+    if word == "unknown":
+        motion = (
+            "repeat the recording with every channel logged (currents, temperature, depth), at the same motion"
+        )
+        return Manoeuvre((), motion, f"to identify the effect: {motion}")
+    blind = [s for s in look.scores if s.name in TERMS and s.power(look.refit.twin) < RULES.would_be_found]
+    if blind:
+        weakest = min(blind, key=lambda s: s.power(look.refit.twin))
+        motion = TERMS[weakest.name].motion
+        return Manoeuvre(
+            tuple(s.name for s in blind), motion, f"to test for “{TERMS[weakest.name].label}”: {motion}"
+        )
+    return None

@@ -1,0 +1,86 @@
+"""Whether a correction pays where the field varies: on data it was not fitted to, and in what it moves.
+
+An effect may be there and yet not be worth its correction: what its value gains is lost by the spread of the parameters
+that are estimated with it, and in a room much of what a name explains is the room.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.model.field_variation import FieldVariation
+from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.scores.score import held_out_gain, interleaved
+
+_OF_ITS_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # one half tells nothing of the other
+
+
+def pays(with_it: Refit, without: Refit, index: int, variation: FieldVariation) -> bool:
+    """Whether to correct the term `index` of a model is expected to better the prediction and the field.
+
+    Args:
+        with_it, without: the model with the term and the rest of it without, at their minima.
+        index: of the term.
+        variation: of the field, beside which it has to explain.
+    """
+    tried = len(TERMS[with_it.model.terms[index].name].settings(with_it.twin)) * len(TERMS)
+    # The best of many gains something by chance, on data that helped to choose it.
+    return min(predicted(with_it, index, variation)) > np.log(tried) and expected(with_it, without, index) > 0
+
+
+def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[float, float]:
+    """Nats gained on blocks in turn that nothing was fitted to, and on the other half of the recording."""
+    twin = with_it.twin
+    rows, own = twin.base_columns, _rows_of(with_it, index)
+    value, _ = with_it.value_of(index)
+    residual = variation.whiten((twin.residual().ravel() - value @ rows[own])[None])[0]
+    base, columns = variation.whiten(np.delete(rows, own, axis=0)), variation.whiten(rows[own])
+    term, duration = twin.model.terms[index], float(twin.time[-1] - twin.time[0])
+    length = min(TERMS[term.name].block(term.setting), duration / RULES.blocks)
+    in_turn = held_out_gain(base, columns, residual, interleaved(twin.time, length))
+    if term.name in _OF_ITS_TIME:
+        return in_turn, in_turn
+    return in_turn, held_out_gain(base, columns, residual, interleaved(twin.time, 0.5001 * duration))
+
+
+def expected(with_it: Refit, without: Refit, index: int) -> float:
+    """T², mean square error of the calibrated field without the correction, less that with it.
+
+    With d the difference of the two fields and V the variance that the correction adds, E|d|² = bias² + V, so that the
+    gain, bias² − V, is |d|² − 2 V.
+    """
+    iron = np.arange(9)
+    more, rows = _field_columns(with_it.twin), np.concatenate([iron, _rows_of(with_it, index)])
+    less = _field_columns(without.twin)[iron]
+    value, _ = with_it.value_of(index)
+    change = with_it.model.parameters[:9] - without.model.parameters[:9]
+    shift = np.einsum("p,pin->in", np.concatenate([change, value]), more[rows])
+    added = _variance(more[rows], with_it.covariance[np.ix_(rows, rows)])
+    added -= _variance(less, without.covariance[np.ix_(iron, iron)])
+    return float((shift**2).sum(axis=0).mean()) - 2 * max(added, 0.0)
+
+
+def _variance(columns: Array, covariance: Array) -> float:
+    """T², mean over the windows, of a field with columns (p, 3, n)."""
+    return float(np.einsum("pin,pq,qin->", columns, covariance, columns, optimize=True)) / columns.shape[2]
+
+
+def _field_columns(twin: Twin) -> Array:
+    """(q, 3, n) T per unit of the free parameters, then of the terms, on the windows."""
+    base = twin.reduced.on_parameters[np.flatnonzero(twin.model.free)] / twin.chain.window_scale
+    return np.concatenate([base, *(twin.columns(t.name, t.setting).window for t in twin.model.estimated)])
+
+
+def _rows_of(result: Refit, index: int) -> np.ndarray:
+    """Places of the model's term `index` among its free parameters and terms."""
+    model = result.model
+    term = model.terms[index]
+    if term.name == "timing":
+        return np.flatnonzero(np.flatnonzero(model.free) == DELAY)
+    first = int(model.free.sum()) + sum(len(t.value) for t in model.terms[:index] if t.name != "timing")
+    return np.arange(first, first + len(term.value))

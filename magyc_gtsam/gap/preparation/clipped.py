@@ -1,0 +1,31 @@
+"""A magnetometer that is known to be cut off at its full scale: what that makes of a gap."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from magyc_gtsam.gap.outcome.doubt import Doubt, doubted, with_doubt
+from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.sensor_faults.full_scale import ClippedField
+
+
+def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
+    """The gap, open unless saturation was named and so little cut off that its model holds."""
+    if clipped is None:
+        return gap
+    named = any(term.name == "saturation" for term in gap.calibration.terms)  # found now, or given
+    if named and clipped.share <= RULES.cut_off and gap.verdict in ("none", "closed"):
+        return gap
+    why = "which the search did not name" if not named else "and something else is missing"
+    if clipped.share > RULES.cut_off:
+        why = f"at most {RULES.cut_off:.0%} can be modelled"
+    remedy = "choose a larger full scale, or move what is magnetic away from the sensor"
+    doubt = Doubt(f"axis {clipped.axes} of the magnetometer is cut off, {why}", remedy)
+    doubted_gap = replace(
+        gap,
+        verdict=gap.verdict if gap.verdict == "not enough information" else "open",
+        sentence=f"{clipped.where}, {why}: {remedy}; {gap.sentence}",
+        base=doubted(gap.base, doubt),
+    )
+    return with_doubt(doubted_gap, doubt)

@@ -1,0 +1,23 @@
+"""Clocks of the two sensors that drift apart: no effect of the catalogue, but known for what it is."""
+
+from __future__ import annotations
+
+from magyc_gtsam.estimators.smoother.clock_drift import speaks
+from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.field_chain import DELAY
+from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.outcome.doubt import Doubt
+
+CLOCK_DRIFT = "clock-drift"
+APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"
+APART_IN_BRIEF = Doubt(
+    "the clocks of the two sensors drift apart", "run `magyc-gtsam calibrate`, which follows the drift"
+)
+
+
+def drift_apart(current: Refit) -> bool:
+    """Whether the delay of a model grows with time, as `smoother` asks it."""
+    twin = current.twin
+    if not twin.model.free[DELAY]:
+        return False
+    return speaks(Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free))

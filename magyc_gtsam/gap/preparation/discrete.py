@@ -1,0 +1,114 @@
+"""What is checked before anything is estimated: the order and signs of the axes, and which rows are samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.axes import arrangements, check
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.preparation.held_clock import on_own_clock
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation, sample_hold
+from magyc_gtsam.recording import Recording
+
+
+def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tuple[NoiseScore, ...]]:
+    """The recording as its samples should be read, and the tests that say how.
+
+    Raises:
+        MagycError: the unit of the gyroscope is wrong.
+    """
+    scores: list[NoiseScore] = []
+    if "axis-order" in names:
+        recording, scores = _rearranged(recording)
+    held = sample_hold(recording)
+    if "sample-hold" in names:
+        scores.append(held)
+    if held.significant:
+        recording = on_own_clock(recording)
+    else:
+        recording = _unheld(recording, short_term_noise(recording).magnetometer)
+    return recording, tuple(scores)
+
+
+def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
+    """With the gyroscope in the magnetometer's axes, where they differed."""
+    try:
+        check(recording)
+    except MagycError:
+        best = arrangements(recording)[0]
+        if best.unit:
+            raise
+        assert recording.angular_rate is not None
+        turned = replace(recording, angular_rate=recording.angular_rate @ best.matrix.T)
+        explained = 1 - best.unexplained
+        score = NoiseScore(
+            "axis-order",
+            explained,
+            0.5,
+            1e6,
+            True,
+            best.matrix.ravel(),
+            np.zeros(9),
+            {"explained": explained},
+        )
+        return turned, [score]
+    return recording, []
+
+
+def _unheld(recording: Recording, noise: float) -> Recording:
+    """With all entries as samples, where the magnetometer's repeat because its steps are coarse (noise T per sample).
+
+    To leave such repeats out would keep the first of each, and so make the magnetometer seem early.
+    """
+    if quantisation(recording, noise).statistic < RULES.repeats_by_chance:
+        return recording
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_stamped)
+
+
+def moving(recording: Recording) -> Recording:
+    """With one sample in `RULES.rest_spared` s where the reading stands still for `RULES.rest_means` s or more.
+
+    A field that differs from place to place, by a microtesla or two in any room, differs by one number where the
+    sensor rests, however long it rests there; told a hundred times it would pass for iron that came and went. A rest
+    that begins or ends with a jump which no turn explains is kept: iron did come or go there.
+    """
+    time, field = recording.magnetometer
+    second = np.floor((time - time[0]) / RULES.rest_mean).astype(int)
+    number, starts, count = np.unique(second, return_index=True, return_counts=True)
+    if len(number) < 2 * RULES.rest_means:
+        return recording
+    mean = np.add.reduceat(field, starts, axis=0) / count[:, None]
+    spread = float(np.sqrt(mean.var(axis=0).sum()))
+    stretches = np.lib.stride_tricks.sliding_window_view(mean, RULES.rest_means, axis=0)
+    calm = np.flatnonzero(np.ptp(stretches, axis=2).max(axis=1) < RULES.rest_same * spread)
+    still = np.zeros(len(mean), dtype=bool)
+    still[np.unique(calm[:, None] + np.arange(RULES.rest_means))] = True
+    edges = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    jumps = _jumps(recording, time[starts], mean, spread)
+    for first, end in edges:
+        if jumps[max(first - RULES.rest_near, 0) : first].any() or jumps[end - 1 : end + RULES.rest_near].any():
+            still[first:end] = False
+    if not still.any() or still.all():
+        return recording
+    spared = np.diff(np.floor((time - time[0]) / RULES.rest_spared), prepend=-1.0) > 0
+    fresh = recording.magnetic_field_fresh.copy()
+    fresh[fresh] = ~still[np.searchsorted(number, second)] | spared
+    return replace(recording, magnetic_field_fresh=fresh)
+
+
+def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.ndarray:
+    """(n − 1,) whether the field changes more from one mean (n, 3) to the next than the gyroscope turned it."""
+    when, rate = recording.gyroscope
+    turned = summed_rate(when, np.linalg.norm(rate, axis=1))
+    # A mean reaches a second ahead of its first sample.
+    turn = np.interp(time[1:] + RULES.rest_mean, when, turned) - np.interp(time[:-1], when, turned)
+    change = np.linalg.norm(np.diff(mean, axis=0), axis=1)
+    result: np.ndarray = change > RULES.rest_jump * spread + 2 * spread * turn
+    return result

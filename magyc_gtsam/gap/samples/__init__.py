@@ -1,0 +1,1 @@
+"""Effects on single samples, found in the innovations sample by sample."""

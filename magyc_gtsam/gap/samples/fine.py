@@ -1,0 +1,80 @@
+"""The innovations sample by sample, in which fast effects and noise show that windows average away."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.model.problem import Model, Problem
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore, coloured_noise, quantisation, tone
+from magyc_gtsam.gap.samples.wrong_samples import spikes
+from magyc_gtsam.recording import Recording
+
+_MOST = 60000  # samples
+
+
+class Fine(NamedTuple):
+    """Innovations (3, m) scaled to unit variance, their standard deviation T, rate Hz, and stamps (m,) s.
+
+    edge: Hz, below which the field's own changes lie: a line there may be the motion's.
+    """
+
+    innovation: Array
+    level: float
+    rate: float
+    time: Array
+    edge: float
+
+
+def fine_innovations(recording: Recording, model: Model) -> Fine:
+    """Of a model on a recording, one window per magnetometer sample."""
+    twin = fine_twin(recording, model)
+    v = twin.residual()[:, 1:]
+    time = twin.time[1:]
+    scale = float(np.sqrt((v**2).mean()))
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    return Fine(v / scale, scale * model.noise.magnetometer, rate, time, _edge(twin.windows.need("field"), rate))
+
+
+def fine_twin(recording: Recording, model: Model) -> Twin:
+    """One window per magnetometer sample; the middle of what is longer than `_MOST`."""
+    if len(recording.magnetometer.time) > _MOST:
+        middle = 0.5 * (recording.time[0] + recording.time[-1]) - recording.time[0]
+        half = 0.5 * recording.duration * _MOST / len(recording.magnetometer.time)
+        recording = recording.between(middle - half, middle + half)
+    return Twin.of(Problem.of(recording, preintegrate(recording, window=1e-9)), model)
+
+
+def _edge(field: Array, rate: float) -> float:
+    power = (np.abs(np.fft.rfft(field - field.mean(axis=1)[:, None], axis=1)[:, 1:]) ** 2).sum(axis=0)
+    held = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    return float(RULES.motion_harmonics * (np.searchsorted(held, RULES.motion_held) + 1) * rate / field.shape[1])
+
+
+def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseScore]:
+    """Every noise effect's test."""
+    return [
+        *single_scores(fine, limit),
+        coloured_noise(_calm(fine), fine.rate, fine.level, limit),
+        quantisation(recording, fine.level),
+    ]
+
+
+def single_scores(fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
+    """The tests of wrong samples and of a tone."""
+    spiky = spikes(fine.innovation, fine.level, limit)
+    return spiky, tone(_calm(fine), fine.time, fine.level, limit, fine.edge)
+
+
+def _calm(fine: Fine) -> Array:
+    """The innovations without what is spiky, which would look like a comb of tones, and hide colour."""
+    v = fine.innovation
+    length = np.sqrt((v**2).sum(axis=0))
+    calm = v * np.minimum(1.0, 4.0 / np.maximum(length, 1e-12))
+    result: Array = calm / np.sqrt((calm**2).mean())
+    return result

@@ -1,0 +1,103 @@
+"""From which strength on the effects on the noise are found: from the noise and the length of a recording alone.
+
+No motion hides or shows them, and no other effect has their signature in the innovations sample by sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2, norm
+
+from magyc_gtsam.gap.effects import LABELS
+from magyc_gtsam.gap.result import Isolability
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.scores.null import quantile
+from magyc_gtsam.gap.search.naming import NOISE_LIMIT
+from magyc_gtsam.recording import Recording
+
+_SHARE = 0.01  # of the samples that are spikes
+_TOGETHER = 1.0  # s, correlation time of the colour
+_MATTERS = 0.5e-6  # T, of a tone and of colour: half the noise of an ordinary magnetometer
+_SPIKE_MATTERS = 3e-6  # T, of spikes: three times the noise
+
+
+def noise_isolability(recording: Recording, noise: float) -> tuple[Isolability, ...]:
+    """Rows of the table, for a magnetometer of `noise` T per sample."""
+    samples = len(recording.magnetometer.time)
+    rate = (samples - 1) / recording.duration
+    return (
+        _row(
+            "coloured-noise", _coloured(samples, rate) * noise, f"noise that hangs together over {_TOGETHER:.0f} s"
+        ),
+        _row("spikes", _spikes(samples) * noise, f"spikes on {_SHARE:.0%} of the samples", matters=_SPIKE_MATTERS),
+        _row("tone", _tone(samples) * noise, "a tone above the motion's own frequencies"),
+        _row("quantisation", RULES.coarse * noise, "steps of the magnetometer", matters=RULES.coarse * noise),
+        _certain(
+            "sample-hold",
+            100 * RULES.held_rows,
+            "% of rows",
+            f"from {RULES.held_rows:.0%} of repeated rows on, by counting them",
+        ),
+        _certain("axis-order", 0.0, "", "always, by trying all 48 arrangements before anything is estimated"),
+    )
+
+
+def _row(name: str, smallest: float, what: str, matters: float = _MATTERS) -> Isolability:
+    words = f"{what} from {smallest * 1e6:.2g} µT on, whatever the motion"
+    return Isolability(
+        name, LABELS[name], smallest * 1e6, "µT", matters * 1e6, 1.0, smallest <= matters, {}, words
+    )
+
+
+def _certain(name: str, smallest: float, unit: str, words: str) -> Isolability:
+    return Isolability(name, LABELS[name], smallest, unit, smallest, 1.0, True, {}, words)
+
+
+def _gain_needed() -> float:
+    """Mean gain (nats) that passes the level with probability 0.9: a gain of G has a deviation of √(2 G)."""
+    spread = np.sqrt(2) * float(norm.ppf(RULES.found_with))
+    return float((0.5 * (spread + np.sqrt(spread**2 + 4 * (NOISE_LIMIT + RULES.chance)))) ** 2)
+
+
+def _solved(gain: Callable[[float], float], needed: float) -> float:
+    """The strength in sigmas whose gain is what is needed."""
+    return float(np.exp(brentq(lambda log: gain(np.exp(log)) - needed, np.log(1e-3), np.log(1e3))))
+
+
+def _tone(samples: int) -> float:
+    """Amplitude: twice the height of a line is χ² of 6 degrees, not central by n a² / 2."""
+    level = quantile(NOISE_LIMIT + RULES.unsure_line + 2 * float(np.log(samples / 2)), 6)
+    return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), RULES.found_with)
+
+
+def _coloured(samples: int, rate: float) -> float:
+    """Standard deviation: mean gain in Whittle's likelihood, 3 Σ (ln of the mean spectrum − ln of the spectrum)."""
+    frequency = np.arange(1, samples // 2) * rate / samples
+    shape = 1 / (1 + (2 * np.pi * _TOGETHER * frequency) ** 2)
+    shape = shape / shape.mean()
+    return _solved(
+        lambda s: float(3 * (np.log1p(s**2) - np.log1p(s**2 * shape)).sum()),
+        _gain_needed(),
+    )
+
+
+def _spikes(samples: int) -> float:
+    """Standard deviation: mean gain of a mixture over one normal distribution, by quadrature over |v|² (χ² of 3)."""
+    grid = np.linspace(0.0005, 0.9995, 1000)
+
+    def gain(height: float) -> float:
+        wide = 1 + height**2
+        scale = 1 - _SHARE + _SHARE * wide
+        total = 0.0
+        for share, variance in ((1 - _SHARE, 1.0), (_SHARE, wide)):
+            square = variance * chi2.ppf(grid, 3)
+            mixture = np.logaddexp(
+                np.log(1 - _SHARE) - 0.5 * square, np.log(_SHARE) - 1.5 * np.log(wide) - 0.5 * square / wide
+            )
+            total += share * float((mixture + 1.5 * np.log(scale) + 0.5 * square / scale).mean())
+        return samples * total
+
+    return _solved(gain, _gain_needed())

@@ -1,0 +1,43 @@
+"""A steady tone on the magnetometer: measured sample by sample, for windows average it away, and taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.samples.fine import fine_twin
+from magyc_gtsam.recording import Recording
+
+_TRIED = 13  # frequencies within a bin of the periodogram
+
+
+def heard(recording: Recording, model: Model, frequency: float) -> Term:
+    """The tone beside a line of the periodogram, Hz, as it stands out of what a model leaves."""
+    twin = fine_twin(recording, model)
+    v = twin.residual().ravel()
+    bin_width = 1 / float(twin.time[-1] - twin.time[0])
+    best: tuple[float, Array, Array, float] = -1.0, np.zeros(6), np.eye(6), frequency
+    for tried in frequency + np.linspace(-0.6, 0.6, _TRIED) * bin_width:
+        columns = twin.whiten(twin.columns("tone", {"frequency": float(tried)}))
+        covariance = np.asarray(np.linalg.inv(columns @ columns.T), dtype=float)
+        pull = columns @ v
+        gain = float(pull @ covariance @ pull)
+        if gain > best[0]:
+            best = gain, -covariance @ pull, covariance, float(tried)
+    _, value, covariance, frequency = best
+    return Term("tone", value, float((v**2).mean()) * covariance, {"frequency": frequency})
+
+
+def silenced(recording: Recording, tones: Sequence[Term]) -> Recording:
+    """The recording without its tones."""
+    if not tones:
+        return recording
+    signals = Signals(recording.time)
+    together = np.sum([tone.evaluate(signals) for tone in tones], axis=0)
+    return replace(recording, magnetic_field=recording.magnetic_field - together.T)

@@ -1,0 +1,220 @@
+"""Localisation: families without physical meaning that say WHERE something is missing, and that a name must beat."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import per_axis
+from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
+from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.rules import RULES
+
+_KNOTS = (12, 40)  # of the splines in time
+
+
+class Family(NamedTuple):
+    """A generic family: its name, where it lives in words, its columns, and widths of parts to be tried alone.
+
+    A narrow part finds a foreign effect where the whole family would pay for too many parameters. Families that hold
+    an effect of the catalogue have no parts: these would be the effect under another name. Directions of the
+    values that the motion does not determine to `within` are left out: they would explain anything by absurd values.
+    """
+
+    name: str
+    place: str
+    columns: Callable[[Twin], Columns]
+    parts: tuple[int, ...] = ()
+    within: float = np.inf
+
+
+def families(twin: Twin) -> list[Family]:
+    """All families that this recording allows."""
+    duration = float(twin.time[-1] - twin.time[0])
+    result = []
+    for knots in _KNOTS:
+        if duration < knots * RULES.knots_apart:
+            continue
+        result += [
+            Family(
+                f"time:sensor-{knots}",
+                "time, in the sensor's axes",
+                _on_field(partial(_hats_of, knots=knots)),
+            ),
+            Family(f"time:world-{knots}", "time, in the world's axes", partial(_in_world, knots=knots)),
+            Family(
+                f"time:gyroscope-{knots}",
+                "time, on the gyroscope",
+                _on_rate(partial(_hats_of, knots=knots), False),
+            ),
+        ]
+    attitude = "the direction of the field (attitude)"
+    result += [
+        Family("field:quadratic", attitude, _on_field(lambda t: _powers(_unit(t), 2, 2)), (3, 1)),
+        Family("field:cubic", attitude, _on_field(lambda t: _powers(_unit(t), 2, 3))),
+        Family("rate:magnetometer", "the rate of turn, on the magnetometer", _on_field(_rate_powers)),
+        Family("rate:product", "the rate of turn, on the magnetometer", _on_field(_rate_products), (3, 1)),
+        Family("rate×field", "rate of turn times field", _on_field(_rate_times_field)),
+        Family("lag", "a lag that depends on the rate of turn", _uneven_lag, (3, 1)),
+        Family(
+            "rate:linear",
+            "the rate of turn, on the gyroscope",
+            _on_rate(lambda s: s.need("rate")),
+            (),
+            RULES.determined_rate,
+        ),
+        Family(
+            "rate:quadratic", "the rate of turn, on the gyroscope", _on_rate(_bent_rate), (), RULES.determined_rate
+        ),
+        Family("rate:gyroscope", "products of rates of turn, on the gyroscope", _on_rate(_rate_squares), (3, 1)),
+        Family("field:gyroscope", "attitude, on the gyroscope", _field_on_rate, (3,)),
+    ]
+    if twin.windows.acceleration is not None:
+        result += [
+            Family("tilt:magnetometer", "pitch and roll", _on_field(lambda t: _tilts(t.windows)), (3, 1)),
+            Family("tilt:gyroscope", "pitch and roll, on the gyroscope", _on_rate(_tilts, False)),
+            Family("tilt:products", "pitch and roll, on the gyroscope", _on_rate(_tilt_products, False), (3, 1)),
+        ]
+    for kind in twin.windows.channels:
+        where = f"the channel {kind}"
+        result += [
+            Family(f"{kind}:magnetometer", where, _on_field(partial(_channel_of, kind=kind))),
+            Family(
+                f"{kind}:gyroscope", f"{where}, on the gyroscope", _on_rate(partial(_channel, kind=kind), False)
+            ),
+        ]
+        if kind != "position":  # times the field it is the field's gradient
+            result.append(Family(f"{kind}×field", f"{where} times the field", _channel_field(kind), (1, 3)))
+    return result
+
+
+def _on_field(profiles: Callable[[Twin], Array]) -> Callable[[Twin], Columns]:
+    return lambda twin: Columns(per_axis(profiles(twin)), None)
+
+
+def _on_rate(profiles: Callable[..., Array], reads_rate: bool = True) -> Callable[[Twin], Columns]:
+    return lambda twin: twin.of_slow_profile(lambda signals: per_axis(profiles(signals)), reads_rate)
+
+
+def _hats(time: Array, knots: int) -> Array:
+    """(knots, n) linear splines."""
+    place = (time - time[0]) / (time[-1] - time[0]) * (knots - 1)
+    return np.maximum(1 - np.abs(place - np.arange(knots)[:, None]), 0.0)
+
+
+def _hats_of(signals: Signals | Twin, knots: int) -> Array:
+    return _hats(signals.time, knots)
+
+
+def _channel_of(twin: Twin, kind: str) -> Array:
+    return _channel(twin.windows, kind)
+
+
+def _in_world(twin: Twin, knots: int) -> Columns:
+    """Without the constant, which is the field itself: beside it, it would only loosen the gyroscope's noise."""
+    axes = np.swapaxes(twin.windows.need("to_sensor"), 0, 1)
+    hats = _hats(twin.time, knots)
+    hats -= hats.mean(axis=1)[:, None]
+    return Columns((hats[1:, None, None] * axes).reshape(3 * knots - 3, 3, -1), None)
+
+
+def _unit(twin: Twin) -> Array:
+    field = twin.windows.need("field")
+    return field / np.sqrt((field**2).sum(axis=0).mean())
+
+
+def _tilt(signals: Signals) -> Array:
+    return signals.need("acceleration") / STANDARD_GRAVITY
+
+
+def _powers(vector: Array, least: int, most: int, bent: bool = False) -> Array:
+    """Monomials of the components from degree `least` to `most`; `bent` adds x|x|."""
+    terms = []
+    if least <= 1:
+        terms += list(vector)
+    if least <= 2 <= most:
+        terms += [vector[i] * vector[j] for i in range(3) for j in range(i, 3)]
+    if most >= 3:
+        terms += [vector[i] * vector[j] * vector[k] for i in range(3) for j in range(i, 3) for k in range(j, 3)]
+    if bent:
+        terms += list(vector * np.abs(vector))
+    return np.array(terms)
+
+
+def _rate_products(twin: Twin) -> Array:
+    return _powers(twin.windows.need("rate"), 2, 2)
+
+
+def _rate_squares(signals: Signals) -> Array:
+    return _powers(signals.need("rate"), 2, 2)
+
+
+def _bent_rate(signals: Signals) -> Array:
+    """In units of the mean rate, so that the values are shares of it."""
+    rate = signals.need("rate")
+    mean = max(float(np.sqrt((rate**2).sum(axis=0).mean())), 1e-9)
+    return mean * _powers(rate / mean, 1, 2, bent=True)
+
+
+def _uneven_lag(twin: Twin) -> Columns:
+    """Lags in proportion to the speed of turn, and against it; both as they are and per axis."""
+    slope = twin.windows.need("field_rate")
+    speed = np.linalg.norm(twin.windows.need("rate"), axis=0)
+    speed = speed / max(float(np.sqrt((speed**2).mean())), 1e-9)
+    profiles = [slope * speed, slope / np.sqrt(speed**2 + 0.05)]
+    columns = [np.eye(3)[:, :, None] * profile for profile in profiles]
+    return Columns(np.concatenate([*columns, np.stack(profiles)]), None)
+
+
+def _channel_field(kind: str) -> Callable[[Twin], Columns]:
+    """The field as it is times the channel first, then each of its components."""
+
+    def columns(twin: Twin) -> Columns:
+        value = _moving(twin.windows, kind)
+        unit = _unit(twin)
+        scaled = value[:, None] * unit
+        each = np.eye(3)[:, :, None] * unit
+        return Columns(np.concatenate([scaled, *(each * row for row in value)]), None)
+
+    return columns
+
+
+def _tilts(signals: Signals) -> Array:
+    """Tilt, its products, and which way it leans."""
+    tilt = _tilt(signals)
+    lean = np.tanh(10 * (tilt - tilt.mean(axis=1)[:, None]))
+    return np.concatenate([_powers(tilt, 1, 2), lean])
+
+
+def _tilt_products(signals: Signals) -> Array:
+    return np.concatenate([_powers(_tilt(signals), 2, 2), _tilts(signals)[-3:]])
+
+
+def _rate_powers(twin: Twin) -> Array:
+    return _powers(twin.windows.need("rate"), 1, 2, bent=True)
+
+
+def _rate_times_field(twin: Twin) -> Array:
+    return np.einsum("in,jn->ijn", twin.windows.need("rate"), _unit(twin)).reshape(9, -1)
+
+
+def _field_on_rate(twin: Twin) -> Columns:
+    columns = per_axis(_powers(_unit(twin), 1, 2))
+    return twin.of_slow_profile(lambda signals: columns, reads_rate=False)
+
+
+def _channel(signals: Signals, kind: str) -> Array:
+    value = _moving(signals, kind)
+    return np.concatenate([value, value**2])
+
+
+def _moving(signals: Signals, kind: str) -> Array:
+    """The rows of a channel that do not stand still, with zero mean and unit deviation."""
+    value = signals.channels[kind]
+    value = value[value.std(axis=1) > 0]
+    result: Array = (value - value.mean(axis=1)[:, None]) / value.std(axis=1)[:, None]
+    return result

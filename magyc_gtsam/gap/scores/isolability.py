@@ -1,0 +1,179 @@
+"""Which effects could be named with a motion, at what strength, and what they would be confused with.
+
+A strength is the length of an effect's vector of values. Values of random directions, in the noise of the twin, go
+through the score tests and the rules for names that `find_gap` has: the table says what a search would say first.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import ncx2
+
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.effects.term import EffectTerm
+from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.variants import Variant
+from magyc_gtsam.gap.result import Isolability
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.noise_isolability import noise_isolability
+from magyc_gtsam.gap.scores.null import quantile, surprises
+from magyc_gtsam.gap.scores.score import Score
+from magyc_gtsam.gap.search.naming import Look, choices, rivals_of
+from magyc_gtsam.gap.search.search import look
+from magyc_gtsam.recording import Recording
+
+_DIRECTIONS = 500  # of the values, over which the power is a mean
+_TRIALS = 60  # of naming an effect
+
+
+def isolability(recording: Recording) -> tuple[Isolability, ...]:
+    """The table for a motion: a recording of it, real or simulated, at the noise that it has.
+
+    Raises:
+        MagycError: the motion or the data do not allow a calibration at all.
+    """
+    noise = short_term_noise(recording)
+    random = np.random.default_rng(0)
+    now = _named_only(look(recording, base_model(recording, None, noise), tuple(TERMS), random))
+    scores = {score.name: score for score in now.scores}
+    terms = tuple(
+        _row(term, scores[name], now, random) if name in scores else _absent(term, term.missing(now.refit.twin))
+        for name, term in TERMS.items()
+    )
+    return (*terms, *noise_isolability(recording, noise.magnetometer))
+
+
+def _named_only(now: Look) -> Look:
+    """A look at the named effects, in whose trials nothing is pulled by the gyroscope's noise, and none is vetoed."""
+    scores = [
+        replace(s, variants=tuple(replace(v, offset=np.zeros_like(v.offset)) for v in s.variants))
+        for s in now.scores
+        if not s.generic
+    ]
+    return replace(now, scores=scores, gains={s.name: 1.0 for s in scores})
+
+
+def _row(term: EffectTerm, score: Score, now: Look, random: np.random.Generator) -> Isolability:
+    typical = score.variants[len(score.variants) // 2]
+    shown = term.scale / float(np.median(term.deviations(now.refit.twin, typical.setting)))
+    seen = _seen(term, typical, now, random)
+    smallest = _found_from(seen, score)
+    confused: dict[str, float] = {}
+    if np.isfinite(smallest):
+        signatures = max(smallest, term.matters) * seen[:_TRIALS] @ typical.unit
+        confused = _confused(term.name, signatures, now, random)
+    words = f"from {smallest * shown:.2g} {term.unit} on" if np.isfinite(smallest) else "not found at any strength"
+    if smallest > term.matters:
+        words += f", where {term.matters * shown:.2g} would matter"
+    if confused:
+        words += f", as {' or '.join((term.name, *confused))}, which this motion can hardly tell apart"
+    nameable = smallest <= term.matters and not confused
+    return Isolability(
+        term.name,
+        term.label,
+        smallest * shown,
+        term.unit,
+        term.matters * shown,
+        typical.left,
+        nameable,
+        confused,
+        words if nameable else f"{words}; {term.motion}",
+    )
+
+
+def _seen(term: EffectTerm, one: Variant, now: Look, random: np.random.Generator) -> Array:
+    """(directions, r) what the test sees of values of length 1: nothing of those that the motion leaves open."""
+    values = random.standard_normal((_DIRECTIONS, len(one.columns)))
+    values /= np.linalg.norm(values, axis=1)[:, None]
+    seen: Array = (values / term.deviations(now.refit.twin, one.setting)) @ (one.columns @ one.unit.T)
+    return seen
+
+
+def _found_from(seen: Array, score: Score) -> float:
+    """The strength that is found with probability 0.9, of what is `seen` (directions, r) of length 1."""
+    rank = seen.shape[1]
+    if rank == 0:
+        return float("inf")
+    # Of the best setting, whose values may be fewer; what surprises as much counts here.
+    threshold = quantile(_surprise(score.threshold, score), rank)
+    size = (seen**2).sum(axis=1)
+
+    def power(strength: float) -> float:
+        return float(ncx2.sf(threshold, rank, strength**2 * size).mean())
+
+    # With it even the direction that is seen worst is found.
+    enough = np.sqrt((4 * threshold + 100) / size.min())
+    return float(
+        np.exp(brentq(lambda log: power(np.exp(log)) - RULES.found_with, np.log(1e-6 * enough), np.log(enough)))
+    )
+
+
+def _confused(name: str, signatures: Array, now: Look, random: np.random.Generator) -> dict[str, float]:
+    """{other: share of the trials in which that name is given instead of an effect's own, or beside it}.
+
+    Those of most trials, most often first; `signatures` are (trials, 3n).
+    """
+    given: list[set[str]] = []
+    for trial in _trials(now, signatures + random.standard_normal(signatures.shape)):
+        options = choices(trial, (), set())
+        if options:
+            given.append({options[0].name, *rivals_of(options[0], trial)})
+    often = Counter(other for names in given for other in names - {name})
+    return {
+        other: count / len(given) for other, count in often.most_common() if count > RULES.confused * len(given)
+    }
+
+
+def _trials(now: Look, innovations: Array) -> list[Look]:
+    """Looks at other innovations (trials, 3n)."""
+    scores = zip(*(_rescored(score, innovations) for score in now.scores), strict=True)
+    return [
+        replace(now, scores=sorted(each, key=lambda s: -s.evidence), innovation=innovation)
+        for each, innovation in zip(scores, innovations, strict=True)
+    ]
+
+
+def _rescored(score: Score, innovations: Array) -> list[Score]:
+    """A score of other innovations (trials, 3n)."""
+    ranks = np.array([len(v.unit) for v in score.variants])
+    d = np.concatenate([v.unit for v in score.variants]) @ innovations.T
+    statistics = np.array([(part**2).sum(axis=0) for part in np.split(d, np.cumsum(ranks)[:-1])])
+    surprise = surprises(statistics, ranks)
+    level = _surprise(score.threshold, score)
+    searched = _surprise(score.statistic, score) - score.evidence
+    return [
+        replace(
+            score,
+            best=best,
+            statistic=float(statistics[best, trial]),
+            evidence=float(surprise[best, trial]) - searched,
+            significance=float(surprise[best, trial]) - level + score.limit,
+            threshold=quantile(level, max(int(ranks[best]), 1)),
+        )
+        for trial, best in enumerate(np.argmax(surprise, axis=0))
+    ]
+
+
+def _surprise(statistic: float, score: Score) -> float:
+    """−ln p of a statistic at a score's best setting."""
+    return float(surprises(np.array([[statistic]]), np.array([len(score.variant.unit)]))[0, 0])
+
+
+def _absent(term: EffectTerm, missing: tuple[str, ...]) -> Isolability:
+    return Isolability(
+        term.name,
+        term.label,
+        float("inf"),
+        term.unit.replace("per unit", "per deviation"),
+        term.matters * term.scale,
+        0.0,
+        False,
+        {},
+        f"cannot be tested without {' and '.join(missing) or 'more data'}",
+    )

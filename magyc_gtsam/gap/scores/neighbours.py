@@ -1,0 +1,109 @@
+"""Neighbours of a named effect: its products with the other signals, which no name of the catalogue covers.
+
+What looks like c(t) may be the mean of c(t) s(t), the next order of an expansion in a signal s: a hard iron that
+moves with temperature is in the mean what a sensitivity that moves with temperature is, a lag in the mean what a
+lag is that grows with the speed of turn. A name must explain the data clearly better than each product alone, and
+no product may be significant beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.factors.effects.forms import FORMS, Setting
+from magyc_gtsam.factors.effects.signals import Signals
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.model.twin import Columns, Twin
+from magyc_gtsam.gap.scores.generic import Family
+
+Product = Callable[[Array, Signals], Array]
+
+
+def neighbours(twin: Twin, name: str, setting: Setting) -> list[Family]:
+    """The products of an effect at a setting, as families."""
+    term = TERMS.get(name)
+    if term is None:
+        return []
+    names = [(f"{name}×{by}", by) for by in term.products]
+    return [Family(n, label_of(n), partial(_columns, name, setting, by)) for n, by in names]
+
+
+def product_of(name: str) -> str | None:
+    """The effect whose neighbour a family is; None for other families."""
+    effect = name.partition("×")[0]
+    return effect if effect in TERMS and effect != name else None
+
+
+def label_of(name: str) -> str:
+    """A neighbour in words."""
+    effect, _, by = name.partition("×")
+    return f"{TERMS[effect].label}, times {_WORDS[by]}"
+
+
+def _columns(name: str, setting: Setting, by: str, twin: Twin) -> Columns:
+    form = FORMS[name]
+    if form.side == "gyroscope":
+        return twin.on_gyroscope(_PRODUCTS[by](form.columns(twin.gyroscope, setting), twin.gyroscope))
+    return Columns(_PRODUCTS[by](form.columns(twin.windows, setting), twin.windows), None)
+
+
+def _normalised(signal: Array) -> Array:
+    return signal / max(float(np.sqrt((signal**2).mean())), 1e-12)
+
+
+def _reading(columns: Array, signals: Signals) -> Array:
+    """A gain of each axis, on what the sensor reads: the hard iron has its share of it."""
+    reading = signals.need("field") + signals.need("hard_iron")[:, None]
+    return columns * reading / np.sqrt((reading**2).mean())
+
+
+def _gain(columns: Array, signals: Signals) -> Array:
+    """A gain of each axis."""
+    return columns * _normalised(signals.need("field"))
+
+
+def _field(columns: Array, signals: Signals) -> Array:
+    """Any matrix on the field: a soft iron."""
+    unit = _normalised(signals.need("field"))
+    result: Array = (columns[:, None] * unit[None, :, None]).reshape(-1, *columns.shape[1:])
+    return result
+
+
+def _speed(columns: Array, signals: Signals) -> Array:
+    return columns * _normalised(np.linalg.norm(signals.need("rate"), axis=0))
+
+
+def _speed_squared(columns: Array, signals: Signals) -> Array:
+    return columns * _normalised((signals.need("rate") ** 2).sum(axis=0))
+
+
+def _rate(columns: Array, signals: Signals) -> Array:
+    """A scale of each axis of the gyroscope."""
+    return columns * _normalised(signals.need("rate"))
+
+
+_PRODUCTS: Mapping[str, Product] = MappingProxyType(
+    {
+        "reading": _reading,
+        "gain": _gain,
+        "field": _field,
+        "speed": _speed,
+        "speed²": _speed_squared,
+        "rate": _rate,
+    }
+)
+_WORDS: Mapping[str, str] = MappingProxyType(
+    {
+        "reading": "the reading",
+        "gain": "the field, axis by axis",
+        "field": "the field",
+        "speed": "the speed of turn",
+        "speed²": "the square of the speed of turn",
+        "rate": "the rate of turn, axis by axis",
+    }
+)

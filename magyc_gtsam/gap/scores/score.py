@@ -1,0 +1,224 @@
+"""Score tests: what each candidate would gain if it were added, for all candidates at once.
+
+Candidates are eliminated last: their innovations are freed of the base model's columns and made orthonormal, so
+that the statistic of a candidate is ‖d‖², d = Cᵀ v, and its expected value R⁻¹ d; no refit is needed. What must be
+searched over (the time of a step) is a set of variants, of which the best counts.
+
+Thresholds come from the twin: its innovations are drawn (white, or with the colour that the data's have) and go
+through the same projections. Of a candidate's largest −ln p over its variants, the upper tail of the draws is
+exponential and is extrapolated from their upper tenth; χ² tables know neither the search nor the colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import ncx2
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.model.variants import Projector, Variant, determined, ready, variant, variants
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.scores.generic import Family, families
+from magyc_gtsam.gap.scores.neighbours import neighbours
+from magyc_gtsam.gap.scores.null import TAIL, Draws, colour, largest_surprises, quantile, surprises, tail
+
+DRAWS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """A candidate's test.
+
+    Attributes:
+        name: of the catalogue or of a generic family; `generic` says which, `place` where it lives.
+        variants: all that were tried, `best` the index of the one that counts.
+        statistic: ‖d‖² there.
+        evidence: −ln of its p-value against the white twin, the search accounted for; ranks candidates.
+        significance: the same against the twin with the data's colour, where that is less; decides.
+        threshold: the family-wise level in terms of the statistic.
+        limit: the family-wise level in terms of `significance`.
+        expected, covariance: the value to expect (k,) and its covariance (k, k).
+    """
+
+    name: str
+    generic: bool
+    place: str
+    variants: tuple[Variant, ...]
+    best: int
+    statistic: float
+    evidence: float
+    significance: float
+    threshold: float
+    limit: float
+    expected: Array
+    covariance: Array
+
+    @property
+    def variant(self) -> Variant:
+        """The one that counts."""
+        return self.variants[self.best]
+
+    @property
+    def significant(self) -> bool:
+        """Whether it passes the family-wise level."""
+        return self.significance > self.limit
+
+    def smallest(self, twin: Twin) -> float:
+        """The smallest value of a named effect that matters, of the parameter in which it is found worst."""
+        term = TERMS[self.name]
+        each = np.broadcast_to(term.matters / term.deviations(twin, self.variant.setting), self.expected.shape)
+        return float(each[np.argmax(np.diag(self.covariance) / each**2)])
+
+    def power(self, twin: Twin) -> float:
+        """Probability of passing the threshold for the smallest value of a named effect that matters."""
+        if not len(self.variant.unit):
+            return 0.0
+        term = TERMS[self.name]
+        sigma = np.sqrt(np.diag(self.covariance)) * term.deviations(twin, self.variant.setting)
+        size = (term.matters / max(float(sigma.max()), 1e-300)) ** 2
+        return float(ncx2.sf(self.threshold, len(self.variant.unit), size))
+
+
+def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[str, tuple[str, list[Variant]]]:
+    """{name: (place, variants)} of the named effects that can be tested, then of the generic families."""
+    result: dict[str, tuple[str, list[Variant]]] = {}
+    for name in names:
+        term = TERMS[name]
+        if term.missing(twin):
+            continue
+        settings = term.settings(twin)
+        if settings:
+            many = variants(twin, project, name, settings)
+            result[name] = (
+                "",
+                [determined(v, RULES.determined * term.matters) for v in many] if term.many_shapes else many,
+            )
+    beside = [f for active in twin.model.terms for f in neighbours(twin, active.name, active.setting)]
+    for family in (*families(twin), *{f.name: f for f in beside}.values()):
+        result[family.name] = (family.place, _parts(family, twin, project))
+    return result
+
+
+def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
+    """A generic family as a whole and, where no named effect lies in it, each of its profiles and columns."""
+    columns = family.columns(twin)
+    rows = twin.whiten(columns)
+    pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
+    result = [determined(variant({}, rows, project, pull), family.within)]
+    for width in family.parts:
+        whole = len(rows) // width
+        settings = [{"first": float(width * i), "width": float(width)} for i in range(whole)]
+        parts = rows[: whole * width].reshape(whole, width, -1)
+        result += ready(settings, parts, project, pull[: whole * width].reshape(whole, width))
+        if whole * width < len(rows):
+            rest = {"first": float(whole * width), "width": float(width)}
+            result.append(variant(rest, rows[whole * width :], project, pull[whole * width :]))
+    return result
+
+
+def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tuple[list[Score], Array, Projector]:
+    """Score every candidate against the twin's model, strongest first; the innovations freed of the base model."""
+    project = Projector(twin.base_columns, twin.base_pull)
+    innovation = project(twin.residual().reshape(1, -1))[0]
+    found = candidates(twin, project, names)
+    flat = [(name, index) for name, (_, many) in found.items() for index in range(len(many))]
+    units = np.concatenate([found[name][1][index].unit for name, index in flat], dtype=np.float32)
+    ranks = np.array([len(found[name][1][index].unit) for name, index in flat])
+    starts = np.concatenate([[0], np.cumsum(ranks)])[:-1]
+    white = random.standard_normal((innovation.size, DRAWS), dtype=np.float32)
+
+    def drawn(windows: Array) -> Array:
+        rows = twin.innovations(windows, random.standard_normal((len(windows), 3, twin.n - 1)))
+        return project(rows.reshape(len(rows), -1)).reshape(rows.shape)
+
+    coloured = colour(_without_best(innovation, found).reshape(3, -1), drawn, white)
+    null_white = _statistics(units @ white, starts, ranks)
+    null_coloured = null_white if coloured is white else _statistics(units @ coloured, starts, ranks)
+    limit = float(np.log(len(found) / RULES.family_wise))
+    scores = []
+    first = 0
+    for name, (place, many) in found.items():
+        rows = slice(first, first + len(many))
+        first += len(many)
+        pulls = [v.score(innovation) for v in many]
+        statistics = np.array([d @ d for d in pulls])
+        surprise = surprises(statistics[:, None], ranks[rows])[:, 0]
+        best = int(np.argmax(surprise))
+        chosen = many[best]
+        level_white, _ = tail(largest_surprises(null_white[rows], ranks[rows]))
+        level, slope = tail(largest_surprises(null_coloured[rows], ranks[rows]))
+        rank = max(int(ranks[rows][best]), 1)
+        beyond = limit + np.log(1 - TAIL)
+        needed = max(level + slope * beyond, level_white + beyond)
+        evidence = float(surprise[best] - level_white - np.log(1 - TAIL))  # white: its slope is 1
+        significance = float((surprise[best] - level) / slope - np.log(1 - TAIL))
+        scores.append(
+            Score(
+                name=name,
+                generic=name not in TERMS,
+                place=place,
+                variants=tuple(many),
+                best=best,
+                statistic=float(statistics[best]),
+                evidence=evidence,
+                significance=min(significance, evidence),
+                threshold=float(quantile(needed, rank)),
+                limit=limit,
+                expected=-chosen.back @ pulls[best],
+                covariance=chosen.back @ chosen.back.T,
+            )
+        )
+    scores.sort(key=lambda s: -s.evidence)
+    return scores, innovation, project
+
+
+def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant]]]) -> Array:
+    """The innovations less what the best named effect explains, if much: else it would pass for its own colour."""
+    named = [v for name, (_, many) in found.items() if name in TERMS for v in many if len(v.unit)]
+    pulls = [v.score(innovation) for v in named]
+    if not named:
+        return innovation
+    best = int(np.argmax([d @ d - 2 * len(d) for d in pulls]))
+    if pulls[best] @ pulls[best] < RULES.much:
+        return innovation
+    return innovation - named[best].unit.T @ pulls[best]
+
+
+def _statistics(d: Draws, starts: np.ndarray, ranks: np.ndarray) -> Array:
+    """(variants, draws) squared lengths of stacked d."""
+    padded = np.concatenate([d * d, np.zeros((1, d.shape[1]), d.dtype)])
+    result = np.add.reduceat(padded, starts, axis=0).astype(float)
+    result[ranks == 0] = 0.0
+    return result
+
+
+def held_out_gain(base: Array, columns: Array, residual: Array, block: Array) -> float:
+    """Gain in log-likelihood (nats) of adding columns, on blocks of rows that they were not fitted to.
+
+    Args:
+        base: (q, rows), columns: (k, rows), residual: (rows,), all whitened; block: (rows,) 0 or 1.
+    """
+    gain = 0.0
+    design = np.concatenate([base, columns])
+    size = np.maximum(np.sqrt(np.einsum("pn,pn->p", design, design)), 1e-300)[:, None]
+    design = design / size
+    for fold in (0, 1):
+        train, test = block != fold, block == fold
+        seen = design[:, train]
+        normal, pull = seen @ seen.T, seen @ residual[train]
+        normal[np.diag_indices_from(normal)] += 1e-9
+        errors = []
+        for count in (len(base), len(design)):
+            solution = np.linalg.solve(normal[:count, :count], pull[:count])
+            errors.append(residual[test] - solution @ design[:count, test])
+        gain += 0.5 * float(errors[0] @ errors[0] - errors[1] @ errors[1])
+    return gain
+
+
+def interleaved(time: Array, length: float) -> Array:
+    """(3n,) 0 or 1 in turn, in blocks of `length` s, for innovations stacked axis by axis."""
+    return np.tile(np.floor((time - time[0]) / length).astype(int) % 2, 3)

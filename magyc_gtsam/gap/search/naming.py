@@ -1,0 +1,290 @@
+"""What is named next, and what it cannot be told from."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import NAMES, TERMS
+from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.model.refit import Refit
+from magyc_gtsam.gap.model.twin import Twin
+from magyc_gtsam.gap.model.variants import Projector, Variant
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.samples.fine import Fine, fine_innovations, noise_scores
+from magyc_gtsam.gap.samples.noise_effects import NoiseScore
+from magyc_gtsam.gap.scores.score import Score
+from magyc_gtsam.recording import Recording
+
+_OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # with time alone
+_IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
+NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An effect that was added: its evidence when it was, its rivals, and of which score it is a term.
+
+    Two steps that are terms of one score have half its evidence each, as long as there are two. What is `unsure` may
+    as well be what a channel would have shown that is missing: to correct it may make the heading worse. What is
+    `improbable` is so by the posterior of all sets of effects.
+    """
+
+    name: str
+    statistic: float
+    threshold: float
+    evidence: float
+    rivals: tuple[str, ...] = ()
+    noise: NoiseScore | None = None
+    of: Score | None = None
+    unsure: bool = False
+    improbable: bool = False
+
+    def times(self, factor: float) -> Found:
+        """With so much of the evidence."""
+        numbers = {name: factor * getattr(self, name) for name in ("statistic", "threshold", "evidence")}
+        return replace(self, **numbers)
+
+
+def as_found(score: NoiseScore) -> Found:
+    """A noise effect that was found."""
+    return Found(score.name, score.statistic, score.threshold, score.evidence, noise=score)
+
+
+def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:
+    """{place in `found`: place among the model's terms}, in order; a model given has its own terms before them."""
+    of_terms = [place for place, f in enumerate(found) if f.name in TERMS]
+    given = len(model.terms) - len(of_terms)
+    return {place: given + index for index, place in enumerate(of_terms)}
+
+
+def less(found: Sequence[Found], places: Container[int]) -> tuple[Found, ...]:
+    """What was found without some of it; where two steps were found together the one that is left is all of it."""
+    kept = [f for place, f in enumerate(found) if place not in places]
+
+    def whole(one: Found) -> Found:
+        before, now = (sum(f.of is one.of for f in every) for every in (found, kept))
+        return one if one.of is None or before == now else one.times(before / now)
+
+    return tuple(whole(f) for f in kept)
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """One look at a model: all scores, strongest first, with the held-out gains of those that matter.
+
+    A gain of 0 is that of a channel which explains no more than it would at other times. Single samples are looked at
+    when they are asked for.
+    """
+
+    recording: Recording
+    refit: Refit
+    scores: list[Score]
+    innovation: Array
+    projector: Projector
+    gains: dict[str, float]
+
+    @cached_property
+    def fine(self) -> Fine:
+        """The innovations sample by sample."""
+        return fine_innovations(self.recording, self.refit.model)
+
+    @cached_property
+    def noise(self) -> list[NoiseScore]:
+        """Scores of the effects on single samples."""
+        return noise_scores(self.recording, self.fine, NOISE_LIMIT)
+
+
+def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | None:
+    """The strongest significant effect on the noise, of the names that may be given and were not noted before."""
+    options = [
+        n
+        for n in now.noise
+        if n.significant and n.name in names and n.name not in noted and not _of_the_model(n, now)
+    ]
+    return max(options, key=lambda n: n.evidence, default=None)
+
+
+def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
+    """The strongest significant name that held-out data confirm, and those that are as good as it.
+
+    Not those that add nothing beside a stronger one which is no more than what an effect found earlier leaves.
+    """
+    terms, shadow = now.refit.model.terms, _shadow(now, found)
+    options: list[Score] = []
+    shapes: list[Score] = []
+    for score in now.scores:
+        if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
+            continue
+        if score.evidence < min(shadow, RULES.weak) and not _untested(score.name, now.refit.twin):
+            continue
+        if faint(score, found):
+            continue
+        held = sum(term.name == score.name for term in terms)
+        if held < TERMS[score.name].most and score.name not in failed:
+            (shapes if shape_of(score, now.refit, found) else options).append(score)
+    options = [
+        one
+        for one in sorted(options, key=lambda score: -score.evidence)
+        if all(shape.evidence < one.evidence or _adds_beyond(one.variant, shape.variant, now) for shape in shapes)
+    ]
+    if not options:
+        return []
+    delay = next((o.statistic for o in options if o.name == "timing"), 0.0)
+    # Any matrix holds the plain delay, which explains most of it where it is the truth.
+    options = [o for o in options if not o.variant.setting.get("full") or delay <= RULES.most_of * o.statistic]
+    behind = max(RULES.tie[0], RULES.tie[1] * options[0].evidence)
+    tied = [o for o in options if (1 + TERMS[o.name].between) * o.evidence > options[0].evidence - behind]
+    return tied[: RULES.tried]
+
+
+def faint(score: Score, found: Sequence[Found]) -> bool:
+    """Whether a name hardly passes beside noise that hangs together: its threshold is by a model of the colour."""
+    coloured = any(f.name == "coloured-noise" for f in found)
+    return coloured and (1 + TERMS[score.name].between) * score.statistic < RULES.beside_colour * score.threshold
+
+
+def _shadow(now: Look, found: Sequence[Found]) -> float:
+    """Nats that a change with time may leave, where a channel is missing that it may have followed: not of any form.
+
+    A step in the place of a motor's current leaves what is not a step, and that is still in time.
+    """
+    twin = now.refit.twin
+    if not any(set(_untested(f.name, twin)) & set(f.rivals) for f in found):
+        return 0.0
+    in_time = (s.evidence for s in now.scores if s.significant and s.name.startswith(_IN_TIME))
+    return max(in_time, default=0.0)
+
+
+def any_change(sharp: Score, now: Look) -> bool:
+    """Whether a channel is missing that an effect may have followed, and other changes with time explain as much.
+
+    What follows a depth or a temperature that nobody recorded may be something that was passed where it is large, or
+    a drift on level turns. Changes in the sensor's axes are what steps and drifts themselves are.
+    """
+    if not _untested(sharp.name, now.refit.twin):
+        return False
+    own = _IN_TIME if sharp.name in ("hard-iron-step", "hard-iron-drift") else ()
+    return any(
+        s.generic
+        and s.significant
+        and s.name.startswith("time:")
+        and not s.name.startswith(own)
+        and s.evidence > sharp.evidence - RULES.ahead
+        for s in now.scores
+    )
+
+
+def _of_the_model(noise: NoiseScore, now: Look) -> bool:
+    """Whether noise is the model's own: a slow tone of which a family holds some, colour of a bent reading."""
+    if noise.name == "coloured-noise":
+        return noise.statistic < RULES.shape * max(weights(now.refit), default=0.0)
+    if noise.name != "tone" or noise.setting["frequency"] > RULES.slow:
+        return False
+    return any(s.generic and s.significant for s in now.scores)
+
+
+def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
+    """Whether a score is no more than what an effect found earlier leaves for not being quite of its form."""
+    at = score.variant.setting
+    for term in current.model.terms:
+        near = score.name == term.name == "local-anomaly"
+        if near and abs(at["time"] - term.setting["time"]) < RULES.span * (at["width"] + term.setting["width"]):
+            return True
+    places = term_places(found, current.model)
+    most = max([f.statistic for f in found if f.name in TERMS] + weights(current), default=0.0)
+    if score.statistic < RULES.trace * most:
+        return True
+    for place, index in places.items():
+        one, rough = found[place], TERMS[found[place].name].rough
+        if not related(one.name, score.name) and one.name != score.name:
+            continue
+        if at.get("uneven") and not rough:
+            continue  # no filter of all axes alike leaves something else on each
+        if score.statistic < RULES.left * max(one.statistic, current.weight_of(index) if rough else 0.0):
+            return True
+    return False
+
+
+def with_forms(found: tuple[Found, ...], now: Look) -> tuple[Found, ...]:
+    """With the names of what is left of each effect in its set, where that is no more than its form may leave."""
+    result = list(found)
+    for score in now.scores:
+        if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
+            continue
+        places = [i for i, f in enumerate(result) if f.name in TERMS and related(f.name, score.name)]
+        if not places or any(f.name == score.name for f in result) or not shape_of(score, now.refit, found):
+            continue
+        place = max(places, key=lambda i: result[i].statistic)
+        rivals = tuple(dict.fromkeys((*result[place].rivals, score.name)))
+        result[place] = replace(result[place], rivals=rivals)
+    return tuple(result)
+
+
+def related(one: str, other: str) -> bool:
+    """Whether the catalogue says that one named effect is confused with another."""
+    return other in TERMS[one].rivals or one in TERMS[other].rivals
+
+
+def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
+    """Names that this motion cannot tell from the chosen one.
+
+    Those beside which it adds nothing, those it is known to be confused with that explain as much (nearly as much,
+    where one has many shapes), for what changes with time those whose channel is missing, and for what drifts
+    those that are too slow for this recording.
+    """
+    result = []
+    for rival in now.scores:
+        if rival.generic or rival.name == choice.name:
+            continue
+        behind = choice.evidence - rival.evidence
+        # What has many shapes, as a drift or what comes and goes, may have had another than those tried.
+        shapes = any(TERMS[s.name].many_shapes or "until" in s.variant.setting for s in (choice, rival))
+        close = behind < min(RULES.ahead + RULES.shape * choice.evidence, RULES.close_rival * choice.evidence)
+        # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
+        alike = rival.significant and behind < RULES.ahead and not _adds_beyond(choice.variant, rival.variant, now)
+        tied = rival.significant and behind < max(RULES.tie[0], RULES.tie[1] * choice.evidence)
+        if alike or (related(choice.name, rival.name) and (tied or (shapes and close))):
+            result.append(rival.name)
+    return tuple(dict.fromkeys((*result, *_untested(choice.name, now.refit.twin), *_too_slow(choice.name, now))))
+
+
+def _untested(name: str, twin: Twin) -> list[str]:
+    """What else might have changed something with time, were its channel there to tell."""
+    if name not in _OF_TIME:
+        return []
+    return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
+
+
+def _too_slow(name: str, now: Look) -> list[str]:
+    """What else something of many shapes may be, of what is tested, were the recording long enough to tell."""
+    if not TERMS[name].many_shapes:
+        return []
+    time = now.refit.twin.time
+    open_ones = {score.name for score in now.scores} - {term.name for term in now.refit.model.terms}
+    return [
+        other
+        for other in TERMS[name].rivals
+        if other in open_ones and 2 * TERMS[other].slowest > float(time[-1] - time[0])
+    ]
+
+
+def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
+    """Whether a candidate still gains when another is in the model."""
+    rest = now.innovation - other.unit.T @ other.score(now.innovation)
+    columns = one.unit - (one.unit @ other.unit.T) @ other.unit
+    value, vector = np.linalg.eigh(columns @ columns.T)
+    good = value > RULES.shared
+    d = (vector[:, good] / np.sqrt(value[good])).T @ (columns @ rest)
+    return bool(chi2.sf(d @ d, max(len(d), 1)) < RULES.alike)
+
+
+def weights(current: Refit) -> list[float]:
+    """What each term explains that bends the reading: the iron had followed it, so that a first look saw little."""
+    terms = current.model.terms
+    return [current.weight_of(terms.index(term)) for term in current.model.bends]

@@ -1,0 +1,46 @@
+"""When a step happened, and how well that is known: the profile of the likelihood over its time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.model.field_variation import field_variation
+from magyc_gtsam.gap.model.refit import Refit, without_term
+from magyc_gtsam.gap.model.variants import Projector, variant
+
+_REACH = 60.0  # s to both sides
+_FEWEST = 12  # windows to both sides
+
+
+def step_time_sigma(refitted: Refit, index: int) -> float:
+    """s, standard deviation of the time of the model's step `index`, everything else at its best for each time."""
+    twin = refitted.twin
+    term = twin.model.terms[index]
+    value, _ = refitted.value_of(index)
+    variation = field_variation(twin)
+
+    def whitened(rows: Array) -> Array:
+        """Beside a field that varies what changed at a time is less certain."""
+        return variation.whiten(rows) if variation.evident else rows
+
+    own = twin.whiten(twin.columns(term.name, term.setting))
+    without = replace(twin, model=without_term(twin.model, index))
+    project = Projector(whitened(without.base_columns), without.base_pull)
+    target = project(whitened((twin.residual().ravel() - value @ own)[None]))[0]  # as if the step were not there
+    edges = 0.5 * (twin.time[1:] + twin.time[:-1])
+    at = int(np.argmin(np.abs(edges - term.setting["time"])))
+    window = float(np.median(np.diff(twin.time)))
+    reach = max(_FEWEST, round(_REACH / window))
+    times = edges[max(at - reach, 0) : at + reach + 1]
+    profile = []
+    for time in times:
+        setting = {**term.setting, "time": float(time)}
+        d = variant(setting, whitened(twin.whiten(twin.columns(term.name, setting))), project).score(target)
+        profile.append(float(np.vdot(d, d)))
+    weight = np.exp(0.5 * (np.array(profile) - max(profile)))
+    weight /= weight.sum()
+    spread = float(weight @ (times - weight @ times) ** 2)
+    return float(np.sqrt(spread + window**2 / 12))  # a step inside a window is not placed in it
