@@ -113,6 +113,17 @@ def test_exports_say_what_they_do_not_hold() -> None:
     np.testing.assert_allclose([written[f"CAL_GYRO0_{a}OFF"] for a in "XYZ"], subtracted[0], atol=1e-7)
 
 
+@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0]), np.eye(3)[[1, 0, 2]]])
+def test_a_mirrored_gyroscope_does_not_turn_the_field(matrix: np.ndarray) -> None:
+    """Its axes are no frame; turned into them by half a turn, the heading of a calibration was 174° wrong."""
+    random = np.random.default_rng(0)
+    field, rate = random.normal(size=(5, 3)) * 3e-5, random.normal(size=(5, 3))
+    plain = mg.Calibration(np.diag([1.1, 0.9, 1.0]), np.array([5e-6, 0.0, 1e-6]), np.array([1e-3, 0.0, 2e-3]))
+    mirrored = replace(plain, terms=(Term("axis-order", matrix.ravel(), np.zeros((9, 9)), {}),))
+    np.testing.assert_allclose(mirrored.apply(field), plain.apply(field))
+    np.testing.assert_allclose(mirrored.apply_gyroscope(rate), plain.apply_gyroscope(rate @ matrix.T))
+
+
 def test_channels_are_known_by_words_not_by_letters() -> None:
     rows = np.zeros(3)
     kind = {

@@ -21,15 +21,15 @@ _LOST = 0.2  # of a change in what is read, below which it is not to be had back
 
 def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals: Signals) -> Array:
     """True angular rate (3, n) rad/s of the measured one; where the axes were exchanged, `bias` is in the
-    magnetometer's axes and the rate stays in the gyroscope's.
+    magnetometer's axes and the rate stays in the gyroscope's, unless one of these is reversed.
 
     A misalignment stays: it is taken out of the field, which is brought to the gyroscope's axes.
 
     Raises:
         MagycError: a term needs a signal that is not there.
     """
-    sign, turn = _exchanged(terms)
-    still = turn @ (sign * measured) - bias[:, None]
+    matrix, turn = _exchanged(terms)
+    still = matrix @ measured - bias[:, None]
     own = [term for term in terms if term.side == "gyroscope" and term.name != "misalignment"]
 
     def added(rate: Array) -> Array:
@@ -62,21 +62,24 @@ def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
     return x
 
 
-def _exchanged(terms: Sequence[Term]) -> tuple[float, Array]:
-    """Of an `axis-order` term G (rate in the magnetometer's axes = G · rate read): the gyroscope's sign, and the
-    proper rotation from its axes to the magnetometer's."""
+def _exchanged(terms: Sequence[Term]) -> tuple[Array, Array]:
+    """Of an `axis-order` term the matrix G (rate in the magnetometer's axes = G · rate read), and the rotation to the
+    magnetometer's axes from those of what is returned.
+
+    These are the gyroscope's where G is a rotation. Where it mirrors, one of the gyroscope's axes is reversed or two
+    are exchanged, and its axes are no frame: what is returned is in the magnetometer's.
+    """
     for term in terms:
         if term.name == "axis-order":
             matrix = term.value.reshape(3, 3)
-            sign = float(np.sign(np.linalg.det(matrix)))
-            return sign, sign * matrix
-    return 1.0, np.eye(3)
+            return matrix, matrix if np.linalg.det(matrix) > 0 else np.eye(3)
+    return np.eye(3), np.eye(3)
 
 
 def corrected_field(
     measured: Array, soft_iron: Array, hard_iron: Array, terms: Sequence[Term], signals: Signals
 ) -> Array:
-    """Calibrated field (3, n) T in the gyroscope's axes.
+    """Calibrated field (3, n) T in the gyroscope's axes; in the magnetometer's, if one of these is reversed.
 
     Args:
         measured: (3, n) T.
