@@ -107,7 +107,8 @@ class Calibration:
                 acceleration (N, 3), channels {name: (N,) or (N, k)}. With `time`, a `timing` term is corrected too.
 
         Returns:
-            (N, 3) or (3,) T, as the input.
+            (N, 3) or (3,) T, as the input; with a `misalignment` or exchanged axes (`axis-order`) in the gyroscope's
+            axes, unless one of these is reversed, so that they are no frame.
 
         Raises:
             MagycError: wrong shape, or a term needs a signal that is missing.

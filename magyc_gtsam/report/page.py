@@ -97,6 +97,7 @@ def render(
         residuals=fit,
         stretch=words.stretch,
         parameters=words.parameter_rows(calibration),
+        other_terms=words.other_terms(calibration),
         advice=words.advice(recording, calibration, stretches),
         exports=words.exports(calibration),
         configuration=words.configuration(calibration),

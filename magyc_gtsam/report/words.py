@@ -11,6 +11,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.export import TARGETS
+from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.level_turn import LevelTurn
 from magyc_gtsam.recording import Array, Recording
@@ -107,6 +108,16 @@ def uncertain(value: float, sigma: float) -> str:
     return f"{value:.{decimals}f} ±\N{NO-BREAK SPACE}{sigma:.{decimals}f}".replace("-", "−")
 
 
+def _has_row(term: Term) -> bool:
+    return term.name in _TERMS and len(term.value) == 3
+
+
+def other_terms(calibration: Calibration) -> list[str]:
+    """Return the terms that are no row of the parameters, with their values in SI units."""
+    terms = [term for term in calibration.terms if not _has_row(term)]
+    return [f"{term.name} (SI units): {', '.join(map(str, term.value.tolist()))}" for term in terms]
+
+
 def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
     """Return one row per parameter: (name with its unit, one text per axis or a single text)."""
     sigma = calibration.sigma
@@ -124,7 +135,7 @@ def parameter_rows(calibration: Calibration) -> list[tuple[str, list[str]]]:
         rows.append(row("Gyroscope bias (mrad/s)", bias, bias_sigma, 1e3))
         rows.append(row("Gyroscope bias (°/s)", bias, bias_sigma, float(np.degrees(1))))
     for term in calibration.terms:
-        if term.name in _TERMS and len(term.value) == 3:
+        if _has_row(term):
             name, factor = _TERMS[term.name]
             rows.append(row(name, term.value, term.sigma, factor))
     if calibration.delay or calibration.delay_sigma is not None:

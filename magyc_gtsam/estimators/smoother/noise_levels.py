@@ -101,9 +101,7 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
     residuals = fit.residuals
     window, link = chain.squares(residuals)
     covariance = fit.covariance
-    if not np.isfinite(
-        covariance
-    ).all():  # nothing depends on a parameter, so that the redundancies are not defined
+    if not np.isfinite(covariance).all():  # nothing depends on a parameter: the redundancies are not defined
         return chain.noise, 0.0, fit.noise_freedom
     absorbed = reduced.absorbed(covariance)
     unknowns = float(2 * len(chain.windows) + fit.free.sum())

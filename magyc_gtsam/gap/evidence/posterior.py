@@ -88,8 +88,8 @@ def _nameless(node: Node) -> list[Weighed]:
 def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
     """(what else there is, nats) of each name being a part of something that is in no catalogue.
 
-    The rest of it is a family: as large as is seen, where that is more than the form of the name and of the field; or,
-    of one name, of a power tied to that of what is named, and too small to be seen beside it.
+    The rest of it is a family: as large as is seen, where that is more than the form of the name and of the field; or
+    of a power tied to that of what is named, and too small to be seen beside it.
     """
     families = _nameless(node)
     if not families or not key:
