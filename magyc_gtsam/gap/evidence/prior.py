@@ -51,7 +51,7 @@ class Prior:
         modes: of a drift, beside a straight line: the slow part of a random walk. With 24 a jump of 6 µT that was put
             into a walk with a phone was a drift.
         depth, beam: names in one set, beside a field that varies, and tried beside each.
-        nodes: sets that are fitted.
+        nodes, most: sets that are fitted, and with those in which rivals were exchanged.
         close: nats behind the best set, from which none is followed.
         sure: probability, from which something is taken as said.
         likely: probability from which a name that was not found speaks against the answer.
@@ -82,6 +82,7 @@ class Prior:
     modes: tuple[int, ...] = (4, 12)
     depth: int = 6
     nodes: int = 10
+    most: int = 16
     beam: int = 3
     close: float = 12.0
     sure: float = 0.9

@@ -25,7 +25,7 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.weighing import Weighed, best_of, weigh
 from magyc_gtsam.gap.model.field_variation import COMBINATIONS, FieldVariation, field_variation
 from magyc_gtsam.gap.model.problem import Active
-from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term
+from magyc_gtsam.gap.model.refit import Refit, possible, refit, with_term, without_term
 from magyc_gtsam.gap.model.variants import Projector
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
@@ -107,7 +107,7 @@ class Tree:
         first = self._node((), root, None, 0.0)
         self.nodes[first.key] = first
         self._grow([first, *self._given(root, given)])
-        while self._deepened():
+        while self._exchanged() or self._deepened():
             pass
 
     @property
@@ -134,6 +134,24 @@ class Tree:
                 self.nodes[child.key] = child
                 frontier.append(child)
 
+    def _exchanged(self) -> bool:
+        """Whether another set is likelier than the best with one of its names for a rival, or for two of them.
+
+        The strongest single name may be one that holds some of each of two others: a drift of two jumps.
+        """
+        best = self.best
+        for index, term in enumerate(best.fit.model.terms):
+            node = self.less(best, index)
+            rivals = [each for each in best_of(node.found, len(TERMS)) if related(each.name, term.name)]
+            for option in rivals[: PRIOR.beam]:
+                one = self._fitted(node, option)
+                if one is None:
+                    continue
+                again = [each for each in best_of(one.found, len(TERMS)) if related(each.name, term.name)][:1]
+                for more in again if len(one.names) < PRIOR.depth else []:
+                    self._fitted(one, more)
+        return self.best is not best
+
     def _deepened(self) -> bool:
         """Whether the best set is likelier with one more name."""
         best = self.best
@@ -148,6 +166,35 @@ class Tree:
     @staticmethod
     def _full(node: Node, name: str) -> bool:
         return node.names.count(name) >= TERMS[name].most
+
+    def _fitted(self, node: Node, option: Weighed) -> Node | None:
+        """A set with one more name, which is kept; None where it has no fit, or there are enough."""
+        key = tuple(sorted((*node.names, option.name)))
+        full = self._full(node, option.name)
+        if key not in self.nodes and not full and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
+            child = self._child(node, option)
+            if child is not None:
+                self.nodes[key] = child
+        return self.nodes.get(key)
+
+    def less(self, node: Node, index: int) -> Node:
+        """A set without the term `index` of its model, fitted where it was not."""
+        names = list(node.names)
+        names.remove(node.fit.model.terms[index].name)
+        known = self.nodes.get(tuple(sorted(names)))
+        rest = [term.setting for i, term in enumerate(node.fit.model.terms) if i != index]
+        if known is not None and all(term.setting in rest for term in known.fit.model.terms):
+            return known
+        fit = refit(self._problem, without_term(node.fit.model, index), None)
+        variation = None if node.variation is None else field_variation(fit.twin)
+        return self._likelier(self._node(tuple(names), fit, variation, node.search))
+
+    def _likelier(self, node: Node) -> Node:
+        """Keep a set, if the same names at other settings are not likelier."""
+        known = self.nodes.get(node.key)
+        if known is None or known.log < node.log:
+            self.nodes[node.key] = node
+        return node
 
     def _children(self, node: Node) -> Iterator[Node]:
         if node.variation is None and node.misfit > 1 + PRIOR.misfit * np.sqrt(2 / self.freedom):
