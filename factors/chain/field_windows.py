@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.empty_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices
 
 
@@ -26,6 +27,7 @@ class FieldWindows:
         link_time: (n − 1,) s², Σ dt² between neighbours; the link's variance is σ_g² times it.
         linked: (n − 1,) False where a hole in the gyroscope parts two windows.
         bias: (3,) rad/s and delay: s, where the gyroscope was integrated.
+        between: the motion while the field was not measured.
     """
 
     time: Array
@@ -39,6 +41,7 @@ class FieldWindows:
     linked: np.ndarray
     bias: Array
     delay: float
+    between: Between = NOTHING
 
     def __len__(self) -> int:
         return len(self.time)
@@ -95,4 +98,5 @@ class FieldWindows:
             lever=self.lever[:, :, links],
             link_time=self.link_time[links],
             linked=self.linked[links],
+            between=self.between.part(first, stop - 1),
         )

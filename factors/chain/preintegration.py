@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from magyc_gtsam.factors.chain.empty_windows import NONE, NOTHING, EmptyWindows, gaps, joined
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, matrices
@@ -60,6 +61,7 @@ class Preintegration:
     Attributes:
         starts: (n,) index of each window's first magnetometer sample.
         linked: (n − 1,) False where a hole parts two windows.
+        empty: windows in which no magnetometer sample lies.
 
     Raises:
         MagycError: no magnetometer sample lies inside the gyroscope's time span.
@@ -76,6 +78,7 @@ class Preintegration:
     begun: float = 0.0
     starts: np.ndarray = field(init=False)
     linked: np.ndarray = field(init=False)
+    empty: EmptyWindows = field(init=False)
 
     def __post_init__(self) -> None:
         if len(self.gyroscope_time) < 3:
@@ -96,10 +99,12 @@ class Preintegration:
         if not known.all():
             object.__setattr__(self, "magnetometer_time", self.magnetometer_time[known])
             object.__setattr__(self, "magnetic_field", self.magnetic_field[known])
-        starts = self._starts(holes)
+        ended = self._ended(holes)
+        starts = self._starts(holes, ended)
         linked = np.diff(np.searchsorted(after, self.magnetometer_time[starts], side="right")) == 0
         object.__setattr__(self, "starts", starts)
         object.__setattr__(self, "linked", linked)
+        object.__setattr__(self, "empty", self._empty(ended))
 
     @property
     def step(self) -> Array:
@@ -112,10 +117,10 @@ class Preintegration:
         holes = np.flatnonzero(step > self.hole)
         return holes[step[holes] > 10 * float(np.median(step))] if len(holes) else holes
 
-    def _starts(self, holes: np.ndarray) -> np.ndarray:
-        """The first sample of each window; a window ends where it has lasted or turned enough, or at a hole."""
-        time, ends = self.gyroscope_time, self.gyroscope_time[holes + 1]
-        ended = np.empty(len(time))  # windows that have ended by each stamp of the gyroscope
+    def _ended(self, holes: np.ndarray) -> Array:
+        """(G,) windows that have ended by each stamp; one ends where it has lasted or turned enough, or at a hole."""
+        time = self.gyroscope_time
+        ended = np.empty(len(time))
         ended[0] = self.begun
         for first in range(0, len(time) - 1, _CHUNK):
             rows = slice(first, first + _CHUNK + 1)
@@ -123,6 +128,11 @@ class Preintegration:
             passed[holes[(holes >= first) & (holes < first + len(passed))] - first] = 1.0
             passed[0] += ended[first]
             np.cumsum(passed, out=ended[first + 1 : first + _CHUNK + 1])
+        return ended
+
+    def _starts(self, holes: np.ndarray, ended: Array) -> np.ndarray:
+        """The first sample of each window."""
+        time, ends = self.gyroscope_time, self.gyroscope_time[holes + 1]
         starts, last = [], -1
         for first in range(0, len(self.magnetometer_time), _CHUNK):
             when = self.magnetometer_time[first : first + _CHUNK]
@@ -135,6 +145,13 @@ class Preintegration:
             last = window[-1]
         return np.concatenate(starts)
 
+    def _empty(self, ended: Array) -> EmptyWindows:
+        apart = self.linked & gaps(self.magnetometer_time, self.starts, self.length)
+        if not apart.any():
+            return NONE
+        numbers = np.floor(np.interp(self.magnetometer_time[self.starts], self.gyroscope_time, ended))
+        return EmptyWindows.of(self.gyroscope_time, ended, numbers.astype(np.int64), apart)
+
     def integrate(self, bias: Array | None = None, delay: float = 0.0) -> FieldWindows:
         """Integrate the gyroscope at `bias` (3,) rad/s, the magnetometer taken `delay` s earlier."""
         bias = np.zeros(3) if bias is None else np.asarray(bias, dtype=float)
@@ -144,7 +161,7 @@ class Preintegration:
         means = np.empty((_ROWS, len(starts)))
         turned, lever, rate, swung = slice(0, 9), slice(9, 18), slice(18, 27), slice(27, _ROWS)
         squared_time = np.empty(len(starts))
-        first, track = 0, None
+        first, track, between = 0, None, []
         while first < len(starts):  # chunks of whole windows, so that memory stays flat
             last = max(int(np.searchsorted(starts, starts[first] + _CHUNK)), first + 1)
             stop = int(starts[last]) if last < len(starts) else total
@@ -154,6 +171,8 @@ class Preintegration:
             for part, rows in zip((turned, lever, rate, swung), samples, strict=True):
                 np.add.reduceat(rows, own, axis=1, out=means[part, first:last])
             squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
+            if len(self.empty.link):
+                between.append((self.empty.part(first, last).integrated(track, delay), last - first))
             first = last
         means /= count
         transposed = means[turned].reshape(3, 3, -1).swapaxes(0, 1).copy()
@@ -169,6 +188,7 @@ class Preintegration:
             linked=self.linked,
             bias=bias,
             delay=delay,
+            between=joined(*map(list, zip(*between, strict=True))) if between else NOTHING,
         )
 
     def with_rate(self, angular_rate: Array) -> Preintegration:
@@ -194,10 +214,11 @@ class Preintegration:
             angular_rate=self.angular_rate[rates],
             starts=self.starts[first:last] - self.starts[first],
             linked=self.linked[first : last - 1],
+            empty=self.empty.part(first, last - 1),
         )
         return result, rates
 
-    def _with(self, **changes: Array) -> Preintegration:
+    def _with(self, **changes: Array | EmptyWindows) -> Preintegration:
         """With other fields, and the windows as they are: they are not cut anew."""
         result = copy.copy(self)
         for name, value in changes.items():

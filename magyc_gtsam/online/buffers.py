@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from magyc_gtsam.factors.chain import empty_windows
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.preintegration import Preintegration, windows_passed
 from magyc_gtsam.recording import Array, Samples
@@ -269,6 +270,7 @@ def in_frame_of(before: FieldWindows, after: FieldWindows) -> FieldWindows:
         rotation_bias=np.einsum("ijbn,kj->ikbn", after.rotation_bias, turn),
         rotation_rate=np.einsum("ijn,kj->ikn", after.rotation_rate, turn),
         lever=np.einsum("ij,jkn->ikn", turn, after.lever),
+        between=after.between.turned(turn),
     )
 
 
@@ -289,4 +291,5 @@ def joined(parts: list[FieldWindows]) -> FieldWindows:
         **{name: links(name) for name in ("lever", "link_time", "linked")},
         bias=parts[0].bias,
         delay=parts[0].delay,
+        between=empty_windows.joined([part.between for part in parts], [len(part.linked) for part in parts]),
     )

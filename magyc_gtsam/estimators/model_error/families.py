@@ -73,6 +73,10 @@ class ColumnFamily:
     from_rate: bool = False
     mixed: bool = False
 
+    def beside(self, motion: WindowMotion) -> Columns:
+        """The columns of a motion, those of the gyroscope also by what it did while the field was not measured."""
+        return self.columns(motion.along_links if self.name.startswith("gyroscope:") else motion)
+
     def likely(self, motion: WindowMotion) -> float:
         """The largest amplitude that is believed before the data show one."""
         return self.most if self.expected is None else min(self.expected(motion), self.most)

@@ -10,6 +10,7 @@ from scipy.linalg.lapack import dpttrf, dpttrs
 
 from magyc_gtsam.estimators.smoother.columns import Products, RateErrors, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.factors.chain.empty_windows import NOTHING, Between
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, cross
@@ -35,6 +36,8 @@ class WindowMotion:
         delay: s, of the magnetometer behind the gyroscope; gyroscope_step: s between its samples.
         rate_noise: rad/s, deviation of a window's rate of turn by the gyroscope's noise, an axis.
         step: T, of the magnetometer where it is coarse; 0 where it is not.
+        between: the motion while the field was not measured.
+        window: (n,) which of the moments are windows; None where all are.
     """
 
     time: Array
@@ -52,6 +55,8 @@ class WindowMotion:
     gyroscope_step: float
     rate_noise: float
     step: float = 0.0
+    between: Between = NOTHING
+    window: np.ndarray | None = None
 
     @classmethod
     def of(cls, fit: Fit, step: float = 0.0) -> WindowMotion:
@@ -82,6 +87,41 @@ class WindowMotion:
             gyroscope_step=median(windows.link_time / apart),
             rate_noise=fit.chain.noise.gyroscope * float(np.sqrt(median(windows.link_time / apart**2))),
             step=step,
+            between=replace(
+                windows.between, rate=windows.between.rate - (parameters[9:12] - windows.bias)[:, None]
+            ),
+        )
+
+    @cached_property
+    def along_links(self) -> WindowMotion:
+        """The same with moments inside the links across which the field was not measured.
+
+        What an error of the gyroscope makes of such a link is an integral of the motion there.
+        """
+        between = self.between
+        if not len(between):
+            return self
+        at = between.link + 1
+        direction = self.direction[:, between.link]
+        unit = np.einsum("ijn,jn->in", between.rotation, direction)
+        change = cross(between.rate, unit)
+
+        def put(own: Array, more: Array) -> Array:
+            return np.insert(own, at, more, axis=-1)
+
+        return replace(
+            self,
+            time=put(self.time, between.time),
+            rotation=put(self.rotation, between.rotation),
+            seen=put(self.seen, np.einsum("ij,jkn->ikn", self.soft_iron, between.rotation)),
+            unit=put(self.unit, unit),
+            change=put(self.change, change),
+            rate=put(self.rate, between.rate),
+            direction=put(self.direction, direction),
+            reading=put(self.reading, (self.reading - self.soft_iron @ self.unit)[:, :1] + self.soft_iron @ unit),
+            reading_change=put(self.reading_change, self.soft_iron @ change),
+            between=NOTHING,
+            window=np.arange(len(self.time)) + np.searchsorted(between.link, np.arange(len(self.time))),
         )
 
     @cached_property
@@ -155,8 +195,12 @@ class WindowMotion:
 
     def _links(self, turned: Array) -> Array:
         """(k, 3, n − 1) of the links, by errors of the rate in the integrated world (k, 3, n) rad/s."""
-        x, y, z = self.integral(turned).swapaxes(0, 1)
-        a, b, c = self.direction[:, :-1]
+        integral, direction = self.integral(turned), self.direction
+        if self.window is not None:
+            integral = np.add.reduceat(integral, self.window[:-1], axis=-1)
+            direction = direction[:, self.window]
+        x, y, z = integral.swapaxes(0, 1)
+        a, b, c = direction[:, :-1]
         link = np.empty((len(turned), 3, len(a)))
         np.subtract(b * z, c * y, out=link[:, 0])
         np.subtract(c * x, a * z, out=link[:, 1])

@@ -128,7 +128,7 @@ def _doubt(value: Array, deviation: float) -> str:
 
 def _beside_scale(fit: Fit, value: Array, deviation: float) -> Fit:
     """Return a fit with the scales, at `value`, as terms."""
-    columns = WindowMotion.of(fit).gyroscope_scales()
+    columns = WindowMotion.of(fit).along_links.gyroscope_scales()
     return replace(fit, terms=EstimatedTerms(columns, value, np.full(3, deviation**-2), _FAMILIES))
 
 
