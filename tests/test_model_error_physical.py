@@ -9,7 +9,7 @@ import pytest
 
 from magyc_gtsam import calibrate, simulate
 from magyc_gtsam.estimators.model_error.averaging import averaged
-from magyc_gtsam.estimators.model_error.physical import PHYSICAL
+from magyc_gtsam.estimators.model_error.physical import PHYSICAL, _followed
 from magyc_gtsam.estimators.model_error.samples import flickers
 from magyc_gtsam.study.efficiency import error, nees
 from magyc_gtsam.study.faults.catalogue import FAULTS
@@ -117,3 +117,27 @@ def test_a_step_that_leaves_out_the_end_is_not_trusted() -> None:
     ]
     assert not any(score(calibration).outcome == "wrong and trusted" for calibration in refused)
     assert any("the field jumped at" in calibration.message for calibration in refused)
+
+
+def test_a_play_follows_as_its_recursion_does() -> None:
+    reading = np.cumsum(np.random.default_rng(0).normal(size=(3, 500)), axis=1)
+    found, expected = _followed(reading, 1.5), reading[:, 0]
+    for row, value in zip(found.T, reading.T, strict=True):
+        expected = np.clip(expected, value - 1.5, value + 1.5)
+        np.testing.assert_allclose(row, expected)
+
+
+def test_a_loop_is_covered_on_a_motion_that_hardly_tilts() -> None:
+    """Of 0.5 µT, where the sweep along z is a few µT: the hard iron is 8 µT off. It was trusted at 3.3 sigmas."""
+    log = record("tiny", 930, FAULTS["hysteresis"], 0.5e-6, "hysteresis")
+    found = score(calibrate(log.recording("loop")), end=600.0)
+    assert found.outcome == "refused"
+    assert found.hard_iron_sigmas < 2
+
+
+def test_a_stay_beside_steel_is_no_loop() -> None:
+    """A play whose width goes with the sweep explained it; 13 µT off at 14 sigmas, it was trusted."""
+    log = record("moderate", 933, FAULTS["stay-beside-steel"], 20e-6, "stay-beside-steel")
+    found = score(calibrate(log.recording("stay")), end=600.0)
+    assert found.outcome == "refused"
+    assert found.hard_iron_sigmas < 2

@@ -50,7 +50,7 @@ def test_every_fault_changes_the_log_more_the_stronger_it_is(name: str) -> None:
             + np.linalg.norm(log.field_time - logs[0].field_time)
             for log in logs[1:]
         )
-        assert strong > weak or name in ("clean", "swell-at-1-hz")
+        assert strong > weak or name in ("clean", "swell-at-1-hz", "cycled-gyroscope-axes")
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -106,6 +106,23 @@ def test_terms_count_as_they_stand_at_the_end() -> None:
     tone = Term("tone", np.full(6, 5e-6), 1e-16 * np.eye(6), {"frequency": 0.3})
     humming = replace(named(step, 1e-7), terms=(*named(step, 1e-7).terms, tone))
     assert score(humming, end=600.0).hard_iron < 1e-9  # which the true readings do not have
+
+
+@pytest.mark.parametrize("places", [1, 2])
+def test_the_heading_is_that_of_the_gyroscopes_axes(places: int) -> None:
+    """Exchanged cyclically they are another frame, in which the field is given; the magnetometer's would be wrong."""
+    body_R_sensor = record("wide", 0, FAULTS["cycled-gyroscope-axes"], places, duration=20.0).body_R_sensor
+    np.testing.assert_allclose(body_R_sensor, np.roll(np.eye(3), places, axis=0), atol=1e-9)
+    plain = result(HARD_IRON, 1e-7)
+    named = replace(plain, terms=(Term("axis-order", body_R_sensor.T.ravel(), 1e-16 * np.eye(9)),))
+    right = score(named, body_R_sensor=body_R_sensor)
+    assert right.outcome == "right and trusted"
+    assert right.heading < 1e-6
+    assert score(named).outcome == score(plain, body_R_sensor=body_R_sensor).outcome == "wrong and trusted"
+    off = HARD_IRON + body_R_sensor.T @ [0.0, 2e-7, 0.0]  # along the body's y
+    assert score(replace(named, hard_iron=off), body_R_sensor=body_R_sensor).heading_sigmas == pytest.approx(
+        score(replace(plain, hard_iron=HARD_IRON + [0.0, 2e-7, 0.0])).heading_sigmas, rel=0.1
+    )
 
 
 def test_the_stated_heading_is_that_of_a_draw() -> None:

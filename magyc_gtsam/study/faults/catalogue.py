@@ -77,6 +77,7 @@ FAULTS: Mapping[str, Fault] = {
     "gyroscope-feels-gravity": Fault("turn", g.gravity, 5e-3, 20e-3, "rad/s per g"),
     "flipped-gyroscope-axis": Fault("rate", g.flipped_axis, 0.2, 1.0, "of the log"),
     "swapped-gyroscope-axes": Fault("rate", g.swapped_axes, 0.2, 1.0, "of the log"),
+    "cycled-gyroscope-axes": Fault("turn", g.cycled_axes, 1, 2, "places", turns=True),
     "wrong-gyroscope-unit": Fault("rate", g.wrong_unit, 2, 57.3, "times"),
     "vibration": Fault("turn", g.vibration, 0.3, 1.0, "rad/s"),
     "gyroscope-noise-bursts": Fault("rate", g.noise_bursts, 0.1, 0.4, "of the log"),

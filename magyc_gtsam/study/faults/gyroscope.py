@@ -136,10 +136,15 @@ def flipped_axis(rate: Array, scene: TrueMotion, share: float, random: Random) -
 
 
 def swapped_axes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """Two axes are exchanged for a share of the log."""
-    rate, part, axis = rate.copy(), one_stretch(len(rate), share, random), random.integers(3)
-    rate[part] = np.roll(rate[part], 1, axis=1) if axis == 2 else rate[part][:, [1, 0, 2] if axis else [0, 2, 1]]
+    """Two axes are exchanged for a share of the log, which mirrors the gyroscope's frame."""
+    rate, part, kept = rate.copy(), one_stretch(len(rate), share, random), random.integers(3)
+    rate[part] = rate[part][:, (2 * kept - np.arange(3)) % 3]
     return rate
+
+
+def cycled_axes(turn: Array, scene: TrueMotion, places: float, random: Random) -> Array:
+    """All three axes have each other's names, so many places on: another frame, turned by 120°."""
+    return np.roll(turn, int(places), axis=1)
 
 
 def wrong_unit(rate: Array, scene: TrueMotion, factor: float, random: Random) -> Array:

@@ -64,7 +64,7 @@ def score(
     Args:
         calibration: the result.
         message: why there is none.
-        body_R_sensor: the heading is that of the body's axes.
+        body_R_sensor: (3, 3) from the sensor's axes to the body's, in which the field is given and the heading judged.
         end: s, when the log ends.
     """
     if calibration is None or calibration.covariance is None:
@@ -132,6 +132,7 @@ def _heading(calibration: Calibration, covariance: Array, body_R_sensor: Array, 
         float(np.cbrt(np.linalg.det(SOFT_IRON))),
         float(np.degrees(np.arctan2(down, np.hypot(north, east)))),
     )
-    turn = LevelTurn(np.degrees(angle), scale * body, np.eye(3)[0], np.eye(3)[1], dip, "the body's z axis")
+    ahead, left, _ = body_R_sensor  # the body's axes in those of the sensor
+    turn = LevelTurn(np.degrees(angle), scale * body @ body_R_sensor, ahead, left, dip, "the body's z axis")
     stated = turn.systematic(covariance, calibration.soft_iron, Askew.of(calibration))
     return error, np.maximum(stated, 1e-6)
