@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.empty_windows import NONE, NOTHING, EmptyWindows, gaps, joined
+from magyc_gtsam.factors.chain.empty_windows import NONE, NOTHING, Between, EmptyWindows, gaps, joined
 from magyc_gtsam.factors.chain.field_windows import FieldWindows
 from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, matrices
@@ -161,7 +161,9 @@ class Preintegration:
         means = np.empty((_ROWS, len(starts)))
         turned, lever, rate, swung = slice(0, 9), slice(9, 18), slice(18, 27), slice(27, _ROWS)
         squared_time = np.empty(len(starts))
-        first, track, between = 0, None, []
+        first, track = 0, None
+        between: list[Between] = []
+        links: list[int] = []
         while first < len(starts):  # chunks of whole windows, so that memory stays flat
             last = max(int(np.searchsorted(starts, starts[first] + _CHUNK)), first + 1)
             stop = int(starts[last]) if last < len(starts) else total
@@ -172,7 +174,8 @@ class Preintegration:
                 np.add.reduceat(rows, own, axis=1, out=means[part, first:last])
             squared_time[first:last] = np.interp(time[first:last] - delay, track.time, track.squared_time)
             if len(self.empty.link):
-                between.append((self.empty.part(first, last).integrated(track, delay), last - first))
+                between.append(self.empty.part(first, last).integrated(track, delay))
+                links.append(last - first)
             first = last
         means /= count
         transposed = means[turned].reshape(3, 3, -1).swapaxes(0, 1).copy()
@@ -188,7 +191,7 @@ class Preintegration:
             linked=self.linked,
             bias=bias,
             delay=delay,
-            between=joined(*map(list, zip(*between, strict=True))) if between else NOTHING,
+            between=joined(between, links) if between else NOTHING,
         )
 
     def with_rate(self, angular_rate: Array) -> Preintegration:
