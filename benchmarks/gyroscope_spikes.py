@@ -14,6 +14,8 @@ import numpy as np
 
 import magyc_gtsam as mg
 from magyc_gtsam.recording import Array, Samples
+from magyc_gtsam.sensor_faults.gate import SampleGate
+from magyc_gtsam.sensor_faults.single_samples import found_in_turn
 from magyc_gtsam.sensor_faults.spikes import Spikes
 
 SEEDS = 50
@@ -22,9 +24,10 @@ READ = (".mcap", ".ulg", ".BIN", ".csv")
 
 def spikes(value: Array) -> int:
     """Number of samples of (n, 3) that are taken for spikes."""
-    detector = Spikes()
-    detector.observe(Samples(np.arange(len(value), dtype=float), value))
-    finding = detector.finding()
+    samples, detectors = Samples(np.arange(len(value), dtype=float), value), (Spikes(), Spikes())
+    for detector in detectors:
+        samples = SampleGate(detector).take(samples)
+    finding = found_in_turn(detectors)
     return 0 if finding is None else finding.count
 
 

@@ -12,7 +12,7 @@ from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
 from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.repeats import Repeats
-from magyc_gtsam.sensor_faults.single_samples import FaultySamples
+from magyc_gtsam.sensor_faults.single_samples import FaultySamples, found_in_turn
 from magyc_gtsam.sensor_faults.spikes import Spikes
 from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes, field_turned
 from magyc_gtsam.sensor_faults.stuck_finding import Stuck, named
@@ -33,14 +33,15 @@ class SensorFaults:
         self._shown, self._whole = shown, samples is not None
         self.zeros = Zeros()
         self.zero_rates = ZeroRates()
-        self.spikes = Spikes()
+        self.spikes = Spikes(), Spikes()
         self.cut_off = CutOff()
         self.full_scale = FullScale(samples, samples) if samples is not None else FullScale()
         self.repeats = Repeats()
         self.magnetometer = StuckAxes()
         self.gyroscope = StuckAxes(self._field_turned, *([np.inf] if self._whole else []))
         self._zero_gates = SampleGate(self.zeros), SampleGate(self.zero_rates)
-        self._spike_gate = SampleGate(self.spikes)
+        # Where many neighbours are spikes, the first detector leaves some, which stand out once the others are gone.
+        self._spike_gates = tuple(SampleGate(each) for each in self.spikes)
         # A long turn at full scale looks like a stuck axis, so it is rejected first.
         self._cut_off_gate = SampleGate(self.cut_off)
         self._gates = SampleGate(self.magnetometer), SampleGate(self.gyroscope)
@@ -61,7 +62,9 @@ class SensorFaults:
     def take(self, magnetometer: Samples, gyroscope: Samples, repeated: Array) -> tuple[Samples, Samples]:
         """Return the usable samples; `repeated` (n,) s are the stamps at which the magnetometer repeated a sample."""
         of_field, of_rate = self._zero_gates
-        magnetometer, gyroscope = of_field.take(magnetometer), self._spike_gate.take(of_rate.take(gyroscope))
+        magnetometer, gyroscope = of_field.take(magnetometer), of_rate.take(gyroscope)
+        for gate in self._spike_gates:
+            gyroscope = gate.take(gyroscope)
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
         if len(gyroscope.time):
@@ -79,14 +82,13 @@ class SensorFaults:
     @property
     def dropped(self) -> int:
         """Return the number of samples that were dropped."""
-        return sum(
-            gate.dropped for gate in (*self._zero_gates, self._spike_gate, self._cut_off_gate, *self._gates)
-        )
+        gates = (*self._zero_gates, *self._spike_gates, self._cut_off_gate, *self._gates)
+        return sum(gate.dropped for gate in gates)
 
     @property
     def single_samples(self) -> tuple[FaultySamples, ...]:
         """Return what was found of single faulty samples."""
-        findings = self.zeros.finding(), self.zero_rates.finding(), self.spikes.finding()
+        findings = self.zeros.finding(), self.zero_rates.finding(), found_in_turn(self.spikes)
         return tuple(finding for finding in findings if finding is not None)
 
     @property
@@ -130,7 +132,8 @@ class SensorFaults:
         return {
             "zeros": self._zero_gates[0],
             "zero_rates": self._zero_gates[1],
-            "spikes": self._spike_gate,
+            "spikes": self._spike_gates[0],
+            "spikes_again": self._spike_gates[1],
             "cut_off": self._cut_off_gate,
             "magnetometer": self._gates[0],
             "gyroscope": self._gates[1],

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,3 +63,13 @@ class SingleSamples:
         """Continue from `state`."""
         self._taken, self._count = (int(v) for v in state["counts"])
         self.pending = float(state["pending"])
+
+
+def found_in_turn(detectors: Sequence[SingleSamples]) -> FaultySamples | None:
+    """Return what detectors of one fault found, each in what the one before left; None if the first found none."""
+    first, *others = (detector.finding() for detector in detectors)
+    for other in others:
+        if first is not None and other is not None:
+            share = first.share + (1 - first.share) * other.share
+            first = replace(first, count=first.count + other.count, share=share)
+    return first

@@ -67,7 +67,7 @@ def without_faults(recording: Recording, sensors: Sequence[str] = ("magnetic_fie
     usable = recording
     if faults.zeros.finding() is not None:
         usable = _without_zero_fields(usable)
-    no_rate = faults.zero_rates.rejects(time) | faults.spikes.rejects(time)
+    no_rate = np.any([each.rejects(time) for each in (faults.zero_rates, *faults.spikes)], axis=0)
     if no_rate.any():
         usable = _without_rates(usable, no_rate)
     usable = usable if kept.all() else usable.rows(kept)
