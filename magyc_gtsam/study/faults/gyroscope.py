@@ -6,11 +6,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import lagged
 from magyc_gtsam.study.faults.signals import TrueMotion, direction, one_stretch, slow
 
 Random = np.random.Generator
-_BIT = 1e-3  # rad/s
 _SPIKE = 2.0  # rad/s
 
 
@@ -29,26 +27,10 @@ def scale_of_one_axis(turn: Array, scene: TrueMotion, share: float, random: Rand
     return turn * (1 + share * np.eye(3)[random.integers(3)])
 
 
-def held(rate: Array, scene: TrueMotion, rows: float, random: Random) -> Array:
-    """Every value is repeated for so many rows."""
-    return rate[np.arange(len(rate)) // int(rows) * int(rows)]
-
-
-def spikes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """In a share of the samples something of 2 rad/s adds, in any direction."""
-    hit = random.random(len(rate)) < share
-    return rate + np.where(hit[:, None], _SPIKE * random.standard_normal(rate.shape), 0)
-
-
 def one_sided_spikes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """The same, always in one direction."""
+    """In a share of the samples something of up to 2 rad/s adds, always in one direction."""
     hit = random.random(len(rate)) < share
     return rate + _SPIKE * np.outer(hit * random.random(len(rate)), direction(random))
-
-
-def zero_rows(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """A share of the rows reads zero on all axes."""
-    return np.where((random.random(len(rate)) < share)[:, None], 0.0, rate)
 
 
 def bias_steps(rate: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
@@ -81,35 +63,11 @@ def wrapping_full_scale(rate: Array, scene: TrueMotion, share: float, random: Ra
     return (rate + level) % (2 * level) - level
 
 
-def stuck_axis(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis keeps its value for a share of the log."""
-    rate, part, axis = rate.copy(), one_stretch(len(rate), share, random), random.integers(3)
-    rate[part, axis] = rate[part.start, axis]
-    return rate
-
-
-def flickering_axis(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis keeps its value for a share of the log, but for its last bit."""
-    rate, part, axis = np.round(rate / _BIT) * _BIT, one_stretch(len(rate), share, random), random.integers(3)
-    rate[part, axis] = rate[part.start, axis] + _BIT * random.integers(0, 2, part.stop - part.start)
-    return rate
-
-
 def dead(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
     """All axes read zero for a share of the log."""
     rate = rate.copy()
     rate[one_stretch(len(rate), share, random)] = 0.0
     return rate
-
-
-def low_pass(turn: Array, scene: TrueMotion, constant: float, random: Random) -> Array:
-    """A filter of the first order, with such a time constant in s."""
-    return lagged(turn, scene.step, constant)
-
-
-def coarse(rate: Array, scene: TrueMotion, step: float, random: Random) -> Array:
-    """In steps."""
-    return np.round(rate / step) * step
 
 
 def dead_band(rate: Array, scene: TrueMotion, width: float, random: Random) -> Array:
@@ -126,13 +84,6 @@ def gravity(turn: Array, scene: TrueMotion, amount: float, random: Random) -> Ar
     """The bias depends on gravity, by so much per g."""
     down = scene.attitude.inv().apply([0.0, 0.0, 1.0])
     return turn + amount * np.outer(down @ direction(random), direction(random))
-
-
-def flipped_axis(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis has the wrong sign for a share of the log."""
-    rate, part = rate.copy(), one_stretch(len(rate), share, random)
-    rate[part, random.integers(3)] *= -1
-    return rate
 
 
 def swapped_axes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:

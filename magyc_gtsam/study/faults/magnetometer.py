@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from magyc_gtsam.recording import Array
-from magyc_gtsam.simulation.scene import lagged
 from magyc_gtsam.study.faults.signals import TrueMotion, direction, one_stretch, stretches
 
 Random = np.random.Generator
 _SPIKE = 30e-6  # T
-_BIT = 0.15e-6  # T
 
 
 def one_sided_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
@@ -19,35 +17,10 @@ def one_sided_spikes(field: Array, scene: TrueMotion, share: float, random: Rand
     return field + np.where(hit, random.uniform(0.5, 1.5, len(field)), 0)[:, None] * _SPIKE * direction(random)
 
 
-def two_sided_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """The same in any direction."""
-    hit = random.random(len(field)) < share
-    return field + np.where(hit[:, None], _SPIKE * random.standard_normal(field.shape), 0)
-
-
 def one_axis_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """The same on one axis, with one sign."""
+    """In a share of the samples something of 30 µT on average adds to one axis, with one sign."""
     hit = random.random(len(field)) < share
     return field + np.outer(hit * random.exponential(_SPIKE, len(field)), np.eye(3)[random.integers(3)])
-
-
-def zero_rows(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """A share of the rows reads zero on all axes."""
-    return np.where((random.random(len(field)) < share)[:, None], 0.0, field)
-
-
-def stuck_axis(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis keeps its value for a share of the log."""
-    field, part, axis = field.copy(), one_stretch(len(field), share, random), random.integers(3)
-    field[part, axis] = field[part.start, axis]
-    return field
-
-
-def flickering_axis(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis keeps its value for a share of the log, but for its last bit."""
-    field, part, axis = np.round(field / _BIT) * _BIT, one_stretch(len(field), share, random), random.integers(3)
-    field[part, axis] = field[part.start, axis] + _BIT * random.integers(0, 2, part.stop - part.start)
-    return field
 
 
 def frozen(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
@@ -69,21 +42,6 @@ def wrapping_full_scale(field: Array, scene: TrueMotion, share: float, random: R
     return (field + level) % (2 * level) - level
 
 
-def coarse(field: Array, scene: TrueMotion, step: float, random: Random) -> Array:
-    """In steps."""
-    return np.round(field / step) * step
-
-
-def held(field: Array, scene: TrueMotion, rows: float, random: Random) -> Array:
-    """Every value is repeated for so many rows."""
-    return field[np.arange(len(field)) // int(rows) * int(rows)]
-
-
-def low_pass(iron: Array, scene: TrueMotion, constant: float, random: Random) -> Array:
-    """A filter of the first order, with such a time constant in s."""
-    return lagged(iron, scene.step, constant)
-
-
 def moving_mean(iron: Array, scene: TrueMotion, window: float, random: Random) -> Array:
     """The mean of the last so many s."""
     from scipy.ndimage import uniform_filter1d
@@ -96,13 +54,6 @@ def noise_bursts(field: Array, scene: TrueMotion, share: float, random: Random) 
     """For a share of the log the noise is 10 µT."""
     loud = stretches(len(field), share, 100, random)
     return field + 1e-5 * loud[:, None] * random.standard_normal(field.shape)
-
-
-def sign_flips(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis has the wrong sign for a share of the log."""
-    field, part = field.copy(), one_stretch(len(field), share, random)
-    field[part, random.integers(3)] *= -1
-    return field
 
 
 def late_axis(iron: Array, scene: TrueMotion, delay: float, random: Random) -> Array:
