@@ -12,7 +12,7 @@ import typer
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_configuration
-from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.cli.terminal import show, show_parameters, stages
 from magyc_gtsam.foreign_text import printable
 
 if TYPE_CHECKING:
@@ -88,9 +88,7 @@ def _show(folder: Path, log: Path, recording: Recording, calibration: Accelerome
     from magyc_gtsam.report.accelerometer import parameter_rows
 
     show(f"{log.name}: {recording.duration:.1f} s, accelerometer, {calibration.method}", "")
-    rows = parameter_rows(calibration)
-    show_table(("", "x", "y", "z"), [[name, *values] for name, values in rows if len(values) == 3])
-    show("", *(f"{name}: {values[0]}" for name, values in rows if len(values) == 1))
+    show_parameters(parameter_rows(calibration))
     show(
         f"samples in motion, with reduced weight: {calibration.diagnostics['outliers']} of "
         f"{calibration.diagnostics['samples']}",

@@ -169,11 +169,13 @@ def _restated(recording: Recording, angular_rate_is: Literal["instant", "interva
     """Return the recording with another interpretation of the angular rate, and its filled rows to match."""
     import numpy as np
 
+    from magyc_gtsam.recording.time_base import interpolated
+
     if recording.angular_rate is None:
         return recording
     time, rate = recording.gyroscope
     if angular_rate_is == "interval-mean":
         filled = rate[np.minimum(np.searchsorted(time, recording.time), len(time) - 1)]
     else:
-        filled = np.stack([np.interp(recording.time, time, column) for column in rate.T], axis=1)
+        filled = interpolated(recording.time, time, rate)
     return replace(recording, angular_rate=filled, angular_rate_is=angular_rate_is)

@@ -163,13 +163,17 @@ def refused(calibration: Calibration) -> int:
     return 1
 
 
+def show_parameters(rows: Sequence[tuple[str, list[str]]]) -> None:
+    """Print (name, values) rows: those of three values as a table, those of one as lines."""
+    show_table(("", "x", "y", "z"), [[name, *values] for name, values in rows if len(values) == 3])
+    show("", *(f"{name}: {values[0]}" for name, values in rows if len(values) == 1))
+
+
 def show_calibration(calibration: Calibration) -> None:
     """Print the parameters with their standard deviations, and the disturbed and omitted stretches."""
     from magyc_gtsam.report.words import parameter_rows, stretch
 
-    rows = parameter_rows(calibration)
-    show_table(("", "x", "y", "z"), [[name, *values] for name, values in rows if len(values) == 3])
-    show("", *(f"{name}: {values[0]}" for name, values in rows if len(values) == 1))
+    show_parameters(parameter_rows(calibration))
     disturbed = calibration.diagnostics.get("disturbed") or []
     if disturbed:
         longest = ", ".join(stretch((start, end)) for start, end in sorted(disturbed[:5]))

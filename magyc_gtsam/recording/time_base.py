@@ -78,17 +78,17 @@ def unite(
             result["notes"] += (note,) if note else ()
             known = np.isfinite(channel).reshape(len(channel), -1).all(axis=1)
             channel_time, channel = channel_time[known], channel[known]
-        result["channels"][k] = _interpolate(time, channel_time, channel, outside=np.nan)
+        result["channels"][k] = interpolated(time, channel_time, channel, outside=np.nan)
     if "angular_rate" in clean:
         gyro_time, gyro = clean["angular_rate"]
         if angular_rate_is == "interval-mean" and time is not mag_time:
             rate = gyro[np.searchsorted(gyro_time, time)]  # the mean holds all the way up to its stamp
         else:
-            rate = _interpolate(time, gyro_time, gyro)
+            rate = interpolated(time, gyro_time, gyro)
         fresh = np.ones(len(time), dtype=bool) if time is mag_time else np.isin(time, gyro_time)
         result |= {"angular_rate": rate, "angular_rate_fresh": fresh}
     if acceleration is not None:
-        result["acceleration"] = _interpolate(time, *_stream("acceleration", *acceleration, 3, origin))
+        result["acceleration"] = interpolated(time, *_stream("acceleration", *acceleration, 3, origin))
     if attitude is not None:
         result["attitude"] = _slerp(time, *_stream("attitude", *attitude, 4, origin))
     return result
@@ -109,8 +109,11 @@ def _stream(
     return clean_time, frozen(name, value, (n, ...) if width is None else (n, width))
 
 
-def _interpolate(at: Array, time: Array, value: Array, outside: float | None = None) -> Array:
-    """Interpolate columns linearly; beyond the stamps hold the first and last value, or take `outside`."""
+def interpolated(at: Array, time: Array, value: Array, outside: float | None = None) -> Array:
+    """Return columns (n, ...) at other times, linearly interpolated.
+
+    Beyond the stamps they hold the first and last value, or take `outside`.
+    """
     if np.array_equal(at, time):
         return value
     result = np.empty((len(at), *value.shape[1:]))

@@ -12,6 +12,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.level_turn import vertical
 from magyc_gtsam.metrics import heading_error
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.time_base import interpolated
 
 DISTURBED_WEIGHT = 0.5  # a window with a robust weight below this counts as disturbed
 _MOST_ROWS = 200_000  # samples per page, half an hour at 100 Hz; a longer log is thinned to every k-th sample
@@ -85,7 +86,7 @@ def field_history(recording: Recording, calibration: Calibration) -> FieldHistor
     aligned = calibrated
     if calibration.delay:  # the field at an instant is what the magnetometer says `delay` later
         later = time + calibration.delay
-        aligned = np.stack([np.interp(later, time, axis) for axis in calibrated.T], axis=1)
+        aligned = interpolated(later, time, calibrated)
     attitude = None if recording.attitude is None else recording.attitude[fresh]
     acceleration = None if recording.acceleration is None else recording.acceleration[fresh]
     if attitude is not None and not np.isfinite(attitude).any():

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.time_base import interpolated
 from magyc_gtsam.simulation.effects import chosen
 from magyc_gtsam.simulation.environment import CHANNELS, measured
 from magyc_gtsam.simulation.scene import Applied, Chain, Scene, Stage
@@ -53,8 +54,8 @@ def inject(
     when, reading = recording.magnetometer
     turned, rates = recording.gyroscope
     grid = _grid(recording, min(float(np.median(np.diff(t))) for t in (when, turned)) / _FINER)
-    rate = _at(grid, turned, rates) - calibration.gyro_bias
-    before = _at(grid, when, reading)
+    rate = interpolated(grid, turned, rates) - calibration.gyro_bias
+    before = interpolated(grid, when, reading)
     body = calibration.apply(before)
     turn = None if attitude is None else attitude(grid)
     field = np.zeros(3) if turn is None else np.median(turn.apply(body), axis=0)
@@ -71,10 +72,10 @@ def inject(
     sampling = Chain(wanted, replace(scene, time=when - grid[0], rows=np.arange(len(when))))
     shown = sampling.pass_through(Stage.SAMPLING, np.arange(len(when)))
     _, first, again = np.unique(shown, return_index=True, return_inverse=True)
-    sample = (reading + _at(when, grid, seen - before))[shown]
+    sample = (reading + interpolated(when, grid, seen - before))[shown]
     sample = sampling.pass_through(Stage.READING, sample)
     sample = sampling.pass_through(Stage.QUANTISED, sample[first[again]])
-    rates = sampling.pass_through(Stage.AXES, rates + _at(turned, grid, felt - rate))
+    rates = sampling.pass_through(Stage.AXES, rates + interpolated(turned, grid, felt - rate))
     changed = recording.with_samples((when, sample), (turned, rates))
 
     recorded = [name for name in CHANNELS if name in {*channels, *(n for w in wanted for n in w.effect.needs)}]
@@ -87,7 +88,3 @@ def inject(
 def _grid(recording: Recording, step: float) -> Array:
     """Return evenly spaced times from the first row to the last, about `step` s apart."""
     return np.linspace(recording.time[0], recording.time[-1], 1 + int(np.ceil(recording.duration / step)))
-
-
-def _at(time: Array, grid: Array, values: Array) -> Array:
-    return np.stack([np.interp(time, grid, axis) for axis in values.T], axis=1)

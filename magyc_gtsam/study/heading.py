@@ -10,6 +10,7 @@ from magyc_gtsam import metrics
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.time_base import interpolated
 
 
 class HeadingError(NamedTuple):
@@ -41,6 +42,6 @@ def heading_error(recording: Recording, calibration: Calibration, delay: float |
         raise MagycError(f"recording {recording.name!r} has no reference attitude")
     time, field = recording.magnetometer
     late = np.clip(recording.time[known] + (calibration.delay if delay is None else delay), time[0], time[-1])
-    calibrated = calibration.corrected(np.stack([np.interp(late, time, axis) for axis in field.T], axis=1))
+    calibrated = calibration.corrected(interpolated(late, time, field))
     error = metrics.heading_error(calibrated, attitude[known])
     return HeadingError(recording.time[known] - recording.time[0], np.rad2deg(error))

@@ -22,6 +22,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.hard_iron.turning import clustered_covariance, to_calibration
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.time_base import interpolated
 
 _LEAST = 6  # samples with an attitude
 _CIRCULAR = (
@@ -118,5 +119,5 @@ def _with_attitude(recording: Recording, delay: float) -> tuple[Array, Rotation]
     if delay:
         time, own = recording.magnetometer
         late = recording.time[known] + delay
-        field = np.stack([np.interp(late, time, axis) for axis in own.T], axis=1)
+        field = interpolated(late, time, own)
     return field, attitude

@@ -15,6 +15,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.gyroscope_track import summed_rate
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
+from magyc_gtsam.recording.time_base import interpolated
 
 _LEAST_SAMPLES = 60  # of the magnetometer: three numbers each, against nine unknowns and 144 arrangements
 _PAIRS = 3000  # pairs of means that are compared
@@ -144,7 +145,7 @@ def _pairs(recording: Recording, factor: float) -> tuple[Array, Array, Array, Ar
     lag = int(np.clip(round(float(seconds / np.median(np.diff(time)))), 1, (len(time) - 1) // 2))
     first = np.arange(0, len(time) - lag, max((len(time) - lag) // _PAIRS, 1))
     angle = summed_rate(gyro_time, rate)
-    at = np.stack([np.interp(time, gyro_time, column) for column in angle.T], axis=1)
+    at = interpolated(time, gyro_time, angle)
     from scipy.ndimage import uniform_filter1d
 
     time, field, at = (uniform_filter1d(each, max(lag // 2, 1), axis=0) for each in (time, field, at))

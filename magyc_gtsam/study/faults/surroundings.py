@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from magyc_gtsam.recording import Array
+from magyc_gtsam.recording.time_base import interpolated
 from magyc_gtsam.simulation.scene import lagged
 from magyc_gtsam.study.faults.signals import (
     LoggedSamples,
@@ -23,19 +24,19 @@ Random = np.random.Generator
 
 def delayed(iron: Array, scene: TrueMotion, delay: float, random: Random) -> Array:
     """The magnetometer is late, by s."""
-    return _at(scene.time - delay, scene.time, iron)
+    return interpolated(scene.time - delay, scene.time, iron)
 
 
 def wandering_latency(iron: Array, scene: TrueMotion, largest: float, random: Random) -> Array:
     """The magnetometer's latency wanders between 0 and `largest` s."""
     wander = slow(scene, random, 20.0)
     delay = largest * (wander - wander.min()) / np.ptp(wander)
-    return _at(scene.time - delay, scene.time, iron)
+    return interpolated(scene.time - delay, scene.time, iron)
 
 
 def stepping_latency(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
     """The magnetometer's latency is another one from the middle on."""
-    return _at(scene.time - amount * (scene.time > 0.5 * scene.time[-1]), scene.time, iron)
+    return interpolated(scene.time - amount * (scene.time > 0.5 * scene.time[-1]), scene.time, iron)
 
 
 def clock_drift(log: LoggedSamples, scene: TrueMotion, rate: float, random: Random) -> LoggedSamples:
@@ -179,7 +180,3 @@ def magnet_and_gap(log: LoggedSamples, scene: TrueMotion, amount: float, random:
     before = log.field_time < middle
     log = replace(log, field=log.field + amount * np.outer(before, direction(random)))
     return kept(log, (log.field_time < middle - 30) | (log.field_time > middle + 30))
-
-
-def _at(when: Array, time: Array, value: Array) -> Array:
-    return np.stack([np.interp(when, time, column) for column in value.T], axis=1)

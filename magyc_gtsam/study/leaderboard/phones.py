@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
+from magyc_gtsam.recording.time_base import interpolated
 
 _PERSONS = ("Guillaume", "Jakob", "Thibaud")
 _PHONES = ("Nexus5", "iPhone4S", "iPhone5")
@@ -129,9 +130,9 @@ def _later(time: Array, quaternion: Array, rate_time: Array, angular_rate: Array
     steady = step < 1.5 * np.median(step)
     optical = ((turn[:-1].inv() * turn[1:]).as_rotvec() / step[:, None])[steady]
     middle = (time[:-1] + step / 2)[steady]
-    first = _sampled(np.arange(middle[0], middle[-1], _GRID), middle, optical)
+    first = interpolated(np.arange(middle[0], middle[-1], _GRID), middle, optical)
     lags = int(_LATEST / _GRID)
-    second = _sampled(middle[0] + np.arange(-lags, len(first) + lags) * _GRID, rate_time, angular_rate)
+    second = interpolated(middle[0] + np.arange(-lags, len(first) + lags) * _GRID, rate_time, angular_rate)
     first = first - first.mean(axis=0)
     product = np.array([[correlate(b, a, "valid", "fft") for b in second.T] for a in first.T])  # (3, 3, lags)
     rows = len(first)
@@ -141,7 +142,3 @@ def _later(time: Array, quaternion: Array, rate_time: Array, angular_rate: Array
     best = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
     left, lowest, right = cost[best - 1 : best + 2]
     return float((best + 0.5 * (left - right) / (left - 2 * lowest + right) - lags) * _GRID)
-
-
-def _sampled(grid: Array, time: Array, values: Array) -> Array:
-    return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
