@@ -332,7 +332,10 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
         (("{log}", "--gyroscope-axes", "x,x,z"), "must name x, y and z once each"),
         (("{log}", "--magnetic-unit", "gauss", "--magnetic-unit", "furlong"), "'furlong' is unknown"),
         (("{log}", "--state", "."), ""),
-        (("{log}", "--field-strength", "0"), "field_strength: 0 T is no field of the Earth"),
+        (
+            ("{log}", "--field-strength", "0"),
+            "field_strength: must be that of the Earth, 20e-6 to 70e-6 T, got 0 T",
+        ),
         (("{log}", "--option", "field_strength=strong"), "field_strength: 'strong' is no number"),
         (("{log}", "--option", "horizon=long"), "horizon: must be a finite number of at least 120, got 'long'"),
         (("{log}", "--method", ""), "'' is not one of smoother, magyc-ifg"),

@@ -24,9 +24,9 @@ def check_field_strength(value: Any) -> None:
     if value is None:
         return
     if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-        raise MagycError(f"field_strength: {value!r} is no number of tesla")
+        raise MagycError(f"field_strength: must be a number of tesla, got {value!r}")
     if not 1e-6 < value < 1e-3:
-        raise MagycError(f"field_strength: {value:g} T is no field of the Earth (20e-6 to 70e-6 T)")
+        raise MagycError(f"field_strength: must be that of the Earth, 20e-6 to 70e-6 T, got {value:g} T")
 
 
 def doubt_strength(strength: float) -> str:

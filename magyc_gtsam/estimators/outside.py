@@ -46,6 +46,6 @@ def _loaded(point: EntryPoint, package: str) -> Method:
         said = f"package {package} cannot be loaded ({type(error).__name__}: {error}); update or remove it"
         return replace(broken, problem=said)
     if not isinstance(method, Method):
-        said = f"package {package}: its entry point {point.value} is no magyc_gtsam.Method"
+        said = f"package {package}: its entry point {point.value} must be a magyc_gtsam.Method"
         return replace(broken, problem=said)
     return method

@@ -99,7 +99,7 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
         fails,
         Doubt("the correction makes its prediction no better", "use the correction on this log only"),
         f"the log-likelihood per window falls from {before:.3f} to {after:.3f} there: what was found is not there, or "
-        "is no property of the instrument",
+        "is not a property of the instrument",
     )
 
 

@@ -171,8 +171,8 @@ def calibrate_accelerometer(
         fit = autocal(samples, kernel, sigma=noise)
     except MagycError:
         raise MagycError(
-            "acceleration: too little motion, the samples lie on no ellipsoid: hold the instrument still in six or "
-            "more attitudes, or turn it slowly all over"
+            "acceleration: too little motion, the samples do not lie on an ellipsoid: hold the instrument still "
+            "in six or more attitudes, or turn it slowly all over"
         ) from None
     known = covariance(fit, kernel, time_blocks(time))
     if known is not None:

@@ -109,7 +109,7 @@ def autocal(
             fit = other if fit is None or _rank(other) < _rank(fit) else fit
     if fit is None:
         raise MagycError(
-            "the samples lie on no ellipsoid: turn the sensor about more axes, or leave disturbed stretches out"
+            "the samples do not lie on an ellipsoid: turn the sensor about more axes, or leave disturbed stretches out"
         )
     return fit
 

@@ -21,7 +21,7 @@ from magyc_gtsam.estimators.ellipsoid.magnetometer_only import Ellipsoid, normal
 from magyc_gtsam.recording import Array, Recording
 
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # of C: the diagonal first
-_NOT_AN_ELLIPSOID = "the quadric that fits the samples best is no ellipsoid"
+_NOT_AN_ELLIPSOID = "the quadric that fits the samples best is not an ellipsoid"
 
 
 class Standardised(NamedTuple):

@@ -102,7 +102,7 @@ def initial_estimate(y: Array) -> tuple[Array, Array]:
     h: Array = np.linalg.solve(quadric, [G, H, I]) / 2  # (41)
     radius = J + h @ quadric @ h
     if not radius > 0 or np.linalg.eigvalsh(quadric)[0] <= 0:
-        raise MagycError(f"method 'vasconcelos' failed: the initial quadric is no ellipsoid; {REMEDY}")
+        raise MagycError(f"method 'vasconcelos' failed: the initial quadric is not an ellipsoid; {REMEDY}")
     # T̂ᵀ T̂ = quadric / radius with T̂ lower triangular, (40): Cholesky from the last row up
     T_hat: Array = np.linalg.cholesky(quadric[::-1, ::-1] / radius)[::-1, ::-1].T
     return T_hat, h

@@ -111,7 +111,7 @@ def initial_estimate(y: Array) -> tuple[Array, Array]:
     scale = b @ np.linalg.solve(A, b) - 4 * c
     A, b = 4 * A / scale, 4 * b / scale
     if not np.linalg.eigvalsh(A)[0] > 0:
-        raise MagycError(f"method 'wu-shi' failed: the initial quadric is no ellipsoid; {REMEDY}")
+        raise MagycError(f"method 'wu-shi' failed: the initial quadric is not an ellipsoid; {REMEDY}")
     R = np.linalg.cholesky(A).T
     return np.linalg.inv(R), -np.linalg.solve(A, b) / 2  # (57)
 

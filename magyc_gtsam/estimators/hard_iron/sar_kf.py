@@ -67,9 +67,9 @@ def calibrate_sar_kf(
         MagycError: no gyroscope, too few samples, or noise levels that are not positive.
     """
     if noise is not None and not (len(noise) == 2 and min(noise) > 0 and np.isfinite(noise).all()):
-        raise MagycError(f"noise: {noise!r} is no pair of positive levels (magnetometer T, gyroscope rad/s)")
+        raise MagycError(f"noise: must be a pair above 0 (magnetometer T, gyroscope rad/s), got {noise!r}")
     if not (np.isfinite(drift) and drift >= 0):
-        raise MagycError(f"drift: {drift!r} T/√s; it must be finite and not negative")
+        raise MagycError(f"drift: must be finite and at least 0 T/√s, got {drift!r}")
     turning = turning_field(recording)
     middle = 0.5 * (turning.field.max(axis=0) + turning.field.min(axis=0))
     radius = float(np.median(np.linalg.norm(turning.field - middle, axis=1)))

@@ -65,7 +65,8 @@ class HeadingFact(UprightFact):
         return (
             f"the heading by the field and by {self.known.channel!r} differ by {np.degrees(self.measured):.1f}° on "
             f"average ({self.contradiction:.1f} sigmas), which is not used: it must be the heading of the sensor's x "
-            "axis in degrees, and a course is none where the vehicle drifts; correct it, or give it a larger sigma"
+            "axis in degrees, and a course over ground is not that of a vehicle that drifts; correct it, or give it a "
+            "larger sigma"
         )
 
     def linearised(self, fit: Fit) -> HeadingFact:

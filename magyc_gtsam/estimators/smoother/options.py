@@ -104,7 +104,7 @@ class SmootherOptions:
             _number("delay", self.delay, -1.0, 1.0, "s")
         if self.noise is not None:
             if not isinstance(self.noise, (tuple, list)) or len(self.noise) != 2:
-                raise MagycError(f"noise: {self.noise!r} is no pair (magnetometer T, gyroscope rad/s)")
+                raise MagycError(f"noise: must be a pair (magnetometer T, gyroscope rad/s), got {self.noise!r}")
             _number("noise of the magnetometer", self.noise[0], 0.0, 1e-3, "T")
             _number("noise of the gyroscope", self.noise[1], 0.0, 10.0, "rad/s")
         if isinstance(self.misalignment, bool) or self.misalignment not in ("auto", 0):

@@ -27,7 +27,9 @@ def local(folder: Path) -> list[Path]:
         MagycError: no such folder, or none in it.
     """
     if not folder.is_dir():
-        raise MagycError(f"{folder}: is no folder; give the folder with the recordings, or omit it to fetch them")
+        raise MagycError(
+            f"{folder}: is not a folder; give the folder with the recordings, or omit it to fetch them"
+        )
     found = sorted((p for p in folder.rglob("*") if p.suffix in FORMS), key=lambda p: p.name)
     if not found:
         raise MagycError(f"{folder}: holds no recording ({', '.join(FORMS)})")
@@ -83,7 +85,7 @@ def _pooch() -> Any:
 def _recording(base: str, name: str, known: str | None, folder: Path) -> Path:
     """Fetch a recording that is one file at the address."""
     if Path(name).name != name or Path(name).suffix not in FORMS:
-        raise MagycError(f"{base}{CHECKSUMS}: {name!r} is no file name of a recording ({', '.join(FORMS)})")
+        raise MagycError(f"{base}{CHECKSUMS}: {name!r} is not the name of a recording ({', '.join(FORMS)})")
     return _retrieved(base, name, known, folder)
 
 

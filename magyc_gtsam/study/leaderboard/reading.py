@@ -40,7 +40,7 @@ def read_public(path: Path, reader: Reader) -> tuple[Recording, Array]:
         else:
             values = loadmat(path, squeeze_me=True)
     except (OSError, ValueError, KeyError, BadZipFile) as error:
-        raise MagycError(f"{path}: is no {path.suffix} file of arrays ({error}); fetch it again") from None
+        raise MagycError(f"{path}: is not a {path.suffix} file of arrays ({error}); fetch it again") from None
     missing = [name for name in _NEEDED[path.suffix] if name not in values]
     if missing:
         raise MagycError(f"{path}: has no {', '.join(missing)}; a recording needs {_NEEDED[path.suffix]}")
