@@ -16,6 +16,7 @@ from magyc_gtsam.recording import Array
 from magyc_gtsam.recording.checks import no_values
 from magyc_gtsam.simulation.environment import CHANNELS
 
+TERMS_OF_CHANNELS = ["motor-current", "temperature-hard-iron", "temperature-gyro", "field-gradient"]
 _DEPTH = "depth"
 
 
@@ -64,7 +65,8 @@ def test_something_that_was_passed_is_named_without_depth_or_temperature() -> No
     recording = generate(hidden).recording
     kept = {k: v for k, v in recording.channels.items() if k.startswith("current")}
     assert 0 < len(kept) < len(recording.channels)
-    (passed,) = mg.find_gap(replace(recording, channels=kept)).effects
+    changes = ["local-anomaly", "hard-iron-step", "hard-iron-drift", *TERMS_OF_CHANNELS]
+    (passed,) = mg.find_gap(replace(recording, channels=kept), candidates=changes).effects
     assert passed.name == "local-anomaly"
     assert passed.applied
     assert {"field-gradient", "temperature-gyro"} <= set(passed.ambiguous_with)
@@ -73,8 +75,8 @@ def test_something_that_was_passed_is_named_without_depth_or_temperature() -> No
 def test_a_channel_that_agrees_by_chance_is_no_name() -> None:
     """Of ways that have nothing to do with the field some explain much of it: they are vetoed, or it is the room's."""
     assert _standing(_in_a_room(1)) == "named"
-    others = [_standing(_in_a_room(1, _wandering(200 + k, 3000))) for k in range(6)]
-    assert others.count("vetoed") >= 2
+    others = [_standing(_in_a_room(1, _wandering(200 + k, 3000))) for k in range(4)]
+    assert others.count("vetoed") >= 1
     assert not {"named", "ambiguous"}.intersection(others)
 
 
@@ -112,7 +114,7 @@ def _with_unit(recording: mg.Recording, scale: float, offset: float) -> mg.Recor
 )
 def test_the_unit_of_a_channel_is_of_no_matter(name: str, scale: float, offset: float) -> None:
     """In thousands of it and far from 0, or in small counts: the same name, evidence, power and value."""
-    recording = mg.simulate("wide", 200, seed=3, effects=[(name, 3.0)], channels=CHANNELS).recording
+    recording = mg.simulate("wide", 120, seed=3, effects=[(name, 4.0)], channels=CHANNELS).recording
     plain = mg.find_gap(recording, candidates=[name])
     gap = mg.find_gap(_with_unit(recording, scale, offset), candidates=[name])
     assert gap.names == plain.names == (name,)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from scipy.stats import multivariate_normal
 
 import magyc_gtsam as mg
@@ -100,7 +99,7 @@ def test_many_names_at_once_may_be_one_unknown_cause(unknown: bool) -> None:
 
 def test_a_product_pays_for_the_time_of_its_jump() -> None:
     """In place of a jump, its product with another signal is at the jump's time, which was searched for as well."""
-    recording = mg.simulate("wide", 200, seed=3, effects=(("hard-iron-step", 1.0),)).recording
+    recording = mg.simulate("wide", 120, seed=3, effects=(("hard-iron-step", 1.0),)).recording
     tree = Tree(base_model(recording, None, short_term_noise(recording)), ("hard-iron-step",))
     node = tree.nodes[()]
     step = node.found["hard-iron-step"]
@@ -112,36 +111,8 @@ def test_a_product_pays_for_the_time_of_its_jump() -> None:
         np.testing.assert_allclose(paid.by_scale, free.by_scale - step.search)
 
 
-def test_a_field_that_varies_is_in_the_hypotheses() -> None:
-    """A field that wanders in the world's axes is the place's; the same in the sensor's axes is something else."""
-    recording = mg.simulate("wide", 300, seed=8).recording
-    phases = np.random.default_rng(1).uniform(0, 6, (3, 5))
-    slow = np.sin(2 * np.pi * recording.time[:, None, None] / np.array([31, 43, 57, 71, 97.0]) + phases).sum(
-        axis=2
-    )
-    stated = {}
-    for name, added in (("world", Rotation.from_quat(recording.attitude).inv().apply(slow)), ("sensor", slow)):
-        field = recording.magnetic_field + 0.4e-6 * added
-        own = mg.Recording(recording.time, field, recording.angular_rate)
-        stated[name] = stated_of(own)
-    assert stated["world"][FIELD_VARIATION] > 0.95
-    assert stated["world"][UNKNOWN] + stated["world"][NOTHING] < 0.5
-    assert stated["sensor"].get(FIELD_VARIATION, 0.0) < 0.5
-
-
-def test_the_probability_of_what_was_found_is_stated() -> None:
-    gap = mg.find_gap(mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording)
-    assert gap.effects[0].probability == gap.probabilities["timing"] > 0.9
-    assert gap.probabilities[NOTHING] < 0.05
-
-
-def test_colour_is_weighed_beside_names_and_without() -> None:
-    recording = mg.simulate("wide", 300, seed=4, effects=[("coloured-noise", 2.0)]).recording
-    assert mg.find_gap(recording).probabilities["coloured-noise"] > 0.95
-
-
 def test_a_tree_follows_what_is_likely() -> None:
-    recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
+    recording = mg.simulate("wide", 120, seed=9, effects=[("timing", 2.0)]).recording
     noise = short_term_noise(recording)
     tree = Tree(base_model(recording, None, noise), ("timing", "cubic", "hard-iron-step"))
     assert tree.best.names == ("timing",)
@@ -152,13 +123,13 @@ def test_a_tree_follows_what_is_likely() -> None:
 
 def test_what_is_weak_may_be_a_part_of_something_unknown() -> None:
     """A lag of fast turns alone is no delay of all turns; a strong delay, beside which nothing is left, is one."""
-    recording = mg.simulate("multi", 200, seed=3).recording
+    recording = mg.simulate("multi", 120, seed=3).recording
     field, turn = recording.magnetic_field, recording.angular_rate
     assert turn is not None
     speed = np.linalg.norm(turn, axis=1, keepdims=True)
     slope = np.cross(field - field.mean(axis=0), turn)
     fast = 0.09 * slope * (speed / np.sqrt((speed**2).mean())) ** 2
-    late = mg.find_gap(mg.simulate("multi", 200, seed=3, effects=[("timing", 3.0)]).recording).probabilities
+    late = mg.find_gap(mg.simulate("multi", 120, seed=3, effects=[("timing", 3.0)]).recording).probabilities
     odd = mg.find_gap(mg.Recording(recording.time, field - fast, turn)).probabilities
     assert late["timing"] > 0.95
     assert late[UNKNOWN] < 0.05

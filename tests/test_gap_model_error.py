@@ -85,7 +85,7 @@ def test_what_nobody_modelled_is_in_the_sigma(seed: int) -> None:
 
 @pytest.mark.parametrize("effects", [[], [("timing", 2.0)], [("gyro-scale", 2.0)]])
 def test_what_is_clean_or_named_stays_trusted_and_as_sharp(effects: list) -> None:
-    gap = mg.find_gap(mg.simulate("wide", 200, seed=26, effects=effects).recording)
+    gap = mg.find_gap(mg.simulate("wide", 120, seed=26, effects=effects).recording)
     assert gap.doubt is None
     assert gap.calibration.trusted
     assert judged_gap(gap).trusted

@@ -1,7 +1,7 @@
 """How often the gap workflow is right: over the whole catalogue, what is in none, pairs, missing channels, nothing.
 
-Recordings of 200 s with twice the published strengths, which stand out about as far as the strengths themselves do
-in ten minutes; of 400 s with one and a half where a channel is missing. Seeds are drawn by nobody, as those of the
+Recordings of two minutes with 2.6 times the published strengths, which stand out a little farther than the strengths
+themselves do in ten minutes. Seeds are drawn by nobody, as those of the
 blind test; `magyc-gtsam study gap` is the long version.
 """
 
@@ -23,7 +23,9 @@ from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.simulation.effects import FOREIGN, NAMED
 
 EDITION = 26
-CLEAN, PAIRS = 3, 2
+SECONDS, FACTOR = 120.0, 2.6
+CLEAN = 3
+PAIRS = {"wide": 0, "moderate": 1, "multi": 2}  # number of the pair that each motion takes
 WITHHELD = {
     ("motor-current", "wide"): ("current",),
     ("temperature-hard-iron", "moderate"): ("temperature",),
@@ -68,17 +70,16 @@ def chosen(motion: str, part: slice) -> list[Scenario]:
     def one(kind: str, factor: float, *names: str, number: int = 0, without: tuple[str, ...] = ()) -> Scenario:
         label = f"{kind}-{motion}-{'+'.join(names)}-{number}"
         effects = tuple((name, factor) for name in names)
-        duration = 400.0 if without else 200.0
-        return Scenario(label, kind, motion, seed_of(label, EDITION), effects, without, duration)
+        return Scenario(label, kind, motion, seed_of(label, EDITION), effects, without, SECONDS)
 
     visible = [name for name in NAMED[part] if name not in INVISIBLE.get(motion, ())]
-    pairs = [each.names for each in scenarios(motion, 5 * PAIRS, EDITION, ["pair"])]
+    pairs = [each.names for each in scenarios(motion, 15, EDITION, ["pair"])]
     return [
         *(one("none", 1.0, number=k) for k in range(CLEAN)),
-        *(one("single", 2.0, name) for name in visible),
-        *(one("foreign", 2.0, name) for name in FOREIGN[part]),
-        *(one("pair", 2.0, *names) for names in pairs),
-        *(one("withheld", 1.5, name, without=c) for (name, on), c in WITHHELD.items() if on == motion),
+        *(one("single", FACTOR, name) for name in visible),
+        *(one("foreign", FACTOR, name) for name in FOREIGN[part]),
+        one("pair", FACTOR, *pairs[PAIRS[motion]]),
+        *(one("withheld", FACTOR, name, without=c) for (name, on), c in WITHHELD.items() if on == motion),
     ]
 
 
@@ -104,8 +105,7 @@ def test_a_catalogue_on_a_motion(motion: str, part: slice) -> None:
     assert count["single"][RIGHT] + count["single"][IN_SET] >= len(cases["single"]) - 1, said
     assert count["single"][WRONG] <= 1, said
     assert count["foreign"][UNKNOWN] >= len(cases["foreign"]) - 1, said
-    assert count["pair"][RIGHT] + count["pair"][IN_SET] + count["pair"][PARTIAL] >= PAIRS - 1, said
-    assert count["pair"][WRONG] == 0, said
+    assert count["pair"][RIGHT] + count["pair"][IN_SET] + count["pair"][PARTIAL] == 1, said
     assert count.get("withheld", Counter())[WRONG] <= 1, said
 
     for case in every:
@@ -115,6 +115,8 @@ def test_a_catalogue_on_a_motion(motion: str, part: slice) -> None:
             np.testing.assert_allclose(gap.calibration.hard_iron, gap.base.hard_iron, atol=1e-9)
             assert (gap.verdict == "unknown") == ("nothing was changed" in gap.sentence), case
             assert {h.status for h in gap.hypotheses if h.significant} <= {"significant", "vetoed"}, case
+        if case.kind == RIGHT and case.scenario.names == ("coloured-noise",):
+            assert gap.probabilities["coloured-noise"] > 0.95, case
         # What was not significant is not called anything else.
         assert {h.status for h in gap.hypotheses if not h.significant} <= STANDING, case
         assert not STANDING.intersection(h.status for h in gap.hypotheses if h.significant), case

@@ -20,7 +20,7 @@ from magyc_gtsam.runners.incremental import Incremental
 @pytest.mark.parametrize("name", ["motor-current", "temperature-gyro"])
 def test_what_gap_named_is_a_factor(name: str) -> None:
     """Two stretches of the log share it, and give the value that the search gave, one after the other on iSAM2."""
-    simulation = mg.simulate("wide", duration=200, seed=2, effects=[(name, 3.0)])
+    simulation = mg.simulate("wide", duration=120, seed=2, effects=[(name, 3.0)])
     found = mg.find_gap(simulation.recording, candidates=[name]).calibration
     (term,) = found.terms
     truth, strength = simulation.truth, found.field_strength
@@ -68,9 +68,7 @@ def deviations(
     )
 
 
-@pytest.mark.parametrize(
-    "name", ["temperature-hard-iron", "temperature-gyro", "hard-iron-step", "hard-iron-drift", "local-anomaly"]
-)
+@pytest.mark.parametrize("name", ["temperature-hard-iron", "temperature-gyro", "local-anomaly"])
 def test_stretches_of_a_minute_share_what_was_found_in_the_whole(name: str) -> None:
     """What acts late, once, or over the whole recording: the value is the one of the whole but for the links lost."""
     recording = mg.simulate("wide", duration=300, seed=2, effects=[(name, 2.0)]).recording
@@ -95,7 +93,7 @@ def test_two_effects_of_one_recording_are_one_factor() -> None:
 
 def test_a_timing_beside_another_effect_is_the_delay_of_their_factor() -> None:
     effects = [("motor-current", 2.0), ("timing", 4.0)]
-    recording = mg.simulate("wide", duration=200, rate=20, seed=2, effects=effects).recording
+    recording = mg.simulate("wide", duration=120, rate=20, seed=2, effects=effects).recording
     found = mg.find_gap(recording, candidates=["motor-current", "timing"]).calibration
     assert {term.name for term in found.terms} == {"motor-current", "timing"}
     differences, _ = deviations(recording, found, 200.0)

@@ -14,8 +14,10 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.gap.effects import NAMES
 from magyc_gtsam.gap.evidence.answer import Answer, answer
+from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.find import _problem as problem_of
 from magyc_gtsam.gap.find import base_model
 from magyc_gtsam.gap.model.refit import Refit
@@ -106,8 +108,12 @@ def test_a_field_that_varies_closes_the_gap() -> None:
         field = recording.magnetic_field + 0.4e-6 * added
         gap = mg.find_gap(mg.Recording(recording.time, field, recording.angular_rate))
         assert ("field-variation" in gap.names) is not moving
+        if moving:
+            assert gap.probabilities.get(FIELD_VARIATION, 0.0) < 0.5
         if not moving:
             assert gap.verdict == "closed"
+            assert gap.probabilities[FIELD_VARIATION] > 0.95
+            assert gap.probabilities.get(UNKNOWN, 0.0) + gap.probabilities.get(NOTHING, 0.0) < 0.5
             assert gap.effects[-1].unit == "µT"
             assert 0.1 < gap.effects[-1].value[0] < 1.6
             assert all(effect.probability > PRIOR.sure for effect in gap.effects)

@@ -28,7 +28,7 @@ def twin_of(recording: mg.Recording) -> Twin:
 
 def in_a_room(seed: int, level: float, **sensor: float) -> mg.Recording:
     """A field that wanders over some ten seconds along the way, in the world's axes."""
-    simulation = mg.simulate("wide", 200, seed=seed, **sensor)
+    simulation = mg.simulate("wide", 120, seed=seed, **sensor)
     recording = simulation.recording
     assert recording.attitude is not None
     steps = np.random.default_rng(seed).standard_normal((len(recording.time), 3))
@@ -41,7 +41,7 @@ def in_a_room(seed: int, level: float, **sensor: float) -> mg.Recording:
 
 def test_a_field_that_stands_is_not_said_to_vary() -> None:
     for motion in ("wide", "moderate"):
-        found = [field_variation(twin_of(mg.simulate(motion, 200, seed=s).recording)) for s in range(400, 404)]
+        found = [field_variation(twin_of(mg.simulate(motion, 120, seed=s).recording)) for s in range(400, 404)]
         assert not any(one.evident for one in found)
         assert max(one.noise for one in found) < 1.1
 
@@ -75,7 +75,7 @@ def test_the_whitening_is_that_of_the_covariance() -> None:
 def test_functions_of_attitude_span_a_smooth_process() -> None:
     """Of unit variance wherever the sensor was turned to, and fewer for a motion that turns less."""
     wide, tiny = (
-        functions_of_attitude(twin_of(mg.simulate(motion, 200, seed=2).recording).windows.need("to_sensor"))
+        functions_of_attitude(twin_of(mg.simulate(motion, 120, seed=2).recording).windows.need("to_sensor"))
         for motion in ("wide", "tiny")
     )
     assert (wide**2).sum(axis=0).mean() == pytest.approx(1.0, abs=0.1)

@@ -199,10 +199,17 @@ def test_nothing_is_trusted_while_a_large_step_is_possible():
     assert not any(told)
 
 
+@pytest.fixture(scope="module")
+def magnet(shared_data):
+    """A recording, and its calibrations with a magnet and without."""
+    recording = read(shared_data / "broad_32_attached_magnet_1cm.mcap")
+    return recording, calibrate(recording.between(41.5, 92)), calibrate(recording.between(95, None))
+
+
 @pytest.mark.real
 @pytest.mark.parametrize("interval", [(0, None), (28, 115)])
-def test_a_magnet_attached_by_hand_and_taken_off(shared_data, interval):
-    recording = read(shared_data / "broad_32_attached_magnet_1cm.mcap")
+def test_a_magnet_attached_by_hand_and_taken_off(magnet, interval):
+    recording, with_magnet, without = magnet
     start = recording.time[0]
     online = feed(OnlineCalibrator(), recording.between(*interval), step=2.0)
     attached, removed = online.changes
@@ -212,9 +219,5 @@ def test_a_magnet_attached_by_hand_and_taken_off(shared_data, interval):
     assert removed.time - start == pytest.approx(95.0, abs=0.6)
     assert (np.abs(attached.step / MICROTESLA - [-6, -1, 58]) < 3 * attached.step_sigma / MICROTESLA).all()
     np.testing.assert_allclose(removed.step / MICROTESLA, [6, 1, -58], atol=3)
-    with_magnet, without = (
-        calibrate(recording.between(41.5, 92)),
-        calibrate(recording.between(95, None)),
-    )
     np.testing.assert_allclose(removed.before.hard_iron, with_magnet.hard_iron, atol=1e-6)
     np.testing.assert_allclose(online.calibration.hard_iron, without.hard_iron, atol=1e-6)
