@@ -29,7 +29,7 @@ def drifting(recording: mg.Recording, rate: float) -> mg.Recording:
 @pytest.mark.parametrize("motion", AMPLITUDES)
 def test_a_drift_is_named_and_taken_out(motion: str, rate: float) -> None:
     """Unnoticed, 0.1 % put the hard iron of `moderate` 8 µT off, 8 of its sigmas."""
-    simulation = mg.simulate(motion, seed=1)
+    simulation = mg.simulate(motion, 400, seed=1)
     recording = drifting(simulation.recording, rate)
     calibration = mg.calibrate(recording)
     assert not calibration.trusted
@@ -56,7 +56,7 @@ def test_what_is_left_of_a_drift_is_added_to_what_was_taken_out() -> None:
 
 @pytest.mark.parametrize(("motion", "rate"), [("wide", 1e-2), ("moderate", -1e-2), ("low", -1e-2), ("tiny", 1e-2)])
 def test_one_percent_is_never_trusted(motion: str, rate: float) -> None:
-    assert not mg.calibrate(drifting(mg.simulate(motion, 300, seed=1).recording, rate)).trusted
+    assert not mg.calibrate(drifting(mg.simulate(motion, 150, seed=1).recording, rate)).trusted
 
 
 @pytest.mark.parametrize(("motion", "rate"), [("moderate", 1e-5), ("low", 3e-4), ("tiny", 3e-5)])
@@ -73,7 +73,7 @@ def test_a_drift_without_effect_harms_no_trust(motion: str, rate: float) -> None
 def test_neither_disturbances_nor_a_short_log_pass_for_a_drift(motion: str) -> None:
     for seed in range(2):
         for recording in (
-            disturb(mg.simulate(motion, seed=seed).recording, 0.2, seed=seed),
+            disturb(mg.simulate(motion, 300, seed=seed).recording, 0.2, seed=seed),
             mg.simulate(motion, duration=90, seed=seed).recording,
             mg.simulate(motion, duration=300, seed=seed, effects=("gyro-scale", "hard-iron-drift")).recording,
         ):

@@ -43,7 +43,7 @@ def distance(calibration, batch):
 
 @pytest.mark.parametrize("motion", ["wide", "moderate", "low", "tiny"])
 def test_the_end_result_is_that_of_the_batch(motion):
-    recording = simulate(motion, duration=300, seed=3).recording
+    recording = simulate(motion, duration=200, seed=3).recording
     online, batch = feed(OnlineCalibrator(), recording), calibrate(recording)
     calibration = online.calibration
     assert online.converged

@@ -18,7 +18,7 @@ from magyc_gtsam.simulation import AMPLITUDES
 
 @pytest.mark.parametrize(("motion", "share"), [("wide", 0.1), ("moderate", 0.6), ("low", 0.1), ("tiny", 0.6)])
 def test_it_does_not_converge(motion: str, share: float) -> None:
-    recording = cut(mg.simulate(motion, 300, seed=1).recording, share)
+    recording = cut(mg.simulate(motion, 200, seed=1).recording, share)
     online, found = fed(recording), find_clipped_field(recording)
     assert not online.converged
     assert not online.progress.converged

@@ -36,7 +36,7 @@ def feed(online: mg.OnlineCalibrator, recording: mg.Recording, step: float = 5.0
 @pytest.mark.parametrize(("motion", "rate"), [("moderate", 1e-3), ("low", -5e-3)])
 def test_a_drift_is_named_as_by_the_batch_and_taken_out(motion: str, rate: float) -> None:
     """Unnoticed, 0.1 % put the hard iron of `moderate` 9 µT off, 9 of its sigmas, in a converged result."""
-    simulation = mg.simulate(motion, 300, seed=1)
+    simulation = mg.simulate(motion, 220, seed=1)
     recording = drifting(simulation.recording, rate)
     online, batch = feed(mg.OnlineCalibrator(), recording), mg.calibrate(recording)
     calibration = online.calibration
@@ -62,7 +62,7 @@ def test_a_drift_is_named_as_by_the_batch_and_taken_out(motion: str, rate: float
 
 @pytest.mark.parametrize("motion", ["wide", "low"])
 def test_one_percent_is_never_trusted(motion: str) -> None:
-    online = feed(mg.OnlineCalibrator(), drifting(mg.simulate(motion, 180, seed=1).recording, 1e-2))
+    online = feed(mg.OnlineCalibrator(), drifting(mg.simulate(motion, 120, seed=1).recording, 1e-2))
     assert not online.converged
     assert not online.calibration.trusted
 
@@ -78,7 +78,7 @@ def test_what_is_left_of_a_drift_is_added_to_what_was_taken_out() -> None:
 @pytest.mark.parametrize("motion", [*AMPLITUDES, "disturbed"])
 def test_clocks_that_keep_step_are_not_accused(motion: str) -> None:
     """Whenever they are asked."""
-    recording = mg.simulate("low" if motion == "disturbed" else motion, 300, seed=2).recording
+    recording = mg.simulate("low" if motion == "disturbed" else motion, 200, seed=2).recording
     if motion == "disturbed":
         recording = disturb(recording.between(0, 150), 0.1, seed=2)
     said: list[str] = []
