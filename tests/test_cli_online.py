@@ -336,7 +336,10 @@ def test_plain_lines_of_a_pipe(log: Path, tmp_path: Path) -> None:
             ("{log}", "--field-strength", "0"),
             "field_strength: must be that of the Earth, 20e-6 to 70e-6 T, got 0 T",
         ),
-        (("{log}", "--option", "field_strength=strong"), "field_strength: 'strong' is no number"),
+        (
+            ("{log}", "--option", "field_strength=strong"),
+            "field_strength: must be a number of tesla, got 'strong'",
+        ),
         (("{log}", "--option", "horizon=long"), "horizon: must be a finite number of at least 120, got 'long'"),
         (("{log}", "--method", ""), "'' is not one of smoother, magyc-ifg"),
         (("{log}", "--output", "{log}/there.yaml"), "expected a folder, this is a file"),

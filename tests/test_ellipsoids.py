@@ -107,7 +107,7 @@ def test_a_hyperboloid_is_refused_with_a_reason():
     radius = np.sqrt(1 + 4 * height**2)
     field = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1) * 40e-6
     recording = Recording(np.arange(300.0), field)
-    with pytest.raises(MagycError, match=r"'ellipsoid' failed: .*no ellipsoid"):
+    with pytest.raises(MagycError, match=r"'ellipsoid' failed: .*not an ellipsoid"):
         calibrate(recording, "ellipsoid")
 
 

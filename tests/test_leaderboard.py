@@ -154,7 +154,7 @@ def test_a_mirror_names_no_file_elsewhere(mirror: tuple[Path, str], tmp_path: Pa
     pytest.importorskip("pooch")
     folder, address = mirror
     (folder / "registry.txt").write_text(f"../{NAMES[0]}.npz {'0' * 64}\n")
-    with pytest.raises(mg.MagycError, match="no file name of a recording"):
+    with pytest.raises(mg.MagycError, match="is not the name of a recording"):
         fetching.fetch(tmp_path / "kept", address)
 
 

@@ -78,17 +78,17 @@ def unite(
             result["notes"] += (note,) if note else ()
             known = np.isfinite(channel).reshape(len(channel), -1).all(axis=1)
             channel_time, channel = channel_time[known], channel[known]
-        result["channels"][k] = interpolated(time, channel_time, channel, outside=np.nan)
+        result["channels"][k] = _on_rows(time, channel_time, channel, outside=np.nan)
     if "angular_rate" in clean:
         gyro_time, gyro = clean["angular_rate"]
         if angular_rate_is == "interval-mean" and time is not mag_time:
             rate = gyro[np.searchsorted(gyro_time, time)]  # the mean holds all the way up to its stamp
         else:
-            rate = interpolated(time, gyro_time, gyro)
+            rate = _on_rows(time, gyro_time, gyro)
         fresh = np.ones(len(time), dtype=bool) if time is mag_time else np.isin(time, gyro_time)
         result |= {"angular_rate": rate, "angular_rate_fresh": fresh}
     if acceleration is not None:
-        result["acceleration"] = interpolated(time, *_stream("acceleration", *acceleration, 3, origin))
+        result["acceleration"] = _on_rows(time, *_stream("acceleration", *acceleration, 3, origin))
     if attitude is not None:
         result["attitude"] = _slerp(time, *_stream("attitude", *attitude, 4, origin))
     return result
@@ -114,12 +114,14 @@ def interpolated(at: Array, time: Array, value: Array, outside: float | None = N
 
     Beyond the stamps they hold the first and last value, or take `outside`.
     """
-    if np.array_equal(at, time):
-        return value
     result = np.empty((len(at), *value.shape[1:]))
     for to, column in zip(result.reshape(len(at), -1).T, value.reshape(len(time), -1).T, strict=True):
         to[:] = np.interp(at, time, column, left=outside, right=outside)
-    return given_away(result)
+    return result
+
+
+def _on_rows(at: Array, time: Array, value: Array, outside: float | None = None) -> Array:
+    return value if np.array_equal(at, time) else given_away(interpolated(at, time, value, outside))
 
 
 def _slerp(at: Array, time: Array, quaternion: Array) -> Array:
