@@ -23,17 +23,17 @@ settings.load_profile("any machine")
 # The files that take longest, by their processor time or because they wait for other processes. They are begun first:
 # the last file that is begun leaves the other processes idle for as long as it takes.
 LONGEST = (
-    "test_gap_rates.py",
     "test_gap_real.py",
+    "test_gap_rates.py",
     "test_many.py",
     "test_serve_page.py",
     "test_serve_live.py",
+    "test_gap_isolability.py",
     "test_gap_find.py",
     "test_gap_honest.py",
-    "test_gap_isolability.py",
-    "test_gap_values.py",
-    "test_online_changes.py",
     "test_magyc_ifg.py",
+    "test_online_changes.py",
+    "test_gap_values.py",
     "test_gap_channels.py",
 )
 
