@@ -184,7 +184,8 @@ def _one_passing(one: Active, other: Active) -> bool:
 def key_of(tree: Tree, node: Node) -> tuple[str, ...]:
     """The names of what is kept, in their own order."""
     names = {node.fit.model.terms[index].name for index in kept(tree, node)}
-    return tuple(sorted(names | ({FIELD_VARIATION} if node.variation is not None else set())))
+    varies = node.variation is not None and node.variation.evident  # a name may have left nothing of it
+    return tuple(sorted(names | ({FIELD_VARIATION} if varies else set())))
 
 
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:

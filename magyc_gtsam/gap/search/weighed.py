@@ -43,7 +43,7 @@ def weighed(result: Search, said: Answer, short_term: SensorNoise) -> Search:
     stated = marginals(said.posterior)
     doubtful = {place for place, one in enumerate(result.found) if _improbable(one, said.posterior)}
     variation = said.tree.best.variation
-    if variation is None or not _of_the_place(result, stated, doubtful):
+    if variation is None or not variation.evident or not _of_the_place(result, stated, doubtful):
         return _with_unknown(_marked(result, doubtful), said, stated[UNKNOWN])
     kept = _without(result, doubtful, short_term)
     score = _score(variation)
