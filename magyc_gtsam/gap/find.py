@@ -34,6 +34,7 @@ from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.tones import silenced
 from magyc_gtsam.gap.search.search import Search, search
+from magyc_gtsam.gap.search.step_samples import without_samples_of_steps
 from magyc_gtsam.gap.search.weighed import weighed
 from magyc_gtsam.gap.simulated import Side, compare
 from magyc_gtsam.observability import Observability, assess
@@ -159,6 +160,7 @@ def _looked(
     result = search(recording, base, short_term, names, _problem, report)
     report(0.7)
     said = answer(recording, base, short_term, names, _problem, discrete, result.first.fine)
+    result, said = without_samples_of_steps(recording, result, said)
     stated, result = marginals(said.posterior), weighed(result, said, short_term)
     report(0.9)
     gap = gap_of(result, base, short_term, calibration, names, discrete, clock.perf_counter() - started)
