@@ -176,6 +176,8 @@ def test_reload_and_a_killed_server_in_the_middle(tmp_path: Path, visit: Callabl
     begun.or_(page.locator("#result header.good")).first.wait_for()
     server.stop(signal.SIGKILL)
     page.locator("#link").wait_for()
+    page.locator("#log [data-run=compare]").click()
+    page.locator("#problem", has_text="does not answer").wait_for()
     server = Served(tmp_path, port=server.port)
     try:
         page.locator("#link").wait_for(state="hidden")

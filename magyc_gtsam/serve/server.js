@@ -16,6 +16,10 @@ function complain(text) {
   if (text) $("#problem").scrollIntoView({ block: "nearest" });
 }
 
+/** What went wrong and is shown on the page. */
+class Told extends Error {}
+addEventListener("unhandledrejection", (event) => { if (event.reason instanceof Told) event.preventDefault(); });
+
 /** The answer as an object; where the server refuses, what it said is shown and thrown. */
 async function ask(address, options = {}) {
   if (options.body !== undefined) options = { method: "POST", ...options, body: JSON.stringify(options.body) };
@@ -24,14 +28,14 @@ async function ask(address, options = {}) {
     answer = await fetch(address, options);
   } catch {
     complain("The server does not answer. Is it still running?");
-    throw new Error("no answer");
+    throw new Told("no answer");
   }
   const text = await answer.text();
   let said = {};
   try { said = JSON.parse(text); } catch { said = { problem: text }; }
   if (!answer.ok) {
     complain(said.problem || answer.statusText);
-    throw new Error(said.problem);
+    throw new Told(said.problem);
   }
   return said;
 }
@@ -43,7 +47,7 @@ function send(file, progress, started) {
     request.open("POST", `/api/logs?name=${encodeURIComponent(file.name)}`);
     request.responseType = "json";
     request.upload.onprogress = (event) => progress(event.loaded / event.total);
-    const failed = (text) => { if (text) complain(text); reject(new Error(text)); };
+    const failed = (text) => { if (text) complain(text); reject(new Told(text)); };
     request.onload = () => request.status === 201 ? resolve(request.response) : failed((request.response && request.response.problem) || `${file.name}: refused`);
     request.onerror = () => failed(`${file.name}: the upload broke off; drop it again`);
     request.onabort = () => failed("");
