@@ -64,7 +64,6 @@ class Rules:
     slow: float = 1.0  # Hz, up to which windows of a second still show something
     span: float = 2.5  # widths within which a second bump belongs to the first
     spike: float = 4.5  # sigmas, one normal vector in six thousand
-    least_spikes: int = 2  # samples: one of ten thousand stands out by chance
     spikes_alone: float = 0.46  # share of them, those side by side counted as one, that have no neighbour
     strong: float = 5.0  # thresholds that a term must pass where something else is missing too
     # nats, and share of the evidence, by which one that is as good as the strongest may be behind

@@ -74,7 +74,7 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Teste
 
 def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[Tested]:
     """Each family by itself."""
-    new = beside.of_each([partial(family.beside, motion) for family in families])
+    new = beside.of_each([partial(family.columns_of, motion) for family in families])
     return [_informative(beside, motion, each) for each in _tested(beside, families, new)]
 
 
@@ -103,9 +103,9 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
         return tested
     if more.all() and family.mixed:
         return _without_noisy_mixtures(beside, motion, tested)
-    columns, kept = family.beside(motion).dense, more
+    columns, kept = family.columns_of(motion).dense, more
     if family.from_rate:
-        noise = beside.of(columns.less(family.beside(motion.noisier).dense)).normal.diagonal()
+        noise = beside.of(columns.less(family.columns_of(motion.noisier).dense)).normal.diagonal()
         kept = more & (noise < _NOISE_SHARE * tested.new.normal.diagonal())
     if kept.all():
         return tested
@@ -115,8 +115,8 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
 
 def _without_noisy_mixtures(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
     """As `_informative`, without mixtures of columns that the gyroscope's noise makes up."""
-    family, columns = tested.family, tested.family.beside(motion).dense
-    noise = beside.of(columns.less(family.beside(motion.noisier).dense)).normal
+    family, columns = tested.family, tested.family.columns_of(motion).dense
+    noise = beside.of(columns.less(family.columns_of(motion.noisier).dense)).normal
     value, axes, _ = tested.principal
     kept = np.einsum("ki,kl,li->i", axes, noise, axes) < _NOISE_SHARE * value
     if kept.all():

@@ -73,8 +73,8 @@ class ColumnFamily:
     from_rate: bool = False
     mixed: bool = False
 
-    def beside(self, motion: WindowMotion) -> Columns:
-        """The columns of a motion, those of the gyroscope also by what it did while the field was not measured."""
+    def columns_of(self, motion: WindowMotion) -> Columns:
+        """The columns of a motion; of what is on the gyroscope also by the motion while the field was not measured."""
         return self.columns(motion.along_links if self.name.startswith("gyroscope:") else motion)
 
     def likely(self, motion: WindowMotion) -> float:

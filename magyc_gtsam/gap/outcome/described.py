@@ -24,19 +24,6 @@ _IMPROBABLE = "named, not corrected: beside all else that may be there it is imp
 _UNPAID = (
     "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
 )
-_TONE = ("cos x", "cos y", "cos z", "sin x", "sin y", "sin z")
-_OPEN = "named, not corrected: this motion does not determine all of its values"
-_UNSURE = "named, not corrected: an unrecorded channel may be the cause"
-_IMPROBABLE = "named, not corrected: beside all else that may be there it is improbable"
-_UNPAID = (
-    "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
-)
-_OPEN = "named, not corrected: this motion does not determine all of its values"
-_UNSURE = "named, not corrected: an unrecorded channel may be the cause"
-_IMPROBABLE = "named, not corrected: beside all else that may be there it is improbable"
-_UNPAID = (
-    "named, not corrected: in a varying field the correction does not improve the prediction of held-out data"
-)
 
 
 def _setting(refitted: Refit, index: int) -> dict[str, float]:

@@ -46,8 +46,9 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     # beside it, at least half of the wrong samples must stand out by themselves.
     apart = not order or _MEDIAN * ratio > RULES.spike**2
     evidence = gain - RULES.chance
-    many = hit.sum() >= RULES.least_spikes
-    significant = evidence > limit and many and alone > RULES.spikes_alone and share < RULES.rare and apart
+    significant = (
+        evidence > limit and hit.sum() >= 2 and alone > RULES.spikes_alone and share < RULES.rare and apart
+    )
     total = max(float(belongs.sum()), 1e-9)
     height = float(np.sqrt(belongs @ (residual**2).sum(axis=0) / (3 * total))) * level
     return NoiseScore(

@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.evidence.answer import Answer
-from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.gap.model.problem import Model
+from magyc_gtsam.gap.samples.fine import fine_innovations
+from magyc_gtsam.gap.samples.wrong_samples import spikes
 from magyc_gtsam.gap.search.naming import less
 from magyc_gtsam.gap.search.search import Search
 from magyc_gtsam.recording import Recording
@@ -22,12 +23,11 @@ _WINDOW = 1.5  # s, the longest
 
 def without_samples_of_steps(recording: Recording, result: Search, said: Answer) -> tuple[Search, Answer]:
     """What was found in a recording, and its posterior, without spikes that are a step's own samples."""
-    terms = [term for term in result.last.refit.model.terms if term.name == "hard-iron-step"]
-    times = np.array([term.setting[end] for term in terms for end in ("time", "until") if end in term.setting])
-    if not _others(recording, result.recording, times):
+    model = result.last.refit.model
+    if not _has_spikes(recording, result.recording, model):
         found = {place for place, one in enumerate(result.found) if one.name == "spikes"}
         result = replace(result, found=less(result.found, found))
-    if not _others(recording, said.recording, times):
+    if not _has_spikes(recording, said.recording, model):
         posterior: dict[tuple[tuple[str, ...], bool], float] = {}
         for (names, unknown), probability in said.posterior.items():
             key = tuple(name for name in names if name != "spikes"), unknown
@@ -36,10 +36,13 @@ def without_samples_of_steps(recording: Recording, result: Search, said: Answer)
     return result, said
 
 
-def _others(before: Recording, after: Recording, times: Array) -> bool:
-    """Whether samples were left out that are not next to a step, or none was at all."""
-    left_out = before.time[before.magnetic_field_fresh & ~after.magnetic_field_fresh]
-    if not len(left_out) or not len(times):
+def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:
+    """Whether wrong samples are significant away from steps; True if none next to a step was left out."""
+    terms = [term for term in model.terms if term.name == "hard-iron-step"]
+    times = np.array([term.setting[end] for term in terms for end in ("time", "until") if end in term.setting])
+    left_out = before.magnetic_field_fresh & ~after.magnetic_field_fresh
+    near = (np.abs(before.time[:, None] - times) < _WINDOW).any(axis=1)
+    if not (left_out & near).any():
         return True
-    away = np.abs(left_out[:, None] - times).min(axis=1) > _WINDOW
-    return int(away.sum()) >= RULES.least_spikes
+    fine = fine_innovations(replace(before, magnetic_field_fresh=before.magnetic_field_fresh & ~near), model)
+    return spikes(fine.innovation, fine.level, 0.0).significant
