@@ -14,7 +14,7 @@ import numpy as np
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.scores.score import DRAWS, scan
 from magyc_gtsam.simulation.environment import CHANNELS
 

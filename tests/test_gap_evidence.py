@@ -21,8 +21,7 @@ from magyc_gtsam.gap.evidence.posterior import kept, normalised
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
-from magyc_gtsam.gap.find import _problem as problem_of
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
 RANDOM = np.random.default_rng(3)

@@ -13,7 +13,7 @@ from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.smoother.columns import UnmodelledColumns
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.errors import MagycError
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import Refit, prior_of, refit, widened, with_term
 from magyc_gtsam.gap.model.twin import Columns

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.samples.noise_effects import coloured_noise, tone
 from magyc_gtsam.gap.samples.noise_isolability import noise_isolability

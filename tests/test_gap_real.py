@@ -14,7 +14,7 @@ from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import real_scenarios
 from magyc_gtsam.blindtest.scoring import IN_SET, RIGHT, WRONG, beyond, judged
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.samples.noise_effects import sample_hold
 from magyc_gtsam.report.gap_page import render_gap
 from magyc_gtsam.simulation import inject

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import NAMES, TERMS
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import determined, refit, with_term
 from magyc_gtsam.gap.model.variants import Projector, variants

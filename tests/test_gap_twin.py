@@ -14,7 +14,7 @@ from magyc_gtsam.blindtest.generator import generate
 from magyc_gtsam.blindtest.scenarios import Scenario
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.effects.forms import FORMS
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import refit, with_term
 from magyc_gtsam.gap.model.twin import Columns, Twin
@@ -166,9 +166,7 @@ def test_columns_are_derivatives_of_the_innovations(twin: Twin) -> None:
     recording = twin.problem.recording
     assert recording.angular_rate is not None
     moved = replace(recording, angular_rate=recording.angular_rate + error.T)
-    from magyc_gtsam.gap.find import _problem
-
-    other = Twin.of(_problem(moved), twin.model)
+    other = Twin.of(problem_of(moved), twin.model)
     base = twin.base_columns
     change = Projector(base)((other.residual() - twin.residual()).reshape(1, -1))[0]
     column = Projector(base)(size[None] @ twin.whiten(twin.columns("gyro-scale", {})))[0]

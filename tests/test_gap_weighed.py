@@ -18,8 +18,7 @@ from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
-from magyc_gtsam.gap.find import _problem as problem_of
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.outcome.outcome import gap_of
 from magyc_gtsam.gap.search.naming import Found

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import magyc_gtsam as mg
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.field_variation import field_variation, functions_of_attitude
 from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.model.refit import refit, widened, with_term

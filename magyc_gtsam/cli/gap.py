@@ -166,7 +166,7 @@ def _write_result(
 def _beside(option: str, log: Path, reading: Reading, stage: Callable[[str], Progress]) -> Recording:
     """Read another log, with the options of LOG if it has the same format; --start and --end apply only to LOG."""
     from magyc_gtsam.factors.errors import MagycError
-    from magyc_gtsam.gap.find import needs_gyroscope
+    from magyc_gtsam.gap.model.base import needs_gyroscope
     from magyc_gtsam.io import same_format
 
     hint = ""

@@ -7,13 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import overload
 
-import numpy as np
-
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
-from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
-from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.one_thread import one_thread
 from magyc_gtsam.gap.effects import NAMES
@@ -21,14 +17,14 @@ from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.decision import marginals
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
-from magyc_gtsam.gap.model.problem import Active, Model, Problem
-from magyc_gtsam.gap.model.refit import Refit, refit, widened
+from magyc_gtsam.gap.model.base import base_model, needs_gyroscope, problem_of
+from magyc_gtsam.gap.model.refit import Refit, widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.doubt import Doubt
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.gap.preparation.clipped import with_clipped
-from magyc_gtsam.gap.preparation.discrete import moving, settled
+from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.preparation.noiseless import noiseless
 from magyc_gtsam.gap.result import Gap
 from magyc_gtsam.gap.rules import RULES
@@ -157,9 +153,9 @@ def _looked(
         gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
         gap = with_clipped(gap, usable.clipped)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
-    result = search(recording, base, short_term, names, _problem, report)
+    result = search(recording, base, short_term, names, problem_of, report)
     report(0.7)
-    said = answer(recording, base, short_term, names, _problem, discrete, result.first.fine)
+    said = answer(recording, base, short_term, names, problem_of, discrete, result.first.fine)
     result, said = without_samples_of_steps(recording, result, said)
     stated, result = marginals(said.posterior), weighed(result, said, short_term)
     report(0.9)
@@ -167,19 +163,6 @@ def _looked(
     effects = tuple(replace(effect, probability=stated.get(effect.name, 0.0)) for effect in gap.effects)
     gap = with_clipped(replace(gap, effects=effects, probabilities=stated), usable.clipped)
     return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), result
-
-
-def needs_gyroscope(recording: Recording) -> None:
-    """What a gap is looked for along.
-
-    Raises:
-        MagycError: there is none.
-    """
-    if recording.angular_rate is None:
-        raise MagycError(
-            f"recording {recording.name!r} has no angular rate, along whose turns the field is predicted; name the "
-            "gyroscope's topic or columns"
-        )
 
 
 def _check_types(recording: object, calibration: object, simulated: object) -> None:
@@ -203,35 +186,6 @@ def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
     if unknown:
         raise MagycError(f"candidates: {', '.join(map(repr, unknown))} unknown; there are {', '.join(NAMES)}")
     return tuple(name for name in NAMES if name in candidates)
-
-
-def _problem(recording: Recording) -> Problem:
-    recording = moving(recording)
-    return Problem.of(recording, preintegrate(recording, RULES.window))
-
-
-def base_model(recording: Recording, calibration: Calibration | None, short_term: SensorNoise) -> Refit:
-    """The twelve parameters at their minimum; with the delay and the terms of a calibration, where one is given."""
-    delay = 0.0 if calibration is None else calibration.delay
-    still = moving(recording)
-    fit, _ = fit_field_chain(still, robust=False, delay=delay)
-    if not fit.converged:
-        # Something as large as the field is missing. Where that passes for noise there is one minimum.
-        field = float(np.median(np.linalg.norm(still.magnetometer.value, axis=1)))
-        fit, _ = fit_field_chain(still, robust=False, delay=delay, noise=(field, short_term.gyroscope))
-    free = np.ones(PARAMETERS, dtype=bool)
-    terms: tuple[Active, ...] = ()
-    if calibration is not None:
-        terms = tuple(
-            Active(t.name, t.setting, t.value)
-            for t in calibration.terms
-            if t.side is not None and t.name != "tone"  # which is taken out of the readings
-        )
-        if delay and not any(term.name == "timing" for term in terms):
-            # What `calibrate` took for a delay may be the shadow of something else: it is free to go.
-            terms = (*terms, Active("timing", {}, np.array([delay])))
-    free[DELAY] = any(term.name == "timing" for term in terms)
-    return refit(_problem(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
 
 
 def _determined(recording: Recording, base: Refit, short_term: SensorNoise) -> Observability:

@@ -16,7 +16,7 @@ from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
-from magyc_gtsam.gap.find import base_model, needs_gyroscope
+from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.refit import widened
 from magyc_gtsam.gap.model.twin import Twin

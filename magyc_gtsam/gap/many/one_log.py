@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.fit import colour_of
-from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
+from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.many.model import MODEL
+from magyc_gtsam.gap.model.base import base_model, needs_gyroscope, problem_of
 from magyc_gtsam.gap.model.problem import Active, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term
 from magyc_gtsam.gap.model.variants import Projector, Variant, variants
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
-from magyc_gtsam.gap.preparation.discrete import moving, settled
+from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.fine import fine_innovations, noise_scores
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
@@ -87,17 +88,13 @@ class OneLog:
         Raises:
             MagycError: no gyroscope, or data that cannot be calibrated at all.
         """
-        from magyc_gtsam.gap.find import base_model, needs_gyroscope
-
         needs_gyroscope(recording)
         usable = without_faults(recording, ("magnetic_field", "angular_rate"))
         data, unlogged = without_channel_holes(usable.recording)
         data, discrete = settled(data, names)
         short_term = short_term_noise(data)
         base = base_model(data, None, short_term)
-        still = moving(data)
-        problem = Problem.of(still, preintegrate(still, RULES.window))
-        return cls(name, data, problem, short_term, base, discrete, (*usable.left_out, *unlogged))
+        return cls(name, data, problem_of(data), short_term, base, discrete, (*usable.left_out, *unlogged))
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
         """With one more effect in the model, everything refitted.

@@ -17,7 +17,7 @@ from magyc_gtsam.estimators.smoother.preparation import short_term_noise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.effects.term import EffectTerm
-from magyc_gtsam.gap.find import base_model
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.variants import Variant
 from magyc_gtsam.gap.result import Isolability
 from magyc_gtsam.gap.rules import RULES

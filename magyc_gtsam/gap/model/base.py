@@ -1,0 +1,60 @@
+"""What a gap is measured from: the calibration alone at its minimum, before any effect is added."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from magyc_gtsam.calibration import Calibration
+from magyc_gtsam.estimators.smoother.preparation import preintegrate
+from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.chain.field_chain import DELAY, PARAMETERS
+from magyc_gtsam.factors.errors import MagycError
+from magyc_gtsam.gap.model.problem import Active, Model, Problem
+from magyc_gtsam.gap.model.refit import Refit, refit
+from magyc_gtsam.gap.preparation.discrete import moving
+from magyc_gtsam.gap.rules import RULES
+from magyc_gtsam.recording import Recording
+
+
+def needs_gyroscope(recording: Recording) -> None:
+    """Expect a gyroscope, along whose turns the field is predicted.
+
+    Raises:
+        MagycError: there is none.
+    """
+    if recording.angular_rate is None:
+        raise MagycError(
+            f"recording {recording.name!r} has no angular rate, along whose turns the field is predicted; name the "
+            "gyroscope's topic or columns"
+        )
+
+
+def problem_of(recording: Recording) -> Problem:
+    """What is to be explained of a recording: its windows, few of them where the sensor rests."""
+    recording = moving(recording)
+    return Problem.of(recording, preintegrate(recording, RULES.window))
+
+
+def base_model(recording: Recording, calibration: Calibration | None, short_term: SensorNoise) -> Refit:
+    """The twelve parameters at their minimum; with the delay and the terms of a calibration, where one is given."""
+    delay = 0.0 if calibration is None else calibration.delay
+    still = moving(recording)
+    fit, _ = fit_field_chain(still, robust=False, delay=delay)
+    if not fit.converged:
+        # Something as large as the field is missing. Where that passes for noise there is one minimum.
+        field = float(np.median(np.linalg.norm(still.magnetometer.value, axis=1)))
+        fit, _ = fit_field_chain(still, robust=False, delay=delay, noise=(field, short_term.gyroscope))
+    free = np.ones(PARAMETERS, dtype=bool)
+    terms: tuple[Active, ...] = ()
+    if calibration is not None:
+        terms = tuple(
+            Active(t.name, t.setting, t.value)
+            for t in calibration.terms
+            if t.side is not None and t.name != "tone"  # which is taken out of the readings
+        )
+        if delay and not any(term.name == "timing" for term in terms):
+            # What `calibrate` took for a delay may be the shadow of something else: it is free to go.
+            terms = (*terms, Active("timing", {}, np.array([delay])))
+    free[DELAY] = any(term.name == "timing" for term in terms)
+    return refit(problem_of(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)
