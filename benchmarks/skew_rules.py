@@ -23,7 +23,7 @@ from scipy.optimize import linprog
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
 from magyc_gtsam.estimators.smoother.skew import Believed, Profile, profile_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC, SkewPrior
-from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.study.known import MOTIONS, SKEWS, skewed
 
 NOISE = (1e-6, 5e-3)  # T and rad/s per sample

@@ -25,9 +25,9 @@ def sources() -> dict[str, ast.Module]:
 
 
 def imported(tree: ast.Module, modules: Mapping[str, ast.Module]) -> set[str]:
-    """Return the modules that a module imports when it is imported itself."""
+    """Return the modules that a module imports anywhere, in functions and for types too."""
     names = set()
-    for node in tree.body:
+    for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom):
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Import):

@@ -1,11 +1,11 @@
-"""The heading uncertainty of a calibration over a level turn."""
+"""A level turn, and what errors of a calibration do to heading over it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -14,10 +14,6 @@ from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.recording import Array, Recording
 
-if TYPE_CHECKING:
-    from magyc_gtsam.calibration import Calibration
-
-UNKNOWN_FROM = 90.0  # deg; a heading with a larger standard deviation is unknown
 _MOST_ROWS = 1000  # used for the vertical and the dip
 _UPRIGHT = 0.5  # length of the mean vertical above which the vehicle has an axis that points up
 _DEFAULT_DIP = 60.0  # deg, of the middle latitudes; used if the recording has no vertical
@@ -38,9 +34,9 @@ class Askew(NamedTuple):
     cross: Array
 
     @classmethod
-    def of(cls, calibration: Calibration) -> Askew | None:
-        """Return the uncertainty that the calibration's diagnostics hold; None if the method did not estimate it."""
-        stored = calibration.diagnostics.get("skew")
+    def of(cls, diagnostics: Mapping[str, Any]) -> Askew | None:
+        """Return the uncertainty in a calibration's diagnostics; None if the method did not estimate it."""
+        stored = diagnostics.get("skew")
         return None if stored is None else cls(np.array(stored["covariance"]), np.array(stored["cross"]))
 
 
@@ -118,51 +114,6 @@ class LevelTurn:
         return cast(Array, sideways / horizontal)
 
 
-@dataclass(frozen=True)
-class HeadingUncertainty:
-    """The largest standard deviation of heading over a level turn.
-
-    Attributes:
-        systematic: deg, due to the calibration's covariance and shared by all samples; None without a covariance or
-            above 90°.
-        per_sample: deg, due to the magnetometer's noise in one sample; None if the noise is unknown or above 90°.
-    """
-
-    systematic: float | None
-    per_sample: float | None
-
-    @classmethod
-    def of(cls, recording: Recording, calibration: Calibration) -> HeadingUncertainty:
-        """Compute the uncertainty that terminal, page and files show."""
-        turn = turn_of(recording, calibration)
-        noise = calibration.noise.get("magnetic_field")
-        return cls(
-            None
-            if calibration.covariance is None
-            else _known(turn.systematic(calibration.covariance, calibration.soft_iron, Askew.of(calibration))),
-            None if not noise else _known(turn.per_sample(noise, calibration.soft_iron)),
-        )
-
-    @classmethod
-    def stated(cls, calibration: Calibration) -> HeadingUncertainty:
-        """Return the uncertainty that the method stored, for use without the recording: same turn, same covariance."""
-        sigma = None if calibration.observability is None else calibration.observability.heading_sigma
-        return cls(None if sigma is None or not sigma < UNKNOWN_FROM else sigma, None)
-
-    def to_dict(self) -> Mapping[str, float | None]:
-        """JSON types, units in the names."""
-        return {"systematic_deg": self.systematic, "per_sample_deg": self.per_sample}
-
-
-def turn_of(recording: Recording, calibration: Calibration) -> LevelTurn:
-    """Return the level turn over which a calibration is judged."""
-    strength = calibration.field_strength
-    if strength is None:
-        field = calibrated(recording.magnetic_field, calibration.soft_iron, calibration.hard_iron)
-        strength = float(np.median(np.linalg.norm(field, axis=1)))
-    return level_turn(recording, calibration.soft_iron, calibration.hard_iron, strength)
-
-
 def level_turn(recording: Recording, soft_iron: Array, hard_iron: Array, strength: float) -> LevelTurn:
     """Return a level turn in a field of `strength` T, with the vertical and the dip of the recording.
 
@@ -238,9 +189,3 @@ def _dot(first: Array, second: Array) -> Array:
     """Return the products (n,) of vectors (n, 3)."""
     (a, b, c), (x, y, z) = first.T, second.T
     return cast(Array, a * x + b * y + c * z)
-
-
-def _known(sigma: Array) -> float | None:
-    """Return the largest standard deviation, or None where heading is unknown."""
-    worst = float(sigma.max())
-    return worst if worst < UNKNOWN_FROM else None

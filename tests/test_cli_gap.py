@@ -18,8 +18,8 @@ from test_report import HOSTILE, drawn_figures
 
 import magyc_gtsam as mg
 from magyc_gtsam import cli
-from magyc_gtsam.gap.outcome.doubt import Doubt, with_doubt
-from magyc_gtsam.gap.result import Assumption, Gap, Isolability, Manoeuvre, Untested
+from magyc_gtsam.gap.outcome.doubt import with_doubt
+from magyc_gtsam.gap.result import Assumption, Doubt, Gap, Isolability, Manoeuvre, Untested
 from magyc_gtsam.gap.scores.isolability import isolability
 from magyc_gtsam.gap.validation import agreement
 from magyc_gtsam.io import write_mcap

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.foreign_text import with_minus
-from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.observability import Observability, Weakness
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import write_report

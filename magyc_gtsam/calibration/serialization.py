@@ -16,12 +16,12 @@ from magyc_gtsam.observability import Observability
 from magyc_gtsam.storage.mapping import dump_yaml
 
 if TYPE_CHECKING:
-    from magyc_gtsam.calibration import Calibration
+    from _typeshed import DataclassInstance  # a `Calibration`, which imports this module
 
 FORMAT = "magyc-gtsam calibration 1"
 
 
-def as_mapping(calibration: Calibration) -> dict[str, Any]:
+def as_mapping(calibration: DataclassInstance) -> dict[str, Any]:
     """Return all fields of a calibration as JSON types, with the format's name."""
     result: dict[str, Any] = {"format": FORMAT}
     for f in fields(calibration):
@@ -38,7 +38,7 @@ def as_mapping(calibration: Calibration) -> dict[str, Any]:
     return result
 
 
-def constructor_arguments(calibration_class: type[Calibration], data: Mapping[str, Any]) -> dict[str, Any]:
+def constructor_arguments(calibration_class: type[DataclassInstance], data: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of `Calibration` that the result of `as_mapping` holds; unknown keys are ignored.
 
     Raises:

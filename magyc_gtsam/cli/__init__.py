@@ -14,18 +14,10 @@ import threading
 from collections.abc import Sequence
 from types import FrameType
 
-_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}  # as shells count them
+from magyc_gtsam.cli.interrupts import EXIT_CODES, Stopped, cause, interrupted
+
 # Number of new objects between garbage collections; with Python's 700, collections take a tenth of the start-up time.
 _COLLECTION_THRESHOLD = 100_000
-
-
-class Stopped(KeyboardInterrupt):
-    """Interruption by SIGINT (Ctrl-C) or SIGTERM; open files are closed and temporary ones removed, as for Ctrl-C."""
-
-    def __init__(self, number: int = signal.SIGINT) -> None:
-        super().__init__()
-        self.number = signal.Signals(number)
-        self.code = _CODES[self.number]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code. With MAGYC_DEBUG=1 in the environment a failure raises its exception instead.
     """
-    before = {number: signal.getsignal(number) for number in _CODES}
+    before = {number: signal.getsignal(number) for number in EXIT_CODES}
     hook, sys.unraisablehook = sys.unraisablehook, _unraisable
     thresholds = gc.get_threshold()
     gc.set_threshold(_COLLECTION_THRESHOLD, *thresholds[1:])
@@ -77,22 +69,9 @@ def _unraisable(dropped: sys.UnraisableHookArgs) -> None:
             stop = again
 
 
-def interrupted(stop: KeyboardInterrupt) -> int:
-    """Print that the command was interrupted, and return the exit code."""
-    print("magyc-gtsam: interrupted; no file is left half written", file=sys.stderr)
-    return int(getattr(stop, "code", _CODES[signal.SIGINT]))
-
-
-def cause(error: BaseException | None) -> KeyboardInterrupt | None:
-    """Return the interruption that caused an error, for example while an extension module was loaded; None without."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error
-
-
 def _install_handlers() -> None:
     """Turn SIGINT and SIGTERM into `Stopped`; a signal that the process was started to ignore stays ignored."""
-    for number in _CODES:
+    for number in EXIT_CODES:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
             try:
                 signal.signal(number, _stop)

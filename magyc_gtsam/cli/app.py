@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from magyc_gtsam import __version__
-from magyc_gtsam.cli import cause, interrupted
+from magyc_gtsam.cli.interrupts import cause, interrupted
 from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.cli.terminal import discard_output
 from magyc_gtsam.foreign_text import printable

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,18 +13,16 @@ from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.accelerometer import calibrate_accelerometer
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.history import Engine, More
 from magyc_gtsam.cli.known import GivenFacts
 from magyc_gtsam.cli.many import Task, calibrate_logs, each_compass, each_log, many
+from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading, parse_pairs
-from magyc_gtsam.cli.results import dated_folder, remove_exports, write_configuration, write_exports, write_page
+from magyc_gtsam.cli.results import dated_folder, remove_exports
 from magyc_gtsam.cli.scale import Scale
 from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_details, show_page, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
-    from magyc_gtsam.cli.terminal import Progress
-    from magyc_gtsam.recording import Recording
     from magyc_gtsam.report.verdict import Verdict
 
 
@@ -80,14 +77,14 @@ def run(
             "and the location. Uses --noise, --prior and the --...-walk options. Needs no LOG and writes no files.",
         ),
     ] = None,
-    more: More = None,
+    more: given.More = None,
     every: Annotated[
         bool,
         typer.Option(
             "--all", help="Calibrate every magnetometer in the log, each with its own page and parameters."
         ),
     ] = False,
-    engine: Engine = "local",
+    engine: given.Engine = "local",
     config: given.Config = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Also write report.pdf.")] = False,
     force: given.Force = False,
@@ -143,61 +140,6 @@ def run(
             f"page: {folder / 'report.html'}",
         )
     return concluded(verdict, shown=not (quiet or json))
-
-
-def calibrate_log(
-    reading: Reading,
-    method: str,
-    options: dict[str, Any],
-    pairs: list[str] | None,
-    folder: Path,
-    arguments: Sequence[str],
-    force: bool,
-    compass: int = 1,
-    stage: Callable[[str], Progress] = lambda _: lambda _: None,
-) -> tuple[Recording, Calibration, Verdict]:
-    """Read a log, calibrate it and write all files into a folder.
-
-    Args:
-        reading: the log and how to read it.
-        method: name of the method.
-        options: arguments of `magyc_gtsam.calibrate`.
-        pairs: texts of --option, for messages.
-        folder: folder for the files; it must exist.
-        arguments: the command line, for configuration.yaml.
-        force: also write the parameters of a result that must not be trusted, as comments.
-        compass: number of the compass on the vehicle, from 1.
-        stage: opens a named stage and returns its progress callback.
-    """
-    from magyc_gtsam.report.verdict import judged
-
-    recording = reading.recording(stage("reading"))
-    calibration = _calibrate(recording, method, stage("calibrating"), options, pairs)
-    if compass > 1:
-        calibration = replace(calibration, configuration={**calibration.configuration, "compass": compass})
-    page = stage("drawing the page")
-    calibration.save(folder / "calibration.yaml")
-    write_configuration(folder, reading, recording, calibration, options, arguments)
-    verdict = judged(calibration, recording)
-    write_exports(folder, calibration, force)
-    write_page(folder, replace(recording, name=reading.log.name), calibration, verdict)
-    page(1.0)
-    return recording, calibration, verdict
-
-
-def _calibrate(
-    recording: Recording, method: str, progress: Progress, options: dict[str, Any], pairs: list[str] | None
-) -> Calibration:
-    """Calibrate; an option that the method does not accept raises a MagycError."""
-    from magyc_gtsam import MagycError, calibrate
-
-    try:
-        calibration: Calibration = calibrate(recording, method, progress=progress, **options)
-    except TypeError as error:
-        if pairs is None:
-            raise
-        raise MagycError(f"--option {' '.join(pairs)}: the method cannot use it ({error})") from None
-    return calibration
 
 
 def _method_options(

@@ -12,7 +12,6 @@ import typer
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.history import More
 from magyc_gtsam.cli.many import many
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
@@ -67,7 +66,7 @@ def run(
             "tiny, multi, dive or survey. Needs no LOG and writes no files.",
         ),
     ] = None,
-    more: More = None,
+    more: given.More = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Default: results/<log>-gap-<date>-<time>."),

@@ -24,17 +24,6 @@ if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
     from magyc_gtsam.history import History
 
-Engine = Annotated[
-    str,
-    typer.Option(
-        metavar="ADDRESS", help="'local' processes, or the address of a Dask scheduler (tcp://host:8786)."
-    ),
-]
-More = Annotated[
-    list[Path] | None,
-    typer.Argument(metavar="[LOG|FOLDER]...", help="More logs, folders or patterns.", show_default=False),
-]
-
 
 @dataclass(frozen=True)
 class _Task:
@@ -48,7 +37,7 @@ class _Task:
 def run(
     reading: Reading,
     scale: Scale,
-    more: More = None,
+    more: given.More = None,
     gyroscope_scale: given.GyroscopeScale = None,
     add: Annotated[
         Path | None,
@@ -60,7 +49,7 @@ def run(
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Default: results/history-<date>-<time>."),
     ] = None,
-    engine: Engine = "local",
+    engine: given.Engine = "local",
     quiet: given.Quiet = False,
     json: given.Json = False,
 ) -> int:

@@ -1,13 +1,36 @@
-"""Interrupts (SIGINT and SIGTERM) that a command notes instead of ending at once."""
+"""Interrupts (SIGINT and SIGTERM) of a command: as exceptions, or noted so that it can end in good order."""
 
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+EXIT_CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}  # as shells count them
+
+
+class Stopped(KeyboardInterrupt):
+    """Interruption by SIGINT (Ctrl-C) or SIGTERM; open files are closed and temporary ones removed, as for Ctrl-C."""
+
+    def __init__(self, number: int = signal.SIGINT) -> None:
+        super().__init__()
+        self.number = signal.Signals(number)
+        self.code = EXIT_CODES[self.number]
+
+
+def interrupted(stop: KeyboardInterrupt) -> int:
+    """Print that the command was interrupted, and return the exit code."""
+    print("magyc-gtsam: interrupted; no file is left half written", file=sys.stderr)
+    return int(getattr(stop, "code", EXIT_CODES[signal.SIGINT]))
+
+
+def cause(error: BaseException | None) -> KeyboardInterrupt | None:
+    """Return the interruption that caused an error, for example while an extension module was loaded; None without."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error
 
 
 @contextmanager
@@ -29,8 +52,8 @@ def noted_interrupts() -> Iterator[list[int]]:
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    before = {number: signal.getsignal(number) for number in _SIGNALS}
-    for number in _SIGNALS:
+    before = {number: signal.getsignal(number) for number in EXIT_CODES}
+    for number in EXIT_CODES:
         signal.signal(number, note)
     try:
         yield noted

@@ -16,6 +16,7 @@ import typer
 from magyc_gtsam import __version__
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, shown, write_tables
+from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder
 from magyc_gtsam.cli.terminal import show, show_table, stages
@@ -34,7 +35,7 @@ class Task:
 
     Attributes:
         reading: the log and how to read it.
-        method, options, pairs: see `calibrate.calibrate_log`.
+        method, options, pairs: see `calibrate_log`.
         folder: the folder for its results.
         arguments: the command line.
         force: also write the parameters of a result that must not be trusted.
@@ -172,7 +173,6 @@ def _fingerprint(task: Task) -> str:
 
 def calibrate_one(task: Task) -> Row:
     """Calibrate one log, write its files, and return its row; errors are in the row."""
-    from magyc_gtsam.cli.calibrate import calibrate_log
     from magyc_gtsam.factors.errors import MagycError
 
     try:

@@ -22,6 +22,16 @@ Log = Annotated[
         show_default=False,
     ),
 ]
+More = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="[LOG|FOLDER]...", help="More logs, folders or patterns.", show_default=False),
+]
+Engine = Annotated[
+    str,
+    typer.Option(
+        metavar="ADDRESS", help="'local' processes, or the address of a Dask scheduler (tcp://host:8786)."
+    ),
+]
 CalibrationFile = Annotated[
     Path,
     typer.Argument(metavar="CALIBRATION", help="calibration.yaml of an earlier result.", show_default=False),

@@ -20,13 +20,12 @@ from magyc_gtsam.gap.many.result import GapOfMany
 from magyc_gtsam.gap.model.base import base_model, needs_gyroscope, problem_of
 from magyc_gtsam.gap.model.refit import Refit, widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
-from magyc_gtsam.gap.outcome.doubt import Doubt
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
 from magyc_gtsam.gap.preparation.channel_holes import without_channel_holes
 from magyc_gtsam.gap.preparation.clipped import with_clipped
 from magyc_gtsam.gap.preparation.discrete import settled
 from magyc_gtsam.gap.preparation.noiseless import noiseless
-from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.tones import silenced
 from magyc_gtsam.gap.search.search import Search, search

@@ -10,13 +10,25 @@ from typing import Any, Literal
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.gap.outcome.agreement import Metrics
-from magyc_gtsam.gap.outcome.doubt import Doubt
 from magyc_gtsam.recording import Array
 
 Verdict = Literal["none", "closed", "unknown", "open", "not enough information"]
 Status = Literal[
     "named", "ambiguous", "vetoed", "slight", "explained", "significant", "rejected", "not enough information"
 ]
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Why a gap's calibration must not be used, and what to do, together of at most 30 words."""
+
+    cause: str
+    action: str
+
+    @property
+    def sentence(self) -> str:
+        """Both."""
+        return f"{self.cause}: {self.action}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.residuals import window_residuals
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.result import Gap
-from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.report import words
 from magyc_gtsam.report.analysis import field_history

@@ -11,7 +11,8 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.smoother.residuals import WindowResiduals
-from magyc_gtsam.level_turn import LevelTurn, inclination, turn_of
+from magyc_gtsam.heading_uncertainty import turn_of
+from magyc_gtsam.level_turn import LevelTurn, inclination
 from magyc_gtsam.recording import Array, Mask, Recording
 from magyc_gtsam.report import words
 from magyc_gtsam.report.analysis import (

@@ -11,7 +11,7 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.field_jumps import beyond_turning, field_jumps
 from magyc_gtsam.estimators.smoother.known import ENOUGH
 from magyc_gtsam.foreign_text import cause_and_action, clauses
-from magyc_gtsam.level_turn import HeadingUncertainty
+from magyc_gtsam.heading_uncertainty import HeadingUncertainty
 from magyc_gtsam.recording import Recording
 
 _STILL = 5e-6  # T, sweep of the field below which the instrument did not move

@@ -15,7 +15,7 @@ import numpy as np
 
 from magyc_gtsam.engine import Row
 from magyc_gtsam.estimators import calibrate
-from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import simulate
 from magyc_gtsam.study.rows import HERE, Running, study_rows

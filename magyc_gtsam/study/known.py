@@ -21,7 +21,7 @@ from magyc_gtsam.engine import Progress, Row, run_many, write_rows
 from magyc_gtsam.estimators import calibrate
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
-from magyc_gtsam.level_turn import turn_of
+from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.recording import Array
 from magyc_gtsam.simulation import Simulation, simulate
 from magyc_gtsam.simulation.sensor import SOFT_IRON

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dtrtri
 
-from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.minimum import Minimum
 from magyc_gtsam.factors.chain.rotations import Array
 
 ROUNDING = (
@@ -42,7 +42,7 @@ class Estimated:
     pull: Array
 
     @classmethod
-    def of(cls, fit: Fit, window_scale: Array, link_scale: Array, absorb: Absorb) -> Estimated:
+    def of(cls, fit: Minimum, window_scale: Array, link_scale: Array, absorb: Absorb) -> Estimated:
         """Those of a fit.
 
         Args:

@@ -1,23 +1,20 @@
-"""A field chain at its minimum, and the descent to it: damped Gauss–Newton on θ."""
+"""The descent of a field chain to its minimum: damped Gauss–Newton on θ."""
 
 from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.chain_values import ChainState, Reduced, Residuals, Weights
+from magyc_gtsam.estimators.smoother.beside import ColumnProducts
+from magyc_gtsam.estimators.smoother.minimum import Minimum
+from magyc_gtsam.estimators.smoother.skew_found import Skew
+from magyc_gtsam.factors.chain.chain_values import Reduced
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
-
-if TYPE_CHECKING:
-    from magyc_gtsam.estimators.smoother.beside import ColumnProducts
-    from magyc_gtsam.estimators.smoother.columns import EstimatedTerms
-    from magyc_gtsam.estimators.smoother.skew import Skew
 
 MAX_ITERATIONS = 40
 # Eliminations for a start without a minimum. Of 29 real logs those that are trusted took 8 to 62, of 540 simulated ones
@@ -35,30 +32,21 @@ _COLOURED = 3.0  # standard deviations of an autocorrelation from which it count
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """A chain at its minimum.
+class Fit(Minimum):
+    """A minimum, and how it was found.
 
     Attributes:
-        chain, state, weights, reduced: the minimum and its linearisation.
-        free: (p,) bool, parameters that were estimated.
         iterations: eliminations spent.
         converged: the last steps of the parameters and of the noise levels were small against their sigmas.
         noise_freedom: degrees of freedom from which the gyroscope's noise was estimated; infinite where it is known.
         skew: what the data say of a skew between the chips; None where it was not asked.
-        terms: parameters beyond θ, estimated with it; None where there are none.
         patience: eliminations after which a start that has found no minimum is given up.
     """
 
-    chain: FieldChain
-    state: ChainState
-    weights: Weights
-    reduced: Reduced
-    free: np.ndarray
     iterations: int = 0
     converged: bool = False
     noise_freedom: float = np.inf
     skew: Skew | None = None
-    terms: EstimatedTerms | None = None
     patience: int = PATIENCE
 
     @property
@@ -75,8 +63,6 @@ class Fit:
     @cached_property
     def beside(self) -> ColumnProducts:
         """The products of columns with this fit, at its minimum."""
-        from magyc_gtsam.estimators.smoother.beside import ColumnProducts  # which is of fits
-
         return ColumnProducts(copy.copy(self))  # a circle would keep both until Python looks for circles
 
     @cached_property
@@ -102,17 +88,6 @@ class Fit:
         so that the windows count for fewer than they are; taken in the sensor's and in the world's axes.
         """
         return max(colour_of(residual) for residual in self.whitened)
-
-    @cached_property
-    def residuals(self) -> Residuals:
-        """Of windows and links."""
-        return self.chain.residuals(self.state)
-
-    @cached_property
-    def whitened(self) -> tuple[Array, Array]:
-        """(3, n) twice: the windows' residuals over their sigmas, in the sensor's and in the world's axes."""
-        whitened = self.residuals.window * np.sqrt(self.weights.window) / self.chain.window_sigma
-        return whitened, np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)
 
 
 def inverse_information(information: Array, free: np.ndarray) -> Array:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from magyc_gtsam.estimators.smoother.estimated import Estimated
-from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.minimum import Minimum
 from magyc_gtsam.factors.chain.banded import UnitFactor, forward_solved
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -27,7 +27,7 @@ class Left(NamedTuple):
 class WhitenedFit:
     """One fit at its minimum; see `ColumnProducts`."""
 
-    fit: Fit
+    fit: Minimum
 
     @cached_property
     def freedom(self) -> float:

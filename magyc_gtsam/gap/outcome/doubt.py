@@ -3,30 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.foreign_text import MOST_WORDS
-
-if TYPE_CHECKING:
-    from magyc_gtsam.gap.result import Effect, Gap, Manoeuvre
+from magyc_gtsam.gap.result import Doubt, Effect, Gap, Manoeuvre
 
 _LOG_MORE = "log current, temperature and depth"
 _WITHOUT = "choose an interval without the jumps (--start, --end)"
-
-
-@dataclass(frozen=True)
-class Doubt:
-    """One cause and one action, together of at most 30 words."""
-
-    cause: str
-    action: str
-
-    @property
-    def sentence(self) -> str:
-        """Both."""
-        return f"{self.cause}: {self.action}"
 
 
 def with_doubt(gap: Gap, doubt: Doubt) -> Gap:

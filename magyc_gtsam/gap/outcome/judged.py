@@ -17,7 +17,7 @@ from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.foreign_text import cause_and_action, clauses
 from magyc_gtsam.gap.model.refit import Refit, prior_of
 from magyc_gtsam.gap.model.twin import Twin
-from magyc_gtsam.gap.outcome.doubt import Doubt
+from magyc_gtsam.gap.result import Doubt
 from magyc_gtsam.recording import Recording
 
 _SKEW = "misalignment"  # the term that is the chips' skew, which is then not asked for once more

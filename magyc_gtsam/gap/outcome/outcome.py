@@ -16,7 +16,7 @@ from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, determined, refit, tempered, widened, without_term
 from magyc_gtsam.gap.outcome.corrected import as_calibration, unmoved
 from magyc_gtsam.gap.outcome.described import describe
-from magyc_gtsam.gap.outcome.doubt import Doubt, doubted, left_open, with_doubt
+from magyc_gtsam.gap.outcome.doubt import doubted, left_open, with_doubt
 from magyc_gtsam.gap.outcome.hypotheses import hypotheses
 from magyc_gtsam.gap.outcome.judged import judged
 from magyc_gtsam.gap.outcome.metrics import measure
@@ -24,7 +24,7 @@ from magyc_gtsam.gap.outcome.moved import against, contradiction, moved
 from magyc_gtsam.gap.outcome.verdict import manoeuvre, place_of, unseen, verdict
 from magyc_gtsam.gap.outcome.worth import pays
 from magyc_gtsam.gap.preparation.clocks import APART_IN_BRIEF, CLOCK_DRIFT
-from magyc_gtsam.gap.result import Gap, Manoeuvre, Untested
+from magyc_gtsam.gap.result import Doubt, Gap, Manoeuvre, Untested
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.score import DRAWS

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from magyc_gtsam.gap.outcome.doubt import Doubt, doubted, with_doubt
-from magyc_gtsam.gap.result import Gap
+from magyc_gtsam.gap.outcome.doubt import doubted, with_doubt
+from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.sensor_faults.full_scale import ClippedField
 

@@ -6,7 +6,7 @@ from magyc_gtsam.estimators.smoother.clock_drift import speaks
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.model.refit import Refit
-from magyc_gtsam.gap.outcome.doubt import Doubt
+from magyc_gtsam.gap.result import Doubt
 
 CLOCK_DRIFT = "clock-drift"
 APART = "the delay grows with time: the clocks of the two sensors drift apart; `calibrate` says by how much"

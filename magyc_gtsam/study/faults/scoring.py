@@ -134,5 +134,5 @@ def _heading(calibration: Calibration, covariance: Array, body_R_sensor: Array, 
     )
     ahead, left, _ = body_R_sensor  # the body's axes in those of the sensor
     turn = LevelTurn(np.degrees(angle), scale * body @ body_R_sensor, ahead, left, dip, "the body's z axis")
-    stated = turn.systematic(covariance, calibration.soft_iron, Askew.of(calibration))
+    stated = turn.systematic(covariance, calibration.soft_iron, Askew.of(calibration.diagnostics))
     return error, np.maximum(stated, 1e-6)
