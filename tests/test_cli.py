@@ -586,7 +586,12 @@ def test_parts_of_the_arguments(logs: Path) -> None:
 def test_completion_answers_the_shell(tmp_path: Path) -> None:
     """What `--install-completion` writes asks the command, which answers with what may follow."""
     home = {**os.environ, "HOME": str(tmp_path)}
-    asked = ["bash", "-c", '"$0" --install-completion; exit $?', COMMAND]  # which asks what shell it was called from
+    asked = [
+        "bash",
+        "-c",
+        '"$0" --install-completion; exit $?',
+        COMMAND,
+    ]  # which asks what shell it was called from
     assert subprocess.run(asked, env=home, capture_output=True, check=True, timeout=120).returncode == 0
     script = (tmp_path / ".bash_completions" / "magyc-gtsam.sh").read_text(encoding="utf-8")
     assert "_MAGYC_GTSAM_COMPLETE=complete_bash" in script

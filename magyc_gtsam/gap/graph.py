@@ -1,4 +1,4 @@
-"""What `find_gap` named as a factor for a graph of the user's own."""
+"""A factor for the user's own graph with the effects that `find_gap` named."""
 
 from __future__ import annotations
 
@@ -35,26 +35,27 @@ def term_factor(
     soft_iron_unit: float = 1e-6,
     field_unit: float = 1e-6,
 ) -> gtsam.CustomFactor:
-    """A factor over a recording, or a stretch of it, on soft iron, hard iron, gyroscope bias and terms' values.
+    """Return a factor over a recording or an interval of it, on soft iron, hard iron, gyroscope bias and terms' values.
 
-    Its columns are those of `calibration` with these terms on the whole recording, which is what a stretch needs too: a
-    temperature acts with a lag, an anomaly's axes are those of the first row. So cut by `between`, not the recording.
+    An interval needs the whole recording: a temperature acts with a lag, and the axes of an anomaly are those of the
+    first row. Therefore select it with `between` instead of cutting the recording.
 
     Args:
         soft_iron_key, hard_iron_key, gyro_bias_key: as in `effect_chain_factor`.
-        value_key: of the term's value; or a sequence of keys, one per term.
-        recording: the data, whole.
-        calibration: what `find_gap` returned, or any with noise and field strength; its other terms are not in the
-            factor.
-        term: of the catalogue, one or several; effects of the same data belong into one factor. Their values' unit is
-            SI. Beside others a timing is the chain's delay; without one the calibration's delay is held.
-        between: s since the first row, of the stretch; windows that begin at its end belong to the next.
-        window: s.
+        value_key: key of the term's value; or a sequence of keys, one per term.
+        recording: the whole recording.
+        calibration: the result of `find_gap`, or any calibration with noise and field strength; its other terms are
+            not in the factor.
+        term: one or several terms of the catalogue, with values in SI units. Effects of the same data belong in one
+            factor. A timing beside others is the delay of the chain; without one the calibration's delay is fixed.
+        between: start and end of the interval, s since the first row; a window that begins at the end is not in it.
+        window: length of a window, s.
         soft_iron_unit, field_unit: T per unit of the keys.
 
     Raises:
-        MagycError: a term that is no effect on a reading, a tone, or a timing alone; not a key per term; a channel that
-            the recording lacks; a calibration without noise or field strength; a stretch of fewer than 3 windows.
+        MagycError: a term that is not an effect on a reading, a tone, or a timing alone; not one key per term; a
+            channel that the recording lacks; a calibration without noise or field strength; an interval of fewer than
+            3 windows.
     """
     terms = [term] if isinstance(term, Term) else list(term)
     own = [each for each in terms if each.name != "timing"]

@@ -1,4 +1,4 @@
-"""What `find_gap` returns: values only, so that terminal, page and tests read the same numbers."""
+"""The values that `find_gap` returns. Terminal, page and tests read the same numbers from them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Status = Literal[
 
 @dataclass(frozen=True)
 class Doubt:
-    """Why a gap's calibration must not be used, and what to do, together of at most 30 words."""
+    """The cause why a gap's calibration must not be used, and the remedy; at most 30 words together."""
 
     cause: str
     action: str
 
     @property
     def sentence(self) -> str:
-        """Both."""
+        """Return cause and action in one sentence."""
         return f"{self.cause}: {self.action}"
 
 
@@ -37,18 +37,18 @@ class Effect:
 
     Attributes:
         name: the row of the catalogue, e.g. "timing".
-        label: the same in words, e.g. "magnetometer delay".
-        value, sigma: (k,) in `unit`, one per parameter.
-        parameters: (k,) what each value is, e.g. ("x", "y", "z").
-        unit: of the values as shown: "ms", "µT", "µT/A", "mrad", ….
-        setting: what was searched over: {"time": 41.5} s, {"frequency": 2.1} Hz, …; empty for most.
-        ambiguous_with: names of rivals that this motion cannot tell from it.
-        statistic, threshold: evidence when it was added: twice the gain in log-likelihood, and its 1 % level.
-        applied: whether `gap.calibration` corrects it.
-        sentence: one line that a navigator understands.
-        probability: that it is there, by the evidence of all sets of effects; 0.985 at most, for what none of them
-            holds. The name is given by score tests, and not corrected where it and what it may be instead are
-            improbable.
+        label: the name in words, e.g. "magnetometer delay".
+        value, sigma: (k,) estimate and standard deviation in `unit`, one per parameter.
+        parameters: (k,) name of each parameter, e.g. ("x", "y", "z").
+        unit: unit of the values: "ms", "µT", "µT/A", "mrad", ….
+        setting: parameters found by a grid search: {"time": 41.5} s, {"frequency": 2.1} Hz, …; empty for most effects.
+        ambiguous_with: names of rival effects that this motion cannot distinguish from it.
+        statistic, threshold: evidence when the effect was added: twice the gain in log-likelihood, and its 1 % level.
+        applied: whether `gap.calibration` corrects the effect.
+        sentence: one line for a navigator.
+        probability: posterior probability that the effect is present, from the evidence of all sets of effects. It is
+            at most 0.985, because the true cause may be outside all sets. Score tests give the name; the effect is not
+            corrected if the effect and its rivals together are improbable.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Untested:
-    """A candidate that could not be tested, and why."""
+    """A candidate that could not be tested, and the reason."""
 
     name: str
     label: str
@@ -80,23 +80,24 @@ class Hypothesis:
     """One candidate and its evidence against the base model.
 
     Attributes:
-        name: of the catalogue, or of a generic family (`generic` is then True).
-        label: the same in words.
-        generic: a family without physical meaning that says WHERE something is missing.
-        statistic: twice the gain in log-likelihood, at the best grid point.
-        threshold: its family-wise 1 % level, by the bootstrap of the twin.
-        significant: whether it passes; an effect on the noise must be of its form as well.
+        name: name in the catalogue, or of a generic family (`generic` is then True).
+        label: the name in words.
+        generic: True for a family without physical meaning, which shows WHERE something is missing.
+        statistic: twice the gain in log-likelihood at the best grid point.
+        threshold: family-wise 1 % level of the statistic, from a parametric bootstrap.
+        significant: whether the statistic passes the threshold; an effect on the noise must also have its form.
         parameters: number of parameters.
-        expected, sigma: (k,) the values to expect if it were added, in `unit`.
-        unit: of them; empty for a generic family.
+        expected, sigma: (k,) estimate and standard deviation if the effect were added, in `unit`.
+        unit: unit of the values; empty for a generic family.
         setting: the best grid point.
-        power: probability of finding the smallest effect that matters, `matters` in `unit`.
-        held_out_gain: gain in log-likelihood on data it was not fitted to, nats; NaN where it was not tried.
-        status: "named", "ambiguous" (a rival of a named effect), "vetoed" (no held-out gain, or its channel
-            explains no more than it would at other times), "slight" (significant, but too small to be named),
-            "explained" (significant until what was named, or is slight, is in the model), "significant" (and nothing
-            was named), "rejected" (not significant although it would have been found), "not enough information"
-            (would not have been found).
+        power: probability of finding the smallest effect that matters.
+        matters: the smallest effect that matters, in `unit`.
+        held_out_gain: gain in log-likelihood (nats) on data it was not fitted to; NaN if it was not computed.
+        status: "named", "ambiguous" (a rival of a named effect), "vetoed" (no held-out gain, or a circular-shift test
+            shows that its channel explains as much at other times), "slight" (significant, but too small to be named),
+            "explained" (no longer significant once the named or slight effects are in the model), "significant" (but
+            nothing was named), "rejected" (not significant, although it would have been found), "not enough
+            information" (it would not have been found).
         sentence: the status in words.
     """
 
@@ -120,7 +121,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Moved:
-    """A parameter of the base model and where the added effects moved it; `sigmas` by how many of its sigmas."""
+    """A parameter of the base model, before and after the effects were added."""
 
     name: str
     before: float
@@ -130,20 +131,20 @@ class Moved:
 
     @property
     def sigmas(self) -> float:
-        """(after − before) / sigma."""
+        """Return the change in standard deviations, (after − before) / sigma."""
         return (self.after - self.before) / self.sigma if self.sigma > 0 else 0.0
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """One assumption of the user's simulator against the data.
+    """One assumption of the user's simulator, compared with the data.
 
     Attributes:
-        what: e.g. "magnetometer noise", "hard iron x", "timing".
-        simulated, measured, sigma: in `unit`; sigma of the difference. NaN where one of the two recordings lacks the
-            channel, and nothing was compared.
-        rejected: whether the difference is significant (family-wise 1 %), or the effect was found in one alone.
-        sentence: in words.
+        what: the assumption, e.g. "magnetometer noise", "hard iron x", "timing".
+        simulated, measured: the two values in `unit`; NaN if one of the recordings lacks the channel.
+        sigma: standard deviation of the difference, in `unit`.
+        rejected: whether the difference is significant (family-wise 1 %), or only one recording has the effect.
+        sentence: the result in words.
     """
 
     what: str
@@ -156,15 +157,18 @@ class Assumption:
 
     @property
     def compared(self) -> bool:
-        """Whether both recordings could show it."""
+        """Return whether both recordings could show it."""
         return math.isfinite(self.measured)
 
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """The motion that would tell rivals apart, or find what this motion could not.
+    """A motion that would distinguish rival effects, or show an effect that this motion cannot show.
 
-    `separates` are the names it is for, `motion` the words for the helmsman, `sentence` both.
+    Attributes:
+        separates: names of those effects.
+        motion: the motion, in words for the helmsman.
+        sentence: both in one sentence.
     """
 
     separates: tuple[str, ...]
@@ -177,29 +181,28 @@ class Gap:
     """The result of `find_gap`.
 
     Attributes:
-        verdict: "none" (nothing significant), "closed" (named, added, nothing significant left; or a calibration
-            that was given did not fit, and was fitted anew), "unknown" (something is missing that is not in the
-            catalogue; nothing was changed), "open" (named, but not or not wholly corrected), "not enough information"
-            (the motion does not determine the twelve parameters, or there is no noise to measure a misfit against;
-            nothing was tested or changed).
+        verdict: "none" (nothing significant), "closed" (effects were named and added, and nothing significant is left;
+            or a given calibration did not fit and was fitted again), "unknown" (something outside the catalogue is
+            missing; nothing was changed), "open" (effects were named, but not or not fully corrected), "not enough
+            information" (the motion does not determine the twelve parameters, or there is no noise to measure a misfit
+            against; nothing was tested or changed).
         sentence: the verdict, for a navigator.
-        effects: what was found, in the order of adding.
+        effects: the effects found, in the order in which they were added.
         untested: candidates whose channel is missing.
-        hypotheses: every candidate and generic family with its evidence against the base model, strongest
-            first.
-        before, after: metrics of the base model and of the final one (the same object where nothing was added).
-        moved: parameters of the base model that the effects moved, most first; of a calibration that was given,
-            those which the data contradict.
-        calibration: with the effects as `terms`; the base calibration where nothing was added. Where `doubt` says
-            that it must not be used, it is not `trusted`, and is not exported.
-        base: the twelve-parameter calibration the search began with (and the order of the axes, where that was
-            settled before).
-        assumptions: of the user's simulator, where one was given.
-        next_manoeuvre: None where there is nothing to tell apart.
-        doubt: why the calibration must not be used, and what to do; None where it may be.
-        probabilities: of every name, of "field-variation" (the field of the place varies), of "unknown" (something that
-            is in no catalogue, and at least 0.015) and of "nothing"; empty where nothing was tested.
-        diagnostics: about the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …
+        hypotheses: every candidate and generic family with its evidence against the base model, strongest first.
+        before, after: metrics of the base model and of the final one (the same object if nothing was added).
+        moved: parameters of the base model that the effects moved, largest change first; for a given calibration, the
+            parameters that the data contradict.
+        calibration: the calibration with the effects as `terms`; the base calibration if nothing was added. If there is
+            a `doubt`, it is not `trusted` and is not exported.
+        base: the twelve-parameter calibration with which the search began (with the order of the axes, if that was
+            corrected first).
+        assumptions: assumptions of the user's simulator, if one was given.
+        next_manoeuvre: the motion that would tell more; None if there is nothing to distinguish.
+        doubt: why the calibration must not be used, and the remedy; None if it may be used.
+        probabilities: posterior probability of every name, of "field-variation" (the field of the place varies), of
+            "unknown" (something outside the catalogue, at least 0.015) and of "nothing"; empty if nothing was tested.
+        diagnostics: details of the run: "windows", "draws", "seconds", "leftover", "left_out" (faults of sensors), …
     """
 
     verdict: Verdict
@@ -220,11 +223,11 @@ class Gap:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the effects found."""
+        """Return the names of the effects found."""
         return tuple(effect.name for effect in self.effects)
 
     def plot(self) -> Any:
-        """The prediction before and after, and where the gap is, as a matplotlib figure."""
+        """Draw the prediction before and after, and where the gap is, as a matplotlib figure."""
         return _notebook().plot_gap(self)
 
     def __repr__(self) -> str:
@@ -236,25 +239,25 @@ class Gap:
 
 
 def _notebook() -> Any:
-    """What draws, which lies above this module and is imported where it is asked for."""
+    """Return the module that draws; it is in a higher layer and is imported on demand."""
     return importlib.import_module("magyc_gtsam.report.notebook")
 
 
 @dataclass(frozen=True)
 class Isolability:
-    """One row of the isolability table: what a motion could tell about one effect.
+    """One row of the isolability table: how well a motion shows one effect.
 
     Attributes:
         name, label: the effect.
-        smallest: the strength (length of the vector of values) that would be found with probability 0.9, in `unit`;
-            infinite if it needs a channel that is absent, or the motion determines none of its values.
-        unit: of it.
+        smallest: the strength (norm of the values) that would be found with probability 0.9, in `unit`; infinite if the
+            effect needs a channel that is absent, or the motion determines none of its values.
+        unit: unit of `smallest` and `matters`.
         matters: the smallest strength that matters, in `unit`.
         left: share of the effect's signature that the base parameters cannot absorb, 0 to 1.
-        nameable: whether `matters` would be found and told from all rivals.
-        confused_with: names that it gets instead of its own, or beside it, in most cases at the larger of
-            `smallest` and `matters`, with the share of the cases.
-        sentence: in words.
+        nameable: whether an effect of size `matters` would be found and distinguished from all rivals.
+        confused_with: {name: share of the cases} of names given instead of its own, or beside it, in most cases at the
+            larger of `smallest` and `matters`.
+        sentence: the result in words.
     """
 
     name: str

@@ -1,7 +1,7 @@
-"""The catalogue: one file a family, one `EffectTerm` an effect that adds to a reading.
+"""The catalogue: one file per family of effects, one `EffectTerm` per effect that adds to a reading.
 
-Effects that change the noise (`gap.noise_effects`) or the columns themselves (`gap.discrete`) have no regressors
-and are tested there; `NAMES` lists all in the catalogue's order.
+Effects on the noise (`gap.samples.noise_effects`) or on the columns (`gap.preparation.discrete`) have no regressors and
+are tested there. `NAMES` lists all effects in the catalogue's order.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How the two sensors stand to each other: in angle, in time, and through eddy currents in metal near by."""
+"""Angle and delay between the two sensors, and eddy currents in nearby metal."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from magyc_gtsam.gap.rules import RULES
 
 
 def directions() -> list[dict[str, float]]:
-    """Thirteen: axes, face and space diagonals of a cube."""
+    """Return thirteen directions: the axes, and the face and space diagonals of a cube."""
     grid = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], [-1, 0, 1], indexing="ij"), axis=-1).reshape(-1, 3)[14:]
     unit = grid / np.linalg.norm(grid, axis=1)[:, None]
     return [dict(zip(AXES, map(float, normal), strict=True)) for normal in unit]
 
 
 def directions_nearby(setting: Setting) -> list[dict[str, float]]:
-    """The direction of a setting, and rings of 9° and 17° about it."""
+    """Return the direction of a setting, and directions on rings of 9° and 17° about it."""
     centre = np.array([setting[a] for a in AXES])
     first = np.cross(centre, np.eye(3)[np.argmin(np.abs(centre))])
     first /= np.linalg.norm(first)
@@ -31,7 +31,7 @@ def directions_nearby(setting: Setting) -> list[dict[str, float]]:
 
 
 def _plates(twin: Twin) -> list[dict[str, float]]:
-    """One plate, or any number; beside a delay without what would hold it once more."""
+    """Return single plates, and a full matrix of eddy currents; beside a delay the matrix has no multiple of I."""
     late = any(active.name == "timing" for active in twin.model.terms)
     return [*directions(), {"uneven" if late else "full": 1.0}]
 
@@ -41,9 +41,9 @@ def _plates_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _holds_back(twin: Twin, value: Array, setting: Setting) -> bool:
-    """Whether it is plates that E stands for: they hold the field back, and not by the same time on every axis.
+    """Return whether the matrix E can be that of plates: they delay the field, and not equally on every axis.
 
-    A lead is no plate, and neither is what is of one size on the diagonal: that is a delay.
+    A lead is not a plate, and equal values on the diagonal are a delay.
     """
     if "x" in setting:
         return float(np.array([setting[a] for a in AXES]) @ value) > 0

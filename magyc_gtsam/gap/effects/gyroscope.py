@@ -1,4 +1,4 @@
-"""What a gyroscope does beyond a constant bias."""
+"""Gyroscope errors beyond a constant bias."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from magyc_gtsam.gap.effects.iron import lagged, lagged_nearby
 from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.model.twin import Twin
 
-_LEVELS = (1.0, 3.0, 10.0)  # rad/s, from which a scale may grow less and less
+_LEVELS = (1.0, 3.0, 10.0)  # rad/s, rates beyond which the growth of the scale may level off
 
 
 def _levels(twin: Twin) -> list[dict[str, float]]:
-    """None, and those that the fastest turn of the recording passes: slower turns show nothing of them."""
+    """Return no level, and the levels below the fastest turn of the recording."""
     fastest = float(np.abs(twin.gyroscope.need("rate")).max())
     return [{}, *({"level": level} for level in _LEVELS if level < fastest)]
 
@@ -23,7 +23,7 @@ def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
     if not setting:
         return []
     near = (setting["level"] * share for share in (0.5, 0.7, 1.0, 1.4, 2.0))
-    return [{"level": level} for level in near if level >= _LEVELS[0]]  # lower, it would be a plain scale
+    return [{"level": level} for level in near if level >= _LEVELS[0]]  # a lower level is a constant scale error
 
 
 def _say_scale(value: Array, sigma: Array, setting: Setting) -> str:

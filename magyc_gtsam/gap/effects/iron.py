@@ -12,25 +12,26 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, measured, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
-_STEPS = 100  # times at which a step is looked for
-_LAGS = (0.0, 20.0, 60.0, 180.0)  # s by which what warms up lies behind the thermometer
-_ENDS = 16  # times at which something may be attached or taken off
+_STEPS = 100  # times at which a step is tried
+_LAGS = (0.0, 20.0, 60.0, 180.0)  # s, lags of the sensor's temperature behind the thermometer
+_ENDS = 16  # times at which a magnetic object may be attached or removed
 _FEW_MODES, _MANY_MODES = (0, 2, 4, 6), (9, 12)  # of a drift
-_MARGIN = 4  # windows at both ends where a step would be no more than noise
+_MARGIN = 4  # windows at both ends where a step cannot be distinguished from noise
 
 
 def _moving(twin: Twin, kind: str) -> dict[int, Array]:
-    """{place: row} of a channel's rows that do not stand still."""
+    """Return {index: row} of the rows of a channel that change."""
     return {i: row for i, row in enumerate(twin.windows.channels.get(kind, ())) if row.std() > 0}
 
 
 def references(twin: Twin, kind: str) -> dict[str, float]:
-    """The means of a channel's rows that move, so that the hard iron stays that of the mean."""
+    """Return the means of the rows that change as references, so that the hard iron is the one at the mean."""
     return {f"reference_{i}": float(row.mean()) for i, row in _moving(twin, kind).items()}
 
 
 def _circuits(twin: Twin) -> list[dict[str, float]]:
-    """All currents, or those that flow; of what is never near 0, as raw counts may be, what differs from its mean."""
+    """Return the settings of all currents that change. A channel that is never near 0, such as raw counts, is taken
+    relative to its mean."""
     moving = _moving(twin, "current")
     offset = {
         i: float(row.mean()) for i, row in moving.items() if abs(row.mean()) > RULES.far_from_zero * row.std()
@@ -41,13 +42,13 @@ def _circuits(twin: Twin) -> list[dict[str, float]]:
 
 
 def lagged(twin: Twin) -> list[dict[str, float]]:
-    """Temperatures at the thermometer and behind it."""
+    """Return the settings without and with a lag behind the thermometer."""
     duration = float(twin.time[-1] - twin.time[0])
     return [references(twin, "temperature") | {"lag": lag} for lag in _LAGS if lag < 0.5 * duration]
 
 
 def lagged_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
-    """Lags between those of `lagged`, and beyond, up to the recording's own length."""
+    """Return lags between and beyond those of `lagged`, up to the length of the recording."""
     lags = (max(setting["lag"], 10.0) * share for share in (0.0, 0.5, 0.7, 1.0, 1.4, 2.0))
     return [dict(setting) | {"lag": lag} for lag in lags if lag < twin.time[-1] - twin.time[0]]
 
@@ -58,10 +59,10 @@ def _edges(twin: Twin, count: int) -> Array:
 
 
 def _step_times(twin: Twin) -> list[dict[str, float]]:
-    """Single steps, and things attached and taken off again: two steps that neither alone would explain."""
+    """Return single steps, and pairs of opposite steps of an object that is attached and removed again."""
     single = [{"time": float(t)} for t in _edges(twin, _STEPS)]
     coarse = _edges(twin, _ENDS)
-    shortest = 1.5 * (coarse[-1] - coarse[0]) / _ENDS  # what is shorter was passed by, not attached
+    shortest = 1.5 * (coarse[-1] - coarse[0]) / _ENDS  # an object that stays for less was passed, not attached
     return single + [{"time": float(a), "until": float(b)} for a, b in combinations(coarse, 2) if b - a > shortest]
 
 
@@ -79,9 +80,8 @@ def _step_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 def _drifts(twin: Twin) -> list[dict[str, float]]:
     start, end = float(twin.time[0]), float(twin.time[-1])
     known = any(term.name == "hard-iron-drift" for term in twin.model.terms)
-    orders = (
-        _MANY_MODES if known else _FEW_MODES
-    )  # many would hold whatever changes, and are for a drift that is known
+    # Many modes would fit any change; they are used only once a drift is in the model.
+    orders = _MANY_MODES if known else _FEW_MODES
     return [{"order": float(order), "start": start, "end": end} for order in orders]
 
 

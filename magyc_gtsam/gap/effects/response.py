@@ -1,4 +1,4 @@
-"""A magnetometer that does not answer in proportion: it clips, bends, or remembers."""
+"""Non-linear responses of the magnetometer: saturation, a cubic non-linearity, and hysteresis."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from magyc_gtsam.gap.effects.term import AXES, EffectTerm, vector
 from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
-_KNEES = (0.05, 0.15)  # of the largest reading, over which a core saturates
-_NEAR = np.linspace(0.9, 1.1, 41)  # of the likeliest level: those that are tried with each of these knees
-_FINE_KNEES = (0.0, 0.025, 0.05, 0.075, 0.1, 0.125, 0.15)  # of the largest reading
-_FOOT = 2.0  # knees below the level, where an eighth of what is lost in the end is lost
-_WIDTHS = (0.1, 0.33, 1.0)  # of the widest, that are tried
+_KNEES = (0.05, 0.15)  # shares of the largest reading over which a core saturates
+_NEAR = np.linspace(0.9, 1.1, 41)  # levels relative to the likeliest one, tried with each fine knee
+_FINE_KNEES = (0.0, 0.025, 0.05, 0.075, 0.1, 0.125, 0.15)  # shares of the largest reading
+_FOOT = 2.0  # knees below the level, where the loss is an eighth of the final one
+_WIDTHS = (0.1, 0.33, 1.0)  # loop widths that are tried, relative to the widest
 
 
 def _reading(twin: Twin) -> Array:
@@ -37,18 +37,18 @@ def _levels_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _read_beyond(tried: list[dict[str, float]], largest: float) -> list[dict[str, float]]:
-    """Those of which more than the foot of the knee was read: what is lost beyond it would be a guess."""
+    """Return the settings whose knee lies within the readings: the loss beyond them would be a guess."""
     return [each for each in tried if each["level"] + each["knee"] <= largest]
 
 
 def _loops(twin: Twin) -> list[dict[str, float]]:
-    """Each axis by itself, and along thirteen directions, of several widths."""
+    """Return loops on each axis and along thirteen directions, with several widths."""
     widths = [_widest(twin) * share for share in _WIDTHS]
     return [where | {"width": width} for width in widths for where in ({}, *directions())]
 
 
 def _widest(twin: Twin) -> float:
-    """T, of a loop that closes: a wider one is a bent gain."""
+    """Return the largest width of a loop that closes, T: a wider one acts as a non-linear gain."""
     return RULES.widest_loop * float(np.ptp(twin.windows.need("field"), axis=1).max())
 
 
@@ -59,7 +59,7 @@ def _loops_nearby(twin: Twin, setting: Setting) -> list[dict[str, float]]:
 
 
 def _least_loss(setting: Setting) -> float:
-    """Share of what is beyond the level that is lost, at least."""
+    """Return the smallest share of the reading beyond the level that saturation removes."""
     return RULES.bent_loss if setting.get("knee") else RULES.clipped_loss
 
 

@@ -1,7 +1,7 @@
 """`EffectTerm`: one interface for every effect that adds to a sensor's reading.
 
-It drives the score test (`regressors`), the variable and factor of the joint refit (`residual`, `prior`), and the
-twin. The formulas are those of `factors.effects`, so that what was tested is what is applied.
+The score test uses its `regressors`, the joint refit its `residual` and `prior`. The formulas are those of
+`factors.effects`, so that the effect that was tested is the one that is applied.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from magyc_gtsam.gap.rules import RULES
 Settings = Callable[[Twin], list[dict[str, float]]]
 Say = Callable[[Array, Array, Setting], str]
 AXES = ("x", "y", "z")
-_SHOWS = 3.0  # sigmas, from which one of several rows of a channel is spoken of
+_SHOWS = 3.0  # sigmas, from which one of several rows of a channel is mentioned
 
 
 def plain(twin: Twin) -> list[dict[str, float]]:
-    """Nothing to search over."""
+    """Return the single setting of an effect without a grid search."""
     return [{}]
 
 
@@ -34,29 +34,31 @@ class EffectTerm:
 
     Attributes:
         name: row of the catalogue and of `factors.effects.FORMS`.
-        label: in words.
+        label: the name in words.
         unit, scale: shown value = SI value · scale, in `unit`.
-        matters: the smallest value that matters, SI; of a value per unit of a channel, for a change of the channel by
-            its deviation in the recording, in whatever unit it is logged.
-        least: norm of the values, likewise, below which a weak effect is given no name: of what a motion shows far
-            below what matters, every other weak effect casts a shadow.
-        prior: standard deviation of the value before anything was measured, likewise.
-        rivals: names it is known to be confused with.
-        parameters: what each value is; repeated over what it stands for.
-        say: sentence for a navigator from value, sigma (shown units) and setting.
-        motion: what would tell it from its rivals, in words for the helmsman.
-        settings: grid of what must be searched over.
-        refined: settings beside a found one, closer than the grid; empty where there is no grid.
-        block: s, longest block of the held-out veto for a setting.
-        most: how many of it one model may hold.
-        possible: whether fitted values (SI) at a setting are any that it can have; what is not is some other effect.
-        many_shapes: its values make many shapes, of which only those are tried that the motion determines.
-        alike: generic families a narrow part of which may look like it, so that it must explain clearly more.
-        products: signals whose product with it is a neighbour that must be told from it; see `gap.neighbours`.
-        loose: share of its own nats by which a neighbour may be ahead of it, for its form is only the first order.
-        slowest: s, the longest of its lags behind its channel; what drifts in less than twice that may be it.
-        rough: its form is one of many that it takes, so that what it leaves is seen as soon as the model has it.
-        between: share of its evidence by which a setting between those of the grid may be ahead of the best of them.
+        matters: the smallest value that matters, SI. For a value per unit of a channel, the effect of a change of the
+            channel by its standard deviation in the recording.
+        least: norm of the values, in the unit of `matters`, below which a weak effect is not named. A motion can show
+            effects far below `matters`; at such sizes every other weak effect resembles them in part.
+        prior: prior standard deviation of the value, in the unit of `matters`.
+        rivals: names with which it is known to be confused.
+        parameters: name of each value; repeated for several rows of a channel.
+        say: function that returns a sentence for a navigator from value, sigma (shown units) and setting.
+        motion: the motion that would distinguish it from its rivals, in words for the helmsman.
+        settings: function that returns the grid of settings to search.
+        refined: function that returns settings near a found one, finer than the grid; empty if there is no grid.
+        block: function that returns the longest block of the held-out test, s, for a setting.
+        most: number of such effects that one model may contain.
+        possible: function that returns whether the effect can have fitted values (SI) at a setting; if not, the cause
+            is another effect.
+        many_shapes: True if its values have many shapes; only those that the motion determines are tried.
+        alike: generic families of which a narrow part may resemble it; it must explain clearly more than these.
+        products: signals whose product with it is a neighbour to be distinguished from it; see `gap.neighbours`.
+        loose: share of its own gain (nats) by which a neighbour may lead, because its form is a first-order one.
+        slowest: s, the longest of its lags behind its channel; a drift with a time constant below twice this may be
+            this effect.
+        rough: True if its form is one of many that it can take, so that a residual is expected once it is in the model.
+        between: share of its evidence by which a setting between grid points may exceed the best grid point.
     """
 
     name: str
@@ -85,28 +87,28 @@ class EffectTerm:
 
     @property
     def form(self) -> Form:
-        """Its formula."""
+        """Return its formula."""
         return FORMS[self.name]
 
     @property
     def side(self) -> str:
-        """ "magnetometer" or "gyroscope"."""
+        """Return the sensor that it affects, "magnetometer" or "gyroscope"."""
         return self.form.side
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """What the recording must hold beside the two sensors."""
+        """Return the channels that the recording needs beside the two sensors."""
         return tuple(n for n in self.form.needs if n in CHANNELS or n == "acceleration")
 
     def missing(self, twin: Twin) -> tuple[str, ...]:
-        """The channels that this recording lacks (or that stand still in it)."""
+        """Return the channels that this recording lacks, or that do not change in it."""
         at = twin.windows
         return tuple(
             c for c in self.channels if (at.acceleration is None if c == "acceleration" else c not in at.channels)
         )
 
     def deviations(self, twin: Twin, setting: Setting) -> Array:
-        """(k,) of the channel that each value is per unit of, over the recording; (1,) one where there is none."""
+        """Return the standard deviation (k,) of the channel of each value over the recording; (1,) one without one."""
         kind = next((channel for channel in self.channels if channel in CHANNELS), None)
         if kind is None:
             return np.ones(1)
@@ -115,18 +117,18 @@ class EffectTerm:
         return np.repeat(np.where(spread > 0, spread, 1.0), len(self.parameters))
 
     def regressors(self, twin: Twin, setting: Setting) -> Columns:
-        """Columns per unit of value, on windows and links."""
+        """Return the columns per unit of value, on windows and links."""
         if self.side == "gyroscope" and "rate" not in self.form.needs:
-            # What reads no rate has none of the gyroscope's noise in it, and is not pulled.
+            # Without the rate in its form it contains no gyroscope noise, and its score has no bias.
             return twin.on_gyroscope(self.form.columns(twin.gyroscope, setting))
         return twin.columns(self.name, setting)
 
     def residual(self, signals: Signals, value: Array, setting: Setting) -> Array:
-        """(3, n) what it adds to the reading, T or rad/s."""
+        """Return its contribution (3, n) to the reading, T or rad/s."""
         return self.form.evaluate(signals, value, setting)
 
     def rows(self, twin: Twin, setting: Setting) -> tuple[str, ...]:
-        """What the rows of the channel are called that its values are per unit of; empty where it reads none."""
+        """Return the names of the rows of its channel; empty without a channel."""
         kind = next((channel for channel in self.channels if channel in CHANNELS), None)
         if kind is None:
             return ()
@@ -134,7 +136,13 @@ class EffectTerm:
         return tuple(called[row] for row in referenced(twin.windows.need(kind), setting))
 
     def sentence(self, value: Array, sigma: Array, setting: Setting, rows: Sequence[str] = ()) -> str:
-        """For a navigator, of a value and its sigma as shown; of several rows of a channel, each that shows."""
+        """Return the sentence for a navigator; with several rows of a channel, one part for each significant row.
+
+        Args:
+            value, sigma: in shown units.
+            setting: of the grid search.
+            rows: names of the rows of the channel.
+        """
         if len(rows) < 2:
             return self.say(value, sigma, setting)
         values, sigmas = value.reshape(len(rows), -1), sigma.reshape(len(rows), -1)
@@ -146,7 +154,7 @@ class EffectTerm:
         )
 
     def names(self, count: int, rows: Sequence[str] = ()) -> tuple[str, ...]:
-        """(count,) what each value is, and of which of the channel's rows, where there are several."""
+        """Return the name of each value (count,), with the row of the channel if there are several."""
         base = self.parameters
         if len(rows) > 1:
             return tuple(f"{part} of {row}" for row in rows for part in base[: count // len(rows)])
@@ -156,10 +164,10 @@ class EffectTerm:
 
 
 def measured(value: float, sigma: float) -> str:
-    """ "12.3 ± 0.4", with as many digits as the sigma deserves."""
+    """Return "12.3 ± 0.4", with the digits that the sigma allows."""
     if not np.isfinite(sigma) or sigma <= 0:
         return f"{value:.3g}"
-    if sigma < 1e-5:  # per unit of a channel that is logged in small ones
+    if sigma < 1e-5:  # value per unit of a channel that is logged in small units
         return f"{value:.3g} ± {sigma:.2g}"
     digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 6)) if sigma < 10 else 0
     if sigma >= 2 * 10.0 ** (-digits + 1) and digits > 0:
@@ -168,7 +176,7 @@ def measured(value: float, sigma: float) -> str:
 
 
 def vector(value: Sequence[float] | Array, sigma: Sequence[float] | Array | None = None) -> str:
-    """ "(1.2, −0.3, 4.0)", or "(1.2 ± 0.1, …)"."""
+    """Return "(1.2, −0.3, 4.0)", or "(1.2 ± 0.1, …)" with sigmas."""
     array = np.asarray(value, dtype=float)
     if sigma is not None:
         each = [measured(float(v), float(s)) for v, s in zip(array, sigma, strict=True)]

@@ -1,4 +1,4 @@
-"""A field that is not the same everywhere: it grows with depth or position, or something magnetic was passed."""
+"""A field that differs from place to place: a gradient with depth or position, or a magnetic object passed by."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 _WIDTHS = (3.0, 8.0, 20.0)  # s, standard deviations of the bump
-_SPACING = 2.0  # of the centres, in widths: the bump and its derivative make up for what lies between
-_CENTRES = 170  # at most, of each width
+_SPACING = 2.0  # of the centres, in widths; the derivative of the bump covers times between them
+_CENTRES = 170  # largest number of centres for each width
 
 
 def _directions(twin: Twin) -> list[dict[str, float]]:
-    """Up and down by itself, and all rows of the channel; depth and the downward position are one."""
+    """Return the vertical row alone, and all rows of the channel; depth and downward position count as one row."""
     every = references(twin, "position")
     if len(every) < 2:
         return [every]

@@ -1,4 +1,4 @@
-"""What a gap is measured from: the calibration alone at its minimum, before any effect is added."""
+"""The base model of a gap: the calibration alone at its minimum, before any effect is added."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from magyc_gtsam.recording import Recording
 
 
 def needs_gyroscope(recording: Recording) -> None:
-    """Expect a gyroscope, along whose turns the field is predicted.
+    """Check that the recording has a gyroscope, from whose turns the field is predicted.
 
     Raises:
-        MagycError: there is none.
+        MagycError: the recording has no gyroscope.
     """
     if recording.angular_rate is None:
         raise MagycError(
@@ -31,18 +31,18 @@ def needs_gyroscope(recording: Recording) -> None:
 
 
 def problem_of(recording: Recording) -> Problem:
-    """What is to be explained of a recording: its windows, few of them where the sensor rests."""
+    """Return the windows of a recording that a model has to explain, with few samples while the sensor rests."""
     recording = moving(recording)
     return Problem.of(recording, preintegrate(recording, RULES.window))
 
 
 def base_model(recording: Recording, calibration: Calibration | None, short_term: SensorNoise) -> Refit:
-    """The twelve parameters at their minimum; with the delay and the terms of a calibration, where one is given."""
+    """Fit the twelve parameters; with the delay and the terms of a calibration, if one is given."""
     delay = 0.0 if calibration is None else calibration.delay
     still = moving(recording)
     fit, _ = fit_field_chain(still, robust=False, delay=delay)
     if not fit.converged:
-        # Something as large as the field is missing. Where that passes for noise there is one minimum.
+        # An effect as large as the field is missing. With the field strength as noise level there is one minimum.
         field = float(np.median(np.linalg.norm(still.magnetometer.value, axis=1)))
         fit, _ = fit_field_chain(still, robust=False, delay=delay, noise=(field, short_term.gyroscope))
     free = np.ones(PARAMETERS, dtype=bool)
@@ -54,7 +54,7 @@ def base_model(recording: Recording, calibration: Calibration | None, short_term
             if t.side is not None and t.name != "tone"  # which is taken out of the readings
         )
         if delay and not any(term.name == "timing" for term in terms):
-            # What `calibrate` took for a delay may be the shadow of something else: it is free to go.
+            # The delay of `calibrate` may be due to another effect, and is estimated again.
             terms = (*terms, Active("timing", {}, np.array([delay])))
     free[DELAY] = any(term.name == "timing" for term in terms)
     return refit(problem_of(recording), Model(fit.state.parameters, free, fit.chain.noise, terms), short_term)

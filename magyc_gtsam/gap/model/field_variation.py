@@ -1,13 +1,14 @@
-"""The field of the place as variance components, beside which everything else has to explain the data.
+"""Variation of the field of the place, as variance components that are part of every hypothesis.
 
-On real logs the field is not constant: it wanders along the way, and depends on attitude, to which a hand or an arm
-ties the position. Both are random functions of low rank in the world's axes: cosines of time with the spectrum of an
-Ornstein–Uhlenbeck process, and a Gaussian process on rotations (by Nyström). With their whitened columns Z, amplitudes
-Λ and a noise ρ from window to window, innovations freed of the model's columns have
+On real logs the field is not constant: it changes along the way, and with attitude, because a hand or an arm ties the
+position to the attitude. Both are random functions of low rank in the world's axes: cosines of time with the spectrum
+of an Ornstein–Uhlenbeck process, and a Gaussian process on rotations (Nyström approximation). With their whitened
+columns Z, amplitudes Λ and a window noise ρ, the innovations v after projection on the complement of the model's
+columns have the evidence
 
     ln Z = −½ [ (|v|² − |L⁻¹ √Λ Z v|²) / ρ² + 2 Σ ln L_ii + n ln ρ² ],   L Lᵀ = I + √Λ Z Zᵀ √Λ,
 
-whose maximum over a grid of amplitudes is taken (restricted maximum likelihood).
+which is maximised over a grid of amplitudes (restricted maximum likelihood).
 """
 
 from __future__ import annotations
@@ -27,26 +28,27 @@ from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.model.variants import Projector
 from magyc_gtsam.gap.rules import RULES
 
-_MODES = 60  # of the time
+_MODES = 60  # cosines of time
 _CORRELATION = (1.0, 4.0, 16.0)  # s
 _AMPLITUDES = 1e-6 * 2.0 ** np.arange(-3.0, 4.0)  # T
-_SHARES = (0.0, 0.5, 1.0, 2.0)  # of attitude's part in the way's: alone it would be something that is no place
+_SHARES = (0.0, 0.5, 1.0, 2.0)  # amplitude with attitude over that along the way; attitude alone is not the place
 COMBINATIONS = len(_CORRELATION) * len(_AMPLITUDES) * len(_SHARES)
-_TURN = 0.6  # rad, of change with attitude: likeliest of 0.3, 0.6 and 1 on hand-held real logs
-_ATTITUDES = 80  # at which the function of attitude is spanned
-_LEAST = 0.05  # of its variance at one of them: a direction with less is left out
-_SWEEPS = 2
+_TURN = 0.6  # rad, correlation length in attitude: the likeliest of 0.3, 0.6 and 1 on hand-held real logs
+_ATTITUDES = 80  # inducing attitudes of the Nyström approximation
+_LEAST = 0.05  # smallest eigenvalue of the kernel at the inducing attitudes that is kept
+_SWEEPS = 2  # of the coordinate search over the grid
 
 
 @dataclass(frozen=True, eq=False)
 class FieldVariation:
-    """How much the field varies over a recording.
+    """The variation of the field over a recording.
 
     Attributes:
-        gain: nats by which it explains the innovations better than a field that stands still.
-        along, attitude: T, standard deviations along the way and with attitude; noise: ρ, in the sensors' noise.
-        period: s, correlation time along the way.
-        components: (k, 3n) whitened columns, whose amplitudes have the deviation ρ.
+        gain: gain in log evidence over a constant field, nats.
+        along, attitude: standard deviations along the way and with attitude, T.
+        noise: ρ, relative to the noise of the sensors.
+        period: correlation time along the way, s.
+        components: (k, 3n) whitened columns, whose amplitudes have the standard deviation ρ.
     """
 
     gain: float
@@ -60,19 +62,22 @@ class FieldVariation:
 
     @property
     def evident(self) -> bool:
-        """Whether the field varies at all."""
+        """Return whether the evidence for a variation is sufficient."""
         return self.gain > RULES.field_varies
 
     def whiten(self, rows: Array) -> Array:
-        """Rows (k, 3n) that were whitened for the sensors' noise, whitened for the field's variation too."""
+        """Whiten rows (k, 3n), already whitened for the sensors' noise, for the variation of the field too."""
         result: Array = (rows - ((rows @ self._columns.T) * self._less) @ self._columns) / self.noise
         return result
 
 
 def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
-    """The amplitudes under which what a model leaves is most likely.
+    """Estimate the amplitudes by maximum evidence of the innovations that a model leaves.
 
-    In the sensor's axes it is no place: the same functions of time and attitude, of what moves with the sensor.
+    Args:
+        twin: the linearised model.
+        in_world: True for functions in the world's axes, which are the place; False for the same functions in the
+            sensor's axes, which are a cause that moves with the sensor.
     """
     put = _in_world if in_world else _in_sensor
     project = Projector(twin.base_columns, twin.base_pull)
@@ -88,7 +93,7 @@ def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
         along = float(np.sqrt((shapes[shape] ** 2).sum() / 3))
         return np.concatenate([shapes[shape], np.full(turned, _SHARES[share] * along)])
 
-    @cache  # of a sweep that changes nothing the next one asks the same
+    @cache  # the second sweep evaluates many of the same points
     def log_of(shape: int, share: int) -> float:
         return search.log(deviations(shape, share))[0]
 
@@ -110,7 +115,8 @@ def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
 
 
 def waves(time: Array) -> tuple[Array, Array]:
-    """(k, n) cosines of time, and (3, k) deviations of their amplitudes for each correlation time, of unit variance."""
+    """Return cosines of time (k, n), and the standard deviations (3, k) of their amplitudes for each correlation time,
+    with unit variance in sum."""
     duration = float(time[-1] - time[0])
     order = np.arange(1, min(_MODES, len(time) // 4) + 1)
     cosines = np.sqrt(2) * np.cos(order[:, None] * np.pi * (time - time[0]) / duration)
@@ -123,14 +129,15 @@ def _best(logs: Sequence[float]) -> int:
 
 
 class _Search:
-    """ln Z of innovations (3n,) for amplitudes of columns (k, 3n), both freed of the model's."""
+    """The evidence ln Z of innovations (3n,) as a function of the amplitudes of columns (k, 3n), both after projection
+    on the complement of the model's columns."""
 
     def __init__(self, innovation: Array, columns: Array, freedom: int) -> None:
         self._gram, self._score = columns @ columns.T, columns @ innovation
         self._square, self._freedom = float(innovation @ innovation), freedom
 
     def log(self, deviations: Array, fixed: bool = False) -> tuple[float, float]:
-        """ln Z and ρ, which is 1 where it is `fixed`, and never less."""
+        """Return ln Z and ρ; ρ is at least 1, and 1 if `fixed`."""
         use = deviations > 0
         d = deviations[use]
         inner = d[:, None] * self._gram[np.ix_(use, use)] * d
@@ -144,19 +151,23 @@ class _Search:
 
 
 def _in_world(twin: Twin, profiles: Array) -> Array:
-    """(3k, 3n) whitened columns of profiles (k, n) along each of the world's axes, T as read."""
+    """Return the whitened columns (3k, 3n) of profiles (k, n) along each of the world's axes, in T as read."""
     soft = unvech(twin.state.parameters[:6])
     from_world = np.einsum("ij,jkn->kin", soft / np.cbrt(np.linalg.det(soft)), twin.windows.need("to_sensor"))
     return twin.whiten(Columns((profiles[:, None, None] * from_world).reshape(-1, 3, twin.n), None))
 
 
 def _in_sensor(twin: Twin, profiles: Array) -> Array:
-    """The same along each of the sensor's axes."""
+    """Return the whitened columns (3k, 3n) of profiles (k, n) along each of the sensor's axes."""
     return twin.whiten(Columns(per_axis(profiles), None))
 
 
 def functions_of_attitude(to_sensor: Array) -> Array:
-    """(k, n) orthogonal functions that span a smooth random one of unit variance."""
+    """Return basis functions (k, n) of a Gaussian process on rotations with unit variance (Nyström).
+
+    Args:
+        to_sensor: (3, 3, n) rotations.
+    """
     n = to_sensor.shape[-1]
     some = np.unique(np.linspace(0, n - 1, min(n, _ATTITUDES)).astype(int))
     apart = 3 - np.einsum("abn,abm->nm", to_sensor, to_sensor[..., some])  # 2 − 2 cos θ

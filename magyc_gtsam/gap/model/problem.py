@@ -1,8 +1,8 @@
-"""The data of one recording with the terms of a model taken out of them: a field chain again.
+"""The field chain of one recording, with the terms of a model subtracted from the data.
 
 Terms on the magnetometer are subtracted from the windows' fields, terms on the gyroscope from its samples before
-they are integrated, so that the chain of `factors.field_chain` serves the extended model unchanged; a delay is its
-own thirteenth parameter.
+integration. The chain of `factors.chain.field_chain` therefore serves the extended model unchanged; a delay is its
+thirteenth parameter.
 """
 
 from __future__ import annotations
@@ -26,20 +26,24 @@ from magyc_gtsam.factors.effects.signals import Signals, channels_by_kind
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
-_STILL = 1e-9  # of a channel's largest value: less is rounding
-_PASSES = 20  # for gyroscope terms that read the true rate; most need three
-_CLOSE = 1e-7  # rad/s
-_RUNAWAY = 10.0  # times the first change, beyond which the passes do not come to an end
-_BENT = 5  # passes for magnetometer terms that bend the reading
-_NEARBY = 1e-8  # T
-_KEPT = 3  # integrations of one problem, of a search that goes to and fro between its models
+_STILL = 1e-9  # standard deviation of a constant channel relative to its largest value, from rounding
+_PASSES = 20  # fixed-point iterations for gyroscope terms that read the true rate; most need three
+_CLOSE = 1e-7  # rad/s, change at which the iteration has converged
+_RUNAWAY = 10.0  # times the first change, beyond which the iteration diverges
+_BENT = 5  # iterations for non-linear magnetometer terms
+_NEARBY = 1e-8  # T, step of a numerical derivative
+_KEPT = 3  # cached integrations of one problem, for a search that alternates between models
 
 
 @dataclass(frozen=True, eq=False)
 class Active:
-    """A term in the model: its name, setting and value (k,) in SI units.
+    """A term in the model.
 
-    prior: deviation with which the value is held to 0, as `EffectTerm.prior`; None is the catalogue's.
+    Attributes:
+        name: of the catalogue.
+        setting: of the grid search.
+        value: (k,) in SI units.
+        prior: prior standard deviation of the value, as `EffectTerm.prior`; None for the catalogue's.
     """
 
     name: str
@@ -50,7 +54,14 @@ class Active:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """θ (13,) of the field chain, which of them are free, the noise, and the terms beyond."""
+    """A calibration model.
+
+    Attributes:
+        parameters: θ (13,) of the field chain.
+        free: (13,) bool, parameters that are estimated.
+        noise: of the sensors.
+        terms: effects beyond θ.
+    """
 
     parameters: Array
     free: np.ndarray
@@ -59,23 +70,23 @@ class Model:
 
     @property
     def estimated(self) -> tuple[Active, ...]:
-        """The terms whose values have regressors of their own; a timing is a parameter of the chain."""
+        """Return the terms with regressors of their own; a timing is a parameter of the chain instead."""
         return tuple(term for term in self.terms if term.name != "timing")
 
     @property
     def bends(self) -> tuple[Active, ...]:
-        """The terms that read what the magnetometer reads, and so bend it."""
+        """Return the non-linear terms of the magnetometer, whose form depends on its reading."""
         return tuple(term for term in self.terms if term.name in FORMS and "hard_iron" in FORMS[term.name].needs)
 
 
 @dataclass(frozen=True, eq=False)
 class Integrated:
-    """The gyroscope without some terms, integrated at one bias and delay.
+    """The gyroscope with terms subtracted, integrated at one bias and delay.
 
     Attributes:
-        samples: with the terms taken out.
-        rate: (3, G) rad/s, the true rate.
-        windows: at the bias and delay.
+        samples: samples with the terms subtracted.
+        rate: (3, G) true rate, rad/s.
+        windows: field windows at the bias and delay.
     """
 
     samples: Preintegration
@@ -84,19 +95,20 @@ class Integrated:
 
     @cached_property
     def errors(self) -> RateDerivatives:
-        """What further errors of the rate do."""
+        """Return the derivatives with respect to further errors of the rate."""
         return RateDerivatives.of(self.samples, self.rate, self.windows.delay)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One recording, cut into windows, with everything interpolated to where the forms read it.
+    """One recording, divided into windows, with all channels interpolated to the samples of the sensors.
 
     Attributes:
         recording: the data.
-        samples: of both sensors, in windows.
+        samples: samples of both sensors, in windows.
         magnetometer, gyroscope: acceleration and channels at each sensor's samples.
-        rate_noise: rad/s per sample, of the gyroscope itself: what else is missing raises the model's, not this.
+        rate_noise: short-term noise of the gyroscope, rad/s per sample. A missing effect raises the model's noise
+            level, but not this one.
     """
 
     recording: Recording
@@ -108,7 +120,7 @@ class Problem:
 
     @classmethod
     def of(cls, recording: Recording, samples: Preintegration) -> Problem:
-        """Interpolate what the recording has."""
+        """Interpolate the channels of a recording."""
         return cls(
             recording,
             samples,
@@ -118,17 +130,17 @@ class Problem:
         )
 
     def mean(self, values: Array) -> Array:
-        """Means over the windows of values (..., M) at the magnetometer's samples: (..., n)."""
+        """Return the means (..., n) over the windows of values (..., M) at the magnetometer's samples."""
         count = np.diff(np.append(self.samples.starts, values.shape[-1]))
         result: Array = np.add.reduceat(values, self.samples.starts, axis=-1) / count
         return result
 
 
 def _others(recording: Recording, at: Array) -> Signals:
-    """Acceleration and channels at given times.
+    """Return acceleration and channels at given times.
 
-    Rows not known throughout (`channel_holes`), or that stand still, tell nothing and are 0; a kind of which all
-    are so is left out.
+    Rows that have gaps (`channel_holes`) or are constant carry no information and are set to 0; a kind of channel
+    without another row is left out.
     """
     time = recording.time
 
@@ -145,10 +157,10 @@ def _others(recording: Recording, at: Array) -> Signals:
 
 
 def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
-    """(3, G) rad/s, the rate that the sensor would have read less its bias and the gyroscope's terms.
+    """Return the true rate (3, G) rad/s: the reading less bias and terms of the gyroscope, by fixed-point iteration.
 
     Raises:
-        MagycError: terms so large that a reading belongs to no one rate, so that the passes run away.
+        MagycError: the terms are so large that the iteration diverges: a reading belongs to more than one rate.
     """
     measured: Array = problem.samples.angular_rate.T - bias[:, None]
     true, changes = measured, [np.inf]
@@ -166,10 +178,12 @@ def _true_rate(problem: Problem, terms: Sequence[Active], bias: Array) -> Array:
 
 
 def _integrated(problem: Problem, model: Model) -> Integrated:
-    """The gyroscope integrated as a model has it; kept, for a change of the noise or a new term at 0 asks the same.
+    """Integrate the gyroscope with the bias, delay and terms of a model.
+
+    The result is cached: a change of the noise or a new term with value 0 needs the same integration.
 
     Raises:
-        MagycError: terms so large that a reading belongs to no one rate.
+        MagycError: the terms are so large that a reading belongs to more than one rate.
     """
     bias, delay = model.parameters[9:12], float(model.parameters[DELAY])
     terms = [t for t in model.terms if t.name in FORMS and FORMS[t.name].side == "gyroscope" and t.value.any()]
@@ -188,7 +202,7 @@ def _integrated(problem: Problem, model: Model) -> Integrated:
 
 
 def window_signals(problem: Problem, windows: FieldWindows, state: ChainState, rate: Array) -> Signals:
-    """What the forms read, window by window, as the model has it."""
+    """Return the signals that the forms read, averaged over each window, at the values of the model."""
     parameters, g = state
     soft = unvech(parameters[:6])
     rotation = windows.rotation
@@ -208,24 +222,28 @@ def window_signals(problem: Problem, windows: FieldWindows, state: ChainState, r
 
 
 def _added(terms: Sequence[Active], signals: Signals) -> Array:
-    """(3, n) T that terms add to the magnetometer's reading."""
+    """Return the sum (3, n) T of the terms on the magnetometer's reading."""
     return sum(
         (FORMS[t.name].evaluate(signals, t.value, t.setting) for t in terms), np.zeros((3, len(signals.time)))
     )
 
 
 def _answer(bent: Sequence[Active], signals: Signals) -> Array:
-    """(3, n) by how much of the field's change the reading changes: what is clipped tells nothing of the iron."""
+    """Return the derivative (3, n) of the reading with respect to the field, which is 0 where the reading clips."""
     field = signals.need("field")
     more, less = (_added(bent, replace(signals, field=field + step)) for step in (_NEARBY, -_NEARBY))
     return 1 + (more - less) / (2 * _NEARBY)
 
 
 def build(problem: Problem, model: Model) -> tuple[FieldChain, ChainState, Reduced, Integrated]:
-    """The chain of a model, settled, and the gyroscope that it is of.
+    """Build the chain of a model and optimise its directions.
 
-    The magnetometer's terms read the field as the model has it, so that the chain is settled, corrected and
-    settled again; and again where they clip or bend the reading, which is then linearised as it is bent.
+    The terms of the magnetometer depend on the field of the model. Therefore the directions are optimised, the terms
+    subtracted, and the directions optimised again; several times for non-linear terms, at which the reading is then
+    linearised.
+
+    Returns:
+        The chain, its state, its linearisation, and the integrated gyroscope.
     """
     gyroscope = _integrated(problem, model)
     windows, rate = gyroscope.windows, gyroscope.rate

@@ -1,4 +1,4 @@
-"""Joint refit of the twelve parameters, the delay and the terms."""
+"""The joint refit of the twelve parameters, the delay and the terms."""
 
 from __future__ import annotations
 
@@ -18,18 +18,24 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 
 _ROUNDS = 3  # of noise levels
-_STEPS = 8
-_SHORTER = (1.0, 0.5, 0.2, 0.05)
-_ROUNDING = 0.5  # of a cost, to second order of the rotations
-_GRID = 81
-_FOLLOWING = 3  # steps of the iron behind those of what bends the reading
-_ASTRAY = 100.0  # times the cost allowed, from which it is not followed
+_STEPS = 8  # Gauss–Newton steps in a round
+_SHORTER = (1.0, 0.5, 0.2, 0.05)  # shares of a step that are tried
+_ROUNDING = 0.5  # error of a cost, from second-order terms of the rotations
+_GRID = 81  # deviations that are tried
+_FOLLOWING = 3  # steps of the twelve parameters after a step of a non-linear term
+_ASTRAY = 100.0  # times the allowed cost, from which these steps are not made
 _SETTLED = 1e-3  # squared length of a step, in sigmas
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A model at its minimum: its twin there, and the covariance of free parameters and terms, in their order."""
+    """A model at its minimum.
+
+    Attributes:
+        twin: the model, linearised at the minimum.
+        covariance: (q, q) of the free parameters, then of the terms.
+        converged: whether the last step was small.
+    """
 
     twin: Twin
     covariance: Array
@@ -41,12 +47,12 @@ class Refit:
         return self.twin.model
 
     def weight_of(self, index: int) -> float:
-        """Squared length of the value of the model's term `index`, in its sigmas."""
+        """Return the Wald statistic of the model's term `index`."""
         value, covariance = self.value_of(index)
         return float(value @ np.linalg.pinv(covariance) @ value)
 
     def value_of(self, index: int) -> tuple[Array, Array]:
-        """Value (k,) and covariance (k, k) of the model's term `index`."""
+        """Return value (k,) and covariance (k, k) of the model's term `index`."""
         model = self.model
         term = model.terms[index]
         if term.name == "timing":
@@ -58,34 +64,34 @@ class Refit:
 
 
 def determined(result: Refit, index: int) -> bool:
-    """Whether the data, not the prior, hold every direction of the values of the model's term `index`."""
+    """Return whether the data, not the prior, determine all values of the model's term `index`."""
     _, covariance = _standardised(result, index)
     largest = float(np.linalg.eigvalsh(covariance)[-1])
     return largest < (RULES.determined_by_data * TERMS[result.model.terms[index].name].prior) ** 2
 
 
 def possible(result: Refit, index: int) -> bool:
-    """Whether the value of the model's term `index` is any that its effect can have."""
+    """Return whether the value of the model's term `index` is physically possible for its effect."""
     value, _ = result.value_of(index)
     term = result.model.terms[index]
     return TERMS[term.name].possible(result.twin, value, term.setting)
 
 
 def small(result: Refit, index: int) -> bool:
-    """Whether the model's term `index` is so small that it needs more than significance to be given a name."""
+    """Return whether the model's term `index` is so small that significance alone does not suffice to name it."""
     value, _ = _standardised(result, index)
     return float(np.linalg.norm(value)) < TERMS[result.model.terms[index].name].least
 
 
 def widened(result: Refit) -> Refit:
-    """With the covariance that the windows deserve where their misfit hangs together, as `smoother` has it."""
+    """Return the refit with its covariance widened for the autocorrelation of the residuals, as in `smoother`."""
     twin = result.twin
     fit = Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
     return replace(result, covariance=fit.colour * result.covariance)
 
 
 def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
-    """`Refit.value_of` for a change of the channels by their deviations."""
+    """Return `Refit.value_of` per standard deviation of the channels."""
     value, covariance = result.value_of(index)
     term = result.model.terms[index]
     deviations = TERMS[term.name].deviations(result.twin, term.setting)
@@ -93,12 +99,16 @@ def _standardised(result: Refit, index: int) -> tuple[Array, Array]:
 
 
 def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known: Twin | None = None) -> Refit:
-    """Everything jointly, re-linearised at each step; noise levels in between (None keeps them).
+    """Fit all parameters and terms jointly by Gauss–Newton, with noise levels estimated between the rounds.
 
-    `known` is a twin of the same problem, perhaps of the same model without terms that are new.
+    Args:
+        problem: the data.
+        model: where to start.
+        short_term: noise of the sensors from sample to sample; None keeps the model's noise levels.
+        known: a twin of the same problem, which saves a linearisation if its model differs by new terms only.
 
     Raises:
-        MagycError: a term whose effect on the readings is beyond all bounds.
+        MagycError: a term with an unbounded effect on the readings.
     """
     converged = False
     twin = (known and known.beside(model)) or Twin.of(problem, model)
@@ -135,10 +145,10 @@ def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known:
 
 
 def tempered(problem: Problem, result: Refit, short_term: SensorNoise) -> Refit:
-    """With every effect of many values held by a deviation of its own values, refitted (empirical Bayes).
+    """Refit with a prior for every effect of many values, its deviation by maximum likelihood (empirical Bayes).
 
-    A weak effect of many values is mostly noise in those that the motion hardly determines; to apply it would do more
-    harm than good. The deviation is the one under which the data are most likely.
+    Of a weak effect with many values those that the motion hardly determines are mostly noise, and applying them would
+    do more harm than good.
     """
     terms = list(result.model.terms)
     for index, term in enumerate(terms):
@@ -151,7 +161,7 @@ def tempered(problem: Problem, result: Refit, short_term: SensorNoise) -> Refit:
 
 
 def spread(value: Array, covariance: Array, prior: float) -> float:
-    """The most likely deviation of values that are estimated with this covariance, of which `prior` is a part."""
+    """Return the prior deviation of maximum likelihood of values estimated with a covariance that includes `prior`."""
     precision = np.linalg.pinv(covariance, hermitian=True)
     known, direction = np.linalg.eigh(precision - np.eye(len(value)) / prior**2)
     known = np.maximum(known, 0.0)
@@ -163,13 +173,13 @@ def spread(value: Array, covariance: Array, prior: float) -> float:
 
 
 def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | None:
-    """The twin after a step, shortened until the cost does not rise; None where no step helps."""
+    """Return the twin after a step, shortened until the cost does not rise; None if no step helps."""
     for share in _SHORTER:
         try:
             ahead = Twin.of(problem, _stepped(twin.model, share * step))
         except MagycError:
-            continue  # a step too far for the chain to be factorised
-        # The gyroscope's scale is not fitted by cost alone (`Twin.rate_pull`).
+            continue  # the step is too long: the chain cannot be factorised
+        # The step includes the score bias of the gyroscope's terms (`Twin.rate_pull`), which the cost does not.
         allowed = _cost(twin) + share * abs(float(pull @ step)) + _ROUNDING
         for _ in range(_FOLLOWING if twin.model.bends else 0):
             if not allowed < _cost(ahead) < _ASTRAY * allowed:
@@ -181,10 +191,10 @@ def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | N
 
 
 def _followed(problem: Problem, ahead: Twin) -> Twin | None:
-    """With the twelve parameters a step further, the terms held.
+    """Return the twin after one step of the twelve parameters with the terms fixed; None if the step fails.
 
-    What a bend adds the iron takes away, nearly all of it: on the straight line between two such pairs the cost is
-    higher than at both its ends.
+    A non-linear term and the iron compensate each other almost completely, along a curve: on the straight line between
+    two points of it the cost is higher than at both ends.
     """
     count = int(ahead.model.free.sum())
     base = ahead.base_columns[:count]
@@ -197,7 +207,7 @@ def _followed(problem: Problem, ahead: Twin) -> Twin | None:
 
 
 def _inverse(information: Array) -> Array:
-    """The covariance, of parameters in whatever units; wide where the data determine nothing."""
+    """Return the covariance of parameters in any units; large in directions that the data do not determine."""
     scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     weight, vector = np.linalg.eigh(information * scale * scale[:, None])
     result: Array = (vector / np.maximum(weight, 1e-13)) @ vector.T * scale * scale[:, None]
@@ -205,9 +215,9 @@ def _inverse(information: Array) -> Array:
 
 
 def prior_of(twin: Twin) -> tuple[Array, Array]:
-    """(q,) precision of the free parameters and the terms before anything was measured, and the values it holds to 0.
+    """Return the prior precision (q,) of the free parameters and terms, and the present values (q,), with prior mean 0.
 
-    What a motion does not determine of a term stays where the data sheet has it.
+    Values of a term that the motion does not determine stay near 0, as in a data sheet.
     """
     base = np.zeros(int(twin.model.free.sum()))
     precision, values = [base], [base]
@@ -240,14 +250,14 @@ def _stepped(model: Model, step: Array) -> Model:
 
 
 def with_term(model: Model, term: Active) -> Model:
-    """A model with one more term; a timing frees the delay."""
+    """Return a model with one more term; a timing frees the delay."""
     free = model.free.copy()
     free[DELAY] |= term.name == "timing"
     return replace(model, free=free, terms=(*model.terms, term))
 
 
 def without_term(model: Model, index: int) -> Model:
-    """A model with one term less; without a timing the delay is fixed at 0."""
+    """Return a model without one term; without a timing the delay is fixed at 0."""
     terms = tuple(t for i, t in enumerate(model.terms) if i != index)
     if model.terms[index].name != "timing":
         return replace(model, terms=terms)

@@ -1,10 +1,10 @@
-"""The twin: the model as a state space, whose innovations are white where the model is right.
+"""The twin: a model as a state space, whose innovations are white if the model is right.
 
-The state is the field's direction in the integrated world; it stands still but for the gyroscope's noise, and the
-magnetometer reads it linearly. One banded factorisation of the field chain holds the whole forward filter: with L
-its Cholesky factor, the prediction for window n has the information Π = s² I − L_{n,n−1} L_{n,n−1}ᵀ and the
-information vector afterᵀ e − L_{n,n−1} z_{n−1}, z = L⁻¹ c. So residuals and any number of regressors are filtered
-at once, without a loop over windows; their sum of squares is the field chain's cost.
+The state is the direction of the field in the integrated world frame. It is constant except for the gyroscope's noise,
+and the magnetometer measures it linearly. One banded factorisation of the field chain contains the forward filter: with
+L its Cholesky factor, the prediction for window n has the information Π = s² I − L_{n,n−1} L_{n,n−1}ᵀ and the
+information vector afterᵀ e − L_{n,n−1} z_{n−1}, z = L⁻¹ c. Residuals and any number of regressors are filtered
+together, without a loop over windows; their sum of squares is the cost of the field chain.
 """
 
 from __future__ import annotations
@@ -31,9 +31,12 @@ _DIFFERENCE = 1e-3  # rad/s
 
 
 class Columns(NamedTuple):
-    """Unwhitened regressors: of the windows (p, 3, n) T per unit, of the links (p, 3, n − 1) rad per unit or None.
+    """Unwhitened regressors.
 
-    pull: (p,) their expected score without any effect (`Twin.rate_pull`); None is zero.
+    Attributes:
+        window: (p, 3, n) of the windows, T per unit.
+        link: (p, 3, n − 1) of the links, rad per unit; None for zero.
+        pull: (p,) score bias (`Twin.rate_pull`); None for zero.
     """
 
     window: Array
@@ -42,7 +45,7 @@ class Columns(NamedTuple):
 
 
 def together(parts: Sequence[Columns]) -> Columns:
-    """The columns of several, of one side, without their pull."""
+    """Return the columns of several parts, all on the same sensor, without their score bias."""
     links = [part.link for part in parts if part.link is not None]
     return Columns(np.concatenate([part.window for part in parts]), np.concatenate(links) if links else None)
 
@@ -52,9 +55,9 @@ class Twin:
     """A model linearised on a recording.
 
     Attributes:
-        problem, model: what it is of.
-        chain, state, reduced: the field chain, settled.
-        windows, gyroscope: the signals of windows and of the gyroscope's samples.
+        problem, model: the data and the model.
+        chain, state, reduced: the field chain with optimised directions, and its linearisation.
+        windows, gyroscope: signals of the windows and of the gyroscope's samples.
     """
 
     problem: Problem
@@ -69,7 +72,7 @@ class Twin:
 
     @classmethod
     def of(cls, problem: Problem, model: Model) -> Twin:
-        """Linearise a model."""
+        """Linearise a model on the data."""
         chain, state, reduced, integrated = build(problem, model)
         gyroscope = Signals(
             problem.gyroscope.time,
@@ -91,16 +94,16 @@ class Twin:
 
     @property
     def n(self) -> int:
-        """Windows."""
+        """Return the number of windows."""
         return len(self.chain.windows)
 
     @property
     def time(self) -> Array:
-        """(n,) s."""
+        """Return the times (n,) of the windows, s."""
         return self.chain.windows.time
 
     def beside(self, model: Model) -> Twin | None:
-        """That of a model with further terms at 0, of which nothing is linearised anew; None where it is another."""
+        """Return the twin of this model with further terms at 0, without a new linearisation; None for other models."""
         own, count = self.model, len(self.model.terms)
         same = model.noise == own.noise and np.array_equal(model.parameters, own.parameters)
         more = model.terms[count:]
@@ -113,18 +116,18 @@ class Twin:
         return result
 
     def residual(self) -> Array:
-        """(3, n) the whitened innovations of the data."""
+        """Return the whitened innovations (3, n) of the data."""
         residuals = self.chain.residuals(self.state)
         window = residuals.window[None] * self.chain.window_scale
         link = residuals.link[None] * self.chain.link_scale
         return self._filter(window, link)[0]
 
     def innovations(self, window: Array, link: Array) -> Array:
-        """(k, 3, n) of draws of the noise of windows (k, 3, n) and of links (k, 3, n − 1), in sigmas."""
+        """Return the innovations (k, 3, n) of noise draws of windows (k, 3, n) and links (k, 3, n − 1), in sigmas."""
         return self._filter(window, link)
 
     def whiten(self, columns: Columns) -> Array:
-        """(p, 3n) innovations of regressors."""
+        """Return the innovations (p, 3n) of regressors."""
         return self._filter_of_units(columns.window, columns.link).reshape(len(columns.window), -1)
 
     @cached_property
@@ -133,7 +136,7 @@ class Twin:
 
     @cached_property
     def base_columns(self) -> Array:
-        """(q, 3n) whitened regressors of the free parameters, then of the model's terms."""
+        """Return the whitened regressors (q, 3n) of the free parameters, then of the model's terms."""
         free = np.flatnonzero(self.model.free)
         window = self.reduced.on_parameters / self.chain.window_scale
         link = np.zeros((PARAMETERS, 3, self.n - 1))
@@ -144,7 +147,7 @@ class Twin:
 
     @cached_property
     def base_pull(self) -> Array:
-        """(q,) expected score of `base_columns` without any effect."""
+        """Return the score bias (q,) of `base_columns`."""
         parts = [np.zeros(int(self.model.free.sum()))]
         parts += [
             np.zeros(len(t.value)) if FORMS[t.name].side == "magnetometer" else self._pull(t)
@@ -156,20 +159,22 @@ class Twin:
         return self.rate_pull(lambda signals: FORMS[term.name].columns(signals, term.setting))
 
     def columns(self, name: str, setting: Setting) -> Columns:
-        """Regressors of a form."""
+        """Return the regressors of a form."""
         form = FORMS[name]
         if form.side == "magnetometer":
             return Columns(form.columns(self.windows, setting), None)
         return self.of_profile(lambda signals: form.columns(signals, setting))
 
     def of_profile(self, profile: Callable[[Signals], Array]) -> Columns:
-        """Regressors of errors of the rate given as a function of the gyroscope's signals (p, 3, ·) rad/s."""
+        """Return the regressors of rate errors, a function (p, 3, ·) rad/s of the gyroscope's signals."""
         return self.on_gyroscope(profile(self.gyroscope))._replace(pull=self.rate_pull(profile))
 
     def of_slow_profile(self, profile: Callable[[Signals], Array], reads_rate: bool = True) -> Columns:
-        """As `of_profile`, from the windows' mean signals: to second order in the rotation inside a window.
+        """Return the same from the mean signals of the windows, to second order in the rotation within a window.
 
-        What reads no rate has none of the gyroscope's noise in it, and is not pulled.
+        Args:
+            profile: as for `of_profile`.
+            reads_rate: False for a profile without the rate, which contains no gyroscope noise and has no score bias.
         """
         at = self._rates_at_windows
         turned = turned_by(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
@@ -179,7 +184,7 @@ class Twin:
 
     @cached_property
     def _rates_at_windows(self) -> Signals:
-        """The gyroscope's signals, averaged over the windows."""
+        """Return the gyroscope's signals, averaged over the windows."""
         return Signals(
             self.time,
             rate=self.windows.rate,
@@ -188,18 +193,18 @@ class Twin:
         )
 
     def on_gyroscope(self, rate: Array) -> Columns:
-        """Regressors of errors of the rate (p, 3, G) rad/s."""
+        """Return the regressors of rate errors (p, 3, G) rad/s."""
         soft = unvech(self.state.parameters[:6])
         at = self._integrated.errors
         return Columns(*at.columns(self.chain.windows, soft, self.state.direction, rate))
 
     def rate_pull(self, profile: Callable[[Signals], Array]) -> Array:
-        """(p,) expected score, without any effect, of regressors `profile` (p, 3, ·) that read the measured rate.
+        """Return the score bias (p,) of regressors `profile` (p, 3, ·) that contain the measured rate.
 
-        The gyroscope's noise η is in the regressor and in the link's residual alike. With J = ∂profile/∂ω, the
-        link's residual −[g]× R η and its share 1 − h that the smoother leaves, the score is pulled by
-        −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would shrink the noise and so seem to fit better. It is
-        the gyroscope's own noise that does so, not what else the model's noise level has to account for.
+        The gyroscope's noise η is in the regressor and in the link's residual. With J = ∂profile/∂ω, the link's
+        residual −[g]× R η and its share 1 − h that the smoother leaves, the expected score without any effect is
+        −Σ tr((1 − h) [g]× R Jᵀ Rᵀ [g]×ᵀ): a scale below one would reduce the noise and so seem to fit better. Only the
+        gyroscope's own noise causes this, not the other errors in the model's noise level.
         """
         at = self._rates_at_windows
         pull = np.zeros(len(profile(at)))
@@ -218,7 +223,7 @@ class Twin:
 
     @cached_property
     def _link_redundancy(self) -> Array:
-        """(3, 3, n − 1) share of each link's noise that the smoother leaves in its residual, 0 across a hole."""
+        """Return the share (3, 3, n − 1) of each link's noise that remains in its residual; 0 across a gap."""
         filter_ = self._filter
         s00, s01, s11 = inverse_blocks(self.reduced.band, self.reduced.factor)
         covariance = np.array([[s00, s01], [s01, s11]])
@@ -236,7 +241,7 @@ class Twin:
         return (np.eye(3)[:, :, None] - hat) * linked
 
     def predictions(self) -> tuple[Array, Array]:
-        """(3, n) the direction filtered up to each window, and (3, 3, n) its covariance in rad²."""
+        """Return the direction (3, n) filtered up to each window, and its covariance (3, 3, n) in rad²."""
         residuals = self.chain.residuals(self.state)
         tangent, covariance = self._filter.filtered(
             residuals.window * self.chain.window_scale, residuals.link * self.chain.link_scale
@@ -246,5 +251,5 @@ class Twin:
         return g, np.einsum("ian,abn,jbn->ijn", basis, covariance, basis)
 
     def log_determinant(self) -> Array:
-        """(n,) of the innovations' covariance before whitening, in window sigmas."""
+        """Return the log determinant (n,) of the innovations' covariance before whitening, in window sigmas."""
         return np.log(np.linalg.det(np.moveaxis(self._filter.scatter, 2, 0)))

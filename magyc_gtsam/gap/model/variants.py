@@ -1,4 +1,4 @@
-"""Candidates made ready for a score test: freed of the base model's columns, and orthonormal."""
+"""Candidates prepared for a score test: projected on the complement of the base model's columns, and orthonormal."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.twin import Twin, together
 
-_AT_ONCE = 100_000  # numbers made ready at once, so that they stay in the processor's cache
-_DEPENDENT = 1e-6  # share of a column that must be left beside the base model
+_AT_ONCE = 100_000  # numbers prepared at once, so that they stay in the processor's cache
+_DEPENDENT = 1e-6  # smallest share of a column's square that must remain after the projection
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +21,13 @@ class Variant:
     """A candidate at one setting.
 
     Attributes:
-        setting: of what is searched over.
+        setting: of the grid search.
         columns: (k, 3n) whitened.
-        unit: (r, 3n) orthonormal, freed of the base model; r ≤ k.
-        back: (k, r) from d to the expected value.
-        left: share of the columns that the base model leaves, 0 to 1.
-        pull: (k,) expected score of the columns without any effect; `offset` (r,) that of `unit`.
+        unit: (r, 3n) orthonormal rows that span the projected columns; r ≤ k.
+        back: (k, r) matrix from the score d to the expected value.
+        left: share of the columns that remains after the projection, 0 to 1.
+        pull: (k,) score bias of the columns.
+        offset: (r,) score bias of `unit`.
     """
 
     setting: Mapping[str, float]
@@ -38,12 +39,12 @@ class Variant:
     offset: Array
 
     def score(self, innovation: Array) -> Array:
-        """(r,) d, of innovations freed of the base model."""
+        """Return the score d (r,) of projected innovations."""
         return self.unit @ innovation - self.offset
 
 
 class Projector:
-    """Frees innovations of the base model's, whose columns (q, 3n) have an expected score (q,) of their own."""
+    """The projection on the complement of the base model's columns (q, 3n), which have a score bias (q,)."""
 
     def __init__(self, base: Array, pull: Array | None = None) -> None:
         scale = np.linalg.norm(base, axis=1)
@@ -58,7 +59,7 @@ class Projector:
         return result
 
     def shared_pull(self, rows: Array) -> Array:
-        """The part of the expected score of rows that the base model's columns have of it."""
+        """Return the part of the score bias of rows that the projection removes with the base model's columns."""
         result: Array = (rows @ self._q) @ self._pull
         return result
 
@@ -66,7 +67,7 @@ class Projector:
 def variant(
     setting: Mapping[str, float], columns: Array, project: Projector, pull: Array | None = None
 ) -> Variant:
-    """A candidate's columns made ready."""
+    """Prepare one candidate from its whitened columns."""
     pull = np.zeros(len(columns)) if pull is None else pull
     return ready([setting], columns[None], project, pull[None])[0]
 
@@ -74,7 +75,7 @@ def variant(
 def ready(
     settings: Sequence[Mapping[str, float]], columns: Array, project: Projector, pull: Array
 ) -> list[Variant]:
-    """Candidates of as many columns (s, k, 3n) each, made ready at once; their pulls (s, k)."""
+    """Prepare candidates with equally many columns (s, k, 3n) and score biases (s, k) together."""
     count, width, rows = columns.shape
     size = np.sqrt(np.einsum("skn,skn->sk", columns, columns))
     kept = size > 0
@@ -99,7 +100,7 @@ def ready(
 
 
 def determined(one: Variant, within: float) -> Variant:
-    """Without the directions of the values that the motion does not determine to `within`: absurd values would do."""
+    """Remove directions of the values whose standard deviation exceeds `within`: they could take absurd values."""
     if not np.isfinite(within):
         return one
     value, sigma, d = np.linalg.svd(one.back, full_matrices=False)
@@ -108,7 +109,7 @@ def determined(one: Variant, within: float) -> Variant:
 
 
 def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str, float]]) -> list[Variant]:
-    """A named effect at several settings, neighbours of as many columns together."""
+    """Prepare a named effect at several settings, adjacent ones with equally many columns together."""
     made = ((setting, TERMS[name].regressors(twin, setting)) for setting in settings)
     result: list[Variant] = []
     for count, alike in groupby(made, key=lambda each: len(each[1].window)):
