@@ -1,4 +1,4 @@
-"""One file per published method, one registry."""
+"""The registry of calibration methods, and `calibrate`; each published method is in its own file."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ _METHODS = {
 
 
 def methods() -> Mapping[str, Method]:
-    """{name: what it is, its paper, what it needs}; those of other packages after this one's own."""
+    """Return {name: method}: this package's methods first, then those of other installed packages."""
     return _METHODS | methods_from_outside(_METHODS)
 
 
@@ -148,12 +148,12 @@ def calibrate(
         method: a name in `methods()`.
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
         noise: (magnetometer T, gyroscope rad/s) per sample; None lets the method estimate it.
-        robust: reject disturbed data; None is the method's default.
+        robust: whether to reject disturbed data; None uses the method's default.
         progress: called with the share done, 0 to 1.
-        options: the method's own.
+        options: options of the method.
 
     Raises:
-        MagycError: unknown method or option, a sensor that is stuck, or data that the method cannot use.
+        MagycError: unknown method or option, a stuck sensor, or data that the method cannot use.
     """
     keep_freed_memory()
     entry = _METHODS.get(method) or methods().get(method)
@@ -208,6 +208,6 @@ def calibrate(
 
 
 def _imported(name: str) -> Any:
-    """What "module:name" names."""
+    """Import and return the object named by "module:name"."""
     module, what = name.split(":")
     return getattr(importlib.import_module(module), what)

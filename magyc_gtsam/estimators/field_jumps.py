@@ -1,8 +1,8 @@
-"""Steps of the measured field that no turn explains: a magnet that is attached, a current that is switched on.
+"""Detection of steps in the measured field that rotation does not explain: a magnet attached, a current switched on.
 
-Seen without any calibration: over half a second the field, turned by the gyroscope into fixed axes, changes by
-(R' − R) h, with h the hard iron (Troni and Whitcomb 2019, eq. 14, summed over a window). What is left of that after a
-fit of h to the seconds before, and to those after, is soft iron, noise and, where it stands out, a jump.
+No calibration is needed. Over half a second the field, rotated into fixed axes by the gyroscope, changes by
+(R' − R) h, with h the hard iron (Troni and Whitcomb 2019, eq. 14, summed over a window). h is fitted to the seconds
+before and to the seconds after; the residual contains soft iron, noise and, where it is an outlier, a jump.
 """
 
 from __future__ import annotations
@@ -17,30 +17,33 @@ from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
 _BIN = 0.25  # s
-_LEAST = 0.2  # of the field's median strength: a change of this size spoils a calibration
-_OUTSTANDING = 8.0  # times the spread of what is left elsewhere
-_MOST = 4  # jumps; a field that jumps more often is not one that jumps
-_LOCAL, _APART = 10.0, 1.0  # s
-_USUAL, _NOISE = 100e-6, 1e-6  # T, hard iron and the noise of a bin
-_STRETCH = 1.5  # by which a strong soft iron stretches the field along an axis
-_FEW = 0.5  # % of the samples at either end, which may be wrong
+_LEAST = 0.2  # share of the median field strength; a change of this size spoils a calibration
+_OUTSTANDING = 8.0  # multiple of the residual's spread over the whole recording
+_MOST = 4  # jumps; with more, the field is taken to vary continuously
+_LOCAL, _APART = 10.0, 1.0  # s, length of a fit of h, and its distance from the change
+_USUAL, _NOISE = 100e-6, 1e-6  # T, prior standard deviation of the hard iron, and the noise of a bin
+_STRETCH = 1.5  # factor by which a strong soft iron stretches the field along an axis
+_FEW = 0.5  # % of the samples at either end of the range, which may be faulty
 
 
 @dataclass(frozen=True)
 class FieldJump:
-    """At `time` s since the first row the field changed by `size` T, in any direction."""
+    """A step of the field: `time` s since the first row, `size` T in any direction."""
 
     time: float
     size: float
 
 
 def field_jumps(recording: Recording) -> tuple[FieldJump, ...]:
-    """The jumps of a recording in order; none without a gyroscope, or where the field changes all the time."""
+    """Return the jumps of a recording in order of time.
+
+    There are none without a gyroscope, or where more than `_MOST` stretches exceed the limit.
+    """
     if recording.angular_rate is None:
         return ()
     try:
         samples = turning_field(recording)
-    except MagycError:  # too short to hold any
+    except MagycError:  # too short to hold a jump
         return ()
     time, still, turned = _binned(samples.time, samples.rotation, samples.field)
     if len(time) < 20:
@@ -64,9 +67,9 @@ def field_jumps(recording: Recording) -> tuple[FieldJump, ...]:
 
 
 def beyond_turning(recording: Recording) -> float | None:
-    """T, how far the field swept along its widest axis, where that is more than turning over in the Earth's field does.
+    """Return the field's range (T) along its widest axis, if larger than rotation in the Earth's field can cause.
 
-    None where turning over could be all.
+    None if rotation can explain the range.
     """
     low, high = np.percentile(recording.magnetic_field, (_FEW, 100 - _FEW), axis=0)
     swept = float(np.max(high - low))
@@ -74,7 +77,7 @@ def beyond_turning(recording: Recording) -> float | None:
 
 
 def _binned(time: Array, rotation: Array, field: Array) -> tuple[Array, Array, Array]:
-    """(n,) s, (n, 3, 3) mean rotation and (n, 3) mean field in fixed axes, over bins of `_BIN` s that hold samples."""
+    """Return time (n,) s, mean rotation (n, 3, 3) and mean field (n, 3) in fixed axes, of non-empty `_BIN` s bins."""
     number = np.floor((time - time[0]) / _BIN).astype(np.int64)
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(starts, append=len(time))[:, None]
@@ -84,10 +87,10 @@ def _binned(time: Array, rotation: Array, field: Array) -> tuple[Array, Array, A
 
 
 def _unexplained(time: Array, change: Array, turn: Array) -> Array:
-    """(n,) T: length of change − turn · h, the smaller for h before and after, apart from what is around it.
+    """Return (n,) T, the norm of change − turn · h, the smaller of the values for h fitted before and after.
 
-    h is fitted to the `_LOCAL` seconds that end, or begin, `_APART` seconds from each change: it may have another
-    value on either side of a jump. A deviation of `_USUAL` T holds what no turn determines.
+    h is fitted to the `_LOCAL` seconds that end, or begin, `_APART` seconds from each change, because it may differ
+    on the two sides of a jump. A prior of standard deviation `_USUAL` T regularises directions that no turn observes.
     """
     products = np.concatenate(
         [np.einsum("nij,nik->njk", turn, turn), np.einsum("nij,ni->nj", turn, change)[:, :, None]], axis=2

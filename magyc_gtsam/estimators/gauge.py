@@ -1,4 +1,5 @@
-"""The freedom no magnetometer and gyroscope can fix: the scale of the soft iron against the field strength."""
+"""The gauge freedom of the calibration: magnetometer and gyroscope cannot separate soft-iron scale and field strength.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +12,15 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array
 from magyc_gtsam.recording.checks import EARTH_FIELD
 
-_MIRRORED = np.where(UPPER[0] == UPPER[1], 1.0, 2.0)  # entries of a matrix that one of its vech stands for
-_SCALE = 2.5  # by which an instrument's own scale may be off
+_MIRRORED = np.where(UPPER[0] == UPPER[1], 1.0, 2.0)  # matrix entries represented by each element of vech
+_SCALE = 2.5  # factor by which an instrument's scale may be wrong
 
 
 def check_field_strength(value: Any) -> None:
-    """Refuse what cannot be the strength of the true field in T; None says that it is unknown.
+    """Raise unless `value` can be the strength of the true field in T; None means that it is unknown.
 
     Raises:
-        MagycError: no number, or far beyond any field of the Earth.
+        MagycError: `value` is not a number, or far outside the range of the Earth's field.
     """
     if value is None:
         return
@@ -30,9 +31,9 @@ def check_field_strength(value: Any) -> None:
 
 
 def doubt_strength(strength: float) -> str:
-    """Why the strength that came out, in T, cannot be the true field's; "" where it can.
+    """Return why the estimated strength, in T, cannot be that of the true field; "" if it can.
 
-    An instrument whose own scale is unknown may be off by a factor, but a unit taken for another is off by ten.
+    The unknown scale of an instrument may be wrong by a factor of `_SCALE`, whereas a wrong unit is an error of ten.
     """
     low, high = EARTH_FIELD[0] / _SCALE, EARTH_FIELD[1] * _SCALE
     if low <= strength <= high:
@@ -44,9 +45,13 @@ def doubt_strength(strength: float) -> str:
 
 
 class IronScale(NamedTuple):
-    """The split of B = field strength · soft iron, for any covariance of what B was estimated with.
+    """The factorisation B = field strength · soft iron, with the Jacobian that transforms covariances.
 
-    soft_iron (3, 3); strength T; slopes (6, 6) of vech(soft iron) on vech(B); sigma T, of a strength that is given.
+    Attributes:
+        soft_iron: (3, 3).
+        strength: T.
+        slopes: (6, 6) Jacobian of vech(soft iron) with respect to vech(B).
+        sigma: T, standard deviation of a given strength.
     """
 
     soft_iron: Array
@@ -56,7 +61,7 @@ class IronScale(NamedTuple):
 
     @classmethod
     def of(cls, scaled: Array, field_strength: float | None = None, sigma: float = 0.0) -> IronScale:
-        """Arguments as of `fix_scale`."""
+        """Factorise B; the arguments are those of `fix_scale`."""
         strength = float(np.cbrt(abs(np.linalg.det(scaled)))) if field_strength is None else field_strength
         slopes = np.eye(6) / strength
         if field_strength is None:  # the strength moves with B: d∛det B = ∛det B / 3 · tr(B⁻¹ dB)
@@ -65,11 +70,11 @@ class IronScale(NamedTuple):
         return cls(scaled / strength, strength, slopes, sigma)
 
     def of_parameters(self, rows: Array) -> Array:
-        """Rows (12, k) that go with vech(soft iron) and the rest, from those that go with vech(B) T and the rest."""
+        """Transform rows (12, k) of derivatives of (vech(B) T, other parameters) to (vech(soft iron), the same)."""
         return np.concatenate([self.slopes @ rows[:6], rows[6:]])
 
     def covariance(self, covariance: Array) -> Array:
-        """Of vech(soft iron) and the rest, from that of vech(B) T and the rest."""
+        """Transform the covariance of (vech(B) T, other parameters) to that of (vech(soft iron), the same)."""
         jacobian = np.eye(len(covariance))
         jacobian[:6, :6] = self.slopes
         result: Array = jacobian @ covariance @ jacobian.T
@@ -92,7 +97,7 @@ def fix_scale(
 
     Returns:
         Soft iron (3, 3), field strength T, and the covariance, of the given size, of vech(soft iron), hard iron
-        and gyroscope bias; of a rank less by one where the determinant was fixed.
+        and gyroscope bias; its rank is one less than full if the determinant was fixed.
     """
     scale = IronScale.of(scaled, field_strength, sigma)
     return scale.soft_iron, scale.strength, scale.covariance(covariance)

@@ -10,12 +10,12 @@ class Method:
     """An entry of the registry.
 
     Attributes:
-        summary: what it is, in one sentence.
-        paper: where it was published.
-        needs: what the recording must hold beside the magnetic field.
+        summary: one-sentence description.
+        paper: publication.
+        needs: fields that the recording must hold besides the magnetic field.
         function: "module:function" that takes (recording, *, progress, **options) and returns a Calibration.
-        options: "module:class" of its options, a dataclass; "" where they are the function's own keywords.
-        problem: why it cannot be used, where it is another package's; "" for nothing.
+        options: "module:class" of the options, a dataclass; "" if they are the keywords of the function.
+        problem: why a method of another package cannot be used; "" if it can.
     """
 
     summary: str

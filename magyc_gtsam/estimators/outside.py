@@ -1,6 +1,6 @@
-"""Methods of other packages: each is an entry point of the group `magyc_gtsam.methods`.
+"""Methods of other packages, registered as entry points of the group `magyc_gtsam.methods`.
 
-An entry point names a `Method`, whose `function` is in that package::
+An entry point names a `Method` whose `function` is in that package::
 
     [project.entry-points."magyc_gtsam.methods"]
     mine = "my_package.method:METHOD"
@@ -19,10 +19,10 @@ GROUP = "magyc_gtsam.methods"
 
 
 def methods_from_outside(taken: Container[str]) -> dict[str, Method]:
-    """{name: method} of all packages that are installed; one that cannot be loaded says why in `problem`.
+    """Return {name: method} of all installed packages; `problem` says why a method could not be loaded.
 
     Args:
-        taken: names that are this package's; a method of such a name is called "package:name".
+        taken: names of this package's methods; an outside method of such a name is registered as "package:name".
     """
     found = {}
     for point in _points():
@@ -42,7 +42,7 @@ def _loaded(point: EntryPoint, package: str) -> Method:
     broken = Method(f"of package {package}", "", (), point.value)
     try:
         method = point.load()
-    except Exception as error:  # noqa: BLE001 - a package's own defect is told where its method is asked for
+    except Exception as error:  # noqa: BLE001 - a defect of another package is reported when its method is requested
         said = f"package {package} cannot be loaded ({type(error).__name__}: {error}); update or remove it"
         return replace(broken, problem=said)
     if not isinstance(method, Method):

@@ -1,15 +1,15 @@
-"""What is new to a fit in columns that its model lacks, and by how much each of them moves the parameters.
+"""Score and information of columns that a fit's model lacks, and the parameter errors that leaving them out causes.
 
-At its minimum a field chain leaves r = J δ − X β, with columns X of the reading and of the gyroscope's links that are
-not in the model, all whitened. With P what is left of a column when directions and parameters have explained of it
-what they can,
+At its minimum a field chain leaves the whitened residual r = J δ − X β, where the columns X act on the reading and on
+the gyroscope's links and are not in the model. With P the projection that removes what directions and parameters can
+explain of a column,
 
-    G = Xᵀ P X,   s = −Xᵀ P r,   β̂ = G⁻¹ s,    and where X stays out, each unit of β moves θ by S = H⁻¹ Jᵀ X.
+    G = Xᵀ P X,   s = −Xᵀ P r,   β̂ = G⁻¹ s,    and if X is left out, each unit of β moves θ by S = H⁻¹ Jᵀ X.
 
-Products are all that is needed, and the elimination of the fit has half of them: with L Lᵀ the directions' matrix, C
-the directions' Jacobian against columns and Z = L⁻¹ C, directions leave XᵀX − ZᵀZ. Columns and parameters are taken
-through the same steps, so that their joint matrix has no negative direction but for rounding, for which all have a
-trace of information of their own. Terms of a model beyond θ are parameters like its own, held by their priors.
+Only inner products are needed, and the elimination of the fit already holds half of them: with L Lᵀ the directions'
+matrix, C the product of the directions' Jacobian with the columns and Z = L⁻¹ C, eliminating the directions leaves
+XᵀX − ZᵀZ. Columns and parameters go through the same steps, so that their joint matrix is positive semidefinite up to
+rounding, which a small ridge on each covers. Terms of the model beyond θ are treated as parameters with their priors.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from magyc_gtsam.estimators.smoother.whitened_fit import WhitenedFit
 from magyc_gtsam.factors.chain.banded import forward_solved
 from magyc_gtsam.factors.chain.rotations import Array, along
 
-# Columns times windows that go through the elimination at a time: few calls, and all that is at hand in the cache.
+# Columns times windows that go through the elimination together: few calls, and the working set stays in the cache.
 _TOGETHER = 1 << 15
 
 Make = Callable[[], Columns]
@@ -36,10 +36,16 @@ Make = Callable[[], Columns]
 
 @dataclass(frozen=True, eq=False)
 class New:
-    """Columns beside the model.
+    """The score and information matrix of one group of columns outside the model.
 
-    normal (k, k) G; score (k,) s; explained (free, k): what the parameters explain; make: the columns as given, and
-    what they are beside. What is as long as the recording is computed where it is asked for, which few groups are.
+    Arrays as long as the recording are computed on demand, because few groups need them.
+
+    Attributes:
+        normal: (k, k) G.
+        score: (k,) s.
+        explained: (free, k) components of the columns along the free parameters, in whitened coordinates.
+        make: returns the columns.
+        beside: the fit's products.
     """
 
     normal: Array
@@ -50,7 +56,7 @@ class New:
 
     @property
     def left_by_terms(self) -> Array:
-        """(k,) share of what is new beside θ in each column that is new beside the terms, too; 1 without terms."""
+        """(k,) share of each column's information beside θ that remains beside the terms, too; 1 without terms."""
         own, terms = self.normal.diagonal(), self.beside.fit.terms
         if terms is None:
             return np.ones(len(own))
@@ -59,21 +65,21 @@ class New:
 
     @cached_property
     def absorbed(self) -> Array:
-        """(k, 2n) Zᵀ."""
+        """(k, 2n) Zᵀ of the columns."""
         return self.beside.absorbed(self.make())
 
     @cached_property
     def window(self) -> Array | None:
-        """(k, 3n) whitened."""
+        """(k, 3n) whitened columns of the windows; None if they are zero."""
         return _flat(self.make().window, self.beside.window_scale)
 
     @cached_property
     def link(self) -> Array | None:
-        """(k, 3n − 3) whitened."""
+        """(k, 3n − 3) whitened columns of the links; None if they are zero."""
         return _flat(self.make().link, self.beside.link_scale)
 
     def across(self, other: New) -> Array:
-        """(k, l) the block of G between these columns and others."""
+        """Return the (k, l) block of G between these columns and others."""
         result: Array = -(self.absorbed @ other.absorbed.T) - self.explained.T @ other.explained
         if self.window is not None and other.window is not None:
             result += self.window @ other.window.T
@@ -84,14 +90,14 @@ class New:
 
 @dataclass(frozen=True, eq=False)
 class ColumnProducts(WhitenedFit):
-    """The products of columns with one fit at its minimum."""
+    """The products of columns with a fit at its minimum."""
 
     def of(self, columns: Columns) -> New:
-        """What is new in columns."""
+        """Return score and information of a group of columns."""
         return self.of_each([lambda: columns])[0]
 
     def of_each(self, groups: Sequence[Make]) -> list[New]:
-        """What is new in each of some groups; those alike are taken through the elimination together."""
+        """Return score and information of each group; groups of the same kind go through the elimination together."""
         result: dict[int, tuple[Array, Array, Array]] = {}
         waiting: dict[object, dict[int, Columns]] = {}
         windows = len(self.fit.chain.windows)
@@ -107,7 +113,7 @@ class ColumnProducts(WhitenedFit):
         return [New(*result[i], make, self) for i, make in enumerate(groups)]
 
     def _of_alike(self, groups: dict[int, Columns]) -> dict[int, tuple[Array, Array, Array]]:
-        """G, s and what the parameters explain, of groups all on the same sensors, or products with the same axes."""
+        """Return {key: (G, s, explained)} of groups that are all on the same sensors, or have the same axes."""
         if not groups:
             return {}
         left, each = self.left, list(groups.values())
@@ -128,12 +134,12 @@ class ColumnProducts(WhitenedFit):
         return result
 
     def absorbed(self, columns: Columns) -> Array:
-        """(k, 2n) Zᵀ of columns."""
+        """Return Zᵀ (k, 2n) of columns."""
         part = self._products([columns]) if isinstance(columns, Products) else self._dense([columns])
         return forward_solved(self.factor, part.border)
 
     def _dense(self, groups: Sequence[Columns]) -> _Part:
-        """The products of any columns."""
+        """Return the products of columns of any kind."""
         own, left = self.estimated, self.left
         together = joined(groups)
         window = None if together.window is None else together.window * self.window_scale
@@ -160,7 +166,7 @@ class ColumnProducts(WhitenedFit):
         return _Part(border, pull, score, square)
 
     def _products(self, groups: Sequence[Columns]) -> _Part:
-        """Those of profiles along the same axes: what the axes have is the same for all profiles."""
+        """Return the products of profiles along common axes; the work on the axes is shared by all profiles."""
         own, size = self.estimated, len(self.estimated.free)
         products = [group for group in groups if isinstance(group, Products)]
         axes, profiles = (
@@ -188,11 +194,11 @@ class ColumnProducts(WhitenedFit):
         return _Part(border, pull.swapaxes(1, 2).reshape(size, -1), score.T.ravel(), square)
 
     def move(self, new: New) -> Array:
-        """(P, k) S of columns."""
+        """Return S (P, k) of a group of columns."""
         return self.moves([new])[0]
 
     def moves(self, groups: Sequence[New]) -> list[Array]:
-        """(P, k) S of the columns of each group."""
+        """Return S (P, k) of each group of columns."""
         if not groups:
             return []
         explained = np.concatenate([new.explained for new in groups], axis=1)
@@ -201,8 +207,14 @@ class ColumnProducts(WhitenedFit):
 
 
 class _Part(NamedTuple):
-    """Of whitened columns X: border (k, 2, n) with the directions' Jacobian, pull (P, k) with the parameters',
-    score (k,) with the residual, and square: XᵀX of some of them."""
+    """Products of whitened columns X before the elimination.
+
+    Attributes:
+        border: (k, 2, n) with the directions' Jacobian.
+        pull: (P, k) with the parameters' Jacobian.
+        score: (k,) with the residual.
+        square: returns XᵀX of a slice of the columns.
+    """
 
     border: Array
     pull: Array
@@ -211,8 +223,10 @@ class _Part(NamedTuple):
 
 
 def _gram(rows: Array) -> Array:
-    """(k, k) products of rows (k, m) with each other, by the general routine: the one that BLAS has for a matrix with
-    its own transpose takes twice as long for so few rows."""
+    """Return the Gram matrix (k, k) of rows (k, m).
+
+    The general product is used: BLAS's routine for a matrix times its transpose takes twice as long for so few rows.
+    """
     result: Array = dgemm(1.0, rows.T, rows.T, trans_a=1)
     return result
 
@@ -222,9 +236,9 @@ def _flat(columns: Array | None, scale: Array) -> Array | None:
 
 
 def _kind(group: Columns) -> object:
-    """What groups have in common that are taken through the elimination together."""
+    """Return a key that groups share if they go through the elimination together."""
     if isinstance(group, Products):
         return id(group.axes)
-    if isinstance(group, RateErrors):  # which would be integrated for the asking
+    if isinstance(group, RateErrors):  # reading `link` would integrate the errors
         return True, False
     return group.window is None, group.link is None

@@ -1,4 +1,4 @@
-"""What a fit has estimated: θ and the terms of its model, as whitened columns with the directions eliminated."""
+"""The estimated parameters of a fit, θ and the terms of its model, as whitened columns with directions eliminated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from magyc_gtsam.estimators.smoother.minimum import Minimum
 from magyc_gtsam.factors.chain.rotations import Array
 
 ROUNDING = (
-    1e-12  # of a column's square before anything explains it, the information it is given; rounding is 1e-15
+    1e-12  # ridge added to the information, as a share of the column's squared norm; rounding is 1e-15
 )
 _BIAS = np.arange(9, 12)
 
@@ -25,12 +25,13 @@ class Estimated:
     """The p parameters of a fit.
 
     Attributes:
-        free: (p,) bool, those that were estimated; all terms were.
+        free: (p,) bool, parameters that were estimated; all terms are.
         window: (p, 3, n) whitened Jacobians of the windows.
-        linked: (q,) which of them the links depend on; link: (q, 3n − 3) whitened Jacobians of the links.
-        half: (p, 2n) their products with the directions' Jacobian, Z of `ColumnProducts`.
-        information: (p, p) when the directions are eliminated.
-        pull: (p,) gradient of what was known of them beforehand.
+        linked: (q,) indices of the parameters that the links depend on.
+        link: (q, 3n − 3) whitened Jacobians of the links.
+        half: (p, 2n) Zᵀ of the Jacobians, as in `ColumnProducts`.
+        information: (p, p) information matrix with the directions eliminated.
+        pull: (p,) gradient of the terms' prior.
     """
 
     free: np.ndarray
@@ -43,12 +44,12 @@ class Estimated:
 
     @classmethod
     def of(cls, fit: Minimum, window_scale: Array, link_scale: Array, absorb: Absorb) -> Estimated:
-        """Those of a fit.
+        """Return the parameters of a fit.
 
         Args:
             fit: at its minimum.
-            window_scale, link_scale: 1/T and 1/rad, what whitens the residuals.
-            absorb: of how many whitened columns (k, 3, n) and (k, 3, n − 1), Zᵀ (k, 2n).
+            window_scale, link_scale: 1/T and 1/rad, the factors that whiten the residuals.
+            absorb: returns Zᵀ (k, 2n), given k and whitened columns (k, 3, n) and (k, 3, n − 1).
         """
         reduced, size, terms = fit.reduced, len(fit.free), fit.terms
         on_bias = np.ascontiguousarray(reduced.on_bias.swapaxes(0, 1)).reshape(3, -1)
@@ -74,19 +75,22 @@ class Estimated:
         )
 
     def explained(self, products: Array) -> Array:
-        """The root of what the free parameters explain, of products (p, k) with all."""
+        """Return (free, k) the whitened components along the free parameters, given products (p, k) with all.
+
+        Their Gram matrix is what the free parameters explain of that of the columns.
+        """
         result: Array = self._inverse_root @ (self._scale[:, None] * products[self.free])
         return result
 
     def moved(self, explained: Array) -> Array:
-        """(p, k) by how much columns move the parameters, of which these explain (free, k)."""
+        """Return (p, k) the parameter changes per unit of each column, given the result of `explained`."""
         result = np.zeros((len(self.free), explained.shape[1]))
         result[self.free] = self._scale[:, None] * (self._inverse_root.T @ explained)
         return result
 
     @cached_property
     def _scale(self) -> Array:
-        """(free,) one over the norm of each parameter's own column."""
+        """(free,) inverse norm of each parameter's column."""
         square = np.maximum(np.einsum("pin,pin->p", self.window, self.window), np.diag(self.information))
         square[self.linked] += np.einsum("km,km->k", self.link, self.link)
         result: Array = 1 / np.sqrt(np.maximum(square[self.free], 1e-300))
@@ -94,7 +98,7 @@ class Estimated:
 
     @cached_property
     def _inverse_root(self) -> Array:
-        """(free, free) inverse of the Cholesky factor of the information times `_scale` on both sides."""
+        """(free, free) inverse Cholesky factor of the information matrix scaled by `_scale` on both sides."""
         free, scale = self.free, self._scale
         information = self.information[np.ix_(free, free)] * scale * scale[:, None]
         root = np.linalg.cholesky(information + ROUNDING * np.eye(len(scale)))

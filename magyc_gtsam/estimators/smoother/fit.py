@@ -17,30 +17,31 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 MAX_ITERATIONS = 40
-# Eliminations for a start without a minimum. Of 29 real logs those that are trusted took 8 to 62, of 540 simulated ones
-# with a fault 6 in the median, 78 at the 99 % point and 176 at most. The second half of an online run during which a
-# magnet was attached by hand took more than 250: with so few the removal of the magnet was not found.
+# Eliminations after which a start that has not converged is abandoned. Of 29 real logs, the trusted ones took 8 to 62;
+# of 540 simulated logs with a fault, the median was 6, the 99th percentile 78 and the maximum 176. The second half of
+# an online run during which a magnet was attached by hand took more than 250: with a limit of 250 the removal of the
+# magnet was not found.
 PATIENCE = 300
-# The same for a question beside the calibration, which a fit without end does not answer, and for a start beside the
-# first: those of the same logs that led to another calibration took 12 to 53.
+# The limit for auxiliary fits, whose question a fit without convergence leaves unanswered, and for alternative starts:
+# those that led to another calibration of the same logs took 12 to 53.
 BRIEF = 120
-SETTLED = 5e-3  # squared length of the last step in sigmas, of which at most a fiftieth was seen to be left
-NEAR = 4.0  # the same between rounds of noise and weights: two sigmas
-_UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are linearised again
-_ROUNDING = 1e-9  # of a cost, where noise-free data leave next to none
-_COLOURED = 3.0  # standard deviations of an autocorrelation from which it counts
+SETTLED = 5e-3  # squared length of the last step, in sigmas; at most a fiftieth of it was observed to remain
+NEAR = 4.0  # the same limit between updates of noise levels and weights: two sigmas
+_UNSETTLED = 0.1  # gain per window, in squared sigmas, from which the directions are relinearised
+_ROUNDING = 1e-9  # tolerance on the cost, which is close to zero for noise-free data
+_COLOURED = 3.0  # standard deviations from which an autocorrelation counts
 
 
 @dataclass(frozen=True, eq=False)
 class Fit(Minimum):
-    """A minimum, and how it was found.
+    """A minimum of a field chain and the record of the descent.
 
     Attributes:
         iterations: eliminations spent.
-        converged: the last steps of the parameters and of the noise levels were small against their sigmas.
-        noise_freedom: degrees of freedom from which the gyroscope's noise was estimated; infinite where it is known.
-        skew: what the data say of a skew between the chips; None where it was not asked.
-        patience: eliminations after which a start that has found no minimum is given up.
+        converged: the last steps of the parameters and of the noise levels were small relative to their sigmas.
+        noise_freedom: degrees of freedom from which the gyroscope's noise was estimated; infinite if it is known.
+        skew: estimate of the misalignment between the chips; None if it was not estimated.
+        patience: eliminations after which a start that has not converged is abandoned.
     """
 
     iterations: int = 0
@@ -51,47 +52,48 @@ class Fit(Minimum):
 
     @property
     def hopeless(self) -> bool:
-        """Whether the start is given up."""
+        """Whether the start is abandoned."""
         return not self.converged and self.iterations > self.patience
 
     def saying(self, skew: Skew) -> Fit:
-        """The same with what the data say of a skew, and with all that was computed of it."""
+        """Return a copy with the given misalignment estimate; cached properties are kept."""
         result = copy.copy(self)
         object.__setattr__(result, "skew", skew)
         return result
 
     @cached_property
     def beside(self) -> ColumnProducts:
-        """The products of columns with this fit, at its minimum."""
-        return ColumnProducts(copy.copy(self))  # a circle would keep both until Python looks for circles
+        """The products of unmodelled columns with this fit at its minimum."""
+        # The copy avoids a reference cycle, which would keep both alive until the garbage collector runs.
+        return ColumnProducts(copy.copy(self))
 
     @cached_property
     def covariance(self) -> Array:
-        """(p, p) inverse information; zeros for fixed parameters, infinite where it is singular."""
+        """(p, p) inverse of the information matrix; zeros for fixed parameters, very large where it is singular."""
         return inverse_information(self.reduced.information, self.free)
 
     @property
     def widening(self) -> float:
-        """1 + 2/ν: by how much an estimated noise level leaves the covariance too small on average.
+        """1 + 2/ν, the factor by which the covariance is too small on average because the noise level is estimated.
 
-        A variance σ² estimated from ν degrees of freedom has E[1/σ̂²] = (1 + 2/ν)/σ² to first order, which is why
-        Student's t is wider than a normal distribution. ν is the links' redundancy, from which the gyroscope's
-        noise is learnt; the windows leave many times as much for the magnetometer's.
+        A variance σ² estimated from ν degrees of freedom has E[1/σ̂²] = (1 + 2/ν)/σ² to first order, for the same
+        reason that Student's t is wider than a normal distribution. ν is the redundancy of the links, from which the
+        gyroscope's noise is estimated; the redundancy of the windows, for the magnetometer's, is many times larger.
         """
         return 1 + 2 / max(self.noise_freedom, 1.0)
 
     @cached_property
     def colour(self) -> float:
-        """1 + 2 Σ ρ_k: by how much neighbouring windows repeat each other's misfit; 1 for white residuals.
+        """1 + 2 Σ ρ_k, the autocorrelation time of the whitened residuals in windows; 1 for white residuals.
 
-        A field that varies over the room or a filtered magnetometer leaves residuals that hang together,
-        so that the windows count for fewer than they are; taken in the sensor's and in the world's axes.
+        A field that varies over the room, or a filtered magnetometer, leaves autocorrelated residuals, which reduces
+        the effective number of windows. The value is the larger of those in the sensor's and in the world's axes.
         """
         return max(colour_of(residual) for residual in self.whitened)
 
 
 def inverse_information(information: Array, free: np.ndarray) -> Array:
-    """(p, p) covariance; zeros for fixed parameters, infinite where the information is singular."""
+    """Return the (p, p) covariance; zeros for fixed parameters, very large where the information is singular."""
     result = np.zeros(information.shape)
     kept = np.ix_(free, free)
     information = information[kept]
@@ -103,7 +105,7 @@ def inverse_information(information: Array, free: np.ndarray) -> Array:
 
 
 def colour_of(residual: Array) -> float:
-    """1 + 2 Σ ρ_k of whitened residuals (3, n), up to the first lag at which they do not hang together."""
+    """Return 1 + 2 Σ ρ_k of whitened residuals (3, n), summed up to the first lag without significant correlation."""
     total = float(np.vdot(residual, residual))
     factor = 1.0
     for lag in range(1, residual.shape[1] // 4):
@@ -115,13 +117,13 @@ def colour_of(residual: Array) -> float:
 
 
 def begin(chain: FieldChain, parameters: Array, free: np.ndarray, patience: int = PATIENCE) -> Fit:
-    """The chain linearised at a start."""
+    """Return the chain linearised at the given parameters, with unit weights."""
     state, weights = chain.start(parameters), chain.unweighted()
     return Fit(chain, state, weights, chain.eliminate(state, weights), free, patience=patience)
 
 
 def descend(fit: Fit, settled: float = SETTLED) -> Fit:
-    """Levenberg–Marquardt on θ (the directions follow exactly) until a step is below `settled`."""
+    """Minimise over θ by Levenberg–Marquardt, with the directions eliminated, until a step is below `settled`."""
     damping, spent = 0.0, 0
     state, reduced = fit.state, fit.reduced
     converged = False
@@ -130,13 +132,13 @@ def descend(fit: Fit, settled: float = SETTLED) -> Fit:
         trial = fit.chain.move(state, reduced, step)
         ahead_of_directions = float(reduced.half[:, -1] @ reduced.half[:, -1])
         if length < settled and damping == 0.0 and ahead_of_directions < _UNSETTLED * trial.direction.shape[1]:
-            # Too short to be checked, or to need a new linearisation; its gain is known.
+            # The step is too short to need a check or a new linearisation; its gain is known.
             reduced = reduced._replace(cost=reduced.cost - 0.5 * (length + ahead_of_directions))
             state, converged = trial, True
             break
         try:
             ahead = fit.chain.eliminate(trial, fit.weights)
-        except MagycError:  # so far off that a direction has no curvature: the step was too long
+        except MagycError:  # a direction has no curvature there: the step was too long
             ahead = reduced._replace(cost=np.inf)
         spent += 1
         if ahead.cost <= reduced.cost * (1 + 1e-10) + _ROUNDING and np.isfinite(ahead.cost):
@@ -149,7 +151,10 @@ def descend(fit: Fit, settled: float = SETTLED) -> Fit:
 
 
 def _step(reduced: Reduced, free: np.ndarray, damping: float = 0.0) -> tuple[Array, float]:
-    """The damped Gauss–Newton step on θ (p,), and its squared length in sigmas; what nothing depends on stays."""
+    """Return the damped Gauss–Newton step on θ (p,) and its squared length in sigmas.
+
+    The step is zero for parameters that no residual depends on.
+    """
     every = bool(free.all())
     information = reduced.information if every else reduced.information[np.ix_(free, free)]
     gradient = reduced.gradient if every else reduced.gradient[free]

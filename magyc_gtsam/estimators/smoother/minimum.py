@@ -20,7 +20,7 @@ class Minimum:
     Attributes:
         chain, state, weights, reduced: the minimum and its linearisation.
         free: (p,) bool, parameters that were estimated.
-        terms: parameters beyond θ, estimated with it; None where there are none.
+        terms: parameters beyond θ, estimated jointly with it; None if there are none.
     """
 
     chain: FieldChain
@@ -32,11 +32,11 @@ class Minimum:
 
     @cached_property
     def residuals(self) -> Residuals:
-        """Of windows and links."""
+        """The residuals of windows and links."""
         return self.chain.residuals(self.state)
 
     @cached_property
     def whitened(self) -> tuple[Array, Array]:
-        """(3, n) twice: the windows' residuals over their sigmas, in the sensor's and in the world's axes."""
+        """The whitened residuals of the windows, (3, n) in the sensor's axes and (3, n) in the world's axes."""
         whitened = self.residuals.window * np.sqrt(self.weights.window) / self.chain.window_sigma
         return whitened, np.einsum("ijn,in->jn", self.chain.windows.rotation, whitened)

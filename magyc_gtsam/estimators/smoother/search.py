@@ -1,4 +1,4 @@
-"""From a recording to the field chain at its lowest minimum, without a start or a noise level from the user."""
+"""The search for the lowest minimum of a recording's field chain, without a start or noise level from the user."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from magyc_gtsam.recording import Recording
 
 Progress = Callable[[float], None]
 
-_MOVED = 0.02  # rad by which bias or delay may turn a window before the gyroscope is integrated again
-_EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is needed
-_UNDISTURBED = 0.97  # share of the windows' weight from which their length stays as it is
-_SHORT_WINDOW = 0.5  # s, where stretches are disturbed
+_MOVED = 0.02  # rad; a change of bias or delay that rotates a window by more requires a new integration
+_EXPLAINED = 2.0  # cost per residual at the short-term noise up to which no other start is tried
+_UNDISTURBED = 0.97  # mean weight of the windows from which their length is kept
+_SHORT_WINDOW = 0.5  # s, longest window if stretches are disturbed
 _LEAST_WINDOWS = 8
-_MOST_DELAY = 1.0  # s, as of the option
-_AGAIN = 6  # fits at the most until gyroscope and dip are close to the minimum
-_ROUNDS_JUMPED = 9  # of weights and noise levels, where the field jumps
-_LEAST_EVEN = 0.5  # share of the windows' weight from which a field that jumps is even but for some stretches
+_MOST_DELAY = 1.0  # s, the bound of the option
+_AGAIN = 6  # most fits until the linearisation of gyroscope and dip is close to the minimum
+_ROUNDS_JUMPED = 9  # updates of weights and noise levels if the field jumps
+_LEAST_EVEN = 0.5  # mean weight of the windows from which a field with jumps is uniform except in some stretches
 
 
 def fit_field_chain(
@@ -53,18 +53,18 @@ def fit_field_chain(
     brief: bool = False,
     **chosen: Any,
 ) -> tuple[Fit, Fit | None]:
-    """The chain at its lowest minimum, and the best different minimum if one is close.
+    """Return the chain at its lowest minimum, and the best different minimum if its cost is close.
 
     Args:
         recording: with magnetometer and gyroscope.
-        options: of the smoother; without them, those that are `chosen` by name, and no skew.
-        start: θ near the minimum; then no other start is tried.
+        options: of the smoother; None takes the options `chosen` by name, and no misalignment.
+        start: θ near the minimum; no other start is tried.
         progress: called with the share done.
-        brief: a question beside a calibration, which a log without a minimum does not answer: no other start is tried,
-            and one without a minimum is given up earlier.
+        brief: for an auxiliary fit beside a calibration: no other start is tried, and a descent that does not converge
+            is abandoned earlier.
 
     Raises:
-        MagycError: too few windows, sensors whose axes or units disagree, or, if brief, no minimum.
+        MagycError: too few windows, inconsistent axes or units of the sensors, or, if brief, no minimum.
     """
     if options is None:
         options = SmootherOptions(**{"misalignment": 0, **chosen})
@@ -95,20 +95,20 @@ def fit_field_chain(
     if start is None:
         begun = begin(chain, starts.from_gyroscope(windows), free, patience)
         if known.soft_iron is not None and known.hard_iron is not None:
-            # The hard iron of before, or where it may have changed by far that of these data: what fits better.
+            # The earlier hard iron, or the one of these data (it may have changed by far): whichever costs less.
             _, iron, bias = np.split(begun.state.parameters[:12], [6, 9])
             places = (starts.from_prior(windows, known.soft_iron, each, bias) for each in (known.hard_iron, iron))
             begun = min((begin(chain, each, free, patience) for each in places), key=lambda fit: fit.reduced.cost)
-        check_axes = cache(partial(axes.check, recording))  # which costs as much as a few iterations
+        check_axes = cache(partial(axes.check, recording))  # cached: it costs as much as a few iterations
         best = first = _descended(samples, begun, check_axes)
         explained = best.converged and best.reduced.cost < 0.5 * _EXPLAINED * 3 * len(windows)
         progress(0.4)
         if not explained or level.magnetometer > 0.1 * strength(best):
-            check_axes()  # the misfit is more than the sensors' noise: their axes may disagree
+            check_axes()  # the misfit exceeds the sensors' noise: their axes may be inconsistent
         jumps = not explained and bool(field_jumps(recording))
         rival = None
         if jumps:
-            # Where the field jumps no start fits: the search would take many times as long and find as little.
+            # If the field jumps, no start fits: a search would take many times as long without finding a minimum.
             best = _adapted(samples, best, reject, short_term, _ROUNDS_JUMPED)
             if best.weights.window.mean() < _LEAST_EVEN:
                 return best, None
@@ -119,12 +119,12 @@ def fit_field_chain(
     if best.hopeless:
         if brief:
             raise MagycError(f"no minimum within {best.iterations} iterations")
-        return best, None  # other starts find as little, in as many iterations each
+        return best, None  # other starts would fail too, in as many iterations each
     best = skewed(best)
     if not explained and best.skew is not None and best.skew.decided:
         explained = best.converged and misfit(best, level) < _EXPLAINED * 3 * len(windows)
     if start is None and not brief and (not explained or level.magnetometer > 0.1 * strength(best)):
-        # The misfit is more than the sensors' noise: the minimum may be a false one.
+        # The misfit exceeds the sensors' noise: the minimum may be a local one.
         fits, ends = [best], [first]
         for parameters in starts.others(windows, best.state.parameters[9:12]):
             progress(0.4 + 0.1 * len(fits))
@@ -132,7 +132,7 @@ def fit_field_chain(
             if any(same(fit, end) for end in ends):
                 continue
             ends.append(fit)
-            if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # else it ran away
+            if abs(fit.state.parameters[DELAY]) < _MOST_DELAY:  # otherwise the delay diverged
                 fits.append(_adapted(samples, fit, reject, short_term))
         best, _ = lowest(fits)
         part = None
@@ -145,7 +145,7 @@ def fit_field_chain(
         best = best if best is fits[0] else skewed(best)
     if reject and disturbed(best):
         progress(0.8)
-        # Shorter windows lose less at the edges of disturbed stretches.
+        # With shorter windows fewer data are lost at the edges of disturbed stretches.
         samples = preintegrate(recording, shortened(window), turn)
         finer = _adapted(samples, _rewindowed(samples, _without_skew(best)), reject, short_term)
         others = [fit for fit in (rival, best) if fit is not None and apart(fit, finer)]
@@ -155,7 +155,7 @@ def fit_field_chain(
 
 
 def skew_prior(options: SmootherOptions, known: Known) -> SkewPrior | None:
-    """What is believed of a skew; None where it is held at none."""
+    """Return the prior of the misalignment; None if it is fixed at zero."""
     if options.misalignment == 0:
         return None
     if known.skew is not None:
@@ -164,12 +164,13 @@ def skew_prior(options: SmootherOptions, known: Known) -> SkewPrior | None:
 
 
 def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: LinearFact | None = None) -> Fit:
-    """A fit of thirteen parameters that says what the data say of a skew; fitted with it where that is decided.
+    """Return the fit with its misalignment result; with sixteen parameters if the misalignment is to be corrected.
 
     Args:
-        fit: at its minimum.
-        adapted: a fit of sixteen parameters at its own, with its noise levels and weights.
-        prior, known: what is believed of a skew, and what an earlier calibration says of it.
+        fit: at its minimum, with thirteen parameters.
+        adapted: moves a fit of sixteen parameters to its minimum, with its own noise levels and weights.
+        prior: of the misalignment.
+        known: an earlier calibration's constraint on it.
     """
     if known is None and len(fit.state.parameters) == PARAMETERS and not upright_facts(fit):
         skew = asked(fit, prior)
@@ -180,7 +181,7 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
     if skew.probability > prior.probable:
         try:
             wide = adapted(descend(wide))
-        except MagycError:  # it ran away, as where the field jumps
+        except MagycError:  # the descent diverged, which happens if the field jumps
             return fit.saying(skew_of(widened(fit, prior, known), prior, 1.0).undecided())
         skew = skew_of(wide, prior, wide.colour * wide.widening)
         if skew.decided and wide.converged and positive(wide):
@@ -189,7 +190,7 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
 
 
 def _without_skew(fit: Fit) -> Fit:
-    """The same with thirteen parameters."""
+    """Return the fit with thirteen parameters, without misalignment."""
     if len(fit.state.parameters) == PARAMETERS:
         return fit
     chain = replace(fit.chain, facts=tuple(f for f in fit.chain.facts if not on_skew(f)))
@@ -199,22 +200,22 @@ def _without_skew(fit: Fit) -> Fit:
 
 
 def disturbed(fit: Fit) -> bool:
-    """Whether so much is weighed down that shorter windows lose less."""
+    """Return whether so many windows are down-weighted that shorter ones would lose fewer data."""
     return bool(fit.weights.window.mean() < _UNDISTURBED)
 
 
 def shortened(window: float) -> float:
-    """s, the longest window where stretches are disturbed."""
+    """Return the longest window, in s, for a recording with disturbed stretches."""
     return min(0.5 * window, _SHORT_WINDOW)
 
 
 def refit_field_chain(samples: Preintegration, fit: Fit, reject: bool, short_term: SensorNoise | None) -> Fit:
-    """The minimum next to that of a chain over the samples' windows."""
+    """Descend from a fit to the minimum over the samples' windows, with its own noise levels and weights."""
     return _adapted(samples, _descended(samples, fit), reject, short_term)
 
 
 def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
-    """The same minimum with other windows, each weighed as the one it lies in."""
+    """Return the minimum over other windows, each with the weight of the nearest earlier window."""
     parameters = fit.state.parameters
     windows = samples.integrate(parameters[9:12], parameters[DELAY])
     chain = FieldChain(windows, fit.chain.noise, facts=fit.chain.facts)
@@ -229,7 +230,7 @@ def _rewindowed(samples: Preintegration, fit: Fit) -> Fit:
 def _adapted(
     samples: Preintegration, fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS
 ) -> Fit:
-    """At the minimum with its own noise and weights, the gyroscope integrated, and a dip linearised, close to it."""
+    """Return the fit at the minimum for its own noise levels and weights, with integration and dip linearised there."""
     for _ in range(_AGAIN):
         fit = adapt(fit, reject, short_term, rounds)
         if rounds < ROUNDS:
@@ -244,9 +245,9 @@ def _adapted(
 
 
 def _descended(samples: Preintegration, fit: Fit, doubt: Callable[[], None] = lambda: None) -> Fit:
-    """At the minimum for the noise and weights at hand, the gyroscope integrated close to it.
+    """Return the fit at the minimum for the present noise levels and weights, with the gyroscope integrated near it.
 
-    `doubt` is called where the first descent reaches no minimum, and may raise.
+    `doubt` is called if the first descent does not converge, and may raise.
     """
     fit = descend(fit, settled=NEAR)
     if not fit.converged:
@@ -263,7 +264,7 @@ def _descended(samples: Preintegration, fit: Fit, doubt: Callable[[], None] = la
 
 
 def moved(fit: Fit) -> bool:
-    """Whether bias or delay are so far from where the gyroscope was integrated that second order matters."""
+    """Return whether bias or delay are so far from the point of integration that second-order terms matter."""
     windows, parameters = fit.chain.windows, fit.state.parameters
     turned = np.einsum("ijn,j->in", windows.lever[:, :, windows.linked], parameters[9:12] - windows.bias)
     slid = windows.rotation_rate * (parameters[DELAY] - windows.delay)
@@ -271,7 +272,7 @@ def moved(fit: Fit) -> bool:
 
 
 def _upright(fit: Fit) -> Fit:
-    """(B, g) and (−B, −g) are one solution: take the one with positive soft iron."""
+    """Return the equivalent solution with positive soft iron: (B, g) and (−B, −g) fit equally."""
     parameters, direction = fit.state
     if parameters[[0, 3, 5]].sum() >= 0:
         return fit

@@ -1,8 +1,8 @@
 """`smoother`: the maximum-likelihood calibration under the sensor model (docs/field_chain.md), the default.
 
-The field's direction is a Markov chain under the gyroscope; eliminating it leaves thirteen parameters: soft iron
-(times field strength), hard iron, gyroscope bias and the magnetometer's delay; and, where the data ask for them,
-three angles between the two chips. No start, no attitude and no noise level is asked of the user.
+The field's direction is a Markov chain under the gyroscope. Eliminating the directions leaves thirteen parameters:
+soft iron (times field strength), hard iron, gyroscope bias and the magnetometer's delay; and, if the data support
+them, three misalignment angles between the two chips. The user supplies no start, no attitude and no noise level.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from magyc_gtsam.observability import Observability, assess
 from magyc_gtsam.recording import Array, Recording
 
 _MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained in a window
-_LATEST = 0.1  # share of the recording at its end, which is when a calibration is used
-_LEAST_TRUSTED = 0.5  # share of the windows' weight below which the result must not be trusted
+_LATEST = 0.1  # share of the recording at its end; the calibration is used from then on
+_LEAST_TRUSTED = 0.5  # mean weight of the windows below which the result must not be trusted
 
 
 def calibrate_smoother(recording: Recording, *, progress: Progress | None = None, **chosen: Any) -> Calibration:
-    """Calibrate by the field smoother; `chosen` are `SmootherOptions`.
+    """Calibrate with the field smoother; `chosen` are `SmootherOptions`.
 
     Args:
         recording: with magnetometer and gyroscope.
         progress: called with the share done, 0 to 1.
 
     Raises:
-        MagycError: no gyroscope, too few samples, sensors whose axes or units disagree, or an option out of range.
+        MagycError: no gyroscope, too few samples, inconsistent axes or units of the sensors, or an option out of range.
     """
     options = SmootherOptions(**chosen)
     report = progress or (lambda _: None)
@@ -82,24 +82,24 @@ def calibrate_smoother(recording: Recording, *, progress: Progress | None = None
 
 
 def _next_to(options: SmootherOptions, recording: Recording, fit: Fit) -> Fit:
-    """The minimum of a recording next to the fit of another."""
+    """Return the fit of a recording, started from the parameters of another recording's fit."""
     return fit_field_chain(recording, options, start=fit.state.parameters)[0]
 
 
 def _contradictions(recording: Recording, options: SmootherOptions) -> list[str]:
-    """Where the data alone contradict an earlier calibration."""
+    """Return where a fit without the earlier calibration contradicts it."""
     if options.prior is None:
         return []
     alone = replace(options, prior=None, hard_iron_walk=0.0, soft_iron_walk=0.0)
     try:
         fit, rival = fit_field_chain(recording, alone)
-    except MagycError:  # alone they say nothing
+    except MagycError:  # without the prior the data do not determine a calibration
         return []
     return contradictions(calibration_of(recording, fit, rival, alone), options)
 
 
 def posterior(fit: Fit, factor: float) -> Posterior:
-    """What is known of θ: the data, their information divided by `factor`, and the facts, which are what they are."""
+    """Return the posterior of θ: the data's information divided by `factor`, plus the unscaled facts."""
     facts = tuple(fact for fact in fit.chain.facts if not on_skew(fact))
     rows = np.arange(PARAMETERS)
     parameters = fit.state.parameters[rows]
@@ -136,10 +136,15 @@ def calibration_of(
     unexplained: ModelError | None = None,
     samples: Streams | None = None,
 ) -> Calibration:
-    """The result of a fit, its covariance and why it must not be trusted, if so.
+    """Return the calibration of a fit, with its covariance and any reasons not to trust it.
 
-    `colour` and `unexplained` stand for the fit's own where that holds only the end of a longer chain, and `samples`
-    for those of `recording` where that does; `doubts` are known beforehand.
+    Args:
+        recording: what was fitted.
+        fit, rival: the lowest minimum, and a different one of nearly equal cost.
+        options: the smoother's options.
+        colour, unexplained: replace the values of the fit if it holds only the end of a longer chain.
+        doubts: reasons for distrust known before.
+        samples: replace those of `recording` if it holds only the end of a longer one.
     """
     samples = recording if samples is None else samples
     colour = fit.colour if colour is None else colour
@@ -209,7 +214,7 @@ def calibration_of(
 
 
 def _jumped(fit: Fit, recording: Recording) -> list[str]:
-    """Where the field jumped, if the fit left out so much, or how it was at the end, that this may be why."""
+    """Return a sentence on the field's jumps if the fit rejects much of the recording, or much of its end."""
     latest = fit.weights.window[-max(int(_LATEST * len(fit.weights.window)), 1) :]
     if fit.weights.window.mean() >= _LEAST_TRUSTED and latest.mean() >= _LEAST_TRUSTED:
         return []
@@ -221,7 +226,7 @@ def _jumped(fit: Fit, recording: Recording) -> list[str]:
 
 
 def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: Observability) -> list[str]:
-    """Why the result must not be trusted, the root cause first; empty where it may be."""
+    """Return the reasons not to trust the result, the root cause first; empty if there are none."""
     reasons = []
     left = float(np.sqrt(np.mean(fit.weights.window * fit.chain.window_sigma**2)))
     misfit = ""
@@ -258,7 +263,7 @@ def _reasons(fit: Fit, rival: Fit | None, field_strength: float, observability: 
 
 
 def _disturbed(fit: Fit) -> list[list[float]]:
-    """Stretches [from, to] in s that were weighed down to less than half, neighbours joined, longest first."""
+    """Return the intervals [from, to] in s of windows with weights below 0.5, merged and sorted longest first."""
     low = np.flatnonzero(fit.weights.window < 0.5)
     if not len(low):
         return []

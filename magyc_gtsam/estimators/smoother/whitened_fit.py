@@ -1,4 +1,4 @@
-"""A fit at its minimum, whitened: its directions' factor, what it has estimated, and the residual that it leaves."""
+"""The whitened quantities of a fit at its minimum: factor of the directions, estimated columns and residual."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from magyc_gtsam.factors.chain.rotations import Array
 
 
 class Left(NamedTuple):
-    """The residual as `New` has columns: window (3n,), link (3n − 3,), absorbed (2n,), explained (free,)."""
+    """The whitened residual, laid out as a column of `New`.
+
+    Shapes: window (3n,), link (3n − 3,), absorbed (2n,), explained (free,).
+    """
 
     window: Array
     link: Array
@@ -25,20 +28,20 @@ class Left(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WhitenedFit:
-    """One fit at its minimum; see `ColumnProducts`."""
+    """The whitened quantities of a fit at its minimum; see `ColumnProducts`."""
 
     fit: Minimum
 
     @cached_property
     def freedom(self) -> float:
-        """Degrees of freedom of the residual: a window that is weighed down counts for less."""
+        """Degrees of freedom of the residual; windows and links count by their robust weights."""
         fit = self.fit
         weights = fit.weights.window.sum() * 3 + fit.weights.link[fit.chain.windows.linked].sum() * 2
         return float(max(weights - 2 * len(fit.chain.windows) - self.estimated.free.sum(), 1.0))
 
     @cached_property
     def square(self) -> float:
-        """rᵀ P r, what the fit leaves."""
+        """rᵀ P r, the residual sum of squares."""
         left = self.left
         return float(np.vdot(left.window, left.window) + np.vdot(left.link, left.link)) - float(
             left.absorbed @ left.absorbed + left.explained @ left.explained
@@ -46,12 +49,12 @@ class WhitenedFit:
 
     @cached_property
     def factor(self) -> UnitFactor:
-        """L of the directions."""
+        """L, the factor of the directions' matrix."""
         return UnitFactor.of(self.fit.reduced.factor)
 
     @cached_property
     def left(self) -> Left:
-        """What the fit leaves."""
+        """The whitened residual."""
         fit = self.fit
         residuals = fit.residuals
         window = residuals.window * self._residual_scale
@@ -65,24 +68,24 @@ class WhitenedFit:
 
     @cached_property
     def window_scale(self) -> Array:
-        """(n,) or (3, n) 1/T, what whitens columns of the windows."""
+        """(n,) or (3, n) 1/T, the factor that whitens columns of the windows."""
         answer = self.fit.chain.answer
         return self._residual_scale if answer is None else answer * self._residual_scale
 
     @cached_property
     def _residual_scale(self) -> Array:
-        """(n,) 1/T, what whitens residuals of the windows."""
+        """(n,) 1/T, the factor that whitens residuals of the windows."""
         result: Array = np.sqrt(self.fit.weights.window) * self.fit.chain.window_scale
         return result
 
     @cached_property
     def link_scale(self) -> Array:
-        """(n − 1,) 1/rad, what whitens those of the links."""
+        """(n − 1,) 1/rad, the factor that whitens columns and residuals of the links."""
         return np.sqrt(self.fit.weights.link) * self.fit.chain.link_scale
 
     @cached_property
     def estimated(self) -> Estimated:
-        """θ and the terms of the model."""
+        """The columns of θ and of the terms of the model."""
 
         def absorb(count: int, window: Array, link: Array) -> Array:
             return forward_solved(self.factor, self.border(count, window, link))
