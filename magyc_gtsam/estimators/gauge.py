@@ -1,5 +1,4 @@
-"""The gauge freedom of the calibration: magnetometer and gyroscope cannot separate soft-iron scale and field strength.
-"""
+"""The gauge freedom that magnetometer and gyroscope leave: the scale of the soft iron against the field strength."""
 
 from __future__ import annotations
 

@@ -12,9 +12,7 @@ from scipy.linalg.lapack import dtrtri
 from magyc_gtsam.estimators.smoother.minimum import Minimum
 from magyc_gtsam.factors.chain.rotations import Array
 
-ROUNDING = (
-    1e-12  # ridge added to the information, as a share of the column's squared norm; rounding is 1e-15
-)
+ROUNDING = 1e-12  # ridge added to the information, as a share of the column's squared norm; rounding is 1e-15
 _BIAS = np.arange(9, 12)
 
 Absorb = Callable[[int, Array, Array], Array]
