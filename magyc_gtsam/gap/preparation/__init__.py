@@ -1,1 +1,1 @@
-"""What is put in order before anything is estimated: channels, clocks, axes, and sensors that are cut off."""
+"""Checks and corrections before the estimation: channels, clocks, axes and clipped sensors."""

@@ -1,4 +1,4 @@
-"""Channels that were not logged all the time: short pauses are filled, rows of long ones left out."""
+"""Channels with missing values: short pauses are interpolated, rows of long pauses are left out."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from magyc_gtsam.recording import Recording
 
 
 def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
-    """Every row with all channels that effects read, and what was left out for it, in words.
+    """Return the rows in which all channels that effects read are known, and sentences on what was left out.
 
-    What a current did while nobody logged it would otherwise pass for a step, or for something that was passed.
+    A change of a current during a pause of its channel would otherwise be taken for a step.
     """
     time, said = recording.time, []
     known = np.ones(len(time), dtype=bool)
@@ -41,7 +41,7 @@ def without_channel_holes(recording: Recording) -> tuple[Recording, list[str]]:
 
 
 def _filled(time: Array, column: Array) -> tuple[Array, np.ndarray]:
-    """A channel's row with its short pauses filled, and where it is known."""
+    """Return a channel's row with short pauses interpolated, and a mask of the rows in which it is known."""
     have = np.isfinite(column)
     if have.sum() < 2:
         return column, have

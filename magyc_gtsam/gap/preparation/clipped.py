@@ -1,4 +1,4 @@
-"""A magnetometer that is known to be cut off at its full scale: what that makes of a gap."""
+"""The effect of a magnetometer that is clipped at its full scale on the verdict of a gap."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from magyc_gtsam.sensor_faults.full_scale import ClippedField
 
 
 def with_clipped(gap: Gap, clipped: ClippedField | None) -> Gap:
-    """The gap, open unless saturation was named and so little cut off that its model holds."""
+    """Return the gap, open unless saturation is in the model and the clipped share is small enough for its form."""
     if clipped is None:
         return gap
-    named = any(term.name == "saturation" for term in gap.calibration.terms)  # found now, or given
+    named = any(term.name == "saturation" for term in gap.calibration.terms)  # found in this search, or given
     if named and clipped.share <= RULES.cut_off and gap.verdict in ("none", "closed"):
         return gap
     why = "which the search did not name" if not named else "and something else is missing"

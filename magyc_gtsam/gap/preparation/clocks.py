@@ -1,4 +1,4 @@
-"""Clocks of the two sensors that drift apart: no effect of the catalogue, but known for what it is."""
+"""Drift between the clocks of the two sensors: not an effect of the catalogue, but detected and reported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ APART_IN_BRIEF = Doubt(
 
 
 def drift_apart(current: Refit) -> bool:
-    """Whether the delay of a model grows with time, as `smoother` asks it."""
+    """Return whether the delay of a model grows with time, by the test of `smoother`."""
     twin = current.twin
     if not twin.model.free[DELAY]:
         return False

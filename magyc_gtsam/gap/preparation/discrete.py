@@ -1,4 +1,4 @@
-"""What is checked before anything is estimated: the order and signs of the axes, and which rows are samples."""
+"""Checks before the estimation: order and signs of the axes, and which rows are samples."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from magyc_gtsam.recording import Recording
 
 
 def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tuple[NoiseScore, ...]]:
-    """The recording as its samples should be read, and the tests that say how.
+    """Return the recording with axes, samples and times corrected, and the tests that led to the corrections.
 
     Raises:
         MagycError: the unit of the gyroscope is wrong.
@@ -38,7 +38,7 @@ def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tupl
 
 
 def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
-    """With the gyroscope in the magnetometer's axes, where they differed."""
+    """Return the recording with the gyroscope in the magnetometer's axes, and a score if they differed."""
     try:
         check(recording)
     except MagycError:
@@ -63,9 +63,13 @@ def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
 
 
 def _unheld(recording: Recording, noise: float) -> Recording:
-    """With all entries as samples, where the magnetometer's repeat because its steps are coarse (noise T per sample).
+    """Return the recording with all entries as samples, if repeated values are due to coarse steps.
 
     To leave such repeats out would keep the first of each, and so make the magnetometer seem early.
+
+    Args:
+        recording: the data.
+        noise: of the magnetometer, T per sample.
     """
     if quantisation(recording, noise).statistic < RULES.repeats_by_chance:
         return recording
@@ -73,11 +77,11 @@ def _unheld(recording: Recording, noise: float) -> Recording:
 
 
 def moving(recording: Recording) -> Recording:
-    """With one sample in `RULES.rest_spared` s where the reading stands still for `RULES.rest_means` s or more.
+    """Return the recording with one sample per `RULES.rest_spared` s in rests of `RULES.rest_means` s or more.
 
-    A field that differs from place to place, by a microtesla or two in any room, differs by one number where the
-    sensor rests, however long it rests there; told a hundred times it would pass for iron that came and went. A rest
-    that begins or ends with a jump which no turn explains is kept: iron did come or go there.
+    The field varies from place to place, by a microtesla or two in any room. At a rest it has one value, however long
+    the rest lasts; counted a hundred times, this would be taken for iron that came and went. A rest that begins or
+    ends with a jump that no rotation explains is kept, because there iron did come or go.
     """
     time, field = recording.magnetometer
     second = np.floor((time - time[0]) / RULES.rest_mean).astype(int)
@@ -104,10 +108,10 @@ def moving(recording: Recording) -> Recording:
 
 
 def _jumps(recording: Recording, time: Array, mean: Array, spread: float) -> np.ndarray:
-    """(n − 1,) whether the field changes more from one mean (n, 3) to the next than the gyroscope turned it."""
+    """Return (n − 1,) whether the field changes more between successive means (n, 3) than the rotation explains."""
     when, rate = recording.gyroscope
     turned = summed_rate(when, np.linalg.norm(rate, axis=1))
-    # A mean reaches a second ahead of its first sample.
+    # A mean covers `rest_mean` s from its first sample on.
     turn = np.interp(time[1:] + RULES.rest_mean, when, turned) - np.interp(time[:-1], when, turned)
     change = np.linalg.norm(np.diff(mean, axis=0), axis=1)
     result: np.ndarray = change > RULES.rest_jump * spread + 2 * spread * turn

@@ -1,9 +1,9 @@
-"""The clock of a magnetometer whose log repeats its values: when each sample was measured, by the rows that are new.
+"""The clock of a magnetometer whose log repeats its values: sampling times from the rows with new values.
 
-A sample is read in the first row after it. How long before that row it was measured, its age, is open by a row; that
-the ages of all samples of one clock lie within a row narrows it down. A clock that is free of the rows leaves hardly
-anything open. One that keeps step with them, with a sample in every fifth row as well as with two in every three,
-leaves open what all ages have in common, and that cannot be told from a delay.
+A sample is recorded in the first row after it. Its age, the time from the sample to that row, is uncertain by one row;
+it is determined more closely because the ages of all samples of one clock lie within one row. If the clock is
+independent of the rows, hardly any uncertainty remains. If it is synchronous with them (a sample in every fifth row, or
+two in every three), the part that is common to all ages remains unknown, and cannot be distinguished from a delay.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from magyc_gtsam.recording import Recording
 
 
 def on_own_clock(recording: Recording) -> Recording:
-    """With the samples that are held stamped by the magnetometer's own clock, where they show one.
+    """Return the recording with held samples stamped by the magnetometer's own clock, if they show one.
 
-    A sensor that measures every P s on a clock of its own is read in the first row after: the stamps of the rows are
-    late by up to a row, in a sawtooth that would pass for a delay, a tone, or a lag. The stamps lie on a line in the
-    number of the sample; the row that comes soonest after its sample says where. Where the two clocks beat, only few
-    ages occur, and the soonest row comes up to the distance of two of them after its sample: half of it is assumed.
+    A sensor that measures every P s on a clock of its own is recorded in the first row after each sample. The stamps
+    of the rows are therefore late by up to a row, in a sawtooth that would be taken for a delay, a tone or a lag. The
+    stamps lie on a line over the number of the sample; the smallest age determines its offset. If the two clocks beat,
+    only few ages occur, and the smallest one lies between 0 and the distance of two ages: half of it is assumed.
 
-    Where the magnetometer keeps step with the rows that distance is a quarter of a row or more, and one clock drives
-    both: the soonest row is taken as the sample's own time. With a sample in every so many rows all keep their rows'
-    stamps, as in `calibrate`; what was measured before is late by the stamps of the log, and a delay says so.
+    If the magnetometer is synchronous with the rows, this distance is a quarter of a row or more, and one clock drives
+    both: the smallest age is taken as 0. With a sample in every so many rows all samples keep the stamps of their rows,
+    as in `calibrate`; a constant age is then part of the delay.
     """
     entries = recording.time[recording.magnetic_field_stamped]
     row = float(np.median(np.diff(entries)))
     stretches = np.concatenate([[0], np.cumsum(np.diff(entries) > RULES.clock_hole * row)])
     time, field = recording.magnetometer
     stretch = stretches[np.searchsorted(entries, time)]
-    seen = np.diff(stretch, prepend=-1) == 0  # how long the first of a stretch was held before is not
+    seen = np.diff(stretch, prepend=-1) == 0  # the age of the first sample of a stretch is unknown
     time, field, stretch = time[seen], field[seen], stretch[seen]
     if len(time) < RULES.clock_samples or (np.diff(stretch) != 0).all():
         return recording
@@ -45,11 +45,17 @@ def on_own_clock(recording: Recording) -> Recording:
 
 
 def _in_step(number: Array, rows: Array) -> Array | None:
-    """(n,) rows, and parts of one, in which samples were measured that are new in `rows`, if their clock keeps step.
+    """Return the rows (n,), with fractions, in which samples were measured by a clock synchronous with the rows.
 
-    With b samples in every r rows, r · number − b · rows takes b values next to each other and no others, however long
-    the recording is. The latest time for each sample that its row allows. None where the two clocks are free of each
-    other.
+    With b samples in every r rows, r · number − b · rows takes b adjacent values and no others, however long the
+    recording is. Each sample gets the latest time that its row allows.
+
+    Args:
+        number: (n,) of the samples.
+        rows: (n,) in which they are new.
+
+    Returns:
+        None if the two clocks are independent.
     """
     period = float(np.polyfit(number, rows, 1)[0])
     for beat in range(1, RULES.clock_beat + 1):
@@ -65,7 +71,7 @@ def _in_step(number: Array, rows: Array) -> Array | None:
 
 
 def _on_a_line(number: Array, time: Array, row: float) -> Array | None:
-    """(n,) s, when samples were measured that are new in rows at `time` s, `row` s apart; None if on no clock."""
+    """Return the times (n,) s of samples that are new in rows at `time` s, `row` s apart; None if they fit no clock."""
     slope, start = np.polyfit(number, time - time[0], 1)
     own: Array = time[0] + start + slope * number
     age = time - own
@@ -77,10 +83,15 @@ def _on_a_line(number: Array, time: Array, row: float) -> Array | None:
 
 
 def _numbered(time: Array, stretch: np.ndarray, row: float) -> Array:
-    """(n,) number of each sample of one clock that was new in a row at `time` s, of stretches without missing rows.
+    """Return the number (n,) of each sample of one clock, from the rows in which the samples are new.
 
-    A sample may happen to repeat the one before, and is missed. Over a hole the ages at both ends leave open by one how
-    many there were: the mean ages beside it do not.
+    A sample that happens to repeat the one before is missed. Across a gap, the ages at its two ends leave the number of
+    samples uncertain by one; the mean ages of the stretches on both sides determine it.
+
+    Args:
+        time: (n,) s, of the rows.
+        stretch: (n,) index of the stretch without missing rows that a row belongs to.
+        row: s between rows.
     """
     between, same = np.diff(time), np.diff(stretch) == 0
     period = float(between[same].mean())
@@ -95,5 +106,5 @@ def _numbered(time: Array, stretch: np.ndarray, row: float) -> Array:
 
     (mean_number, numbers), (mean_time, times) = within(number), within(time)
     period = float(times @ numbers / (numbers @ numbers))
-    holes = np.diff(mean_time - period * mean_number) / period  # samples, but for those that were counted
+    holes = np.diff(mean_time - period * mean_number) / period  # samples in each gap, not yet counted in `number`
     return number + np.concatenate([[0.0], np.cumsum(np.round(holes))])[piece]

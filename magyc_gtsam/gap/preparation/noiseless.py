@@ -1,4 +1,4 @@
-"""Whether a recording has noise at all: every test of the workflow measures a misfit against it."""
+"""A test for noise-free recordings: every test of the workflow measures a misfit relative to the noise."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.noise_effects import lattice
 from magyc_gtsam.recording import Recording
 
-_ORDER = 12  # of the differences, which a motion sampled eight times or more in its shortest period does not enter
+_ORDER = 12  # of the differences, which suppress a motion with eight or more samples in its shortest period
 
 
 def noiseless(recording: Recording) -> bool:
-    """Whether the magnetometer has no measurable noise, as what a simulator computed exactly.
+    """Return whether the magnetometer has no measurable noise, as exact output of a simulator.
 
-    Coarse readings that seldom change are none of these: their steps are an effect that can be named.
+    Coarse readings that seldom change are not noise-free: their steps are an effect that can be named.
     """
     value = recording.magnetometer.value
     if len(value) <= _ORDER or max(lattice(axis) for axis in value.T) > RULES.noiseless:

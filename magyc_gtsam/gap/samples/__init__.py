@@ -1,1 +1,1 @@
-"""Effects on single samples, found in the innovations sample by sample."""
+"""Effects on single samples, detected in the innovations sample by sample."""

@@ -1,11 +1,12 @@
-"""Steps so coarse that the noise does not blur them: what rounding adds on average, taken out.
+"""Quantisation with steps that are coarse relative to the noise: removal of the mean rounding error.
 
-A reading x rounded to steps q with noise σ before it reads on average x + e(x),
+A reading x with noise σ before it is rounded to steps q has the mean x + e(x),
 
     e(x) = Σ_k (−1)^k q / (π k) exp(−2 π² k² σ² / q²) sin(2 π k (x − o) / q)
 
-with o any of the steps: next to nothing where σ > q / 2, a staircase where σ is small, which would pass for a response
-that is bent, clipped or late. With the model's x, e(x) is known. (Widrow and Kollár, Quantization Noise, 2008.)
+with o any of the steps: nearly zero for σ > q / 2, a staircase for small σ, which would be taken for a non-linear,
+clipped or late response. With the x that the model predicts, e(x) is known. (Widrow and Kollár, Quantization Noise,
+2008.)
 """
 
 from __future__ import annotations
@@ -24,13 +25,14 @@ _TERMS = 8
 
 
 def unrounded(recording: Recording, rounded: Recording, model: Model, step: float, level: float) -> Recording:
-    """The recording without what rounding adds on average.
+    """Return the recording without the mean rounding error.
 
     Args:
-        recording: as it is read now; `rounded`: the readings as they were rounded.
-        model: that says what the readings should be.
+        recording: the data with its present corrections.
+        rounded: the readings as they were rounded.
+        model: that predicts the readings.
         step: T, of the rounding.
-        level: T, standard deviation of what the model leaves of a sample.
+        level: T, standard deviation of the model's residual of a sample.
     """
     noise = np.sqrt(max(level**2 - step**2 / 12, (0.05 * step) ** 2))
     if step / np.pi * np.exp(-2 * (np.pi * noise / step) ** 2) < RULES.blurred * level:
@@ -48,7 +50,7 @@ def unrounded(recording: Recording, rounded: Recording, model: Model, step: floa
 
 
 def rounding(reading: Array, step: float, noise: float) -> Array:
-    """e(x) for readings (n, 3) from a step."""
+    """Return e(x) for readings (n, 3), relative to a step."""
     result = np.zeros_like(reading)
     for k in range(1, _TERMS + 1):
         size = (-1) ** k * step / (np.pi * k) * np.exp(-2 * (np.pi * k * noise / step) ** 2)

@@ -1,4 +1,4 @@
-"""The innovations sample by sample, in which fast effects and noise show that windows average away."""
+"""Innovations sample by sample, which show fast effects and noise that the means over windows suppress."""
 
 from __future__ import annotations
 
@@ -19,9 +19,14 @@ _MOST = 60000  # samples
 
 
 class Fine(NamedTuple):
-    """Innovations (3, m) scaled to unit variance, their standard deviation T, rate Hz, and stamps (m,) s.
+    """Innovations of single samples.
 
-    edge: Hz, below which the field's own changes lie: a line there may be the motion's.
+    Attributes:
+        innovation: (3, m), scaled to unit variance.
+        level: their standard deviation, T.
+        rate: Hz.
+        time: (m,) s.
+        edge: Hz, upper limit of the field's own changes; a spectral line below it may be due to the motion.
     """
 
     innovation: Array
@@ -32,7 +37,7 @@ class Fine(NamedTuple):
 
 
 def fine_innovations(recording: Recording, model: Model) -> Fine:
-    """Of a model on a recording, one window per magnetometer sample."""
+    """Return the innovations of a model on a recording, with one window per magnetometer sample."""
     twin = fine_twin(recording, model)
     v = twin.residual()[:, 1:]
     time = twin.time[1:]
@@ -42,7 +47,7 @@ def fine_innovations(recording: Recording, model: Model) -> Fine:
 
 
 def fine_twin(recording: Recording, model: Model) -> Twin:
-    """One window per magnetometer sample; the middle of what is longer than `_MOST`."""
+    """Return the twin with one window per magnetometer sample; of the middle `_MOST` samples of a longer recording."""
     if len(recording.magnetometer.time) > _MOST:
         middle = 0.5 * (recording.time[0] + recording.time[-1]) - recording.time[0]
         half = 0.5 * recording.duration * _MOST / len(recording.magnetometer.time)
@@ -57,7 +62,7 @@ def _edge(field: Array, rate: float) -> float:
 
 
 def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseScore]:
-    """Every noise effect's test."""
+    """Return the tests of all effects on the noise."""
     return [
         *single_scores(fine, limit),
         coloured_noise(_calm(fine), fine.rate, fine.level, limit),
@@ -66,13 +71,13 @@ def noise_scores(recording: Recording, fine: Fine, limit: float) -> list[NoiseSc
 
 
 def single_scores(fine: Fine, limit: float) -> tuple[NoiseScore, NoiseScore]:
-    """The tests of wrong samples and of a tone."""
+    """Return the tests for wrong samples and for a tone."""
     spiky = spikes(fine.innovation, fine.level, limit)
     return spiky, tone(_calm(fine), fine.time, fine.level, limit, fine.edge)
 
 
 def _calm(fine: Fine) -> Array:
-    """The innovations without what is spiky, which would look like a comb of tones, and hide colour."""
+    """Return the innovations with outliers clipped, which would otherwise add a comb of lines and hide colour."""
     v = fine.innovation
     length = np.sqrt((v**2).sum(axis=0))
     calm = v * np.minimum(1.0, 4.0 / np.maximum(length, 1e-12))

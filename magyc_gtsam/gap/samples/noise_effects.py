@@ -1,6 +1,6 @@
-"""Effects that change the noise rather than the reading: found in the innovations sample by sample.
+"""Tests for effects that change the noise instead of the reading, on the innovations sample by sample.
 
-All are ranked in the same currency as the score tests, nats of log-likelihood less what chance would give.
+Their evidence has the unit of the score tests: gain in log-likelihood, nats, less the gain expected by chance.
 """
 
 from __future__ import annotations
@@ -19,26 +19,27 @@ from magyc_gtsam.recording import Recording
 
 _MEDIAN = 2.674  # of Gamma(3)
 _SMOOTH = 201  # bins of the periodogram's running median
-_BESIDE = 10  # bins to each side of a line that must lie far below it: a resonance of the noise is no line
-_LEAKS = 2  # bins to each side of a line into which it leaks
-_CELLS = 4  # of the grid per sample: at half the rate, rounding to them takes 3 % of an amplitude
-_EMPTY = 8.0  # times the samples, that a recording may last for its holes to be kept
-_FLAT = 1e-6  # of the largest variance, below which a direction says nothing
-_LOCALLY = 3.0  # s over which the chance of a repeat hardly changes
-_ROWS = 100  # that a share is told from, at least
+_BESIDE = 10  # bins on each side of a line that must be far below it; otherwise it is a resonance of the noise
+_LEAKS = 2  # bins on each side of a line that its spectral leakage reaches
+_CELLS = 4  # of the grid per sample; at half the sampling rate, rounding to them loses 3 % of an amplitude
+_EMPTY = 8.0  # longest duration, in median steps per sample, for which gaps in the recording are kept
+_FLAT = 1e-6  # of the largest variance, below which a direction contains no information
+_LOCALLY = 3.0  # s in which the probability of a repeat hardly changes
+_ROWS = 100  # fewest rows from which a share is estimated
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseScore:
-    """A noise effect's test.
+    """The test of an effect on the noise.
 
     Attributes:
         name: of the catalogue.
-        statistic, threshold: twice the gain in log-likelihood, and the level it must pass.
+        statistic, threshold: twice the gain in log-likelihood, and the level that it must exceed.
         evidence: nats beyond chance.
-        significant: whether it passes.
-        value, sigma: (k,) SI; setting: frequency Hz, correlation time s, …
-        rows: of the recording's magnetometer samples that it concerns (spikes).
+        significant: True if the effect is significant.
+        value, sigma: (k,) SI.
+        setting: frequency Hz, correlation time s, …
+        rows: mask of the recording's magnetometer samples that are affected (spikes).
     """
 
     name: str
@@ -53,10 +54,18 @@ class NoiseScore:
 
 
 def tone(innovation: Array, time: Array, level: float, limit: float, edge: float = 0.0) -> NoiseScore:
-    """A line in the spectrum of (3, n) innovations of unit variance at `time` (n,) s, `level` T each.
+    """Test for a line in the spectrum of innovations.
 
-    Below `edge` Hz the motion itself makes lines of whatever is missing; one there is no tone by name. A misfit may be
-    larger along one direction than along the others, whose noise would then hardly count: all are made as large.
+    Below `edge` Hz any missing effect causes lines at the frequencies of the motion; a line there is not named a tone.
+    A misfit may be larger in one direction than in the others, whose noise would then hardly count; therefore all
+    directions are scaled to unit variance.
+
+    Args:
+        innovation: (3, n) of unit variance.
+        time: (n,) s.
+        level: T per unit of the innovations.
+        limit: nats of evidence.
+        edge: Hz.
     """
     power, frequency = _periodogram_of(_as_large(innovation), time, edge)
     floor = np.maximum(_running_median(power), _beside(power)) / _MEDIAN
@@ -83,7 +92,7 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
 
 
 def _as_large(innovation: Array) -> Array:
-    """(3, n) of unit variance in every direction."""
+    """Return the innovations (3, n) scaled to unit variance in every direction."""
     variance, direction = np.linalg.eigh(innovation @ innovation.T / innovation.shape[1])
     scale = np.sqrt(np.maximum(variance, max(_FLAT * variance[-1], np.finfo(float).tiny)))
     result: Array = (direction / scale).T @ innovation
@@ -91,16 +100,16 @@ def _as_large(innovation: Array) -> Array:
 
 
 def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array, Array]:
-    """As `_periodogram`, short of half the rate, of stamps that need not be even.
+    """Return the periodogram as `_periodogram`, below half the sampling rate, of samples at uneven times.
 
-    Each is in the nearest cell of a fine grid. Holes are empty cells, across which a line keeps its phase. Where stamps
-    are uneven in a pattern nothing is told at its frequencies, and what lies below `edge` Hz is taken out first, since
-    it appears again beside them.
+    Each sample is put in the nearest cell of a fine grid. Gaps are empty cells, across which a line keeps its phase. If
+    the times are uneven in a pattern, its frequencies are excluded, and the signal below `edge` Hz is removed first,
+    because it has aliases beside them.
     """
     step = float(np.median(np.diff(time))) / _CELLS
     cell = np.round((time - time[0]) / step).astype(int)
     if cell[-1] > _EMPTY * _CELLS * len(time):
-        cell = _CELLS * np.arange(len(time))  # mostly holes, over which nothing keeps its phase
+        cell = _CELLS * np.arange(len(time))  # mostly gaps, across which no line keeps its phase
     elif edge and (np.diff(cell) != _CELLS).any():
         rows = max(int(0.5 / edge * len(time) / (time[-1] - time[0])), 1)
         innovation = innovation - uniform_filter1d(innovation, rows, axis=1)
@@ -110,13 +119,13 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     pattern, _ = _periodogram(grid[3:], 1 / step)
     of_pattern = maximum_filter1d(pattern * grid.shape[1], 2 * _LEAKS + 1) > RULES.pattern * len(time) ** 2
     power = np.where(of_pattern, 0.0, power * grid.shape[1] / len(time))
-    # What leaks at half the rate meets its own mirror image there.
+    # A line that leaks across half the sampling rate meets its own alias there.
     below = frequency < 0.5 / (_CELLS * step) - (_LEAKS + 0.5) * frequency[0]
     return power[below], frequency[below]
 
 
 def _periodogram(innovation: Array, rate: float) -> tuple[Array, Array]:
-    """Power summed over the axes, Gamma(3) for white noise of unit variance, without the mean; and Hz."""
+    """Return the power summed over the axes, Gamma(3) for white noise of unit variance, without the mean; and Hz."""
     spectrum = np.fft.rfft(innovation, axis=1)[:, 1:]
     n = innovation.shape[1]
     if n % 2 == 0:
@@ -126,22 +135,22 @@ def _periodogram(innovation: Array, rate: float) -> tuple[Array, Array]:
 
 
 def _running_median(values: Array) -> Array:
-    """Median over `_SMOOTH` bins, shorter at the low end, where a spectrum is steep."""
+    """Return the median over `_SMOOTH` bins, fewer for a short spectrum."""
     size = min(_SMOOTH, len(values) // 4 * 2 + 1)
     return np.asarray(median_filter(values, size=size, mode="reflect"), dtype=float)
 
 
 def _beside(values: Array) -> Array:
-    """Median over the bins close to each, without those into which a line there would leak."""
+    """Return the median over the bins beside each, except those that the leakage of a line there reaches."""
     around = np.ones(2 * _BESIDE + 1, dtype=bool)
     around[_BESIDE - _LEAKS : _BESIDE + _LEAKS + 1] = False
     return np.asarray(median_filter(values, footprint=around, mode="reflect"), dtype=float)
 
 
 def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -> NoiseScore:
-    """White noise plus noise of one correlation time, by Whittle's likelihood of the periodogram."""
+    """Test white noise plus noise of one correlation time with Whittle's likelihood of the periodogram."""
     power, frequency = _periodogram(innovation, rate)
-    power = np.minimum(power, 12 * np.maximum(_running_median(power) / _MEDIAN, 0.3))  # a line is no colour
+    power = np.minimum(power, 12 * np.maximum(_running_median(power) / _MEDIAN, 0.3))  # limits lines
     scale = power.mean() / 3
     best = (0.0, 0.0, 0.0, 1.0)
     for corner in np.geomspace(3 * frequency[0], 0.35 * rate, 14):
@@ -161,7 +170,7 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
         (slow @ slow.conj().T).real / innovation.shape[1] / slow.shape[1] - white * np.eye(3)
     )
     one_way = float(excess[-1] / max(np.maximum(excess, 0).sum(), 1e-12))
-    # Standard deviation of the coloured part: the area under its spectrum.
+    # Standard deviation of the coloured part, from the area under its spectrum.
     shape = 1 / (1 + (frequency / corner) ** 2) if corner else np.zeros(1)
     deviation = float(np.sqrt(strength * white * shape.mean())) * level
     noise = evidence > limit and time_constant < RULES.longest_colour and one_way < RULES.one_way
@@ -178,7 +187,7 @@ def coloured_noise(innovation: Array, rate: float, level: float, limit: float) -
 
 
 def quantisation(recording: Recording, noise: float) -> NoiseScore:
-    """Readings on a lattice whose step is no longer small against the noise (T per sample)."""
+    """Test for readings on a lattice whose step is not small relative to the noise (T per sample)."""
     value = recording.magnetometer.value
     steps = np.array([lattice(axis) for axis in value.T])
     step = float(steps.max())
@@ -196,7 +205,7 @@ def quantisation(recording: Recording, noise: float) -> NoiseScore:
 
 
 def lattice(values: Array) -> float:
-    """The step of the lattice that the values lie on; 0 where there is none."""
+    """Return the step of the lattice of the values; 0 if they lie on none."""
     distinct = np.unique(values)
     if len(distinct) > RULES.lattice_distinct * len(values) or len(distinct) < 3:
         return 0.0
@@ -208,10 +217,10 @@ def lattice(values: Array) -> float:
 
 
 def sample_hold(recording: Recording) -> NoiseScore:
-    """Entries of the magnetometer's log that repeat the one before them exactly.
+    """Test for entries of the magnetometer's log that exactly repeat the one before them.
 
-    A hold repeats all axes together, a coarse step each by itself: of the entries that repeat, those count that the
-    repeats of the single axes do not explain by chance. Where these are many, those of all together must come evenly.
+    A hold repeats all axes together, a coarse step repeats each axis independently: only repeats count that chance
+    repeats of the single axes do not explain. If these are many, the common repeats must also be regular.
     """
     own = recording.magnetic_field_stamped
     stale = ~recording.magnetic_field_fresh[own]
@@ -236,23 +245,23 @@ def sample_hold(recording: Recording) -> NoiseScore:
 
 
 def _paced(repeats: np.ndarray) -> bool:
-    """Whether steps (n,) that repeat come as by a clock: for the same number of rows, or one more.
+    """Return whether repeated steps (n,) have the regular run lengths of a clock: one number of rows, or one more.
 
-    Coarse steps repeat while the field hardly changes, for as long as it does: as dice would, or longer.
+    Coarse steps repeat while the field hardly changes: their run lengths vary as by chance, or more.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], repeats.astype(int), [0]])))
     lengths = edges[1::2] - edges[::2]
     mean = float(lengths.mean())
-    clock, chance = (mean % 1) * (1 - mean % 1), mean * (mean - 1)  # variances
+    clock, chance = (mean % 1) * (1 - mean % 1), mean * (mean - 1)  # variances of the run length
     return bool(lengths.var() <= clock + RULES.by_chance * max(chance - clock, 0.0) + 1e-9)
 
 
 def _held_together(time: Array, repeats: np.ndarray) -> float:
-    """Share h of the steps (n, 3) at which all axes are held, beside repeats of each axis by itself.
+    """Return the share h of the steps (n, 3) at which all axes are held, apart from repeats of single axes.
 
-    With q_i the chance of a repeat of axis i where nothing is held, an axis repeats with p_i = h + (1 − h) q_i and
-    all three with h + (1 − h) q_x q_y q_z; solved for h in each stretch of the recording by bisection. Of the stretches
-    the median counts: what is held is so all the time, while a pause is none.
+    With q_i the probability of a repeat of axis i without a hold, an axis repeats with p_i = h + (1 − h) q_i and all
+    three with h + (1 − h) q_x q_y q_z. This is solved for h in each section of the recording by bisection. The median
+    over the sections is returned: a hold is present all the time, a pause is not.
     """
     length = max(_LOCALLY, _ROWS * float(np.median(np.diff(time))))
     stretch = np.floor((time[1:] - time[0]) / length).astype(int)

@@ -1,6 +1,6 @@
-"""From which strength on the effects on the noise are found: from the noise and the length of a recording alone.
+"""The smallest strength at which effects on the noise are found, from noise and length of a recording alone.
 
-No motion hides or shows them, and no other effect has their signature in the innovations sample by sample.
+It does not depend on the motion, and no other effect has their signature in the innovations sample by sample.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from magyc_gtsam.gap.search.naming import NOISE_LIMIT
 from magyc_gtsam.recording import Recording
 
 _SHARE = 0.01  # of the samples that are spikes
-_TOGETHER = 1.0  # s, correlation time of the colour
-_MATTERS = 0.5e-6  # T, of a tone and of colour: half the noise of an ordinary magnetometer
+_TOGETHER = 1.0  # s, correlation time of the coloured noise
+_MATTERS = 0.5e-6  # T, of a tone and of coloured noise: half the noise of an ordinary magnetometer
 _SPIKE_MATTERS = 3e-6  # T, of spikes: three times the noise
 
 
 def noise_isolability(recording: Recording, noise: float) -> tuple[Isolability, ...]:
-    """Rows of the table, for a magnetometer of `noise` T per sample."""
+    """Return the rows of the table for a magnetometer with `noise` T per sample."""
     samples = len(recording.magnetometer.time)
     rate = (samples - 1) / recording.duration
     return (
@@ -57,24 +57,24 @@ def _certain(name: str, smallest: float, unit: str, words: str) -> Isolability:
 
 
 def _gain_needed() -> float:
-    """Mean gain (nats) that passes the level with probability 0.9: a gain of G has a deviation of √(2 G)."""
+    """Return the mean gain (nats) that is significant with probability 0.9; a gain G has a deviation of √(2 G)."""
     spread = np.sqrt(2) * float(norm.ppf(RULES.found_with))
     return float((0.5 * (spread + np.sqrt(spread**2 + 4 * (NOISE_LIMIT + RULES.chance)))) ** 2)
 
 
 def _solved(gain: Callable[[float], float], needed: float) -> float:
-    """The strength in sigmas whose gain is what is needed."""
+    """Return the strength in sigmas at which the gain has the needed value."""
     return float(np.exp(brentq(lambda log: gain(np.exp(log)) - needed, np.log(1e-3), np.log(1e3))))
 
 
 def _tone(samples: int) -> float:
-    """Amplitude: twice the height of a line is χ² of 6 degrees, not central by n a² / 2."""
+    """Return the amplitude: twice the height of a line is χ² with 6 degrees of freedom, non-centrality n a² / 2."""
     level = quantile(NOISE_LIMIT + RULES.unsure_line + 2 * float(np.log(samples / 2)), 6)
     return _solved(lambda a: float(ncx2.sf(level, 6, 0.5 * samples * a**2)), RULES.found_with)
 
 
 def _coloured(samples: int, rate: float) -> float:
-    """Standard deviation: mean gain in Whittle's likelihood, 3 Σ (ln of the mean spectrum − ln of the spectrum)."""
+    """Return the standard deviation: mean gain in Whittle's likelihood, 3 Σ (ln mean spectrum − ln spectrum)."""
     frequency = np.arange(1, samples // 2) * rate / samples
     shape = 1 / (1 + (2 * np.pi * _TOGETHER * frequency) ** 2)
     shape = shape / shape.mean()
@@ -85,7 +85,7 @@ def _coloured(samples: int, rate: float) -> float:
 
 
 def _spikes(samples: int) -> float:
-    """Standard deviation: mean gain of a mixture over one normal distribution, by quadrature over |v|² (χ² of 3)."""
+    """Return the standard deviation: mean gain of a mixture over one normal distribution, by quadrature (χ²₃)."""
     grid = np.linspace(0.0005, 0.9995, 1000)
 
     def gain(height: float) -> float:

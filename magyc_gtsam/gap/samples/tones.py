@@ -1,4 +1,4 @@
-"""A steady tone on the magnetometer: measured sample by sample, for windows average it away, and taken out."""
+"""A steady tone on the magnetometer: estimated sample by sample, because windows average it away, and removed."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.samples.fine import fine_twin
 from magyc_gtsam.recording import Recording
 
-_TRIED = 13  # frequencies within a bin of the periodogram
+_TRIED = 13  # frequencies within about a bin of the periodogram
 
 
 def heard(recording: Recording, model: Model, frequency: float) -> Term:
-    """The tone beside a line of the periodogram, Hz, as it stands out of what a model leaves."""
+    """Estimate the tone near a line of the periodogram, Hz, from the innovations of a model."""
     twin = fine_twin(recording, model)
     v = twin.residual().ravel()
     bin_width = 1 / float(twin.time[-1] - twin.time[0])
@@ -35,7 +35,7 @@ def heard(recording: Recording, model: Model, frequency: float) -> Term:
 
 
 def silenced(recording: Recording, tones: Sequence[Term]) -> Recording:
-    """The recording without its tones."""
+    """Return the recording with the tones subtracted."""
     if not tones:
         return recording
     signals = Signals(recording.time)

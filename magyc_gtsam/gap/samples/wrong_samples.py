@@ -1,10 +1,10 @@
-"""Single samples that are wrong: compared with their neighbours, on the scale that holds around them.
+"""Test for wrong single samples: a comparison with their neighbours, on the local scale.
 
-What a model misses is coloured and larger at some times than at others. A global distribution of its innovations has
-heavy tails without any wrong sample, and hides those there are. So each sample is compared with what its neighbours
-on both sides say, the statistic of an additive outlier: with the autoregression A(z) of the innovations, the residual
-is A(1/z) A(z) v / Σ a². (Fox, Outliers in time series, 1972; Chen and Liu, Joint estimation of model parameters and
-outlier effects in time series, 1993.) White innovations are their own residuals.
+The misfit of a model is coloured and its level varies with time. The global distribution of its innovations therefore
+has heavy tails without any wrong sample, which hide the wrong ones. So each sample is compared with its prediction from
+the neighbours on both sides, the statistic of an additive outlier: with the autoregression A(z) of the innovations, the
+residual is A(1/z) A(z) v / Σ a². (Fox, Outliers in time series, 1972; Chen and Liu, Joint estimation of model
+parameters and outlier effects in time series, 1993.) For white innovations it is the innovation.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.null import autoregression, memory
 
 _MEDIAN = 2.366  # of χ²₃
-_AROUND = 201  # samples whose median is the scale: known to 7 %, by which white noise gets no tails worth a nat
-_LEAST = 0.01  # of the scale of the whole, that the local one may be
-_PASSES = 8  # of taking wrong samples out of what their neighbours are compared with
+_AROUND = 201  # samples in the median of the local scale: its error of 7 % gives white noise no tails worth a nat
+_LEAST = 0.01  # of the global scale, lower limit of the local scale
+_PASSES = 8  # of replacing wrong samples in the neighbours that others are compared with
 
 
 def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
-    """Single samples that are wrong among innovations (3, n) of `level` T: a mixture of normal distributions.
+    """Test for wrong samples among innovations (3, n) of `level` T, with a mixture of normal distributions.
 
-    One more than of the noise itself, which has two where the wider one is not rare.
+    The mixture has one distribution more than the noise, which has two if the wider one is not rare.
     """
     order, residual, square, hit = _stand_out(innovation)
     noise, mixture = _one(square), _one(square).with_wider(square)
@@ -37,13 +37,13 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
         hit &= mixture.belongs[-1] > 0.5
     gain, share = mixture.likelihood - noise.likelihood, float(mixture.share[-1])
     ratio, belongs = float(mixture.variance[-1] / mixture.variance[-2]), mixture.belongs[-1]
-    # A spike stands alone or has one beside it: what comes in stretches is a disturbance, not a wrong sample.
+    # A spike is one wrong sample or two adjacent ones; a longer run is a disturbance, not a wrong sample.
     beyond = np.pad(square > RULES.spike**2, 1)
     single = hit & ~beyond[:-2] & ~beyond[2:]
     groups = hit & ~np.pad(hit, 1)[:-2]
     alone = float(single.sum() / max(groups.sum(), 1))
-    # White innovations are the sensor's noise. What hangs together is the model's misfit, which has tails of its own:
-    # beside it, at least half of the wrong samples must stand out by themselves.
+    # White innovations are the sensor's noise. Autocorrelated innovations are the model's misfit, which has heavy tails
+    # itself: there, the median wrong sample must exceed the limit of a spike.
     apart = not order or _MEDIAN * ratio > RULES.spike**2
     evidence = gain - RULES.chance
     significant = (
@@ -65,20 +65,21 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
 
 
 def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
-    """How each sample stands out of its neighbours.
+    """Compute the residual of each sample from its neighbours, and detect additive outliers.
+
+    A wrong sample makes its neighbours seem wrong, too, and the false ones would cause more. Therefore only the largest
+    residual among neighbours is taken as wrong, and replaced by its prediction before others are compared with it.
 
     Returns:
-        The memory of the innovations, the residuals (3, n), their squared length (n,) in local sigmas, and which
-        samples are wrong (n,). These are replaced by what their neighbours say before others are compared with them.
-        Only the largest among neighbours is: a wrong sample makes those beside it seem wrong, too, and what were
-        taken for wrong with it would be followed by more.
+        The order of the innovations' autoregression, the residuals (3, n), their squared length (n,) in local sigmas,
+        and a mask (n,) of the wrong samples.
     """
     length = np.sqrt((innovation**2).sum(axis=0))
     usual = np.sqrt(_local_scale(length**2))
     clean = innovation * np.minimum(1.0, RULES.spike / np.maximum(length / usual, 1e-12))
     hit = np.zeros(innovation.shape[1], dtype=bool)
     for _ in range(_PASSES):
-        order = memory(clean)  # anew, for wrong samples make innovations seem whiter than they are
+        order = memory(clean)  # estimated again, because wrong samples make innovations seem whiter than they are
         kernels = [_between(row, order) for row in clean]
         residual = np.stack(
             [row + convolve1d(c, k, mode="mirror") for row, c, k in zip(innovation, clean, kernels, strict=True)]
@@ -95,7 +96,7 @@ def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
 
 
 def _between(row: Array, order: int) -> Array:
-    """(2 order + 1,) weights of the neighbours in a residual, 0 for the sample itself."""
+    """Return the weights (2 order + 1,) of the neighbours in a residual, 0 for the sample itself."""
     ahead = np.append(1.0, -autoregression(row, order)[0]) if order else np.ones(1)
     weights: Array = np.convolve(ahead, ahead[::-1]) / (ahead @ ahead)
     weights[order] = 0.0
@@ -103,7 +104,7 @@ def _between(row: Array, order: int) -> Array:
 
 
 def _local_scale(square: Array) -> Array:
-    """Variance of one axis from the squared lengths (n,) around each sample."""
+    """Return the local variance of one axis around each sample, from the squared lengths (n,)."""
     size = min(_AROUND, (len(square) - 1) // 2 * 2 + 1)
     median = np.asarray(median_filter(square, size=size, mode="reflect"), dtype=float)
     return np.maximum(median, max(_LEAST * float(np.median(square)), np.finfo(float).tiny)) / _MEDIAN
@@ -111,7 +112,13 @@ def _local_scale(square: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Mixture:
-    """Normal distributions of three axes, wider ones last: log-likelihood, shares and variances (k,), whose (k, n)."""
+    """A mixture of normal distributions of three axes.
+
+    Attributes:
+        likelihood: log-likelihood.
+        share, variance: (k,), the widest distribution last.
+        belongs: (k, n) probability that a sample belongs to a distribution.
+    """
 
     likelihood: float
     share: Array
@@ -119,7 +126,7 @@ class _Mixture:
     belongs: Array
 
     def with_wider(self, square: Array) -> _Mixture:
-        """One more distribution, by expectation and maximisation."""
+        """Return the mixture with one more, wider distribution, fitted by expectation maximisation."""
         share = np.append(0.99 * self.share, 0.01)
         variance = np.append(self.variance, max(float(square.max()) / 3, 4 * self.variance[-1]))
         likelihood, belongs = self.likelihood, self.belongs
@@ -134,6 +141,6 @@ class _Mixture:
 
 
 def _one(square: Array) -> _Mixture:
-    """A single normal distribution of squared lengths (n,)."""
+    """Return a single normal distribution, fitted to squared lengths (n,)."""
     n, variance = len(square), float(square.mean()) / 3
     return _Mixture(-1.5 * n * (np.log(variance) + 1), np.ones(1), np.array([variance]), np.ones((1, n)))
