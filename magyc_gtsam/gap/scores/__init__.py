@@ -1,1 +1,1 @@
-"""Score tests: what each candidate and each family without a name would explain, and what chance would."""
+"""Score tests of the candidate effects and the generic families, and their distribution without any effect."""

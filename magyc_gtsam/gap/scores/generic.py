@@ -1,4 +1,4 @@
-"""Localisation: families without physical meaning that say WHERE something is missing, and that a name must beat."""
+"""Generic families: effects without physical meaning that locate a misfit, and that a named effect must exceed."""
 
 from __future__ import annotations
 
@@ -14,15 +14,23 @@ from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.rules import RULES
 
-_KNOTS = (12, 40)  # of the splines in time
+_KNOTS = (12, 40)  # of the linear splines in time
 
 
 class Family(NamedTuple):
-    """A generic family: its name, where it lives in words, its columns, and widths of parts to be tried alone.
+    """A generic family.
 
-    A narrow part finds a foreign effect where the whole family would pay for too many parameters. Families that hold
-    an effect of the catalogue have no parts: these would be the effect under another name. Directions of the
-    values that the motion does not determine to `within` are left out: they would explain anything by absurd values.
+    Directions of the values that the motion does not determine to `within` are left out, because they would explain
+    anything with absurd values.
+
+    Attributes:
+        name: of the family.
+        place: the variable that it depends on, in words.
+        columns: function that returns its regressors.
+        parts: numbers of columns to be tested separately. A few columns find an effect for which the whole family has
+            too many parameters. A family that contains an effect of the catalogue has no parts, because these would be
+            that effect under another name.
+        within: largest standard deviation of a value.
     """
 
     name: str
@@ -33,7 +41,7 @@ class Family(NamedTuple):
 
 
 def families(twin: Twin) -> list[Family]:
-    """All families that this recording allows."""
+    """Return all families that this recording allows."""
     duration = float(twin.time[-1] - twin.time[0])
     result = []
     for knots in _KNOTS:
@@ -87,7 +95,7 @@ def families(twin: Twin) -> list[Family]:
                 f"{kind}:gyroscope", f"{where}, on the gyroscope", _on_rate(partial(_channel, kind=kind), False)
             ),
         ]
-        if kind != "position":  # times the field it is the field's gradient
+        if kind != "position":  # position times field is the gradient of the field
             result.append(Family(f"{kind}×field", f"{where} times the field", _channel_field(kind), (1, 3)))
     return result
 
@@ -101,7 +109,7 @@ def _on_rate(profiles: Callable[..., Array], reads_rate: bool = True) -> Callabl
 
 
 def _hats(time: Array, knots: int) -> Array:
-    """(knots, n) linear splines."""
+    """Return linear splines (knots, n)."""
     place = (time - time[0]) / (time[-1] - time[0]) * (knots - 1)
     return np.maximum(1 - np.abs(place - np.arange(knots)[:, None]), 0.0)
 
@@ -115,7 +123,7 @@ def _channel_of(twin: Twin, kind: str) -> Array:
 
 
 def _in_world(twin: Twin, knots: int) -> Columns:
-    """Without the constant, which is the field itself: beside it, it would only loosen the gyroscope's noise."""
+    """Return splines in the world frame without their mean, which is the field itself and only weakens the links."""
     axes = np.swapaxes(twin.windows.need("to_sensor"), 0, 1)
     hats = _hats(twin.time, knots)
     hats -= hats.mean(axis=1)[:, None]
@@ -132,7 +140,7 @@ def _tilt(signals: Signals) -> Array:
 
 
 def _powers(vector: Array, least: int, most: int, bent: bool = False) -> Array:
-    """Monomials of the components from degree `least` to `most`; `bent` adds x|x|."""
+    """Return the monomials of the components from degree `least` to `most`; `bent` adds x|x|."""
     terms = []
     if least <= 1:
         terms += list(vector)
@@ -154,14 +162,14 @@ def _rate_squares(signals: Signals) -> Array:
 
 
 def _bent_rate(signals: Signals) -> Array:
-    """In units of the mean rate, so that the values are shares of it."""
+    """Return the monomials in units of the mean rate, so that their values are shares of it."""
     rate = signals.need("rate")
     mean = max(float(np.sqrt((rate**2).sum(axis=0).mean())), 1e-9)
     return mean * _powers(rate / mean, 1, 2, bent=True)
 
 
 def _uneven_lag(twin: Twin) -> Columns:
-    """Lags in proportion to the speed of turn, and against it; both as they are and per axis."""
+    """Return lags that grow and fall with the rate of turn; each per axis and common to the axes."""
     slope = twin.windows.need("field_rate")
     speed = np.linalg.norm(twin.windows.need("rate"), axis=0)
     speed = speed / max(float(np.sqrt((speed**2).mean())), 1e-9)
@@ -171,7 +179,7 @@ def _uneven_lag(twin: Twin) -> Columns:
 
 
 def _channel_field(kind: str) -> Callable[[Twin], Columns]:
-    """The field as it is times the channel first, then each of its components."""
+    """Return the columns of the field times the channel, then of each component of the field times the channel."""
 
     def columns(twin: Twin) -> Columns:
         value = _moving(twin.windows, kind)
@@ -184,7 +192,7 @@ def _channel_field(kind: str) -> Callable[[Twin], Columns]:
 
 
 def _tilts(signals: Signals) -> Array:
-    """Tilt, its products, and which way it leans."""
+    """Return the tilt, its products, and its sign relative to the mean."""
     tilt = _tilt(signals)
     lean = np.tanh(10 * (tilt - tilt.mean(axis=1)[:, None]))
     return np.concatenate([_powers(tilt, 1, 2), lean])
@@ -213,7 +221,7 @@ def _channel(signals: Signals, kind: str) -> Array:
 
 
 def _moving(signals: Signals, kind: str) -> Array:
-    """The rows of a channel that do not stand still, with zero mean and unit deviation."""
+    """Return the rows of a channel that are not constant, with zero mean and unit deviation."""
     value = signals.channels[kind]
     value = value[value.std(axis=1) > 0]
     result: Array = (value - value.mean(axis=1)[:, None]) / value.std(axis=1)[:, None]

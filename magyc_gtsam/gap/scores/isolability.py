@@ -1,7 +1,7 @@
-"""Which effects could be named with a motion, at what strength, and what they would be confused with.
+"""Effects that can be named with a motion, their smallest strength, and the effects they would be confused with.
 
-A strength is the length of an effect's vector of values. Values of random directions, in the noise of the twin, go
-through the score tests and the rules for names that `find_gap` has: the table says what a search would say first.
+The strength is the length of an effect's vector of values. Values of random directions, with the noise of the twin, are
+subjected to the score tests and naming rules of `find_gap`; the table contains the name that a search gives first.
 """
 
 from __future__ import annotations
@@ -28,15 +28,18 @@ from magyc_gtsam.gap.search.naming import Look, choices, rivals_of
 from magyc_gtsam.gap.search.search import look
 from magyc_gtsam.recording import Recording
 
-_DIRECTIONS = 500  # of the values, over which the power is a mean
+_DIRECTIONS = 500  # of the values, over which the power is averaged
 _TRIALS = 60  # of naming an effect
 
 
 def isolability(recording: Recording) -> tuple[Isolability, ...]:
-    """The table for a motion: a recording of it, real or simulated, at the noise that it has.
+    """Return the table for a motion.
+
+    Args:
+        recording: of the motion, real or simulated, with its noise.
 
     Raises:
-        MagycError: the motion or the data do not allow a calibration at all.
+        MagycError: the motion or the data do not allow a calibration.
     """
     noise = short_term_noise(recording)
     random = np.random.default_rng(0)
@@ -50,7 +53,7 @@ def isolability(recording: Recording) -> tuple[Isolability, ...]:
 
 
 def _named_only(now: Look) -> Look:
-    """A look at the named effects, in whose trials nothing is pulled by the gyroscope's noise, and none is vetoed."""
+    """Return a look at the named effects only, without score bias and without vetoes."""
     scores = [
         replace(s, variants=tuple(replace(v, offset=np.zeros_like(v.offset)) for v in s.variants))
         for s in now.scores
@@ -88,7 +91,7 @@ def _row(term: EffectTerm, score: Score, now: Look, random: np.random.Generator)
 
 
 def _seen(term: EffectTerm, one: Variant, now: Look, random: np.random.Generator) -> Array:
-    """(directions, r) what the test sees of values of length 1: nothing of those that the motion leaves open."""
+    """Return scores (directions, r) of values of length 1, without the part that the motion does not determine."""
     values = random.standard_normal((_DIRECTIONS, len(one.columns)))
     values /= np.linalg.norm(values, axis=1)[:, None]
     seen: Array = (values / term.deviations(now.refit.twin, one.setting)) @ (one.columns @ one.unit.T)
@@ -96,18 +99,18 @@ def _seen(term: EffectTerm, one: Variant, now: Look, random: np.random.Generator
 
 
 def _found_from(seen: Array, score: Score) -> float:
-    """The strength that is found with probability 0.9, of what is `seen` (directions, r) of length 1."""
+    """Return the strength found with probability 0.9, for scores `seen` (directions, r) of values of length 1."""
     rank = seen.shape[1]
     if rank == 0:
         return float("inf")
-    # Of the best setting, whose values may be fewer; what surprises as much counts here.
+    # The threshold applies to the best setting, whose rank may differ; the same −ln p is required at this rank.
     threshold = quantile(_surprise(score.threshold, score), rank)
     size = (seen**2).sum(axis=1)
 
     def power(strength: float) -> float:
         return float(ncx2.sf(threshold, rank, strength**2 * size).mean())
 
-    # With it even the direction that is seen worst is found.
+    # At this strength even the worst determined direction is found.
     enough = np.sqrt((4 * threshold + 100) / size.min())
     return float(
         np.exp(brentq(lambda log: power(np.exp(log)) - RULES.found_with, np.log(1e-6 * enough), np.log(enough)))
@@ -115,9 +118,15 @@ def _found_from(seen: Array, score: Score) -> float:
 
 
 def _confused(name: str, signatures: Array, now: Look, random: np.random.Generator) -> dict[str, float]:
-    """{other: share of the trials in which that name is given instead of an effect's own, or beside it}.
+    """Return the names that are given instead of an effect's own or beside it, with their share of the trials.
 
-    Those of most trials, most often first; `signatures` are (trials, 3n).
+    Only names above `RULES.confused` are returned, the most frequent first.
+
+    Args:
+        name: of the effect.
+        signatures: (trials, 3n) of the effect, whitened.
+        now: the look.
+        random: source of the noise.
     """
     given: list[set[str]] = []
     for trial in _trials(now, signatures + random.standard_normal(signatures.shape)):
@@ -131,7 +140,7 @@ def _confused(name: str, signatures: Array, now: Look, random: np.random.Generat
 
 
 def _trials(now: Look, innovations: Array) -> list[Look]:
-    """Looks at other innovations (trials, 3n)."""
+    """Return looks with other innovations (trials, 3n)."""
     scores = zip(*(_rescored(score, innovations) for score in now.scores), strict=True)
     return [
         replace(now, scores=sorted(each, key=lambda s: -s.evidence), innovation=innovation)
@@ -140,7 +149,7 @@ def _trials(now: Look, innovations: Array) -> list[Look]:
 
 
 def _rescored(score: Score, innovations: Array) -> list[Score]:
-    """A score of other innovations (trials, 3n)."""
+    """Return a score with other innovations (trials, 3n)."""
     ranks = np.array([len(v.unit) for v in score.variants])
     d = np.concatenate([v.unit for v in score.variants]) @ innovations.T
     statistics = np.array([(part**2).sum(axis=0) for part in np.split(d, np.cumsum(ranks)[:-1])])
@@ -161,7 +170,7 @@ def _rescored(score: Score, innovations: Array) -> list[Score]:
 
 
 def _surprise(statistic: float, score: Score) -> float:
-    """−ln p of a statistic at a score's best setting."""
+    """Return −ln p of a statistic at the best setting of a score."""
     return float(surprises(np.array([[statistic]]), np.array([len(score.variant.unit)]))[0, 0])
 
 

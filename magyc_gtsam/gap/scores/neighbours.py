@@ -1,9 +1,9 @@
-"""Neighbours of a named effect: its products with the other signals, which no name of the catalogue covers.
+"""Neighbours of a named effect: its products with other signals, which no effect of the catalogue covers.
 
-What looks like c(t) may be the mean of c(t) s(t), the next order of an expansion in a signal s: a hard iron that
-moves with temperature is in the mean what a sensitivity that moves with temperature is, a lag in the mean what a
-lag is that grows with the speed of turn. A name must explain the data clearly better than each product alone, and
-no product may be significant beside it.
+An effect of form c(t) may be the mean of c(t) s(t), the next order of an expansion in a signal s: a temperature
+dependent sensitivity resembles a temperature dependent hard iron, a lag that grows with the rate of turn resembles a
+constant lag. A named effect must explain the data clearly better than each product alone, and no product may be
+significant beside it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Product = Callable[[Array, Signals], Array]
 
 
 def neighbours(twin: Twin, name: str, setting: Setting) -> list[Family]:
-    """The products of an effect at a setting, as families."""
+    """Return the products of an effect at a setting, as families."""
     term = TERMS.get(name)
     if term is None:
         return []
@@ -34,13 +34,13 @@ def neighbours(twin: Twin, name: str, setting: Setting) -> list[Family]:
 
 
 def product_of(name: str) -> str | None:
-    """The effect whose neighbour a family is; None for other families."""
+    """Return the effect whose neighbour a family is; None for other families."""
     effect = name.partition("×")[0]
     return effect if effect in TERMS and effect != name else None
 
 
 def label_of(name: str) -> str:
-    """A neighbour in words."""
+    """Return the name of a neighbour in words."""
     effect, _, by = name.partition("×")
     return f"{TERMS[effect].label}, times {_WORDS[by]}"
 
@@ -57,18 +57,18 @@ def _normalised(signal: Array) -> Array:
 
 
 def _reading(columns: Array, signals: Signals) -> Array:
-    """A gain of each axis, on what the sensor reads: the hard iron has its share of it."""
+    """Multiply by a gain of each axis on the sensor's reading, which includes the hard iron."""
     reading = signals.need("field") + signals.need("hard_iron")[:, None]
     return columns * reading / np.sqrt((reading**2).mean())
 
 
 def _gain(columns: Array, signals: Signals) -> Array:
-    """A gain of each axis."""
+    """Multiply by a gain of each axis on the field."""
     return columns * _normalised(signals.need("field"))
 
 
 def _field(columns: Array, signals: Signals) -> Array:
-    """Any matrix on the field: a soft iron."""
+    """Multiply by a full matrix on the field, as a soft iron."""
     unit = _normalised(signals.need("field"))
     result: Array = (columns[:, None] * unit[None, :, None]).reshape(-1, *columns.shape[1:])
     return result
@@ -83,7 +83,7 @@ def _speed_squared(columns: Array, signals: Signals) -> Array:
 
 
 def _rate(columns: Array, signals: Signals) -> Array:
-    """A scale of each axis of the gyroscope."""
+    """Multiply by a scale factor of each axis of the gyroscope."""
     return columns * _normalised(signals.need("rate"))
 
 

@@ -1,4 +1,4 @@
-"""What chance alone would give: white or coloured draws of the innovations, and the tails of their statistics."""
+"""Null distribution of the score tests: white or coloured draws of the innovations, and the tails of the statistics."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from magyc_gtsam.gap.rules import RULES
 
 Draws = NDArray[np.float32]  # half the memory, and enough for a threshold
 TAIL = 0.9
-_ORDER = 12  # of the autoregression, at most
-_PASSES, _FEW = 3, 60  # of the draws through the filter, to find the spectrum
+_ORDER = 12  # maximum order of the autoregression
+_PASSES, _FEW = 3, 60  # iterations, and draws in each, to estimate the spectrum of the readings
 _BATCH = 100  # draws at a time
 
 
 def colour(innovation: Array, drawn: Callable[[Array], Array], white: Draws) -> Draws:
-    """Draws (3n, draws) of innovations that hang together as those of the data (3, n) do, where these do.
+    """Return draws (3n, draws) of innovations with the autocorrelation of the data's, if these are autocorrelated.
 
-    Colour is drawn where it is, in the reading, and goes through the twin's filter, as what is in it does: on a turn
-    the filter mixes the axes, and on a straight leg the direction follows what is slow. The spectrum of the reading is
-    the one with which the innovations have that of the data, both of an autoregression, each axis by itself.
+    Coloured noise is drawn in the reading and filtered by the twin, because the colour of the data arises in the
+    reading: during a turn the filter mixes the axes, and on a straight leg the direction follows slow errors. The
+    spectrum of the reading is iterated until the innovations have the spectrum of the data; both are spectra of
+    autoregressions, each axis separately.
 
     Args:
-        innovation: freed of the base model, and of what would pass for its colour; the draws have its level.
-        drawn: innovations (k, 3, n), freed of the base model, of k draws (k, 3, n) of the windows' noise.
-        white: (3n, draws) white draws; what is returned where the data are white.
+        innovation: (3, n) after the projection, without effects that would be taken for colour; the draws have its
+            standard deviation.
+        drawn: function that returns the projected innovations (k, 3, n) of draws (k, 3, n) of the windows' noise.
+        white: (3n, draws) white draws, returned if the data are white.
     """
     order = memory(innovation)
     if not order:
@@ -51,7 +53,7 @@ def colour(innovation: Array, drawn: Callable[[Array], Array], white: Draws) -> 
 
 
 def _spectrum(rows: Array, order: int) -> Array:
-    """(3, n // 2 + 1) of the autoregressions of draws (k, 3, n), each axis by itself."""
+    """Return the spectra (3, n // 2 + 1) of the autoregressions of draws (k, 3, n), each axis separately."""
     n = rows.shape[2]
     turn = np.exp(-2j * np.pi * np.outer(np.fft.rfftfreq(n), np.arange(1, order + 1)))
     fits = [autoregression(rows[:, axis], order) for axis in range(3)]
@@ -59,7 +61,7 @@ def _spectrum(rows: Array, order: int) -> Array:
 
 
 def memory(innovation: Array) -> int:
-    """The longest lag at which innovations (3, n), all axes together, significantly hang together; 0 for white."""
+    """Return the longest significant lag of the autocorrelation of innovations (3, n), axes together; 0 if white."""
     n = innovation.shape[1]
     total = float(np.vdot(innovation, innovation))
     lags = range(1, min(_ORDER, n // 4) + 1)
@@ -69,7 +71,7 @@ def memory(innovation: Array) -> int:
 
 
 def autoregression(rows: Array, order: int) -> tuple[Array, float]:
-    """(order,) coefficients of rows (..., n) by Yule–Walker, and the power that they leave."""
+    """Return the Yule–Walker coefficients (order,) of rows (..., n), and the power of their prediction errors."""
     n = rows.shape[-1]
     r = np.array([np.vdot(rows[..., lag:], rows[..., : n - lag]) for lag in range(order + 1)]) / rows.size
     coefficients = solve_toeplitz(r[:-1], r[1:])
@@ -77,7 +79,7 @@ def autoregression(rows: Array, order: int) -> tuple[Array, float]:
 
 
 def surprises(statistic: Array, ranks: Array) -> Array:
-    """−ln P(χ² > statistic), beyond where the tables end by the asymptotic series."""
+    """Return −ln P(χ² > statistic); by the asymptotic series where the probability underflows."""
     half_k = 0.5 * np.maximum(ranks, 1)[:, None].astype(float)
     half = 0.5 * np.maximum(statistic, 1e-9)
     table = gammaincc(half_k, half)
@@ -86,20 +88,20 @@ def surprises(statistic: Array, ranks: Array) -> Array:
 
 
 def largest_surprises(statistic: Array, ranks: np.ndarray) -> Array:
-    """(draws,) largest −ln p over the variants of statistics (variants, draws), one table look-up for each rank."""
+    """Return the largest −ln p (draws,) over the variants of statistics (variants, draws)."""
     best = [surprises(statistic[ranks == r].max(axis=0)[None], np.array([r]))[0] for r in np.unique(ranks)]
     return np.max(best, axis=0)
 
 
 def quantile(surprise: float, rank: int) -> float:
-    """The statistic whose −ln p is `surprise`."""
+    """Return the statistic whose −ln p is `surprise`."""
     if surprise < 600:
         return 2 * float(gammainccinv(0.5 * rank, np.exp(-surprise)))
     return 2 * (surprise + (0.5 * rank - 1) * np.log(surprise) - float(gammaln(0.5 * rank)))
 
 
 def tail(largest: Array) -> tuple[float, float]:
-    """The 90 % point of the draws' maxima and the slope of the exponential beyond it."""
+    """Return the 90 % quantile of the draws' maxima and the mean excess above it, the slope of the tail, at least 1."""
     level = float(np.quantile(largest, TAIL))
     beyond = largest[largest > level] - level
     return level, max(float(beyond.mean()) if len(beyond) else 1.0, 1.0)

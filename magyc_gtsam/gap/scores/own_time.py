@@ -1,8 +1,8 @@
-"""Whether a channel explains the data by what it shows, or as any signal of its kind would.
+"""Circular-shift test: whether a channel explains the data better than any signal with the same spectrum.
 
-Slow signals agree by chance: a room's field that changes while the vehicle wanders is explained by any depth that
-wanders too, far beyond what independent samples would allow. The same channel, shifted in time round the recording,
-has its spectrum and nothing to do with the data; what is caused by the channel is explained by it at its own time.
+Slow signals are correlated by chance: a room's field that changes while the vehicle moves is explained by any depth
+that changes, too, far beyond what independent samples would allow. The same channel, shifted circularly in time, has
+the same spectrum and no relation to the data; an effect caused by the channel is explained best without a shift.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from magyc_gtsam.gap.model.variants import Projector, variant
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.score import Score
 
-_SHIFTS = 32  # of the recording's length
+_SHIFTS = 32  # equal parts of the recording's length
 
 
 def in_its_own_time(score: Score, twin: Twin, innovation: Array, projector: Projector) -> bool:
-    """Whether an effect explains more with its channels at their own time than at nearly all others.
+    """Return whether an effect explains more with its channels unshifted than with nearly all circular shifts.
 
-    Effects without a channel do; the acceleration is no channel, it comes of the motion. A shift by less than what a
-    slow channel hangs together over is no other time.
+    Effects without a channel pass; the acceleration does not count as one, because it follows from the motion. A shift
+    shorter than the correlation time of a slow channel is left out.
     """
     term = TERMS[score.name]
     if not set(term.channels) - {"acceleration"}:
@@ -45,7 +45,7 @@ def in_its_own_time(score: Score, twin: Twin, innovation: Array, projector: Proj
 
 
 def _shifted(twin: Twin, share: float) -> Twin:
-    """A twin whose channels are late by a share of the recording, and begin with what would be beyond its end."""
+    """Return a twin whose channels are shifted circularly by a share of the recording, towards later times."""
 
     def late(signals: Signals) -> Signals:
         rolled = {k: np.roll(v, round(share * v.shape[1]), axis=1) for k, v in signals.channels.items()}

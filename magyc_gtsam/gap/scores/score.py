@@ -1,12 +1,12 @@
-"""Score tests: what each candidate would gain if it were added, for all candidates at once.
+"""Score tests: the gain in likelihood from adding each candidate, for all candidates together, without a refit.
 
-Candidates are eliminated last: their innovations are freed of the base model's columns and made orthonormal, so
-that the statistic of a candidate is ‖d‖², d = Cᵀ v, and its expected value R⁻¹ d; no refit is needed. What must be
-searched over (the time of a step) is a set of variants, of which the best counts.
+The innovations of a candidate are projected on the complement of the base model's columns and made orthonormal, so that
+its statistic is ‖d‖², d = Cᵀ v, and its expected value R⁻¹ d. A grid search (over the time of a step, for example) is a
+set of variants, of which the best counts.
 
-Thresholds come from the twin: its innovations are drawn (white, or with the colour that the data's have) and go
-through the same projections. Of a candidate's largest −ln p over its variants, the upper tail of the draws is
-exponential and is extrapolated from their upper tenth; χ² tables know neither the search nor the colour.
+Thresholds come from the twin: its innovations are drawn (white, or with the colour of the data's) and projected in the
+same way. The upper tail of a candidate's largest −ln p over its variants is exponential, and is extrapolated from the
+upper tenth of the draws; tables of χ² account neither for the grid search nor for the colour.
 """
 
 from __future__ import annotations
@@ -31,17 +31,20 @@ DRAWS = 500
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """A candidate's test.
+    """The score test of a candidate.
 
     Attributes:
-        name: of the catalogue or of a generic family; `generic` says which, `place` where it lives.
-        variants: all that were tried, `best` the index of the one that counts.
-        statistic: ‖d‖² there.
-        evidence: −ln of its p-value against the white twin, the search accounted for; ranks candidates.
-        significance: the same against the twin with the data's colour, where that is less; decides.
-        threshold: the family-wise level in terms of the statistic.
-        limit: the family-wise level in terms of `significance`.
-        expected, covariance: the value to expect (k,) and its covariance (k, k).
+        name: of the catalogue or of a generic family.
+        generic: True for a generic family.
+        place: the variable that a generic family depends on, in words.
+        variants: all settings of the grid search.
+        best: index of the best variant.
+        statistic: ‖d‖² of the best variant.
+        evidence: −ln of its p-value for white innovations, corrected for the grid search; ranks the candidates.
+        significance: the same for innovations with the colour of the data, if that is less; decides.
+        threshold: the family-wise level of `statistic`.
+        limit: the family-wise level of `significance`.
+        expected, covariance: expected value (k,) and its covariance (k, k).
     """
 
     name: str
@@ -59,22 +62,22 @@ class Score:
 
     @property
     def variant(self) -> Variant:
-        """The one that counts."""
+        """Return the best variant."""
         return self.variants[self.best]
 
     @property
     def significant(self) -> bool:
-        """Whether it passes the family-wise level."""
+        """Return whether it passes the family-wise level."""
         return self.significance > self.limit
 
     def smallest(self, twin: Twin) -> float:
-        """The smallest value of a named effect that matters, of the parameter in which it is found worst."""
+        """Return the smallest value of a named effect that matters, for its least determined parameter."""
         term = TERMS[self.name]
         each = np.broadcast_to(term.matters / term.deviations(twin, self.variant.setting), self.expected.shape)
         return float(each[np.argmax(np.diag(self.covariance) / each**2)])
 
     def power(self, twin: Twin) -> float:
-        """Probability of passing the threshold for the smallest value of a named effect that matters."""
+        """Return the probability that the smallest value of a named effect that matters passes the threshold."""
         if not len(self.variant.unit):
             return 0.0
         term = TERMS[self.name]
@@ -84,7 +87,7 @@ class Score:
 
 
 def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[str, tuple[str, list[Variant]]]:
-    """{name: (place, variants)} of the named effects that can be tested, then of the generic families."""
+    """Return {name: (place, variants)} of the named effects that can be tested, then of the generic families."""
     result: dict[str, tuple[str, list[Variant]]] = {}
     for name in names:
         term = TERMS[name]
@@ -104,7 +107,7 @@ def candidates(twin: Twin, project: Projector, names: tuple[str, ...]) -> dict[s
 
 
 def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
-    """A generic family as a whole and, where no named effect lies in it, each of its profiles and columns."""
+    """Return the variants of a generic family: the whole, and its parts."""
     columns = family.columns(twin)
     rows = twin.whiten(columns)
     pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
@@ -121,7 +124,11 @@ def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
 
 
 def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tuple[list[Score], Array, Projector]:
-    """Score every candidate against the twin's model, strongest first; the innovations freed of the base model."""
+    """Score every candidate against the twin's model.
+
+    Returns:
+        The scores, strongest first, the projected innovations, and the projection.
+    """
     project = Projector(twin.base_columns, twin.base_pull)
     innovation = project(twin.residual().reshape(1, -1))[0]
     found = candidates(twin, project, names)
@@ -154,7 +161,7 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
         rank = max(int(ranks[rows][best]), 1)
         beyond = limit + np.log(1 - TAIL)
         needed = max(level + slope * beyond, level_white + beyond)
-        evidence = float(surprise[best] - level_white - np.log(1 - TAIL))  # white: its slope is 1
+        evidence = float(surprise[best] - level_white - np.log(1 - TAIL))  # slope 1 for white innovations
         significance = float((surprise[best] - level) / slope - np.log(1 - TAIL))
         scores.append(
             Score(
@@ -177,7 +184,7 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
 
 
 def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant]]]) -> Array:
-    """The innovations less what the best named effect explains, if much: else it would pass for its own colour."""
+    """Subtract what the best named effect explains, if much, from the innovations: it would count as their colour."""
     named = [v for name, (_, many) in found.items() if name in TERMS for v in many if len(v.unit)]
     pulls = [v.score(innovation) for v in named]
     if not named:
@@ -189,7 +196,7 @@ def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant
 
 
 def _statistics(d: Draws, starts: np.ndarray, ranks: np.ndarray) -> Array:
-    """(variants, draws) squared lengths of stacked d."""
+    """Return the squared lengths (variants, draws) of stacked scores d."""
     padded = np.concatenate([d * d, np.zeros((1, d.shape[1]), d.dtype)])
     result = np.add.reduceat(padded, starts, axis=0).astype(float)
     result[ranks == 0] = 0.0
@@ -197,10 +204,13 @@ def _statistics(d: Draws, starts: np.ndarray, ranks: np.ndarray) -> Array:
 
 
 def held_out_gain(base: Array, columns: Array, residual: Array, block: Array) -> float:
-    """Gain in log-likelihood (nats) of adding columns, on blocks of rows that they were not fitted to.
+    """Return the gain in log-likelihood (nats) of adding columns, on blocks of rows that were not fitted.
 
     Args:
-        base: (q, rows), columns: (k, rows), residual: (rows,), all whitened; block: (rows,) 0 or 1.
+        base: (q, rows) whitened.
+        columns: (k, rows) whitened.
+        residual: (rows,) whitened.
+        block: (rows,) 0 or 1.
     """
     gain = 0.0
     design = np.concatenate([base, columns])
@@ -220,5 +230,5 @@ def held_out_gain(base: Array, columns: Array, residual: Array, block: Array) ->
 
 
 def interleaved(time: Array, length: float) -> Array:
-    """(3n,) 0 or 1 in turn, in blocks of `length` s, for innovations stacked axis by axis."""
+    """Return alternately 0 and 1 (3n,) in blocks of `length` s, for innovations stacked axis by axis."""
     return np.tile(np.floor((time - time[0]) / length).astype(int) % 2, 3)
