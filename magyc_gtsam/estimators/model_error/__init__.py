@@ -1,4 +1,4 @@
-"""By how much what the model lacks may have moved a calibration: variance components at the minimum of a fit."""
+"""The calibration error caused by effects that the model lacks, by variance components at the minimum of a fit."""
 
 from magyc_gtsam.estimators.model_error.model_error import ModelError, model_error
 

@@ -1,9 +1,10 @@
-"""What an instrument may do and the data can neither show nor exclude: averaging over models.
+"""Bayesian model averaging over effects that the data can neither show nor exclude.
 
-A family with odds π beforehand has amplitudes up to its largest, each octave alike. With L(v) the likelihood of
-`components` over that of none, the odds that it is there are π times the mean of L(v), and what is then known of its
-coefficients is E[β βᵀ], averaged over v likewise (Hoeting and others, Bayesian model averaging, Statist. Sci. 1999).
-No threshold: what the data exclude is small, what they show counts in full, and in between it counts by its odds.
+A family with prior odds π has amplitudes up to a largest one, each octave equally probable. With L(v) the likelihood
+ratio of `components` against v = 0, the posterior odds are π times the mean of L(v) over the octaves, and the second
+moment of the coefficients, E[β βᵀ], is averaged over v with weights L(v) (Hoeting and others, Bayesian model averaging,
+Statist. Sci. 1999). No threshold is needed: the probability of an effect is close to 0 if the data exclude it and close
+to 1 if they show it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,13 @@ from magyc_gtsam.factors.chain.rotations import Array
 
 
 class Averaged(NamedTuple):
-    """Of one family: ln of the mean likelihood over that of none, E[β βᵀ] (k, k), and the mean amplitude."""
+    """The average of one family over its amplitudes.
+
+    Attributes:
+        evidence: log of the mean likelihood ratio against no effect.
+        second: (k, k) E[β βᵀ].
+        amplitude: root mean square amplitude.
+    """
 
     evidence: float
     second: Array
@@ -26,14 +33,14 @@ class Averaged(NamedTuple):
 
 
 def averaged(normal: Array, score: Array, square: float, freedom: float, most: float, octaves: int) -> Averaged:
-    """Of one group with G (k, k) and s (k,) over `octaves` of amplitude from `most` down, in its columns' unit."""
+    """Average a group with G (k, k) and s (k,) over `octaves` of amplitude from `most` down, in its columns' unit."""
     return averaged_of_each([principal(normal, score)], square, freedom, [most], [octaves])[0]
 
 
 def averaged_of_each(
     groups: Sequence[Principal], square: float, freedom: float, most: Sequence[float], octaves: Sequence[int]
 ) -> list[Averaged]:
-    """Of groups each by itself, over the octaves of each from the `most` of each down; `square` is yᵀy."""
+    """Average each group by itself, over its number of `octaves` from its `most` down; `square` is yᵀy."""
     value, pull = stacked(groups)
     halvings = np.arange(max(octaves, default=0))
     variance = np.square(most)[:, None] * (freedom / square) * 0.25**halvings

@@ -1,4 +1,4 @@
-"""One thing that a model lacks, and columns that stand for it beside a fit."""
+"""One unmodelled effect, and the test of its columns beside a fit."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from magyc_gtsam.estimators.model_error.principal import Principal, principal
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, New
 from magyc_gtsam.factors.chain.rotations import Array
 
-_SAYS = 1.0  # nats of gain, below which nothing depends on a family
-# Of what is new in a column, the share that may be the gyroscope's noise: 0.02 at most on the four motions of the
-# papers, 0.03 to 0.6 on vehicles that hardly tilt or turn at 0.03 rad/s, where scores are off by 3 to 17 nats.
+_SAYS = 1.0  # gain in nats below which the columns of a family need no check for noise
+# Largest share of the gyroscope's noise in the information of a column: it is at most 0.02 on the four motions of the
+# papers, and 0.03 to 0.6 on vehicles that hardly tilt or turn at 0.03 rad/s, where scores are off by 3 to 17 nats.
 _NOISE_SHARE = 0.03
-# Of a column, the share that terms of the model must leave: they are made of samples, columns of windows, so that one
-# of a term's own form keeps 0.001 to 0.005 of the gyroscope's noise.
+# Smallest share of a column's information that must remain beside the terms of the model. Terms are computed from
+# samples and columns from windows, so that a column of the same form as a term keeps 0.001 to 0.005 of it by the
+# gyroscope's noise.
 _BESIDE_TERMS = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Component:
-    """One thing that the model lacks.
+    """An effect that the model lacks.
 
     Attributes:
-        name: short; sentence: where it is and how large, in plain words.
-        size: root mean square an axis: T of the field, rad/s or a share of the rate on the gyroscope.
-        gain: of the log-likelihood, by itself.
-        covariance: (P, P) of θ. Those of several need not add up to the whole, for they go together.
-        period: s, of its variation in time; None where it is not one of time.
-        of_place: whether it is the field of the place that varies.
-        share: of 1, its probability.
+        name: short name; sentence: what it acts on and its size, in plain words.
+        size: root mean square per axis: T for the field, rad/s or a share of the rate for the gyroscope.
+        gain: in log-likelihood, for the effect by itself.
+        covariance: (P, P) of θ. Those of several effects need not add up to the total, because they are correlated.
+        period: s, of its variation in time; None if it is not a function of time.
+        of_place: whether it is a variation of the ambient field.
+        share: its posterior probability.
     """
 
     name: str
@@ -50,9 +51,14 @@ class Component:
 
 
 class Tested(NamedTuple):
-    """A family beside a fit: its columns' products, their principal axes, and its gain in log-likelihood by itself.
+    """The score test of a family beside a fit.
 
-    `moving` are the columns that move the parameters: more than `new`, of which the data say something.
+    Attributes:
+        family: the tested family.
+        new: products of the columns that the data inform on.
+        principal: their principal axes.
+        gain: in log-likelihood, for the family by itself.
+        moving: products of the columns that move the parameters, a superset of `new`.
     """
 
     family: ColumnFamily
@@ -63,7 +69,10 @@ class Tested(NamedTuple):
 
 
 def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Tested]) -> list[Array]:
-    """(P, k) of each by how much a unit of each column puts the parameters off those that hold at the end."""
+    """Return, for each family, the parameter error (P, k) per unit of each column.
+
+    The error is relative to the parameters that hold at the end of the recording.
+    """
     result = beside.moves([each.moving for each in families])
     for each, move in zip(families, result, strict=True):
         if each.family.at_end is not None:
@@ -73,13 +82,13 @@ def moves(beside: ColumnProducts, motion: WindowMotion, families: Sequence[Teste
 
 
 def tested(beside: ColumnProducts, motion: WindowMotion, families: Sequence[ColumnFamily]) -> list[Tested]:
-    """Each family by itself."""
+    """Test each family by itself."""
     new = beside.of_each([partial(family.columns_of, motion) for family in families])
     return [_informative(beside, motion, each) for each in _tested(beside, families, new)]
 
 
 def _beside_terms(new: New) -> np.ndarray:
-    """(k,) bool, which columns are more than terms of the model."""
+    """Return (k,) bool, whether each column differs from the terms of the model."""
     result: np.ndarray = new.left_by_terms > _BESIDE_TERMS
     return result
 
@@ -93,10 +102,11 @@ def _tested(beside: ColumnProducts, families: Sequence[ColumnFamily], new: Seque
 
 
 def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
-    """Where the data speak for the family: without the columns that are terms, or that the gyroscope's noise makes up.
+    """Return the test without columns that repeat terms of the model or consist of the gyroscope's noise.
 
-    That noise is in the residual as well, so that the score of such a column is biased. It moves the parameters all the
-    same, with the amplitude that it has by its odds, or that the others show.
+    That noise is in the residual as well, so the score of such a column is biased. The effect of the column on the
+    parameters stays in `moving`, with the amplitude by its prior odds or by the other columns. Tests with little gain
+    are returned unchanged.
     """
     family, more = tested.family, _beside_terms(tested.new)
     if tested.gain < _SAYS or (more.all() and not (family.from_rate or family.mixed)):
@@ -114,7 +124,7 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
 
 
 def _without_noisy_mixtures(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -> Tested:
-    """As `_informative`, without mixtures of columns that the gyroscope's noise makes up."""
+    """Return the test without linear combinations of columns that consist of the gyroscope's noise."""
     family, columns = tested.family, tested.family.columns_of(motion).dense
     noise = beside.of(columns.less(family.columns_of(motion.noisier).dense)).normal
     value, axes, _ = tested.principal

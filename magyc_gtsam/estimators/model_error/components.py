@@ -1,13 +1,14 @@
 """Amplitudes of groups of columns by restricted maximum likelihood (Patterson and Thompson 1971).
 
 Each group f has coefficients β_f ~ N(0, φ v_f I) beside white innovations of variance φ. With G, s and
-yᵀy = rᵀ P r of `beside`, ν degrees of freedom and φ profiled, twice the log-likelihood is, V = diag(v),
+yᵀy = rᵀ P r of `beside`, ν degrees of freedom, φ profiled out and V = diag(v), twice the log-likelihood is
 
     −ν ln(yᵀy − sᵀ (G + V⁻¹)⁻¹ s) − ln det(I + V G).
 
-One group at a time with the others held, it is a function of one variance and the group's own eigenvalues.
-A direction of a group that the model has already leaves nothing to learn from (its eigenvalue is zero) and keeps the
-variance that the others showed: what has the iron's own shape on this motion widens it.
+For one group with the others held fixed, it is a function of one variance and the group's eigenvalues. A direction of a
+group that coincides with the model has eigenvalue zero: the data do not inform on it, and it takes the variance
+estimated from the group's other directions. An effect with the shape of the iron on this motion therefore widens the
+iron's covariance.
 """
 
 from __future__ import annotations
@@ -21,28 +22,28 @@ from scipy.linalg import cho_factor, cho_solve
 from magyc_gtsam.estimators.model_error.principal import Principal, principal
 from magyc_gtsam.factors.chain.rotations import Array
 
-_TRIED = np.geomspace(1e-8, 1, 48)  # variances, of the largest
-_SWEEPS = 3  # of the groups, until their amplitudes stand still
-_STILL = 0.1  # relative change of a variance
-_ASKED = 3.0  # gain in log-likelihood that a group must bring beside the others
+_TRIED = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
+_SWEEPS = 3  # most sweeps over the groups
+_STILL = 0.1  # relative change of a variance below which it has converged
+_ASKED = 3.0  # gain in log-likelihood that a group must have beside the others
 
 
 class Likeliest(NamedTuple):
-    """A variance v, and its gain in log-likelihood over none."""
+    """The likeliest variance v, and its gain in log-likelihood over v = 0."""
 
     variance: float
     gain: float
 
 
 def likeliest(normal: Array, score: Array, square: float, freedom: float, most: float) -> Likeliest:
-    """Of one group with G (k, k) and s (k,), the likeliest variance up to `most`; `square` is yᵀy."""
+    """Return the likeliest variance up to `most` of a group with G (k, k) and s (k,); `square` is yᵀy."""
     return likeliest_of_each([principal(normal, score)], square, freedom, [most])[0]
 
 
 def likeliest_of_each(
     groups: Sequence[Principal], square: float, freedom: float, most: Sequence[float]
 ) -> list[Likeliest]:
-    """Of groups each by itself, the likeliest variances up to the `most` of each."""
+    """Return the likeliest variance of each group by itself, up to its entry of `most`."""
     if not groups:
         return []
     sizes = [len(group.value) for group in groups]
@@ -59,7 +60,15 @@ def likeliest_of_each(
 
 
 class Components(NamedTuple):
-    """Amplitudes (f,) in the columns' units, φ, and of all columns E[β βᵀ] (K, K), E[β] and v (K,)."""
+    """The jointly fitted groups.
+
+    Attributes:
+        amplitude: (f,) in the columns' units.
+        level: φ.
+        second: (K, K) E[β βᵀ] of all columns.
+        mean: (K,) E[β].
+        variance: (K,) v.
+    """
 
     amplitude: Array
     level: float
@@ -71,11 +80,11 @@ class Components(NamedTuple):
 def fit_components(
     normal: Array, score: Array, square: float, groups: Sequence[slice], most: Sequence[float], freedom: float
 ) -> Components:
-    """All groups' amplitudes by coordinate ascent, in the order given, and what is then known of β.
+    """Fit the amplitudes of all groups by coordinate ascent, in the order given, and return the posterior of β.
 
     Args:
-        normal, score, square: G (K, K), s (K,) and yᵀy of all.
-        groups: each group's columns; most: its largest amplitude, in its columns' unit.
+        normal, score, square: G (K, K), s (K,) and yᵀy of all columns.
+        groups: the columns of each group; most: the largest amplitude of each, in its columns' unit.
         freedom: ν.
     """
     variance, prior, level = np.zeros(len(groups)), np.zeros(len(score)), square / freedom
@@ -97,10 +106,13 @@ def fit_components(
 
 
 class Held(NamedTuple):
-    """Columns whose variances are held.
+    """Columns whose variances are held fixed.
 
-    active (K,): those with one; factor: of their G + V⁻¹, and solved: its solution for their s; left: the square that
-    they leave.
+    Attributes:
+        active: (K,) bool, columns with a variance above 0.
+        factor: Cholesky factor of G + V⁻¹ of the active columns; None if there are none.
+        solved: (G + V⁻¹)⁻¹ s of the active columns.
+        left: yᵀy − sᵀ (G + V⁻¹)⁻¹ s.
     """
 
     active: np.ndarray
@@ -110,7 +122,7 @@ class Held(NamedTuple):
 
     @classmethod
     def of(cls, normal: Array, score: Array, prior: Array, square: float) -> Held:
-        """With G (K, K), s (K,), variances over φ (K,) and yᵀy."""
+        """Factorise columns with G (K, K), s (K,), variances over φ (K,) and yᵀy."""
         active = prior > 0
         if not active.any():
             return cls(active, None, np.zeros(0), square)
@@ -119,7 +131,7 @@ class Held(NamedTuple):
         return cls(active, factor, solved, square - float(score[active] @ solved))
 
     def explained(self, across: Array) -> tuple[Array, Array]:
-        """What they explain of others' G (k, k) and s (k,), whose block of G with all columns is `across` (K, k)."""
+        """Return what these columns explain of others' G (k, k) and s (k,), given their common block of G (K, k)."""
         if self.factor is None:
             return np.zeros((across.shape[1], across.shape[1])), np.zeros(across.shape[1])
         some = across[self.active]
@@ -129,7 +141,7 @@ class Held(NamedTuple):
 def _posterior(
     normal: Array, score: Array, prior: Array, square: float, freedom: float
 ) -> tuple[Array, float, Array]:
-    """E[β βᵀ] (K, K), φ, and E[β] (K,); zero for columns without a variance."""
+    """Return E[β βᵀ] (K, K), φ, and E[β] (K,); moments are zero for columns without a variance."""
     active = prior > 0
     second, mean = np.zeros((len(prior), len(prior))), np.zeros(len(prior))
     if not active.any():

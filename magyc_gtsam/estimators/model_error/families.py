@@ -1,7 +1,7 @@
-"""What real recordings have and the model lacks, as groups of columns with one amplitude each.
+"""Families of unmodelled effects in real recordings, as groups of columns with one amplitude each.
 
-Generic on purpose: functions of time, of the direction of the field, of the attitude, of the rate of turn and of
-their products, on the magnetometer and on the gyroscope. Each says in plain words where it lives. Their units make
+They are generic: functions of time, of the direction of the field, of the attitude, of the rate of turn and of their
+products, on the magnetometer and on the gyroscope. Each has a plain-language description. Common units make the
 amplitudes comparable: shares of the field strength, or rad/s.
 """
 
@@ -19,17 +19,17 @@ from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
 _SLOWEST, _FASTER = (1, 4), (7, 21)  # half waves in the recording of the slowest and of the faster variation
-# Odds beforehand that something is there at all. They set what clean logs pay, ten minutes at 10 Hz: with those given
-# the mean NEES of 11 falls by 0.5 to 0.7, on tiny motion by 1.2, and the axis of hard iron and bias that is widened
-# most is 1.05 to 1.06 times as wide in the median, 1.13 on tiny. It is 11 over instruments that have such errors as
-# often as this says. A bend as likely as not would cost 1.04 to 1.12 times, for a 2 % bend that is still missed in 11
-# of 60 logs on moderate and tiny motion instead of in 15 and 19 (of 23 and 27 with COMMON odds).
-EVEN = 1.0  # what something else says that is measured
-LIKELY = 0.3  # what is stated of the full scale: 0.1 % of 800 µT is 1.6 % of the field
-COMMON = 0.1  # what every data sheet states as one number
-USUAL = 0.05  # what some do
-SELDOM = 0.02  # a gradient on an arm, which moves hardly anything of a clean log
-GENERAL = 2.5e-3  # what has no one cause: with so many families some gain 6 nats by chance
+# Prior odds of an effect. They determine the cost for clean logs (ten minutes at 10 Hz): the mean NEES falls from 11 by
+# 0.5 to 0.7, on tiny motion by 1.2, and the axis of hard iron and bias that is widened most is wider by a median factor
+# of 1.05 to 1.06, on tiny motion 1.13. The NEES is 11 over instruments that have such errors as often as these odds
+# state. Even odds for a bend would widen it by a factor of 1.04 to 1.12; a 2 % bend would then still be missed in 11 of
+# 60 logs on moderate and on tiny motion, instead of in 15 and 19 (23 and 27 with COMMON odds).
+EVEN = 1.0  # effects of which another measured quantity gives the size
+LIKELY = 0.3  # errors stated as a share of the full scale: 0.1 % of 800 µT is 1.6 % of the field
+COMMON = 0.1  # errors that every data sheet states as one number
+USUAL = 0.05  # errors of some sensors
+SELDOM = 0.02  # a field gradient with a lever arm, which hardly moves the parameters of a clean log
+GENERAL = 2.5e-3  # effects without a specific cause: with so many families some gain 6 nats by chance
 
 
 @dataclass(frozen=True)
@@ -37,23 +37,26 @@ class ColumnFamily:
     """A group of columns with one amplitude.
 
     Attributes:
-        name: short.
-        place: where it lives, in plain words; `{}` stands for its size.
-        columns: of a motion.
-        most: largest amplitude of a column that is physical: a share of the field strength; on the gyroscope rad/s,
-            or a share of its rate. What the motion does not show of a family has up to this.
-        functions: of which an axis has one column each.
-        first: whether it is in the first test, which decides if the others are looked at.
-        of_place: whether it is the field of the place that varies.
-        of_iron: whether it is the hard iron that varies: no single value of it holds, by as much.
+        name: short name.
+        place: what it acts on, in plain words; `{}` stands for its size.
+        columns: function that computes the columns from a motion.
+        most: largest physically plausible amplitude of a column: a share of the field strength; on the gyroscope rad/s,
+            or a share of its rate. It bounds directions of the family that the motion does not observe.
+        functions: number of functions, each of which gives one column per axis.
+        first: whether it belongs to the first test, which decides whether the others are tested.
+        of_place: whether it is a variation of the ambient field.
+        of_iron: whether it is a variation of the hard iron; its size then adds to the hard iron's sigma.
         unit: "field", "rate" (rad/s), "share", "time" (s) or "filter" (s²).
-        prior: odds, before the data, that it is there at all.
-        expected: of a motion, the largest amplitude that what is known otherwise leaves; None where that is `most`.
-        octaves: of amplitude, downwards from the largest, each as likely as the other.
-        from_rate: whether the columns are made of changes of the measured rate of turn.
-        mixed: whether mixtures of its columns are what the gyroscope's noise makes up. The data say nothing of these.
-        at_end: of a motion, (13, k) by how much the parameters at the end of the recording differ from their mean.
-        waves: half waves in the recording, from and up to; None where it is not one of time.
+        waves: number of half waves in the recording, from (inclusive) and to (exclusive); None if not a function of
+            time.
+        prior: prior odds of the effect.
+        at_end: function that computes from a motion (13, k) by how much the parameters at the end of the recording
+            differ from their mean, per unit of each column.
+        expected: function that computes from a motion the largest plausible amplitude by other knowledge; None if it is
+            `most`.
+        octaves: number of octaves of amplitude, from the largest down, with equal prior probability.
+        from_rate: whether the columns depend on changes of the measured rate of turn.
+        mixed: whether some linear combinations of the columns consist of the gyroscope's noise and are to be removed.
     """
 
     name: str
@@ -74,28 +77,28 @@ class ColumnFamily:
     mixed: bool = False
 
     def columns_of(self, motion: WindowMotion) -> Columns:
-        """The columns of a motion; of what is on the gyroscope also by the motion while the field was not measured."""
+        """Return the columns of a motion; on the gyroscope they include the motion while the field was not measured."""
         return self.columns(motion.along_links if self.name.startswith("gyroscope:") else motion)
 
     def likely(self, motion: WindowMotion) -> float:
-        """The largest amplitude that is believed before the data show one."""
+        """Return the largest amplitude under the prior."""
         return self.most if self.expected is None else min(self.expected(motion), self.most)
 
     def size(self, amplitude: float, motion: WindowMotion) -> float:
-        """Root mean square an axis of an amplitude of each column: T, rad/s, a share or s."""
+        """Return the root mean square per axis, in T, rad/s, s or as a share, of columns with this amplitude."""
         if self.unit == "filter":
             return float(np.sqrt(2 * amplitude))
         scale = motion.strength if self.unit == "field" else 1.0
         return amplitude * scale * float(np.sqrt(self.functions))
 
     def period(self, motion: WindowMotion) -> float | None:
-        """s, the middle one of its waves."""
+        """Return the period, in s, of the middle one of its waves; None if it is not a function of time."""
         if self.waves is None:
             return None
         return 4 * float(motion.time[-1] - motion.time[0]) / sum(self.waves)
 
     def sentence(self, size: float, period: float | None) -> str:
-        """Where it is and how large."""
+        """Return a sentence on what it acts on and its size."""
         scale, unit = {"field": (1e6, "µT"), "rate": (1e3, "mrad/s"), "share": (1e2, "%")}.get(
             self.unit, (1e3, "ms")
         )
@@ -104,7 +107,7 @@ class ColumnFamily:
 
 
 def _second(vector: Array) -> Array:
-    """(5, n) harmonics of degree 2, of unit mean square over the sphere."""
+    """Return the (5, n) spherical harmonics of degree 2, of unit mean square over the sphere."""
     x, y, z = vector
     root = np.sqrt(15.0)
     return np.array([root * x * y, root * y * z, root * x * z, root * (x * x - y * y) / 2,
@@ -112,7 +115,7 @@ def _second(vector: Array) -> Array:
 
 
 def _third(vector: Array) -> Array:
-    """(7, n) harmonics of degree 3, likewise."""
+    """Return the (7, n) spherical harmonics of degree 3, of unit mean square over the sphere."""
     x, y, z = vector
     a, b, c = np.sqrt(105.0), np.sqrt(21 / 8), np.sqrt(35 / 8)
     return np.array(
@@ -129,18 +132,18 @@ def _third(vector: Array) -> Array:
 
 
 def _skew(motion: WindowMotion) -> UnmodelledColumns:
-    """The soft iron's antisymmetric part: the axes of the two chips turned against each other."""
+    """Return the columns of a misalignment between the chips, the antisymmetric part of the soft iron."""
     turned = cross(np.eye(3)[:, :, None], motion.unit[:, None, :])  # e_k × u, (3, 3, n)
     return UnmodelledColumns(np.einsum("ab,bkn->kan", motion.soft_iron, turned), None)
 
 
 def _attitude(motion: WindowMotion) -> Products:
-    """The world's field linear in the attitude: the field's gradient times an arm, rigid or a person's."""
+    """Return columns linear in the attitude in world axes: a field gradient times a lever arm, rigid or a person's."""
     return motion.in_world(motion.rotation.swapaxes(0, 1).reshape(9, -1) * np.sqrt(3.0))
 
 
 def _speed(motion: WindowMotion) -> Products:
-    """How fast it turns, about its mean: what disagrees between slow turns and fast ones shows in this first."""
+    """Return columns proportional to the speed of turn less its mean, the first sign of speed-dependent errors."""
     size = np.linalg.norm(motion.rate, axis=0)
     size -= size.mean()
     return motion.in_sensor(size[None] / max(float(size.std()), ALIKE))
@@ -152,14 +155,17 @@ def _rate_times_field(motion: WindowMotion) -> Products:
 
 
 def _slope(motion: WindowMotion) -> Array:
-    """(3, n) T, the change of the reading over its deviation, times the field strength: a delay's own shape."""
+    """Return (3, n) T, the derivative of the reading by the delay, scaled to the field strength."""
     change = motion.soft_iron @ motion.change
     size = float(np.sqrt(np.mean(motion.change**2)))
     return change / max(size, ALIKE)
 
 
 def _delays(motion: WindowMotion) -> UnmodelledColumns:
-    """A delay that varies slowly, with the speed of turn, and against it; and a filter, by its second order."""
+    """Return columns of a delay that varies slowly, with the speed of turn and inversely to it, and of a filter.
+
+    The filter enters by its second order.
+    """
     speed = np.sqrt(np.square(motion.relative).sum(axis=0) / 3.0)
     profiles = np.concatenate([motion.waves(1, 5), [speed, 1 / np.sqrt(speed**2 + 0.05)]])
     bent = motion.soft_iron @ motion.derivative(motion.change)
@@ -168,13 +174,13 @@ def _delays(motion: WindowMotion) -> UnmodelledColumns:
 
 
 def _split(motion: WindowMotion, side: Array) -> UnmodelledColumns:
-    """Soft iron, hard iron and delay that differ between two parts of the recording, `side` being ±1 (n,)."""
+    """Return columns of soft iron, hard iron and delay that differ between two parts, given by `side` (n,) of ±1."""
     irons = motion.in_sensor(np.concatenate([side[None], side * motion.unit]))
     return UnmodelledColumns(np.concatenate([irons.window, (side * _slope(motion))[None]]), None)
 
 
 def _second_half(motion: WindowMotion) -> Array:
-    """Of `_halves`: soft and hard iron of the second half against their means."""
+    """Return (13, 13) the soft and hard iron of the second half less their means, for `_halves`."""
     result = np.zeros((PARAMETERS, 13))
     result[6:9, :3] = -motion.strength * np.eye(3)
     rows, columns = np.triu_indices(3)
@@ -191,7 +197,7 @@ def _halves(motion: WindowMotion) -> UnmodelledColumns:
 
 
 def _directions(motion: WindowMotion) -> UnmodelledColumns:
-    """The sense of turn about the axis about which it turned most."""
+    """Return columns that differ between the two senses of turn about the axis of most rotation."""
     axis = np.linalg.eigh(motion.rate @ motion.rate.T)[1][:, -1]
     return _split(motion, np.sign(axis @ motion.rate))
 
@@ -202,7 +208,7 @@ def _speeds(motion: WindowMotion) -> UnmodelledColumns:
 
 
 def _bent_rate(motion: WindowMotion) -> RateErrors:
-    """Squares and products of the rate, and each rate times its size."""
+    """Return columns of the squares and products of the rates, and of each rate times its absolute value."""
     w = motion.relative
     products = np.array([w[i] * w[j] for i in range(3) for j in range(i, 3)] + [row * abs(row) for row in w])
     return motion.about_each_axis(motion.spread * products)
@@ -213,7 +219,7 @@ def _bias(motion: WindowMotion, profiles: Array) -> RateErrors:
 
 
 def _drift_at_end(waves: tuple[int, int]) -> Callable[[WindowMotion], Array]:
-    """Of waves along the sensor's axes: the hard iron by the end of the recording."""
+    """Return the function for the hard iron at the end of the recording of waves along the sensor's axes."""
 
     def there(motion: WindowMotion) -> Array:
         result = np.zeros((PARAMETERS, 3 * (waves[1] - waves[0])))
@@ -232,7 +238,7 @@ def _in_time(
     waves: tuple[int, int],
     **more: Any,
 ) -> ColumnFamily:
-    """A family of waves."""
+    """Return a family of functions of time."""
     count = waves[1] - waves[0]
     return ColumnFamily(name, place, lambda m: put(m, m.waves(*waves)), most, count, waves=waves, **more)
 

@@ -1,9 +1,10 @@
-"""`model_error`: by how much what the model lacks may have moved a calibration, as a covariance and in words.
+"""`model_error`: the calibration error caused by effects that the model lacks, as a covariance and in words.
 
-Every family of `families` that the innovations of a fit ask for gets an amplitude by restricted maximum likelihood
-(`components`). The model is left without it, so the error that it makes is S β, of which E[β βᵀ] is known: where the
-motion shows the family, by what it is; where it has the shape of a parameter, by the variance that the rest of it has.
-What sensors are known to do (`physical`) is added by its odds where the data neither show nor exclude it.
+Every family of `families` that the innovations of a fit support gets an amplitude by restricted maximum likelihood
+(`components`). The model itself is not extended, so the resulting parameter error is S β with known E[β βᵀ]: in
+directions that the motion observes it follows from the data, in directions that coincide with a parameter from the
+variance estimated for the rest of the family. Known sensor effects (`physical`) that the data neither show nor exclude
+are added in proportion to their posterior probability.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array
 
 _SIGNIFICANT = (
-    7.0  # gain in log-likelihood from which a family counts; 15 of them reach it by chance in 1 of 600 logs
+    7.0  # gain in log-likelihood from which a family counts; any of 15 reaches it by chance in 1 of 600 logs
 )
-_SUSPECT = 3.0  # of a family of the first test, from which all the others are looked at
+_SUSPECT = 3.0  # gain of any family in the first test from which all other families are tested
 _LEAST_WINDOWS = 30
 _HARD_IRON = slice(6, 9)
-_PROBABLE, _TOLD = 0.8, 1.0  # probability, and nats, from which what is averaged is told as being there
+_PROBABLE, _TOLD = 0.8, 1.0  # probability and gain in nats above which an averaged effect is reported as present
 
 
 @dataclass(frozen=True, eq=False)
 class ModelError:
-    """By how much what the model lacks may have moved the parameters of a fit.
+    """The parameter error of a fit caused by effects that the model lacks.
 
     Attributes:
-        covariance: (P, P) of θ, to be added to the sensors' noise.
-        components: what the data show.
-        possible: what they neither show nor exclude.
+        covariance: (P, P) of θ, to be added to that of the sensors' noise.
+        components: effects that the data show.
+        possible: effects that the data neither show nor exclude.
     """
 
     covariance: Array
@@ -48,12 +49,12 @@ class ModelError:
 
     @property
     def probable(self) -> Array:
-        """(P, P) the covariance without what is merely possible."""
+        """(P, P) covariance without the effects that are merely possible."""
         return self.covariance - sum((c.covariance for c in self.possible), np.zeros_like(self.covariance))
 
     @property
     def field_variation(self) -> tuple[float, float | None] | None:
-        """T and s: how much the field of the place varies along the way, an axis, and its period; None where not."""
+        """The variation of the ambient field along the way: T per axis, and its period in s; None if none was found."""
         found = [c for c in self.components if c.of_place]
         if not found:
             return None
@@ -62,13 +63,13 @@ class ModelError:
         return size, max(timed)[1] if timed else None
 
     def worst(self, rows: slice) -> tuple[Component, ...]:
-        """All components in the order of what they do to some of the parameters."""
+        """Return all components, the largest variance in the given parameters first."""
         every = self.components + self.possible
         return tuple(sorted(every, key=lambda c: -float(np.trace(c.covariance[rows, rows]))))
 
 
 def model_error(fit: Fit, recording: Streams | None = None) -> ModelError:
-    """The model error of a fit at its minimum, and of what its recording's samples show within windows."""
+    """Return the model error of a fit at its minimum, with the outliers that the samples show within windows."""
     error = _of_windows(fit, 0.0 if recording is None else coarse_step(recording))
     outliers = None if recording is None else one_sided(recording)
     if outliers is None:
@@ -87,7 +88,7 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
     if len(fit.chain.windows) < _LEAST_WINDOWS:
         return ModelError(np.zeros_like(fit.reduced.information))
     beside, motion = fit.beside, WindowMotion.of(fit, step)
-    # A skew that the fit was asked for, and scales that it estimates, are in its own covariance.
+    # A misalignment and gyroscope scales that the fit estimates are in its own covariance.
     estimated = {"skew"} if fit.skew is not None else set()
     estimated |= set(() if fit.terms is None else fit.terms.families)
     families = [family for family in FAMILIES if family.name not in estimated]

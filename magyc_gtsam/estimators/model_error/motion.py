@@ -1,4 +1,4 @@
-"""What the windows of a fit say of the motion, and columns of unmodelled things on either sensor."""
+"""The motion by the windows of a fit, and columns of unmodelled effects on either sensor."""
 
 from __future__ import annotations
 
@@ -17,27 +17,28 @@ from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.vech import unvech
 
 SLOW = (1, 7)  # half waves in the recording of a slow variation
-ALIKE = 1e-9  # rad/s, below which nothing turns
+ALIKE = 1e-9  # lower bound of denominators, e.g. rad/s of a rate
 
 
 @dataclass(frozen=True, eq=False)
 class WindowMotion:
-    """What the windows of a fit say of the motion, all (…, n) with the windows last.
+    """The motion at the windows of a fit; arrays are (…, n) with the windows last.
 
     Attributes:
         time: (n,) s.
         rotation: (3, 3, n) integrated world → sensor.
-        seen: (3, 3, n) T, the reading of the world's axes with the field's strength: soft iron times rotation.
-        unit: (3, n) the field's direction in the sensor; change: (3, n) 1/s, its derivative by the delay, −d/dt.
-        rate: (3, n) rad/s, of turn; relative: the same over its deviation, `spread` rad/s an axis.
+        seen: (3, 3, n) T, soft iron (times field strength) times rotation: readings of unit fields along world axes.
+        unit: (3, n) direction of the field in the sensor's axes; change: (3, n) 1/s, its derivative with respect to the
+            delay, −d/dt.
+        rate: (3, n) rad/s, rate of turn.
         direction: (3, n) of the field in the integrated world.
-        reading: (3, n) T, as the model has it; reading_change: (3, n) T/s, its derivative by the delay.
-        strength: T; soft_iron: (3, 3) T, times it.
-        delay: s, of the magnetometer behind the gyroscope; gyroscope_step: s between its samples.
-        rate_noise: rad/s, deviation of a window's rate of turn by the gyroscope's noise, an axis.
-        step: T, of the magnetometer where it is coarse; 0 where it is not.
+        reading: (3, n) T, predicted by the model; reading_change: (3, n) T/s, its derivative with respect to the delay.
+        strength: T, of the field; soft_iron: (3, 3) T, multiplied by the strength.
+        delay: s, of the magnetometer behind the gyroscope; gyroscope_step: s, sampling interval of the gyroscope.
+        rate_noise: rad/s, standard deviation per axis of a window's rate of turn by the gyroscope's noise.
+        step: T, quantisation step of the magnetometer if it is coarse; 0 otherwise.
         between: the motion while the field was not measured.
-        window: (n,) which of the moments are windows; None where all are.
+        window: indices of the columns that are windows; None if all are.
     """
 
     time: Array
@@ -60,7 +61,7 @@ class WindowMotion:
 
     @classmethod
     def of(cls, fit: Fit, step: float = 0.0) -> WindowMotion:
-        """Of a fit at its minimum, and the step of a coarse magnetometer, T."""
+        """Return the motion of a fit at its minimum; `step` is the step of a coarse magnetometer, T."""
         windows, parameters = fit.chain.windows, fit.state.parameters
         soft = unvech(parameters[:6])
         rotation = fit.chain.rotation(parameters)
@@ -94,9 +95,9 @@ class WindowMotion:
 
     @cached_property
     def along_links(self) -> WindowMotion:
-        """The same with moments inside the links across which the field was not measured.
+        """The motion with additional times inside the links across which the field was not measured.
 
-        What an error of the gyroscope makes of such a link is an integral of the motion there.
+        The effect of a gyroscope error on such a link is an integral over the motion there.
         """
         between = self.between
         if not len(between):
@@ -126,7 +127,7 @@ class WindowMotion:
 
     @cached_property
     def noisier(self) -> WindowMotion:
-        """The same with once more of the gyroscope's noise in the rate of turn and in what is derived from it."""
+        """The motion with the gyroscope's noise added once more to the rate of turn and its derived quantities."""
         rate = np.random.default_rng(0).normal(0.0, self.rate_noise, self.rate.shape)
         change = cross(rate, self.unit)
         return replace(
@@ -138,25 +139,25 @@ class WindowMotion:
 
     @cached_property
     def spread(self) -> float:
-        """rad/s, root mean square of the rate of turn, an axis."""
+        """rad/s, root mean square of the rate of turn per axis."""
         return max(float(np.sqrt(np.mean(self.rate**2))), ALIKE)
 
     @cached_property
     def relative(self) -> Array:
-        """(3, n) the rate of turn over `spread`."""
+        """(3, n) rate of turn divided by `spread`."""
         return self.rate / self.spread
 
     @cached_property
     def reading_curvature(self) -> Array:
-        """(3, n) T/s², of `reading_change`."""
+        """(3, n) T/s², time derivative of `reading_change`."""
         return self.derivative(self.reading_change)
 
     def in_sensor(self, profiles: Array) -> Products:
-        """Profiles (k, n) along each of the sensor's axes, in units of the field strength."""
+        """Return the columns of profiles (k, n) along each of the sensor's axes, in units of the field strength."""
         return Products(profiles, self._sensor_axes)
 
     def in_world(self, profiles: Array) -> Products:
-        """Profiles (k, n) along each of the world's axes."""
+        """Return the columns of profiles (k, n) along each of the world's axes, in units of the field strength."""
         return Products(profiles, self._world_axes)
 
     @cached_property
@@ -168,24 +169,24 @@ class WindowMotion:
         return self.seen.swapaxes(0, 1)
 
     def on_gyroscope(self, profiles: Array) -> RateErrors:
-        """Errors of the rate (k, 3, n) rad/s: links turn by −∫ R ω dt more than the model says."""
+        """Return the columns of rate errors ω (k, 3, n) rad/s: links turn by −∫ Rᵀ ω dt more than modelled."""
         return RateErrors(np.einsum("jin,kjn->kin", self.rotation, profiles), self._links)
 
     def about_each_axis(self, profiles: Array) -> RateErrors:
-        """Errors of the rate, profiles (k, n) rad/s about each of the sensor's axes: 3k columns."""
+        """Return the 3k columns of rate errors with profiles (k, n) rad/s about each of the sensor's axes."""
         turned = profiles[:, None, None] * self.rotation
         return RateErrors(turned.reshape(-1, *turned.shape[2:]), self._links)
 
     def gyroscope_matrix(self) -> UnmodelledColumns:
-        """Shares of the rate about each axis as errors about each: 9 columns, row by row of a matrix on the rate."""
+        """Return the 9 columns of a matrix error on the rate, row by row, as a share of the rate."""
         return UnmodelledColumns(None, self._gyroscope_matrix)
 
     def gyroscope_scales(self) -> UnmodelledColumns:
-        """Of these the three that are the gyroscope's scales."""
+        """Return the three columns of the scale errors of the gyroscope's axes."""
         return UnmodelledColumns(None, self._gyroscope_matrix[::4])
 
     def gyroscope_scale(self) -> UnmodelledColumns:
-        """One scale of all axes."""
+        """Return the column of a scale error common to all axes."""
         return UnmodelledColumns(None, self._gyroscope_matrix[::4].sum(axis=0, keepdims=True))
 
     @cached_property
@@ -194,7 +195,7 @@ class WindowMotion:
         return self._links(turned.reshape(9, 3, -1))
 
     def _links(self, turned: Array) -> Array:
-        """(k, 3, n − 1) of the links, by errors of the rate in the integrated world (k, 3, n) rad/s."""
+        """Return columns of the links (k, 3, n − 1) rad by rate errors (k, 3, n) rad/s in the integrated world."""
         integral, direction = self.integral(turned), self.direction
         if self.window is not None:
             integral = np.add.reduceat(integral, self.window[:-1], axis=-1)
@@ -208,10 +209,10 @@ class WindowMotion:
         return link
 
     def derivative(self, values: Array) -> Array:
-        """(…, n) 1/s, slopes in time of a cubic spline through values (…, n).
+        """Return the time derivatives (…, n) of a cubic spline through values (…, n).
 
-        The windows are long against the fastest motion (a swell turns by some 2 rad from one to the next), where
-        central differences keep 0.4 of a derivative and a spline 0.85.
+        The windows are long relative to the fastest motion (in a swell the phase advances by some 2 rad from one to the
+        next), where central differences retain 0.4 of a derivative and a spline 0.85.
         """
         inverse = 1 / self._step
         rows = values.reshape(-1, len(self.time))
@@ -227,7 +228,7 @@ class WindowMotion:
         return slope.reshape(values.shape)
 
     def integral(self, values: Array) -> Array:
-        """(…, n − 1) of values (…, n) from each window to the next, along the same spline."""
+        """Return the integrals (…, n − 1) of the spline through values (…, n) from each window to the next."""
         slope = self.derivative(values)
         result: Array = values[..., 1:] + values[..., :-1]
         result *= 0.5 * self._step
@@ -242,13 +243,13 @@ class WindowMotion:
 
     @cached_property
     def _spline(self) -> tuple[Array, Array]:
-        """Factors of the symmetric tridiagonal matrix of the spline's slopes, whose first and last are known."""
+        """Factors of the symmetric tridiagonal matrix for the spline's slopes; the first and last slopes are given."""
         inverse = 1 / self._step
         factors: tuple[Array, Array] = dpttrf(2 * (inverse[1:] + inverse[:-1]), inverse[1:-1])[:2]
         return factors
 
     def waves(self, first: int, stop: int) -> Array:
-        """(stop − first, n) cosines of unit deviation with `first` to `stop` − 1 half waves in the recording."""
+        """Return (stop − first, n) cosines of unit mean square with `first` to `stop` − 1 half waves."""
         if stop <= SLOW[1]:
             return self._slow_waves[first - SLOW[0] : stop - SLOW[0]]
         return self._waves(first, stop)

@@ -1,7 +1,8 @@
-"""What an instrument may do and the data neither show nor exclude, by its odds (`averaging`).
+"""Model averaging over sensor effects that the data neither show nor exclude (`averaging`).
 
-There is no threshold of evidence: on a motion that does not show it, it has its odds and sizes from before the data,
-times the move that these make. A filter's size the delay says: one that delays by τ has a second order of up to τ²/2.
+There is no threshold of evidence: on a motion that does not observe an effect, its prior odds and amplitudes determine
+the covariance. The size of a filter is bounded by the delay: a filter with delay τ has a second-order term of up to
+τ²/2.
 """
 
 from __future__ import annotations
@@ -18,18 +19,23 @@ from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.shown import Shown
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 
-_FARTHEST = 50.0  # nats
-_LITTLE = 0.03  # odds that no mean can pass, below which a family moves nothing
+_FARTHEST = 50.0  # nats, bound of a log-likelihood ratio
+_LITTLE = 0.03  # upper bound of the posterior odds below which a family is skipped
 
 
 def not_excluded(
     beside: ColumnProducts, motion: WindowMotion, every: Sequence[Tested], shown: Shown
 ) -> list[Component]:
-    """Each family with odds beforehand: beside what is shown, or in the place of one of it, whichever is likelier."""
+    """Return a component for each family that is not excluded.
+
+    Each is considered in addition to the families that are shown and in place of any one of them; the likelier
+    hypothesis counts.
+    """
     there = [each.family for each, _ in shown.active]
     open_ones = []
     for each in every:
-        # Beside others its gain may be another one; by itself no mean over amplitudes is above the likeliest.
+        # A bound for the family by itself (beside others its gain may differ): no mean over amplitudes exceeds the
+        # maximum of the likelihood.
         unlikely = each.family.prior * _likelihood(each.gain) < _LITTLE
         if not unlikely and each.family not in there and each.family.likely(motion) > 0:
             open_ones.append(each)
@@ -56,7 +62,7 @@ def not_excluded(
 def _alone(
     beside: ColumnProducts, families: Sequence[Tested], largest: Sequence[float]
 ) -> list[tuple[float, Averaged]]:
-    """As `_ways`, where nothing else is there."""
+    """Return the odds and posterior of each family if no other family is shown; see `_ways`."""
     octaves = [each.family.octaves for each in families]
     every = averaged_of_each(
         [each.principal for each in families], beside.square, beside.freedom, largest, octaves
@@ -68,7 +74,7 @@ def _alone(
 
 
 def _rivals(beside: ColumnProducts, shown: Shown) -> list[tuple[float, Held, float]]:
-    """Of each family that is shown: its prior, the others, and what it gains beside them."""
+    """Return, for each family that is shown, its prior odds, the other families, and its gain beside them."""
     result = []
     for rival, own in shown.active:
         variance = shown.variance.copy()
@@ -90,7 +96,7 @@ def _ways(
     rivals: Sequence[tuple[float, Held, float]],
     largest: float,
 ) -> Iterator[tuple[float, Averaged]]:
-    """The odds of a family in each way that it may be there beside what is shown, and what is then known of it."""
+    """Yield the odds and posterior of a family in addition to the shown ones, and in place of each of them."""
     across = np.concatenate([other.new.across(each.new) for other, _ in shown.found])
 
     def known_beside(others: Held) -> Averaged:

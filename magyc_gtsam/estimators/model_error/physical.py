@@ -1,9 +1,9 @@
-"""What sensors are known to do, a column or a few each, in the units of data sheets.
+"""Known sensor errors as families of one or a few columns, in the units of data sheets.
 
-The families of `families` are general, so that each has many columns and what it shows must be much. What has one
-column is seen much earlier, and its amplitude is known beforehand: the linearity of magnetometers is stated as 0.1 to
-1 % of the full scale, scales of low-cost gyroscopes as 1 to 3 %, and filters of compasses take 0.01 to 0.5 s. So each
-also has odds beforehand, and counts by those that the data leave it (`averaging`).
+The general families of `families` have many columns, so that only large effects are significant. A single column is
+detected much earlier, and its amplitude is known a priori: the linearity of magnetometers is stated as 0.1 to 1 % of
+the full scale, the scale error of low-cost gyroscopes as 1 to 3 %, and filters of compasses take 0.01 to 0.5 s. Each
+of these families therefore has prior odds, and counts with its posterior probability (`averaging`).
 """
 
 from __future__ import annotations
@@ -16,31 +16,32 @@ from magyc_gtsam.estimators.smoother.columns import RateErrors, UnmodelledColumn
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.factors.chain.rotations import Array
 
-_LATE = 0.3  # s, the lag of an axis at which the first and the second order have their true proportion
-# T, of a play. With this one width the hard iron of loops of 0.1 to 3 µT is off by 0.2 to 1.9 stated sigmas. A second
-# one of 2 µT, or one that goes with the sweep (2 to 15 µT), explains a stay beside steel, too.
+_LATE = 0.3  # s, lag of an axis for which the ratio of second to first order is exact
+# T, half width of a hysteresis (play). With this single value the hard iron of loops of 0.1 to 3 µT is off by 0.2 to
+# 1.9 stated sigmas. A second value of 2 µT, or one proportional to the sweep (2 to 15 µT), would also explain a stay
+# beside steel.
 _WIDTH = 0.7e-6
-_BAND = 0.02  # rad/s, half of a gyroscope's dead band
-_DATA_SHEET = 0.03  # share, the largest error of a gyroscope's scale before the data show one
-# Share, the largest when they do. A gyroscope filtered by 0.5 s loses 10 to 30 % of turns to and fro, which looks like
-# it: held at 3 %, a trusted hard iron was 17 µT off at 4 to 5 sigmas.
+_BAND = 0.02  # rad/s, half the width of a gyroscope's dead band
+_DATA_SHEET = 0.03  # share, largest scale error of a gyroscope under the prior
+# Share, largest scale error that the data may show. A gyroscope filtered by 0.5 s loses 10 to 30 % of oscillations,
+# which looks like a scale error: with a bound of 3 %, a trusted hard iron was 17 µT off at 4 to 5 sigmas.
 _OF_SCALE = 0.3
-_LEAST_FILTER = 1e-3  # s², of 45 ms, below which none moves anything
-_SHARP = 0.05  # share of the field strength within which a sign is open
+_LEAST_FILTER = 1e-3  # s², of a filter of 45 ms, below which the effect is negligible
+_SHARP = 0.05  # width of the smoothed sign function, as a share of the field strength
 
 
 def _one(profile: Array) -> Array:
-    """(1, 3, n): the three axes alike."""
+    """Return (1, 3, n), one column for all three axes."""
     return profile[None]
 
 
 def _each_axis(profile: Array) -> Array:
-    """(3, 3, n): each axis by itself."""
+    """Return (3, 3, n), one column per axis."""
     return profile[None] * np.eye(3)[:, :, None]
 
 
 def _bend(motion: WindowMotion) -> UnmodelledColumns:
-    """The cube of the reading over its largest."""
+    """Return the column of the cube of the reading, relative to the largest reading."""
     share = motion.reading / float(np.abs(motion.reading).max())
     return UnmodelledColumns(_one(motion.strength * share * share * share), None)
 
@@ -51,15 +52,16 @@ def _dead_zone(motion: WindowMotion) -> UnmodelledColumns:
 
 
 def _play(motion: WindowMotion) -> UnmodelledColumns:
-    """The reading stays behind the field by up to a width, whichever way it goes."""
+    """Return the columns of a hysteresis: the reading lags the field by up to `_WIDTH` in either direction."""
     behind = (_followed(motion.reading, _WIDTH) - motion.reading) / _WIDTH
     return UnmodelledColumns(_each_axis(motion.strength * behind), None)
 
 
 def _followed(values: Array, width: float) -> Array:
-    """(k, n) what follows values (k, n) once they have moved by `width`, from the middle of both.
+    """Return (k, n) the output of a play operator of half width `width` on values (k, n), started at the first values.
 
-    Each step y → clip(y, x − width, x + width) is a clip, and clips compose to clips: all of them by doubling.
+    Each step y → clip(y, x − width, x + width) is a clip, and clips compose to clips, so that all steps are computed by
+    doubling.
     """
     low, high = values - width, values + width
     low[:, 0] = high[:, 0] = values[:, 0]
@@ -73,18 +75,18 @@ def _followed(values: Array, width: float) -> Array:
 
 
 def _late_axis(motion: WindowMotion) -> UnmodelledColumns:
-    """Per s: each axis later than the others, to the second order for a lag of some size."""
+    """Return the columns, per s, of a lag of each axis against the others, to first and to second order."""
     first, second = motion.reading_change, motion.reading_curvature
     return UnmodelledColumns(np.concatenate([_each_axis(first), 0.5 * _LATE * _each_axis(second)]), None)
 
 
 def _filter(motion: WindowMotion) -> UnmodelledColumns:
-    """Per s²: the second order of a filter, whose first is a delay."""
+    """Return the column, per s², of the second order of a filter; its first order is a delay."""
     return UnmodelledColumns(_one(motion.reading_curvature), None)
 
 
 def _steps(motion: WindowMotion) -> UnmodelledColumns:
-    """Of the error by rounding, a sawtooth of the reading, the first harmonic at any phase, averaged over a window."""
+    """Return the columns of quantisation: the first harmonic of the sawtooth error at any phase, window means."""
     swept = motion.reading_change * np.gradient(motion.time)
     phase = 2 * np.pi * motion.reading / motion.step
     size = motion.strength * np.sinc(swept / motion.step)
@@ -94,18 +96,18 @@ def _steps(motion: WindowMotion) -> UnmodelledColumns:
 
 
 def _by_step(motion: WindowMotion) -> float:
-    """Of the field's strength: the first harmonic of a sawtooth as high as a step."""
+    """Return the amplitude of the first harmonic of a sawtooth as high as a step, as a share of the field strength."""
     return motion.step / (np.pi * motion.strength)
 
 
 def _gain_drift(motion: WindowMotion) -> UnmodelledColumns:
-    """Each axis' gain moves evenly."""
+    """Return the columns of a gain that changes linearly with time, one per axis."""
     share = np.linspace(-1, 1, len(motion.time))
     return UnmodelledColumns(_each_axis(share * (motion.soft_iron @ motion.unit)), None)
 
 
 def _gain_at_end(motion: WindowMotion) -> Array:
-    """(P, 3) by how much the soft iron is another one at the end."""
+    """Return (13, 3) the soft iron at the end of the recording less its mean, per unit of each column."""
     result = np.zeros((PARAMETERS, 3))
     rows, columns = np.triu_indices(3)
     for axis in range(3):
@@ -129,17 +131,23 @@ def _dead_band(motion: WindowMotion) -> RateErrors:
 
 
 def _gyroscope_filter(motion: WindowMotion) -> RateErrors:
-    """Per s²: also what samples too far apart leave of a rate's integral, a twelfth of their step squared."""
+    """Return the column, per s², of a filter's second order.
+
+    The error of the trapezoidal rule, a twelfth of the squared sampling interval, has the same form.
+    """
     return motion.on_gyroscope(_one(motion.derivative(motion.derivative(motion.rate))))
 
 
 def _by_delay(motion: WindowMotion) -> float:
-    """s²: a filter of the first order with the delay τ has τ²/2, a mean has τ²/6, and a delay without filter none."""
+    """Return the second-order term, in s², of the magnetometer's filter.
+
+    A first-order filter with the delay τ has τ²/2, a moving average τ²/6 and a pure delay none; the largest is assumed.
+    """
     return _if_felt(0.5 * max(motion.delay, 0.0) ** 2)
 
 
 def _by_lead(motion: WindowMotion) -> float:
-    """s²: the same of the gyroscope, and the twelfth of the squared step that the trapezoidal rule leaves."""
+    """Return the largest second-order term, in s², of the gyroscope's filter and of the trapezoidal rule (step²/12)."""
     return _if_felt(max(0.5 * max(-motion.delay, 0.0) ** 2, motion.gyroscope_step**2 / 12))
 
 

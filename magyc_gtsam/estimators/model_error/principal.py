@@ -13,7 +13,7 @@ from magyc_gtsam.factors.errors import MagycError
 
 
 class Principal(NamedTuple):
-    """Of G (k, k) and s (k,): eigenvalues (k,), no less than 0, eigenvectors (k, k), and s along them (k,)."""
+    """The eigendecomposition of G (k, k): non-negative eigenvalues (k,), eigenvectors (k, k), and s along them (k,)."""
 
     value: Array
     vector: Array
@@ -21,7 +21,11 @@ class Principal(NamedTuple):
 
 
 def principal(normal: Array, score: Array) -> Principal:
-    """Of one group."""
+    """Return the principal axes of a group with G (k, k) and s (k,).
+
+    Raises:
+        MagycError: the products are not finite.
+    """
     if len(score) > 1:
         value, vector, failed = dsyevd(normal, lower=1)
         if failed:
@@ -32,7 +36,7 @@ def principal(normal: Array, score: Array) -> Principal:
 
 
 def stacked(groups: Sequence[Principal]) -> tuple[Array, Array]:
-    """The values and pulls of all, (f, k) each, zeros behind those of the shorter ones."""
+    """Return the values and pulls of all f groups, (f, k) each, padded with zeros."""
     longest = max((len(group.value) for group in groups), default=0)
     value, pull = np.zeros((len(groups), longest)), np.zeros((len(groups), longest))
     for i, group in enumerate(groups):

@@ -1,6 +1,6 @@
-"""What is wrong within windows, where their means do not show it: outliers to one side, coarse steps, slow sampling.
+"""Tests for errors within windows that window means hide: one-sided outliers, coarse steps and slow sampling.
 
-All are seen in what neighbouring samples do, which motion hardly enters where it is sampled fast enough.
+All compare neighbouring samples, between which motion contributes little if it is sampled fast enough.
 """
 
 from __future__ import annotations
@@ -14,49 +14,48 @@ from magyc_gtsam.estimators.smoother.preparation import Streams, short_term_nois
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.sensor_faults.noise import white_noise
 
-_MOST = 20000  # samples looked at: a stretch of them in the middle of longer logs
-_LEAST = 200
-_CERTAIN = 6.0  # standard deviations of its chance from which a lean to one side counts; real logs reach 1.7
-_BESIDE = 4  # neighbours on either side, of which the median is taken where outliers were found
-_OFF = 6.0  # median distances from which a sample stands off, four standard deviations of noise
-_ROUNDS = 2  # then 98 to 100 % of a shift by 5 to 20 % of the samples is found, after one 94 to 99 %
-_ENOUGH = 2000  # samples that show a step
-_ROUNDING = 1e-3  # of the median change, below which a change is no step, but rounding in its conversion
-# Steps over noise. With normal noise of two fifths of a step, 4 % of the error by rounding is left in a mean.
+_MOST = 20000  # most samples used, from the middle of longer logs
+_LEAST = 200  # samples
+_CERTAIN = 6.0  # standard deviations of the mean from which one-sided outliers count; real logs reach 1.7
+_BESIDE = 4  # neighbours on either side in the median after outliers were found
+_OFF = 6.0  # multiple of the median distance from which a sample is an outlier; four standard deviations of noise
+_ROUNDS = 2  # finds 98 to 100 % of a shift by 5 to 20 % of the samples; one round finds 94 to 99 %
+_ENOUGH = 2000  # samples used to find the step
+_ROUNDING = 1e-3  # share of the median change below which a change is rounding by a unit conversion and no step
+# Ratio of step to noise. With normal noise of two fifths of a step, 4 % of the rounding error remains in a mean.
 _COARSE = 2.0
-_SEGMENT = 256  # samples of a spectrum
-_FLOOR = 4.0  # times the median of the spectrum, below which it is noise
-_TOO_SLOW = 0.1  # share of the turn rate that is lost between samples; where it was 0.09 all results were right
-_BLOCK = 50  # samples, in which an axis with noise has more than two values but once in 10¹⁵
-_PIECE = 1024  # blocks that are brought in order at a time
-_MOVING = 0.9  # share of the blocks below the one of typical spread: an axis may be stuck for most of a log
-_NARROW = 0.5  # of the typical spread of a block
-_NOISY = 1.5  # of the distance of two values, from which noise has more of them
+_SEGMENT = 256  # samples per segment of the spectrum
+_FLOOR = 4.0  # multiple of the spectrum's median below which it counts as noise
+_TOO_SLOW = 0.1  # share of the turn rate lost between samples; up to 0.09 all results were right
+_BLOCK = 50  # samples; an axis with noise has only two values in them once in 10¹⁵
+_PIECE = 1024  # blocks that are rearranged at a time
+_MOVING = 0.9  # quantile of the blocks' ranges that is typical: an axis may be stuck for most of a log
+_NARROW = 0.5  # share of the typical range below which a block is examined
+_NOISY = 1.5  # ratio of noise to the distance of the two values from which noise would give more values
 _LOST = 0.01  # share of the recording
-_ROUGH = (
-    16 * _TOO_SLOW**2
-)  # mean square of second differences, of the variance, below which so much cannot be lost
+# Ratio of the mean square of second differences to the variance below which the lost share is less than `_TOO_SLOW`.
+_ROUGH = 16 * _TOO_SLOW**2
 
 
 class Outliers(NamedTuple):
-    """Samples that stand off to one side: the shift (3,) T that they give the mean, and its standard deviation."""
+    """One-sided outliers: the shift (3,) T of the mean that they cause, and its standard deviation (3,) T."""
 
     shift: Array
     sigma: Array
 
     @property
     def sentence(self) -> str:
-        """What they do."""
+        """The shift in words."""
         size = float(np.linalg.norm(self.shift)) * 1e6
         return f"the magnetometer's outliers lie to one side and shift its mean by {size:.2g} µT"
 
 
 def one_sided(recording: Streams) -> Outliers | None:
-    """How far the magnetometer's minority pulls the mean from the majority; None where it does not.
+    """Return the shift of the magnetometer's mean by one-sided outliers; None if it is not significant.
 
-    Each sample less the median of the five about it: zero where the field goes one way, symmetric where noise is. Where
-    the minority is large it holds some of these medians, too (of 20 %, a third of the shift was missed): then those
-    that stand off are left out of the medians, by what is known of the shift so far.
+    The statistic is each sample less the median of the five around it, which is zero for a monotonic field and
+    symmetric for noise. Many outliers also affect the medians (with 20 % of the samples a third of the shift was
+    missed): samples far off along the shift found so far are then excluded from the medians.
     """
     time, field = _stretch(*recording.magnetometer)
     if len(time) < _LEAST:
@@ -79,7 +78,7 @@ def one_sided(recording: Streams) -> Outliers | None:
 
 
 def _mean_of(standing: Array) -> Outliers:
-    """The mean (3,) of (3, n), and its standard deviation."""
+    """Return the mean (3,) of (3, n), and its standard deviation."""
     shift = standing.mean(axis=1)
     about = standing - shift[:, None]
     scatter = np.sqrt(np.einsum("in,in->i", about, about) / about.shape[1])
@@ -87,14 +86,14 @@ def _mean_of(standing: Array) -> Outliers:
 
 
 def _median_of_kept(about: Array, kept: np.ndarray) -> Array:
-    """(3, n) medians of those neighbours (3, n, k) that are kept (n, k), at least one of each."""
+    """Return (3, n) medians of the neighbours (3, n, k) that are kept (n, k), at least one per sample."""
     ordered, count = np.sort(np.where(kept, about, np.inf), axis=2), kept.sum(axis=1)
     row = np.arange(len(count))
     return np.asarray(0.5 * (ordered[:, row, (count - 1) // 2] + ordered[:, row, count // 2]))
 
 
 def coarse_step(recording: Streams) -> float:
-    """T, the step of a magnetometer whose noise does not spread its readings over several steps; 0 of any other."""
+    """Return the step, in T, of a magnetometer whose noise does not spread readings over several steps; 0 otherwise."""
     _, field = _stretch(*recording.magnetometer)
     change = np.abs(np.diff(field[:_ENOUGH], axis=0))
     change = change[change > 0]
@@ -105,7 +104,7 @@ def coarse_step(recording: Streams) -> float:
 
 
 def flickers(recording: Streams) -> str:
-    """Which sensor's axis has but two values for long while it shows noise elsewhere; "" where none does."""
+    """Return a sentence on an axis that has only two values for long but noise elsewhere; "" if there is none."""
     for name, samples in (("magnetometer", recording.magnetometer), ("gyroscope", recording.gyroscope)):
         for letter, share in zip("xyz", _shares_of_two_values(samples.value), strict=True):
             if share:
@@ -117,8 +116,10 @@ def flickers(recording: Streams) -> str:
 
 
 def _shares_of_two_values(values: Array) -> list[float]:
-    """For each axis of (n, 3), the share in which it has but two values while it shows noise elsewhere; 0 where
-    little of it."""
+    """Return, for each axis of (n, 3), the share of blocks with only two values while it shows noise elsewhere.
+
+    Shares below `_LOST` are returned as 0.
+    """
     count = len(values) // _BLOCK
     result = [0.0] * values.shape[1]
     if not count:
@@ -150,10 +151,10 @@ def _shares_of_two_values(values: Array) -> list[float]:
 
 
 def too_slow(recording: Streams) -> str:
-    """Why the gyroscope's samples are too few for the motion; "" where they are not.
+    """Return why the gyroscope's sampling rate is too low for the motion; "" if it is not.
 
-    The trapezoidal rule keeps x / tan x of a turn to and fro at f Hz, x = π f / (samples a second), and none of one at
-    half of these. What stands out of the noise is counted, not the noise.
+    The trapezoidal rule retains x / tan x of an oscillation at f Hz, x = π f / (sampling rate), and none of one at the
+    Nyquist frequency. Only the part of the spectrum above the noise floor counts.
     """
     time, rate = _stretch(*recording.gyroscope)
     if len(time) < _LEAST:
@@ -163,7 +164,7 @@ def too_slow(recording: Streams) -> str:
     if float(np.vdot(second, second)) / second.shape[1] < _ROUGH * float(axes.var(axis=1).sum()):
         return ""
     step = float(np.median(np.diff(time)))
-    from scipy.signal import welch  # which takes longer to import than a calibration
+    from scipy.signal import welch  # imported here because it takes longer than a calibration
 
     frequency, spectrum = welch(rate, 1 / step, nperseg=min(_SEGMENT, len(time) // 4), axis=0)
     power, x = spectrum.sum(axis=1)[1:], np.pi * frequency[1:] * step
@@ -178,7 +179,7 @@ def too_slow(recording: Streams) -> str:
 
 
 def _median_of_five(values: Array) -> Array:
-    """(3, n − 4) medians of each five neighbours of (3, n), by comparisons of two pairs and the fifth."""
+    """Return (3, n − 4) running medians of five of (3, n), by comparisons of two pairs and the fifth."""
     a, b, c, d, e = (values[:, k : values.shape[1] - 4 + k] for k in range(5))
     low = np.maximum(np.minimum(a, b), np.minimum(c, d))
     high = np.minimum(np.maximum(a, b), np.maximum(c, d))

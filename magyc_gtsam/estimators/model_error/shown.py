@@ -1,4 +1,4 @@
-"""What counts by its evidence: families whose amplitudes are fitted together."""
+"""The families that are significant, with jointly fitted amplitudes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,20 @@ from magyc_gtsam.factors.chain.rotations import Array
 
 _HARD_IRON = slice(6, 9)
 _BLOCKS = (slice(0, 6), _HARD_IRON, slice(9, 12))
-_MISSED = 0.15  # share of a move; on scales 5 % off, dead zones and cubics the first order missed 0.1 to 0.2 of it
+# Second-order share of a parameter error; the first order missed 0.1 to 0.2 of it on 5 % scale errors, dead zones and
+# cubics.
+_MISSED = 0.15
 
 
 class Shown(NamedTuple):
-    """What was shown, (P, P) covariance and components; for what else may be there, the columns' G (K, K), s (K,) and
-    v (K,), and the families with their rows."""
+    """The joint fit of the significant families.
+
+    Attributes:
+        covariance: (P, P) of θ.
+        components: families with an amplitude above 0.
+        normal, score, variance: G (K, K), s (K,) and v (K,) of all columns, for tests of further families.
+        found: the families with the rows of their columns.
+    """
 
     covariance: Array
     components: tuple[Component, ...]
@@ -33,12 +41,12 @@ class Shown(NamedTuple):
 
     @property
     def active(self) -> Iterator[tuple[Tested, slice]]:
-        """Those that have a variance beside the others."""
+        """The families whose variance is above 0 in the joint fit."""
         return ((each, own) for each, own in self.found if self.variance[own].any())
 
 
 def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Tested]) -> Shown:
-    """What `found` comes to, in the order given."""
+    """Fit the amplitudes of the families `found` jointly, in the order given."""
     varying = np.zeros_like(beside.fit.reduced.information)
     if not found:
         return Shown(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), ())
@@ -57,7 +65,7 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
             covariance = move @ fitted.second[own, own] @ move.T
             size, period = each.family.size(float(amplitude), motion), each.family.period(motion)
             family = each.family
-            if family.of_iron:  # what is calibrated is its mean, what is used is its value then
+            if family.of_iron:  # the calibration is the mean of the hard iron, which differs from its later value
                 varying[_HARD_IRON, _HARD_IRON] += size**2 * np.eye(3)
                 covariance[_HARD_IRON, _HARD_IRON] += size**2 * np.eye(3)
             words = family.sentence(size, period)
@@ -69,7 +77,7 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
 
 
 def _to_second_order(covariance: Array) -> Array:
-    """With what the first order in the columns misses, which may lie in any direction of the same iron or bias."""
+    """Add the second-order error, which may lie in any direction of the same block of parameters."""
     result = covariance.copy()
     for rows in _BLOCKS if len(covariance) == PARAMETERS else (*_BLOCKS, SKEW):
         size = float(np.trace(covariance[rows, rows]))

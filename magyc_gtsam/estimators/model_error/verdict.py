@@ -1,4 +1,4 @@
-"""Model error in words: what it may have moved, by how much, and where it lives."""
+"""The verdict on the model error, in words and for the diagnostics."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.observability import Observability
 
-_MOST = 2.0  # limits of observability that noise and model error may reach together
-_WORTH_WORDS = 0.5  # share of the sensors' own sigma from which model error is spoken of
-_NAMED = 2  # components in a sentence
+_MOST = 2.0  # multiple of the observability limits that noise and model error together may reach
+_WORTH_WORDS = 0.5  # model error, as a share of the sigma by the sensors' noise, from which it is mentioned
+_NAMED = 2  # most components in a sentence
 _ROWS = {"hard": slice(6, 9), "soft": slice(0, 6), "gyroscope": slice(9, 12)}
 
 
 def reason(error: ModelError, probable: Observability, noise: Observability) -> str:
-    """Why model error forbids to trust a result; "" where it does not.
+    """Return why the model error is too large to trust a result; "" if it is not.
 
     Args:
         error: of the fit.
-        probable: judged with what is probably there; noise: with the sensors' part alone.
+        probable: observability with the probable model error; noise: with the sensors' noise alone.
     """
     if not probable.weak or not noise.observable:
         return ""
@@ -41,11 +41,11 @@ def reason(error: ModelError, probable: Observability, noise: Observability) -> 
 
 
 def remark(error: ModelError, noise: Array, whole: Array) -> str:
-    """What of the hard iron's sigma is noise and what model error, and how the field varies; "" where neither counts.
+    """Return the shares of noise and model error in the hard iron's sigma, and the field's variation; "" if negligible.
 
     Args:
         error: of the fit.
-        noise, whole: (12, 12) covariances of the calibration.
+        noise, whole: (12, 12) covariances of the calibration by the sensors' noise, and with the model error.
     """
     if not error.components:
         return ""
@@ -62,7 +62,7 @@ def remark(error: ModelError, noise: Array, whole: Array) -> str:
 
 
 def variation(error: ModelError) -> str:
-    """How the field of the place varies; "" where it does not."""
+    """Return a sentence on the variation of the ambient field; "" if none was found."""
     if error.field_variation is None:
         return ""
     size, period = error.field_variation
@@ -76,7 +76,7 @@ def _said(component: Component, error: ModelError) -> str:
 
 
 def diagnostics(error: ModelError) -> dict[str, Any]:
-    """JSON types: the components with what each may have moved, in T, rad/s and s, and the place's variation."""
+    """Return as JSON types the components with parameter errors (T, rad/s, s), and the variation of the field."""
     found = error.field_variation
     return {
         "components": [_entry(component) for component in error.components],

@@ -1,4 +1,4 @@
-"""Columns of the reading and of the gyroscope's links: of what a model lacks, and of its terms."""
+"""Columns (Jacobians) on the reading and on the gyroscope's links, of effects that a model lacks and of its terms."""
 
 from __future__ import annotations
 
@@ -12,46 +12,49 @@ from magyc_gtsam.factors.chain.rotations import Array
 
 
 class UnmodelledColumns(NamedTuple):
-    """Unmodelled columns per unit: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None is zero."""
+    """Columns per unit amplitude: of the windows (k, 3, n) T, of the links (k, 3, n − 1) rad; None stands for zeros."""
 
     window: Array | None
     link: Array | None
 
     @property
     def size(self) -> int:
-        """k."""
+        """The number of columns k."""
         one = self.window if self.window is not None else self.link
         return 0 if one is None else len(one)
 
     @property
     def dense(self) -> UnmodelledColumns:
-        """Themselves."""
+        """The columns as arrays of windows and links; here the object itself."""
         return self
 
     def less(self, other: UnmodelledColumns) -> UnmodelledColumns:
-        """By how much each differs from another's on the same sensors."""
+        """Return the differences to the columns of another group on the same sensors."""
         window = None if self.window is None or other.window is None else self.window - other.window
         link = None if self.link is None or other.link is None else self.link - other.link
         return UnmodelledColumns(window, link)
 
     def only(self, kept: np.ndarray) -> UnmodelledColumns:
-        """With zeros in place of those that are not kept, (k,) bool."""
+        """Return the columns with those that are not `kept` ((k,) bool) set to zero."""
         share = kept[:, None, None]
         return UnmodelledColumns(
             None if self.window is None else share * self.window, None if self.link is None else share * self.link
         )
 
     def mixed(self, matrix: Array) -> UnmodelledColumns:
-        """Mixtures of the columns, by a matrix (k, k)."""
+        """Return the linear combinations of the columns given by the rows of `matrix` (k, k)."""
         parts = [None if part is None else np.tensordot(matrix, part, 1) for part in self]
         return UnmodelledColumns(*parts)
 
 
 class EstimatedTerms(NamedTuple):
-    """Parameters of a model beyond θ, which the chain's windows and links are corrected by.
+    """Parameters of the model beyond θ, with which the chain's windows and links are corrected.
 
-    columns: by what a unit of each of m changes the residual; value (m,); precision (m,): with which each was held to 0
-    beforehand; families: names of those of the model error that they stand for.
+    Attributes:
+        columns: change of the residual per unit of each of the m parameters.
+        value: (m,) estimates.
+        precision: (m,) inverse variance of the zero-mean prior of each.
+        families: names of the families of the model error that they replace.
     """
 
     columns: UnmodelledColumns
@@ -62,9 +65,11 @@ class EstimatedTerms(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Products:
-    """Columns of the windows, profile by profile, each along each of some axes: a q-th of the work of any others.
+    """Columns of the windows that are the products of q profiles with b axes, at 1/q of the work of dense columns.
 
-    profiles (q, n); axes (b, 3, n) T per unit.
+    Attributes:
+        profiles: (q, n).
+        axes: (b, 3, n) T per unit.
     """
 
     profiles: Array
@@ -72,32 +77,33 @@ class Products:
 
     @property
     def size(self) -> int:
-        """k = q b."""
+        """The number of columns, k = q b."""
         return len(self.profiles) * len(self.axes)
 
     @property
     def window(self) -> Array:
-        """(k, 3, n) as `UnmodelledColumns` has them."""
+        """(k, 3, n) as in `UnmodelledColumns`."""
         columns = self.profiles[:, None, None, :] * self.axes
         return columns.reshape(self.size, *self.axes.shape[1:])
 
     @property
     def link(self) -> Array | None:
-        """None: they are on the magnetometer."""
+        """None, because the columns act on the magnetometer."""
         return None
 
     @property
     def dense(self) -> UnmodelledColumns:
-        """The same as any columns."""
+        """The columns as arrays of windows and links."""
         return UnmodelledColumns(self.window, None)
 
 
 @dataclass(frozen=True, eq=False)
 class RateErrors:
-    """Columns of the links by errors of the rate, which are integrated for many groups at once.
+    """Columns of the links caused by errors of the rate, integrated for many groups at once.
 
-    turned (k, 3, n) rad/s per unit, in the integrated world; links: what the links have of such errors,
-    (k, 3, n − 1) rad.
+    Attributes:
+        turned: (k, 3, n) rad/s per unit, in the integrated world.
+        links: maps such errors to columns of the links, (k, 3, n − 1) rad.
     """
 
     turned: Array
@@ -105,22 +111,22 @@ class RateErrors:
 
     @property
     def size(self) -> int:
-        """k."""
+        """The number of columns k."""
         return len(self.turned)
 
     @property
     def window(self) -> Array | None:
-        """None: they are on the gyroscope."""
+        """None, because the columns act on the gyroscope."""
         return None
 
     @property
     def link(self) -> Array:
-        """(k, 3, n − 1) as `UnmodelledColumns` has them."""
+        """(k, 3, n − 1) as in `UnmodelledColumns`."""
         return self.links(self.turned)
 
     @property
     def dense(self) -> UnmodelledColumns:
-        """The same as any columns."""
+        """The columns as arrays of windows and links."""
         return UnmodelledColumns(None, self.link)
 
 
@@ -128,7 +134,7 @@ Columns = UnmodelledColumns | Products | RateErrors
 
 
 def joined(groups: Sequence[Columns]) -> UnmodelledColumns:
-    """Columns of one group after the other, on the same sensors."""
+    """Concatenate the columns of groups that act on the same sensors."""
     errors = [group for group in groups if isinstance(group, RateErrors)]
     integrated: Iterator[Array] = iter(())
     if errors:

@@ -1,7 +1,7 @@
-"""A start for the whole from the calibration of a part.
+"""A start for the whole recording from the calibration of a part.
 
-A descent on all windows may miss the minimum of the majority where the others are of another instrument: an axis whose
-sign was wrong for a third of the log. A part of the log may be without them.
+If the instrument was another one for some of the windows (an axis whose sign was wrong for a third of the log), a
+descent on all windows may miss the minimum of the majority. A part of the log may be free of such windows.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.errors import MagycError
 
 _PARTS = 4
-_ROUNDS = 3  # of weights
+_ROUNDS = 3  # updates of the weights
 
 
 def by_a_part(fit: Fit, noise: SensorNoise, most: float) -> Fit | None:
-    """All windows, weighed at the calibration of the part that explains them best; None where none is better.
+    """Return all windows, weighted at the calibration of the part that explains them best; None if none is better.
 
     Args:
-        fit: of thirteen parameters.
+        fit: of the whole recording, with thirteen parameters.
         noise: at which misfits are compared.
-        most: misfit that it must stay below, with a hard iron that is apart from that of `fit`.
+        most: upper bound of the misfit; the hard iron must also differ from that of `fit`.
     """
     chain, found = replace(fit.chain, noise=noise), None
     for first, stop in pairwise(np.linspace(0, len(chain.windows), _PARTS + 1).astype(int).tolist()):

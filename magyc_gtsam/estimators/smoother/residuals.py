@@ -1,4 +1,4 @@
-"""What a calibration leaves unexplained, window by window: the evidence behind the report."""
+"""The residuals of a calibration in each window."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from magyc_gtsam.recording import Array, Recording
 
 @dataclass(frozen=True, eq=False)
 class WindowResiduals:
-    """What the model leaves unexplained, window by window.
+    """The residuals of windows and links, with their sigmas and robust weights.
 
     Attributes:
         time: (n,) s, window centres, on the recording's clock.
         magnetic_field: (n, 3) T, sensor axes.
-        magnetic_sigma, magnetic_weight: (n,) T and robust weight in [0, 1].
-        link: (n − 1, 3) rad, difference of neighbouring field directions from the gyroscope's.
-        link_sigma, link_weight: (n − 1,) rad, infinite across a hole, and robust weight in [0, 1].
+        magnetic_sigma: (n,) T; magnetic_weight: (n,) robust weight in [0, 1].
+        link: (n − 1, 3) rad, change of the field's direction between neighbouring windows less that by the gyroscope.
+        link_sigma: (n − 1,) rad, infinite across a gap in the data; link_weight: (n − 1,) robust weight in [0, 1].
     """
 
     time: Array
@@ -39,7 +39,7 @@ class WindowResiduals:
 
 
 def window_residuals(recording: Recording, calibration: Calibration) -> WindowResiduals:
-    """Residuals of any calibration with a gyroscope bias; its parameters are kept, the directions smoothed.
+    """Return the residuals of any calibration with a gyroscope bias, smoothing the directions at its parameters.
 
     Raises:
         MagycError: no gyroscope, or no gyroscope bias.

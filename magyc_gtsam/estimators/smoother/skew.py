@@ -1,17 +1,17 @@
-"""A skew between the chips: whether the data show one, and what it adds to the covariance where that is open.
+"""The misalignment (skew) between the chips: its posterior, and its share of the calibration's covariance.
 
-With a gyroscope the full matrix B = S Exp(ε) can be observed. Whether ε is there is asked of the data: its three
-angles are given the prior N(0, s²) with the deviation s itself unknown (`SkewPrior`, from 0 to 2°), and the evidence
-of each s follows from one linearisation at the minimum, in closed form (Laplace; it holds the Occam factor). With θ
-split into ε and the rest a, and the data's information Λ, divided by the residual's colour,
+With a gyroscope the full matrix B = S Exp(ε) is observable. The three angles ε have the prior N(0, s²), whose standard
+deviation s is itself unknown (`SkewPrior`, from 0 to 2°). The evidence of each s follows in closed form from one
+linearisation at the minimum (Laplace approximation, with the Occam factor). With θ split into ε and the rest a, and
+the data's information matrix Λ divided by the residual's autocorrelation time (`Fit.colour`),
 
     S = Λ_εε − Λ_εa Λ_aa⁻¹ Λ_aε,   b = S ε₀ − (g_ε − Λ_εa Λ_aa⁻¹ g_a),   Q = S + 1/s²,
     ln p(data | s) / p(data | 0) = ½ bᵀ Q⁻¹ b − ½ ln |I + s² S|,   ε | s ~ N(Q⁻¹ b, Q⁻¹).
 
-Where a skew is probable enough, its mean over all s is taken out of the readings, in the directions that the motion
-resolves; that is a decision, made with more belief in aligned chips than the covariance has (`SkewPrior.aligned`).
-Where not, the twelve parameters are reported as if there were none. Either way the second moment of ε about what was
-taken out, over all s, is carried into their covariance by da/dε = −Λ_aa⁻¹ Λ_aε, so that the stated sigmas hold.
+If a misalignment is probable enough, its posterior mean over all s is corrected, in the directions that the motion
+resolves. That decision gives aligned chips a larger prior probability than the covariance does (`SkewPrior.aligned`).
+Otherwise the twelve parameters are reported for ε = 0. In both cases the second moment of ε about the corrected value,
+over all s, is propagated to their covariance by da/dε = −Λ_aa⁻¹ Λ_aε, so that the stated sigmas hold.
 """
 
 from __future__ import annotations
@@ -30,11 +30,18 @@ from magyc_gtsam.factors.chain.facts import Fact, LinearFact, quadratic
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, iron_matrix
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
-_LEAST_SPLIT = 40  # windows, of a recording whose halves are compared
+_LEAST_SPLIT = 40  # windows of a recording from which its halves are compared
 
 
 class Profile(NamedTuple):
-    """S (3, 3) and b (3,) of ε, see above; gain and shift as `Skew`, the latter at ε = 0."""
+    """The likelihood of ε with all other parameters profiled out.
+
+    Attributes:
+        information: (3, 3) S of the module's docstring.
+        pull: (3,) b of the module's docstring.
+        gain: (13, 3) as in `Skew`.
+        shift: (13,) as in `Skew`, for ε = 0.
+    """
 
     information: Array
     pull: Array
@@ -43,8 +50,13 @@ class Profile(NamedTuple):
 
 
 def widened(fit: Fit, prior: SkewPrior, known: LinearFact | None = None) -> Fit:
-    """A fit linearised with a free skew, at 0 where it has thirteen parameters; `known` is what an earlier calibration
-    says of it."""
+    """Return the fit linearised with a free misalignment, which is 0 if the fit has thirteen parameters.
+
+    Args:
+        fit: at its minimum.
+        prior: of the misalignment; its widest deviation becomes the last fact of the chain.
+        known: an earlier calibration's constraint on it.
+    """
     facts = fit.chain.facts if known is None else (*fit.chain.facts, known)
     chain = replace(fit.chain, facts=(*facts, held(prior.widest)))
     state = ChainState(with_angles(fit.state.parameters), fit.state.direction)
@@ -53,33 +65,33 @@ def widened(fit: Fit, prior: SkewPrior, known: LinearFact | None = None) -> Fit:
 
 
 def with_angles(parameters: Array) -> Array:
-    """θ (16,): a skew that is not carried is 0."""
+    """Return θ (16,), with zero misalignment if `parameters` have none."""
     return np.append(parameters, np.zeros(WITH_SKEW - len(parameters)))
 
 
 class HeldSkew(LinearFact):
-    """The prior of a skew that is asked for: no fact about the instrument."""
+    """The prior of the misalignment, to be told from facts about the instrument."""
 
 
 def held(deviation: float) -> HeldSkew:
-    """ε ~ N(0, deviation²)."""
+    """Return the fact ε ~ N(0, deviation²)."""
     return HeldSkew(np.arange(SKEW.start, SKEW.stop), np.zeros(3), np.eye(3) / deviation)
 
 
 def on_skew(fact: Fact) -> bool:
-    """Whether a fact concerns the skew."""
+    """Return whether a fact concerns the misalignment."""
     return isinstance(fact, LinearFact) and int(fact.rows[0]) == SKEW.start
 
 
 def skew_of(fit: Fit, prior: SkewPrior, factor: float, *, decide: bool = True) -> Skew:
-    """What a fit of sixteen parameters, at its minimum or near it, says of a skew.
+    """Return the misalignment estimate of a fit of sixteen parameters, at or near its minimum.
 
     Args:
         fit: with `held(prior.widest)` as the last fact of its chain.
-        prior: what is believed of it.
-        factor: by which the data's information is divided: the residual's colour, which a skew that is not fitted
-            raises, and its widening.
-        decide: whether it may be taken out; else it is left open, however probable.
+        prior: of the misalignment.
+        factor: divides the data's information: the residual's colour, which an unmodelled misalignment raises, times
+            its widening.
+        decide: whether it may be corrected; if False it is left undecided, however probable.
     """
     profile = profile_of(fit, factor)
     believed = Believed.of(profile, prior)
@@ -90,7 +102,7 @@ def skew_of(fit: Fit, prior: SkewPrior, factor: float, *, decide: bool = True) -
 
 
 def asked(fit: Fit, prior: SkewPrior) -> Skew:
-    """What a fit of thirteen parameters at its minimum says of a skew, as undecided: one more group of columns."""
+    """Return the undecided misalignment estimate of a fit of thirteen parameters, from one group of columns."""
     chain, parameters = fit.chain, fit.state.parameters
     body = np.einsum("ijn,jn->in", chain.rotation(parameters), fit.state.direction)
     columns = np.einsum(
@@ -103,9 +115,18 @@ def asked(fit: Fit, prior: SkewPrior) -> Skew:
 
 
 class Believed(NamedTuple):
-    """ε under each deviation of a prior: how far that is believed (k,), by the weights and in a decision, mean (k, 3)
-    and variance (k, 3) along the principal axes (3, 3) of the data's information; which of these are resolved; and
-    the nats of the likeliest against none, and the probability that there is any, in those."""
+    """The posterior of ε under each of the k deviations of a prior.
+
+    Attributes:
+        share: (k,) posterior weights of the deviations.
+        decisive: (k,) the same with the weights of a decision, in the resolved directions.
+        angle: (k, 3) posterior means along the principal axes.
+        variance: (k, 3) posterior variances along them.
+        axes: (3, 3) principal axes of the data's information, in columns.
+        kept: (3,) bool, axes that are resolved.
+        best: nats of the likeliest deviation against none, in the resolved directions.
+        probability: that there is a misalignment, in the resolved directions, with the weights of a decision.
+    """
 
     share: Array
     decisive: Array
@@ -118,7 +139,7 @@ class Believed(NamedTuple):
 
     @classmethod
     def of(cls, profile: Profile, prior: SkewPrior) -> Believed:
-        """The prior is the same about every axis, so that all is a sum over the principal axes."""
+        """Compute the posterior; the prior is isotropic, so the likelihood factorises over the principal axes."""
         known, axes = np.linalg.eigh(profile.information)
         known, pull = np.maximum(known, 0.0), profile.pull @ axes
         before = np.square(prior.deviations)[:, None]
@@ -133,18 +154,18 @@ class Believed(NamedTuple):
 
     @property
     def mean(self) -> Array:
-        """(3,) over all deviations."""
+        """(3,) posterior mean of ε over all deviations."""
         result: Array = self.axes @ (self.share @ self.angle)
         return result
 
     @property
     def resolved(self) -> Array:
-        """(3,) what a decision takes out: the mean along the axes that are resolved."""
+        """(3,) ε that a decision corrects: the posterior mean along the resolved axes."""
         result: Array = self.axes @ np.where(self.kept, self.decisive @ self.angle, 0.0)
         return result
 
     def around(self, value: Array, profile: Profile, doubt: str = "") -> Skew:
-        """With its second moment about `value`."""
+        """Return the estimate with value `value` and the second moment of ε about it."""
         away = self.angle @ self.axes.T - value
         second = (self.axes * (self.share @ self.variance)) @ self.axes.T + (self.share * away.T) @ away
         shift = profile.shift + profile.gain @ value
@@ -158,7 +179,7 @@ def _normalised(weights: Array, nats: Array) -> Array:
 
 
 def profile_of(fit: Fit, factor: float) -> Profile:
-    """The data's say on ε, with all other parameters at their best for it; `factor` divides the information."""
+    """Return the profile likelihood of ε, maximised over all other parameters; `factor` divides the information."""
     parameters, facts = fit.state.parameters, fit.chain.facts
     _, slope, believed = quadratic(facts, parameters)
     _, other_slope, other = quadratic(facts[:-1], parameters)
@@ -180,7 +201,7 @@ def profile_of(fit: Fit, factor: float) -> Profile:
 
 
 def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
-    """Why a skew that the data ask for is none of the chips: too large for one, or not there all the time."""
+    """Return why a probable misalignment cannot be that of the chips: too large, or not constant; "" if it can."""
     size = float(np.degrees(np.linalg.norm(angle)))
     most = float(np.degrees(prior.most))
     remedy = "calibrate where it is even, away from steel and in one place"
@@ -204,14 +225,14 @@ def _doubt(fit: Fit, angle: Array, prior: SkewPrior, factor: float) -> str:
 
 
 class _Angle(NamedTuple):
-    """ε (3,) and its covariance (3, 3)."""
+    """An estimate of ε (3,) and its covariance (3, 3)."""
 
     value: Array
     covariance: Array
 
 
 def _of_part(fit: Fit, rows: slice, factor: float) -> _Angle:
-    """ε of some of the windows alone, held by the widest prior."""
+    """Return ε estimated from some of the windows alone, with the widest prior."""
     links = slice(rows.start, rows.stop - 1)
     chain = fit.chain.part(rows.start, rows.stop)
     state = ChainState(fit.state.parameters, fit.state.direction[:, rows])

@@ -1,4 +1,4 @@
-"""What the data say of a skew between the chips."""
+"""The estimate of a misalignment (skew) between the chips."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.rotations import Array
 
-_CERTAIN = 0.95  # probability of a skew from which it is said to be there
+_CERTAIN = 0.95  # probability of a misalignment from which the message states it as certain
 
 
 @dataclass(frozen=True, eq=False)
 class Skew:
-    """A skew, as a fit reports it.
+    """The misalignment estimate of a fit.
 
     Attributes:
-        value: (3,) rad, ε as reported; 0 where it was not decided.
-        covariance: (3, 3) of ε about `value`.
-        evidence: nats for a skew of the most likely deviation against none, in the directions that are resolved.
-        probability: that there is one, in those, as a decision believes it.
+        value: (3,) rad, ε that is corrected; 0 if undecided.
+        covariance: (3, 3) second moment of ε about `value`.
+        evidence: log Bayes factor (nats) of the likeliest deviation against none, in the resolved directions.
+        probability: posterior probability of a misalignment in those directions, with the prior of a decision.
         gain: (13, 3) dθ/dε of the other parameters.
-        shift: (13,) what the other parameters are to be moved by from the fit's, for `value`.
-        doubt: why a skew that the data ask for is not believed; "" where there is none.
+        shift: (13,) change of the other parameters from the fit's values to those that hold at `value`.
+        doubt: why a probable misalignment is not believed; "" if it is.
     """
 
     value: Array
@@ -35,12 +35,12 @@ class Skew:
 
     @property
     def decided(self) -> bool:
-        """Whether it is taken out of the readings."""
+        """Whether the misalignment is corrected."""
         return bool(self.value.any())
 
     @property
     def sentence(self) -> str:
-        """What was taken out."""
+        """The correction in words."""
         size = float(np.degrees(np.linalg.norm(self.value)))
         sigma = float(np.degrees(np.sqrt(self.value @ self.covariance @ self.value) / np.linalg.norm(self.value)))
         if self.probability < _CERTAIN:
@@ -51,6 +51,6 @@ class Skew:
         return f"the two chips are {size:.2f} ± {sigma:.2f}° askew, which is taken out (misalignment)"
 
     def undecided(self) -> Skew:
-        """The same where it is not taken out."""
+        """Return the estimate without a correction: `value` 0, and the second moment about it."""
         second = self.covariance + np.outer(self.value, self.value)
         return replace(self, value=np.zeros(3), covariance=second, shift=self.shift - self.gain @ self.value)
