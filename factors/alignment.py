@@ -1,10 +1,11 @@
-"""Coarse alignment: blocks wait until the graph's heading, and what they say of it, agree.
+"""Coarse alignment: hold magnetometer blocks back until the graph's heading agrees with the one they imply.
 
-A quadratic made at a heading that is far off holds the graph there. So before any block enters, the profile over
-the heading (`chain/heading_profile.py`) says how far the graph is off. Blocks enter where it says "near", or where it
-cannot say yet and the graph itself is sure of its heading; until then they wait. Where the two contradict each other
-for some blocks on end, those that entered are taken out again. Where the profile says "far", a native prior on the
-rotation turns the graph, which GTSAM linearises by itself; it goes when the graph has followed.
+A quadratic that is linearised at a heading far from the truth holds the graph there. Before any block enters, the
+profile over the heading (`chain/heading_profile.py`) therefore gives the probability of the graph's heading error.
+Blocks enter where the profile finds the heading near the truth, or where the profile is undecided and the graph's own
+heading is certain enough; until then they wait. Where profile and graph contradict each other for several blocks in a
+row, blocks that have entered are withdrawn. Where the profile finds the heading far off, a native prior on the
+rotation, which GTSAM relinearises by itself, turns the graph; the prior is removed once the graph has followed.
 """
 
 from __future__ import annotations
@@ -23,21 +24,23 @@ from magyc_gtsam.factors.variables import Array, attitude, choose
 
 @dataclass(frozen=True)
 class AlignmentLimits:
-    """When the heading counts as settled; each as measured on the vehicles of `benchmarks/slam.py starts`.
+    """Limits of the verdict on the graph's heading, each measured on the vehicles of `benchmarks/slam.py starts`.
 
     Attributes:
-        near: rad, a heading error from which quadratics that are renewed converge.
-        sure: probability of "near".
-        far: probability of a heading within `peak` of the best one, when that one is not near.
-        peak: rad.
-        apart: probability of "near" below which the graph's heading and the blocks contradict each other, though the
-            blocks may not say yet what it is.
-        persistence: blocks in a row that say "far", and until blocks that entered leave the graph for a contradiction.
-        confident: rad, standard deviation of the graph's own heading below which blocks enter while the profile
-            cannot say yet.
-        pull: rad, standard deviation of the prior that turns the graph about the vertical; about the others it is
+        near: rad, heading error from which quadratics that are renewed still converge.
+        sure: smallest probability of a heading error below `near` for the verdict "near".
+        far: smallest probability of a heading within `peak` of the best one for the verdict "far", where the best one
+            is not near.
+        peak: rad, half width of the interval around the best heading.
+        apart: probability of "near" below which the graph's heading contradicts the blocks, even where they do not
+            determine the heading yet.
+        persistence: number of consecutive blocks needed for the verdict "far", and for withdrawing blocks on a
+            contradiction.
+        confident: rad, standard deviation of the graph's own heading below which blocks enter while the profile is
+            undecided.
+        pull: rad, standard deviation about the vertical of the prior that turns the graph; about the other axes it is
             1 rad.
-        blocks: number of blocks that are kept for the profile.
+        blocks: largest number of blocks kept for the profile.
     """
 
     near: float = np.radians(25.0)
@@ -52,28 +55,28 @@ class AlignmentLimits:
 
 
 class HeadingVerdict(str, Enum):
-    """What a profile says of the graph's heading."""
+    """The verdict of a heading profile on the graph's heading."""
 
     UNDECIDED = "undecided"
     NEAR = "near"
-    APART = "apart"  # not near, without saying where
+    APART = "apart"  # the graph's heading is not near the true one, which is not determined yet
     FAR = "far"
 
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """What the profile needs of a block."""
+    """The part of a block that the heading profile needs."""
 
     details: BlockDetails
     rows: Array
 
 
 class CoarseAlignment:
-    """The profile over the heading from all blocks so far, at the graph's present attitudes.
+    """The profile over the heading from all blocks so far, evaluated at the graph's present attitudes.
 
     Attributes:
-        profile: the last one.
-        apart: number of blocks in a row by which the graph is not near.
+        profile: the latest profile; None before the first verdict.
+        apart: number of consecutive verdicts that found the graph's heading not near.
     """
 
     def __init__(self, limits: AlignmentLimits) -> None:
@@ -86,7 +89,7 @@ class CoarseAlignment:
         return len(self._blocks)
 
     def add(self, details: BlockDetails) -> None:
-        """One more block."""
+        """Add a block, unless the largest number of blocks is reached."""
         block, unit = details.block, details.field_unit
         if len(self._blocks) < self.limits.blocks:
             self._blocks.append(
@@ -100,35 +103,40 @@ class CoarseAlignment:
 
     @property
     def full(self) -> bool:
-        """Whether no more blocks are kept."""
+        """Whether the largest number of blocks is reached."""
         return len(self._blocks) >= self.limits.blocks
 
     @property
     def due(self) -> bool:
-        """Whether to judge now: at every block early on, later each time that their number has grown by a tenth."""
+        """Whether a verdict is due: at each of the first 20 blocks, later after every tenth of their number."""
         n = len(self._blocks)
         return n <= 20 or n % (n // 10) == 0
 
     @property
     def attitudes(self) -> list[int]:
-        """The attitudes' keys, oldest first."""
+        """The keys of the attitudes, oldest first."""
         return [kept.details.attitude_key for kept in self._blocks]
 
     @property
     def needed(self) -> list[int]:
-        """The attitudes' keys, and those of the field where it is a variable."""
+        """The keys of the attitudes, followed by those of the fields that are variables."""
         found = self.attitudes
         return list(
             dict.fromkeys(found + [d.details.field_key for d in self._blocks if d.details.field_key is not None])
         )
 
     def drop(self, gone: Sequence[int]) -> None:
-        """Forget the blocks on keys that the solver no longer holds."""
+        """Remove the blocks whose attitude keys have left the solver."""
         lost = set(gone)
         self._blocks = [kept for kept in self._blocks if kept.details.attitude_key not in lost]
 
     def judge(self, point: gtsam.Values, mean: Array, information: Array) -> HeadingVerdict:
-        """What the blocks say at these attitudes; (9,) and (9, 9) of the calibration's prior."""
+        """Compute the profile at the attitudes in `point` and return its verdict on the heading.
+
+        Args:
+            point: values of the keys `needed`.
+            mean, information: (9,) and (9, 9) of the prior on soft and hard iron.
+        """
         rotations = [rotation_of(point, kept.details.attitude_key) for kept in self._blocks]
         last = self._blocks[-1].details
         if last.field_key is not None:
@@ -159,7 +167,7 @@ class CoarseAlignment:
         return HeadingVerdict.APART if self.apart else HeadingVerdict.UNDECIDED
 
     def pull(self, point: gtsam.Values, key: int) -> gtsam.NonlinearFactor:
-        """A native prior that turns the graph at one attitude to where the profile has its maximum."""
+        """Return a native prior that turns the attitude of `key` by the heading at the profile's maximum."""
         assert self.profile is not None
         turned = gtsam.Rot3.Rz(self.profile.best) * gtsam.Rot3(rotation_of(point, key))
         axis = turned.matrix()[2]  # the world's vertical in the body frame
@@ -187,7 +195,7 @@ class CoarseAlignment:
 
 
 def rotation_of(point: gtsam.Values, key: int) -> Array:
-    """(3, 3) of the attitude that a key holds."""
+    """Return the rotation matrix (3, 3) of the attitude that a key holds."""
     try:
         pose: Array = point.atPose3(key).rotation().matrix()  # the usual case, without its tangent space
         return pose
@@ -196,7 +204,7 @@ def rotation_of(point: gtsam.Values, key: int) -> Array:
 
 
 def heading_axis(point: gtsam.Values, key: int) -> Array:
-    """The tangent vector of a turn by 1 rad about the world's vertical of an attitude."""
+    """Return the tangent vector of a rotation by 1 rad about the world's vertical."""
     try:
         rotation, columns = point.atPose3(key).rotation().matrix(), 6  # the usual case
     except RuntimeError:
@@ -211,7 +219,7 @@ def heading_axis(point: gtsam.Values, key: int) -> Array:
 
 
 def heading_sigma(point: gtsam.Values, key: int, covariance: Array) -> float:
-    """rad, standard deviation about the vertical of an attitude whose covariance is given."""
+    """Return the standard deviation, in rad, of an attitude about the vertical, from its covariance."""
     axis = heading_axis(point, key)
     return float(np.sqrt(axis @ covariance @ axis))
 

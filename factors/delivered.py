@@ -1,4 +1,4 @@
-"""A Python factor and the quadratic that stands for it in a graph."""
+"""A Python factor together with the quadratic that replaces it in a graph."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array, choose, gyro_bias
 
 _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
-# Of the tolerance, from which a quadratic is made anew at the first look, when that costs least. With 1 in its place 25
-# blocks of `benchmarks/slam.py cost --motion wide` are linearised 62 times to be looked at, with this 36 times.
+# Fraction of the tolerance that applies at the first check of a quadratic, when renewing it costs least. With 1
+# instead, the checks on 25 blocks of `benchmarks/slam.py cost --motion wide` need 62 linearisations; with 0.1 they
+# need 36.
 _AT_FIRST = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Where a quadratic was made, or was found fresh.
+    """The point at which a quadratic was linearised or last found fresh.
 
     Attributes:
-        rotation, soft_iron, bias: (3, 3), (6,), (3,) rad/s, attitude, soft iron and bias there.
-        shift: by how many standard deviations it was stale there.
-        angle, iron: rad and 1, at least as far as this is from where the quadratic was made, the attitude with what
-            the bias turns the samples by.
+        rotation, soft_iron, bias: (3, 3), (6,), (3,) rad/s, attitude, soft iron and bias at that point.
+        shift: staleness there, in standard deviations.
+        angle, iron: rad and 1, upper bounds of the distances in attitude (including the rotation of the samples by
+            the bias) and in soft iron from the linearisation point.
     """
 
     rotation: Array
@@ -41,7 +42,9 @@ class _Place:
     iron: float = 0.0
 
     def moved(self, point: gtsam.Values, details: BlockDetails) -> tuple[float, float]:
-        """How far the attitude (rad), with what the bias turns the samples by, and the soft iron are from here."""
+        """Return the distances of `point` in attitude (rad, including the rotation of the samples by the bias) and in
+        soft iron.
+        """
         turned = rotation_of(point, details.attitude_key) - self.rotation
         soft_iron = point.atVector(details.soft_iron_key) - self.soft_iron
         angle = math.sqrt(0.5 * float(np.vdot(turned, turned)))
@@ -51,10 +54,10 @@ class _Place:
 
 @dataclass(frozen=True, eq=False)
 class _Beside:
-    """A held mounting's part of a linearisation [J M −r].
+    """The Jacobian M of a held mounting in a linearisation [J M −r].
 
     Attributes:
-        point: where it was made.
+        point: linearisation point.
         crossed, square, gradient: (p, 3) JᵀM, (3, 3) MᵀM, (3,) −Mᵀr.
     """
 
@@ -64,7 +67,9 @@ class _Beside:
     gradient: Array
 
     def joined(self, plain: Array, keys: list[int], point: gtsam.Values) -> Array:
-        """(p + 4, p + 4) products of all columns, from (p + 1, p + 1) of [J −r] at `point`."""
+        """Return the products (p + 4, p + 4) of the columns of [J M −r] from those (p + 1, p + 1) of [J −r] at
+        `point`.
+        """
         moved = self.point.localCoordinates(point)
         step = np.concatenate([moved.at(key) for key in keys])
         gradient = self.gradient - self.crossed.T @ step
@@ -80,27 +85,27 @@ class _Beside:
 
 @dataclass(eq=False)
 class Delivered:
-    """A Python factor, the quadratic that stands for it, and the quadratic's slot in the solver's graph."""
+    """A Python factor, the quadratic that replaces it, and the quadratic's slot in the solver's graph."""
 
     factor: gtsam.NonlinearFactor
     details: BlockDetails | None
     native: gtsam.NonlinearFactor
     slot: int = -1
     place: _Place | None = None  # where it was made, or looked at last
-    beside: _Beside | None = None  # of the native one
-    looked_at: bool = False  # whether it has been since it entered
+    beside: _Beside | None = None  # part of the held mounting in `native`
+    looked_at: bool = False  # whether it has been checked since it entered
 
     @property
     def is_block(self) -> bool:
-        """Whether it is a block of samples on an attitude, which the coarse alignment understands."""
+        """Whether the factor is a block of samples on an attitude, which the coarse alignment can use."""
         return self.details is not None and not self.details.on_direction
 
     def within(self, spans: Sequence[tuple[float, float]]) -> bool:
-        """Whether it is a block of samples in one of these spans, s."""
+        """Whether the factor is a block of samples inside one of these spans, (first, last) in s."""
         return self.details is not None and any(first <= self.details.block.time < last for first, last in spans)
 
     def make(self, view: View) -> None:
-        """The quadratic at the present estimate."""
+        """Linearise the factor at the present estimate."""
         point = view.values(self.factor.keys())
         self._make(self.factor.linearize(point), point)
         self.place = _place_of(self.details, point)
@@ -119,10 +124,12 @@ class Delivered:
         return plain, None if beside is None else beside.joined(plain, self.factor.keys(), point)
 
     def renew(self, view: View, tolerance: float) -> float:
-        """Make it anew if its gradient is stale by more than `tolerance` standard deviations; by how many it was.
+        """Renew the quadratic if its gradient is stale by more than `tolerance` standard deviations; return the
+        staleness.
 
-        At the first look, in the update after its own, a tenth of that will do: made where the graph has settled, it is
-        less often near the tolerance later, when it is linearised only to be found fresh.
+        At the first check, in the update after its own, a tenth of `tolerance` applies: a quadratic linearised where
+        the graph has settled comes close to the tolerance less often later, and so needs fewer linearisations that
+        only find it fresh.
         """
         point = view.values(self.factor.keys())
         place, details = self.place, self.details
@@ -130,11 +137,13 @@ class Delivered:
             self.looked_at, tolerance = True, _AT_FIRST * tolerance
         angle = iron = 0.0
         if place is not None and details is not None and details.width == 1.0:
-            # The residual is linear in soft iron, attitude (to first order) and bias each: what a quadratic lacks is of
-            # second order in how far these are from where it was made, and so is what it lacks beyond the last look.
+            # The residual is linear in soft iron, in attitude (to first order) and in bias, each by itself. The error
+            # of the quadratic is therefore of second order in the distance from its linearisation point, and so is
+            # its growth since the last check.
             angle, iron = place.moved(point, details)
             lost = angle * (place.angle + 0.5 * angle + place.iron + iron) + iron * place.angle  # of the field
-            # The samples' noise acts through Jacobians that have changed by as much, twice its deviation counting.
+            # The samples' noise acts through Jacobians that changed by the same amount; two standard deviations
+            # count.
             shift = place.shift + lost * details.field_over_noise + 2 * (angle + iron)
             if shift < tolerance:
                 return shift
@@ -148,7 +157,7 @@ class Delivered:
         return shift
 
     def lag(self, view: View) -> float:
-        """By how many standard deviations the solver's own linearisation of the Python factor is stale."""
+        """Return how many standard deviations the solver's own linearisation of the Python factor is stale."""
         keys = self.factor.keys()
         point, before = view.values(keys), view.linearized(keys)
         stale = gtsam.LinearContainerFactor(self.factor.linearize(before), before)
@@ -156,20 +165,20 @@ class Delivered:
 
 
 def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.LinearContainerFactor:
-    """The factor's quadratic at `point`, which must hold its keys: native, picklable, free of Python.
+    """Return the factor's quadratic at `point`, which must hold its keys: native, picklable and free of Python.
 
-    Of a `field_chain_factor` at its solution it is the whole log's marginal, a prior for the next mission.
+    For a `field_chain_factor` at its solution this is the marginal of the whole log, a prior for the next mission.
     """
     return gtsam.LinearContainerFactor(_square_root(factor.linearize(point)), point)
 
 
 class Sorted(NamedTuple):
-    """The factors of a graph by what happens to them.
+    """The factors of a graph, sorted by their treatment.
 
     Attributes:
-        others: the graph itself where it has no Python factor of this package, else a new one.
-        fresh: the Python factors.
-        holding: priors among the others that may hold a mounting or a delay.
+        others: all other factors; the graph itself where it has no Python factor of this package.
+        fresh: the Python factors of this package.
+        holding: the priors among `others` that may hold a mounting or a delay.
     """
 
     others: gtsam.NonlinearFactorGraph
@@ -178,7 +187,7 @@ class Sorted(NamedTuple):
 
 
 def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
-    """Sort the factors of a graph, which is not changed."""
+    """Sort the factors of a graph, leaving the graph unchanged."""
     fresh: list[Delivered] = []
     holding: list[gtsam.NonlinearFactor] = []
     own: list[int] = []
@@ -202,7 +211,9 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
 
 
 def _place_of(details: BlockDetails | None, point: gtsam.Values) -> _Place | None:
-    """Attitude, soft iron and bias of a block whose residual these and the hard iron decide alone."""
+    """Return attitude, soft iron and bias of a block, or None where its residual depends on more than these and hard
+    iron.
+    """
     if details is None or details.field is None or details.on_direction or details.more_keys:
         return None
     attitude, soft_iron = rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key)
@@ -210,7 +221,7 @@ def _place_of(details: BlockDetails | None, point: gtsam.Values) -> _Place | Non
 
 
 def _bias_of(point: gtsam.Values, details: BlockDetails) -> Array:
-    """(3,) rad/s, the bias at which a block stands."""
+    """Return the gyroscope bias (3,) in rad/s at which a block is evaluated."""
     key = details.gyro_bias_key
     if key is None:
         return details.block.bias
@@ -222,12 +233,12 @@ def _bias_of(point: gtsam.Values, details: BlockDetails) -> Array:
 
 
 def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:
-    """The same in as few rows as its keys have columns, and one for the rest."""
+    """Return an equivalent factor with one row per column of its keys and one for the constant."""
     return gtsam.JacobianFactor(gtsam.HessianFactor(linear))
 
 
 def _beside(linear: gtsam.GaussianFactor, point: gtsam.Values, details: BlockDetails) -> _Beside | None:
-    """The mounting's part of a block that has been linearised just now."""
+    """Return the mounting's part of a block that has just been linearised; None where no mounting is held."""
     turned = details.on_mounting
     if turned is None:
         return None
@@ -236,7 +247,7 @@ def _beside(linear: gtsam.GaussianFactor, point: gtsam.Values, details: BlockDet
 
 
 def _shift(exact: gtsam.GaussianFactor, stale: gtsam.GaussianFactor) -> float:
-    """Largest difference of two gradients, in standard deviations of each variable given the factor alone."""
+    """Return the largest difference of two gradients, in standard deviations of a variable given the factor alone."""
     first, second = exact.augmentedInformation(), stale.augmentedInformation()
     information: Array = np.diag(first)[:-1]
     difference = np.abs(first[:-1, -1] - second[:-1, -1])[information > 0]

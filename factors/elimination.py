@@ -1,8 +1,8 @@
-"""Where iSAM2 eliminates soft and hard iron: before the newest poses, in a clique of their own.
+"""Elimination order of iSAM2 that puts soft and hard iron in a clique of their own, before the newest poses.
 
-By itself iSAM2 puts the keys of all new factors last, so that soft and hard iron share a clique with poses. A clique
-counts as changed as a whole: each time that these poses move, all poses of that calibration are solved for again. Where
-older blocks are renewed iSAM2's own order is the better one, since it shortens the way to them.
+By default iSAM2 orders the keys of all new factors last, so that soft and hard iron share a clique with poses. A
+clique counts as changed as a whole: each time these poses move, all poses of that calibration are solved for again.
+In updates that renew older blocks iSAM2's own order is better, since it shortens the path to them.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from magyc_gtsam.factors.delivered import Delivered
 def eliminated_last(
     others: gtsam.NonlinearFactorGraph, entering: list[Delivered], renewed: list[Delivered]
 ) -> list[set[int]]:
-    """Groups of keys that iSAM2 eliminates after all others, one after the other; empty where its own order is better.
+    """Return groups of keys that iSAM2 eliminates last, in this order; an empty list where its own order is better.
 
     Args:
-        others: the other factors of an update.
-        entering, renewed: the blocks whose quadratics come with it.
+        others: the other factors of the update.
+        entering, renewed: the blocks whose quadratics the update adds.
     """
     placed = entering + renewed
     newest = set(others.keyVector()) if placed else set()

@@ -1,4 +1,4 @@
-"""When blocks enter a graph: at once, or when its heading is settled; until then they and their variables wait."""
+"""Admission of blocks to a graph: at once, or once its heading is settled; until then they and their variables wait."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from magyc_gtsam.factors.variables import Array
 
 _VAGUE = np.diag(
     np.r_[np.full(6, 1 / 0.5**2), np.full(3, 1.0)]
-)  # of soft and hard iron, the latter times the field
+)  # information on soft iron and on hard iron, the latter relative to the field
 _NO_IRON = np.r_[1.0, 0, 0, 1, 0, 1, 0, 0, 0]
 
 Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
@@ -24,14 +24,14 @@ Optimize = Callable[[gtsam.NonlinearFactorGraph, gtsam.Values], gtsam.Values]
 
 @dataclass(eq=False)
 class Admission:
-    """What an update does with blocks.
+    """The changes to the blocks of a graph in one update.
 
     Attributes:
         entering: factors that enter now.
         leaving: factors that leave the graph and wait.
-        pull: the prior that turns the graph from now on.
-        remove: slots of factors that leave the graph for good, beside those of `leaving`.
-        turned: whether the graph turns or has turned, so that what was judged before says nothing.
+        pull: prior that turns the graph from now on.
+        remove: slots of factors that leave the graph for good, besides those of `leaving`.
+        turned: whether the graph is being or has been turned, which invalidates all earlier verdicts.
     """
 
     entering: list[Delivered]
@@ -45,12 +45,12 @@ class Entrance:
     """Keeps blocks waiting while the coarse alignment contradicts the heading, and turns the graph by a prior.
 
     Args:
-        limits: of the coarse alignment; None lets every block enter at once.
+        limits: limits of the coarse alignment; None lets every block enter at once.
 
     Attributes:
         waiting: factors that wait.
         entered: whether blocks have entered.
-        pull: the prior that turns the graph while they wait; `pull_slot` is its slot in the solver.
+        pull: prior that turns the graph while they wait; `pull_slot` is its slot in the solver.
     """
 
     def __init__(self, limits: AlignmentLimits | None) -> None:
@@ -65,7 +65,7 @@ class Entrance:
     def admit(
         self, view: View, fresh: list[Delivered], delivered: list[Delivered], others: gtsam.NonlinearFactorGraph
     ) -> Admission:
-        """What enters and leaves in an update that brings the factors `fresh` and `others`."""
+        """Decide which blocks enter and leave in an update that brings the factors `fresh` and `others`."""
         alignment = self._alignment
         blocks = [each for each in fresh if each.is_block] if fresh else fresh
         if alignment is None or not blocks:
@@ -96,7 +96,7 @@ class Entrance:
             self.waiting += leaving + blocks
             self.entered = False
             admission = Admission([each for each in fresh if each not in blocks], leaving, turned=True)
-            if verdict is HeadingVerdict.APART:  # the graph alone, or later blocks, will tell
+            if verdict is HeadingVerdict.APART:  # the graph alone, or later blocks, will decide
                 return admission
             if self.pull is not None:
                 admission.remove.append(self.pull_slot)
@@ -111,7 +111,7 @@ class Entrance:
         return self._let(fresh, blocks)
 
     def _let(self, fresh: list[Delivered], blocks: list[Delivered]) -> Admission:
-        """As before: in where blocks have entered, else they wait."""
+        """Admit the fresh factors where blocks have entered before; otherwise keep their blocks waiting."""
         if self.entered:
             return Admission(fresh)
         self.waiting += blocks
@@ -124,7 +124,9 @@ class Entrance:
         fresh: list[Delivered],
         optimize: Optimize,
     ) -> gtsam.Values:
-        """The start of a batch in which all enter: its values, turned where the blocks contradict their heading."""
+        """Return the initial values of a batch in which all blocks enter, turned where the blocks contradict their
+        heading.
+        """
         self.entered, alignment = True, self._alignment
         if alignment is None:
             return values
@@ -140,7 +142,7 @@ class Entrance:
         return self._turned(graph, values, fresh[-1], optimize) if verdict is HeadingVerdict.FAR else values
 
     def _sure(self, view: View, point: gtsam.Values, key: int) -> bool:
-        """Whether the graph itself is sure of its heading, at the last pose that the solver holds."""
+        """Whether the graph's own heading is certain enough, at the last pose that the solver holds."""
         assert self._alignment is not None
         held = [each for each in self._alignment.attitudes if not view.new.exists(each) and view.exists(each)]
         if not held:
@@ -157,7 +159,7 @@ class Entrance:
         last: Delivered,
         optimize: Optimize,
     ) -> gtsam.Values:
-        """The values of a batch after its other factors and a prior on the heading."""
+        """Return the values of a batch after optimising its other factors with a prior on the heading."""
         assert self._alignment is not None
         assert last.details is not None
         turning = gtsam.NonlinearFactorGraph()
@@ -178,11 +180,11 @@ class Entrance:
 
     @property
     def defers(self) -> bool:
-        """Whether blocks or their variables wait."""
+        """Whether blocks or variables are waiting."""
         return bool(self.waiting) or not self._values.empty()
 
     def covered(self, new: gtsam.Values, pushed: gtsam.NonlinearFactorGraph) -> gtsam.Values:
-        """The new values that a factor of this update stands on; others are kept until theirs enters."""
+        """Return the new values that a factor of this update uses; keep the others until their factor enters."""
         if not self.defers:
             return new
         self._values.insert(new)
@@ -193,7 +195,7 @@ class Entrance:
         return result
 
     def forget(self, view: View) -> None:
-        """Drop what stands on keys that have left a fixed-lag smoother."""
+        """Remove the factors on keys that have left a fixed-lag smoother."""
         self.waiting = [each for each in self.waiting if all(map(view.exists, each.factor.keys()))]
         if self._alignment is not None:
             self._alignment.drop([key for key in self._alignment.needed if not view.exists(key)])
@@ -202,7 +204,9 @@ class Entrance:
 def _calibration_before(
     view: View, graph: gtsam.NonlinearFactorGraph, details: BlockDetails
 ) -> tuple[Array, Array]:
-    """Mean (9,) and information (9, 9) of soft and hard iron before any block: of the solver, or of new priors."""
+    """Return mean (9,) and information (9, 9) of soft and hard iron before any block, from the solver or from new
+    priors.
+    """
     keys = [details.soft_iron_key, details.hard_iron_key]
     strength = 50e-6 if details.field is None else float(np.linalg.norm(details.field))
     unit = np.r_[np.ones(6), np.full(3, details.field_unit / strength)]

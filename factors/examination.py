@@ -1,4 +1,4 @@
-"""Blocks that have entered a graph, examined against the rest of it, and the variables that priors hold."""
+"""Tests of blocks against the rest of their graph, and of the variables that priors hold."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array
 
-_EVERY = 4  # blocks between two looks at what priors hold
+_EVERY = 4  # blocks between two checks of the variables that priors hold
 
 
 class Examiner:
-    """Tells a monitor how each block fits.
+    """Passes each block's fit to a monitor.
 
     Attributes:
-        monitor: turns the fits into a word.
+        monitor: derives the health from the fits.
         judged: number of blocks judged since the start or the last restart.
         quiet: number of coming blocks that are not judged.
     """
@@ -35,7 +35,7 @@ class Examiner:
         self._held: dict[int, gtsam.NonlinearFactor] = {}
 
     def restart(self) -> None:
-        """Forget all fits, as the graph has turned."""
+        """Discard all fits, because the graph has been turned."""
         self.monitor, self.judged, self.quiet = Monitor(self.monitor.limits), 0, 0
         self.mounting = HeldMounting(self.mounting.limits)
 
@@ -45,7 +45,13 @@ class Examiner:
             self._held[factor.keys()[0]] = factor
 
     def judge(self, entered: list[Delivered], view: View, delivered: list[Delivered]) -> None:
-        """Examine the factors that have entered, unless it is quiet; `delivered` are all that the solver holds."""
+        """Examine the factors that have entered, unless judging is suspended.
+
+        Args:
+            entered: the factors that have entered.
+            view: view of the solver.
+            delivered: all factors that the solver holds.
+        """
         if not self.quiet:
             for each in entered:
                 self.judged += 1
@@ -55,18 +61,20 @@ class Examiner:
         self.quiet = max(self.quiet - len(entered), 0)
 
     def judge_batch(self, blocks: list[Delivered], view: View) -> None:
-        """Examine all blocks of a batch at its solution, and whether the mounting that they hold is right."""
+        """Examine all blocks of a batch at its solution, and the mounting that they hold."""
         for each in blocks:
             self._examine(each, view, None)
         self._free_mounting(view, blocks)
 
     def spans_over(self) -> list[tuple[float, float]]:
-        """(first, last) s of disturbances that are over, each told once."""
+        """Return (first, last) in s of each disturbance that has ended; each is returned once."""
         spans, self.monitor.over = self.monitor.over, []
         return spans
 
     def _examine(self, each: Delivered, view: View, mounting: HeldMounting | None) -> None:
-        """The NIS of a block that has entered, and at times what priors hold."""
+        """Compute the NIS of a block that has entered, and check the variables that priors hold after every few
+        blocks.
+        """
         details = each.details
         keys = list(each.factor.keys())
         if details is None or not all(map(view.exists, keys)):
@@ -114,7 +122,7 @@ class Examiner:
                 self._examine_held(view, key, details.block.time)
 
     def _moved(self, point: gtsam.Values, keys: list[int], sizes: list[int]) -> tuple[gtsam.Values, Array]:
-        """A block's values with the mounting free, and (3, 3) by how it is turned."""
+        """Return a block's values with the mounting free, and the estimated rotation (3, 3) of the mounting."""
         mean, step = self.mounting.mean, gtsam.VectorValues()
         parts = np.split(-self.mounting.shift @ mean, np.cumsum(sizes)[:-1])
         for key, part in zip(keys, parts, strict=True):
@@ -122,14 +130,14 @@ class Examiner:
         return point.retract(step), gtsam.Rot3.Expmap(mean).matrix()
 
     def _free_mounting(self, view: View, delivered: list[Delivered]) -> None:
-        """Solve the graph with the mounting free, and say what it found."""
+        """Solve the graph with the mounting free and report the verdict to the monitor."""
         mounting = self.mounting
         mounting.solve(view, delivered)
         text = f"mounting {np.degrees(np.linalg.norm(mounting.mean)):.1f}° from what the blocks hold"
         self.monitor.hold("mounting held", mounting.wrong, text, mounting.since)
 
     def _examine_held(self, view: View, key: int, time: float) -> None:
-        """Whether the data have moved a mounting or a delay from its prior by more than both allow."""
+        """Test whether the data have moved a mounting or a delay from its prior by more than both allow."""
         covariance, prior = view.covariance([key]), self._held[key]
         if covariance is None:
             return
@@ -138,7 +146,9 @@ class Examiner:
         before = np.linalg.inv(augmented[:-1, :-1])
         moved = before @ augmented[:-1, -1]
         weight, axes = np.linalg.eigh(before - covariance)
-        seen = weight > 0.1 * np.diag(before).max()  # where the data know better than the prior
+        seen = (
+            weight > 0.1 * np.diag(before).max()
+        )  # directions in which the data are more informative than the prior
         distance = float(np.sum((axes.T[seen] @ moved) ** 2 / weight[seen]))
         if len(moved) == 3:
             text = f"mounting {np.degrees(np.linalg.norm(moved)):.1f}° from its prior"
@@ -149,7 +159,7 @@ class Examiner:
 
 
 def _body_field(details: BlockDetails, point: gtsam.Values) -> Array:
-    """(3,) T, the world's field in the body frame at a block's keyframe."""
+    """Return the world's field (3,) in T, in the body frame at a block's keyframe."""
     if details.on_direction:
         assert details.field is not None
         result: Array = point.atUnit3(details.attitude_key).point3() * details.field

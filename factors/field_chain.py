@@ -1,9 +1,9 @@
 """The field chain as ONE GTSAM factor on soft iron, hard iron, gyroscope bias[, mounting][, delay].
 
-As GTSAM's smart factors eliminate landmarks, the factor eliminates every window's field direction: its
-error is the cost at the best directions for the values at hand, its linearisation the Schur complement
+As GTSAM's smart factors eliminate landmarks, this factor eliminates the field direction of every window: its
+error is the cost at the best directions for the given values; its linearisation is the Schur complement
 S = RᵀR with gradient g, written as the residual (R⁻ᵀg, rest) with the Jacobian (R, 0). A whole log, or any
-stretch of it, so enters a graph without a variable, or a Python call, per window.
+part of it, thus enters a graph without a variable, or a Python call, per window.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from magyc_gtsam.factors.guard import custom_factor
 from magyc_gtsam.factors.pose import given_keys
 from magyc_gtsam.factors.variables import Array, Variable, gyro_bias, scalar, skew_angles, vector
 
-_MOVED = 2e-3  # rad by which a bias or delay may turn a window before the gyroscope is integrated again
+_MOVED = 2e-3  # rad, rotation of a window by a changed bias or delay from which the gyroscope is integrated again
 
 
 def field_chain_factor(
@@ -39,23 +39,24 @@ def field_chain_factor(
     soft_iron_unit: float = 1e-6,
     field_unit: float = 1e-6,
 ) -> gtsam.CustomFactor:
-    """A factor over all windows of `samples` (docs/field_chain.md).
+    """Return a factor over all windows of `samples` (docs/field_chain.md).
 
     Args:
-        soft_iron_key: 6-vector, vech of soft iron times field strength, in `soft_iron_unit` T. With the
-            field strength as its unit the key holds the soft iron itself.
+        soft_iron_key: 6-vector, vech of soft iron times field strength, in `soft_iron_unit` T. With the field
+            strength as its unit the key holds the soft iron itself.
         hard_iron_key: Point3 or 3-vector in `field_unit` T.
         gyro_bias_key: Point3, 3-vector or imuBias.ConstantBias, rad/s.
-        samples: both sensors' samples in windows.
+        samples: samples of both sensors, in windows.
         noise: standard deviations per sample.
-        mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`), from the magnetometer's axes to the gyroscope's: the
-            skew between the chips, Exp(ε) = ᵇRₛᵀ; below 180°. Without it the axes are the same.
+        mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`), from the magnetometer's axes to the gyroscope's:
+            the skew between the chips, Exp(ε) = ᵇRₛᵀ; below 180°. Without it the axes are the same.
         delay_key: double or 1-vector, s; None fixes the delay at `delay`.
-        weights: robust weights of windows and links; None is all one.
+        delay: s, the fixed delay, and the linearisation point of one that is a variable.
+        weights: robust weights of windows and links; None weights all of them by 1.
         soft_iron_unit, field_unit: T per unit of the keys; they keep a graph's variables of order one.
 
     Raises:
-        MagycError: here, for units that are not positive; later, as `custom_factor`.
+        MagycError: immediately, for units that are not positive; later, as `custom_factor`.
     """
     if not (soft_iron_unit > 0 and field_unit > 0):
         raise MagycError(f"soft_iron_unit {soft_iron_unit} and field_unit {field_unit} must be above 0")
@@ -83,17 +84,18 @@ def field_chain_factor(
 def optional_keys(
     mounting_key: int | None, delay_key: int | None
 ) -> tuple[list[tuple[int, Variable]], np.ndarray]:
-    """The optional keys of a chain that were given, with how they are read; and the rows of θ that all its keys hold,
-    in their order."""
+    """Return the optional keys that were given, with their readers, and the rows of θ that all keys hold, in key
+    order.
+    """
     optional = given_keys((mounting_key, skew_angles), (delay_key, scalar))
     rows = np.r_[:DELAY, [] if mounting_key is None else SKEW, [] if delay_key is None else DELAY]
     return optional, rows.astype(int)
 
 
 class _Marginal:
-    """The chain's cost with its directions eliminated, as a function of θ alone.
+    """The chain's cost as a function of θ alone, with the directions eliminated.
 
-    It remembers the last chain and directions, which only shortens the way to the same minimum.
+    It keeps the last chain and directions as a warm start, which does not change the minimum.
     """
 
     def __init__(self, samples: Preintegration, noise: SensorNoise, weights: Weights | None, delay: float) -> None:
@@ -103,7 +105,7 @@ class _Marginal:
         self._direction: Array | None = None
 
     def at(self, parameters: Array) -> tuple[float, Array, Array]:
-        """Cost, information (p, p) and gradient (p,) at the best directions for θ (p,)."""
+        """Return cost, information (p, p) and gradient (p,) at the best directions for θ (p,)."""
         windows = self._chain.windows
         turned = (
             np.abs(windows.lever[:, :, windows.linked]).max(initial=0.0)

@@ -1,6 +1,4 @@
-"""Link between two field directions: a field fixed in the world turns in the sensor as the gyroscope says.
-
-    x̂₂ = ΔR(b)ᵀ x̂₁,    ΔR(b) = Π Exp((w_j − b) dt_j) = Exp(K (b − b₀)) ΔR(b₀)
+"""Link between two field directions: a field fixed in the world rotates in the sensor frame as the gyroscope measures.
 
 ΔR is preintegrated at b₀ and corrected to first order when the bias moves, as `PreintegratedRotation`
 does. The residual is the chord x̂₂ − ΔRᵀ x̂₁ (3 rows) rather than the angle in the tangent plane (2 rows):
@@ -27,8 +25,8 @@ class FieldLink:
     """The gyroscope preintegrated between two times.
 
     Attributes:
-        rotation: (3, 3) ΔR at `bias`, sensor frame at the end → at the start.
-        lever: (3, 3) s, K = −∫ R dt: a bias moved by δ turns ΔR into Exp(K δ) ΔR.
+        rotation: (3, 3) ΔR at `bias`, from the sensor frame at the end to that at the start.
+        lever: (3, 3) s, K = −∫ R dt: a bias change δ turns ΔR into Exp(K δ) ΔR.
         bias: (3,) rad/s, b₀.
         squared_time: s², Σ dt²; the angle's variance is σ_g² times it.
     """
@@ -43,7 +41,7 @@ class FieldLink:
             object.__setattr__(self, name, measured(f"field link's {name}", getattr(self, name), shape))
 
     def error(self, x1: Array, x2: Array, b: Array, want_jacobians: bool = False) -> Residual:
-        """x̂₂ − ΔR(b)ᵀ x̂₁ (3,), and its Jacobians on x̂₁, x̂₂ and b, (3, 3) each."""
+        """Return x̂₂ − ΔR(b)ᵀ x̂₁ (3,), and its Jacobians on x̂₁, x̂₂ and b, (3, 3) each."""
         correction = self.lever @ (self.bias - b)
         turn = self.rotation.T @ gtsam.Rot3.Expmap(correction).matrix()  # ΔR(b)ᵀ
         residual = x2 - turn @ x1
@@ -93,7 +91,7 @@ def preintegrate(
 
 
 def left_jacobian(rotation_vector: Array) -> Array:
-    """J with Exp(φ + dφ) = Exp(J dφ) Exp(φ) to first order, for φ (n, 3) rad: (n, 3, 3)."""
+    """Return J (n, 3, 3) with Exp(φ + dφ) = Exp(J dφ) Exp(φ) to first order, for φ (n, 3) rad."""
     angle = np.linalg.norm(rotation_vector, axis=1)
     small = angle < 1e-4
     a = np.where(small, 1.0, angle)
@@ -110,12 +108,12 @@ def field_link_factor(
     link: FieldLink,
     gyroscope_noise: Noise,
 ) -> gtsam.CustomFactor:
-    """The link as a factor on (x̂₁, x̂₂, b).
+    """Return the link as a factor on (x̂₁, x̂₂, b).
 
     Args:
         first_direction_key, second_direction_key: x̂₁ and x̂₂, `Unit3`.
         gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`.
-        link: of `preintegrate`.
+        link: as returned by `preintegrate`.
         gyroscope_noise: σ_g rad/s per sample and axis, or a noise model of the 3 rows in rad.
     """
     if isinstance(gyroscope_noise, gtsam.noiseModel.Base):

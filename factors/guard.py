@@ -35,7 +35,7 @@ _asked = threading.local()
 
 
 class NonFiniteError(MagycError):
-    """A variable, residual or Jacobian is NaN or infinite: the step went wrong, not the program."""
+    """A variable, residual or Jacobian that is NaN or infinite: the step has diverged, the program is not at fault."""
 
 
 def custom_factor(
@@ -48,21 +48,21 @@ def custom_factor(
     *,
     details: object = None,
 ) -> gtsam.CustomFactor:
-    """A factor whose error function cannot crash or mislead GTSAM.
+    """Return a factor whose error function cannot crash or mislead GTSAM.
 
     Args:
-        name: what the factor is, for error messages.
+        name: the factor's name in error messages.
         noise: standard deviation of every row, or a GTSAM noise model of dimension `rows`.
         keys: the variables, in the order of the error function's arguments.
-        variables: how each key is read (`magyc_gtsam.factors.variables`); the type that a key holds is looked up
-            once per factor.
+        variables: the accepted types of each key (`magyc_gtsam.factors.variables`); the type that a key holds is
+            looked up once per factor.
         rows: number of rows of the residual.
         error: (*values, want_jacobians) → residual (rows,), Jacobians (rows, len(value)) in key order.
-        details: what `factor_details` gives for this factor; its name if None.
+        details: what `factor_details` returns for this factor; its name if None.
 
     Raises:
-        MagycError: here, if the arguments do not fit together; later, from inside the optimiser, if a
-            key is missing or of another type, or a shape is wrong.
+        MagycError: immediately, if the arguments do not fit together; later, from inside the optimiser, if a key is
+            missing or of another type, or a shape is wrong.
         NonFiniteError: later, if a variable, the residual or a Jacobian is not finite.
     """
     keys = [int(key) for key in keys]
@@ -107,9 +107,10 @@ def custom_factor(
 
 
 def factor_details(factor: gtsam.NonlinearFactor) -> Any:
-    """The `details` of a `custom_factor`, or its name; None for any other factor.
+    """Return the `details` of a `custom_factor`, or its name; None for any other factor.
 
-    GTSAM keeps a custom factor's function but not its Python object, so the function itself is asked.
+    GTSAM keeps a custom factor's function but not its Python object, so the details are requested through the
+    function.
     """
     if not isinstance(factor, gtsam.CustomFactor):
         return None
@@ -125,7 +126,7 @@ def factor_details(factor: gtsam.NonlinearFactor) -> Any:
 
 
 def noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
-    """A GTSAM noise model of `rows` rows, from itself or from one standard deviation."""
+    """Return a GTSAM noise model of `rows` rows, from a model of that dimension or from one standard deviation."""
     if isinstance(noise, gtsam.noiseModel.Base):
         if noise.dim() != rows:
             raise MagycError(f"noise model of dimension {noise.dim()} for a residual of {rows} rows")
@@ -134,17 +135,17 @@ def noise_model(noise: Noise, rows: int) -> gtsam.noiseModel.Base:
 
 
 def standard_deviation(sigma: float) -> float:
-    """`sigma`, checked to be finite and above 0."""
+    """Return `sigma` after checking that it is finite and above 0."""
     if not (np.isfinite(sigma) and sigma > 0):
         raise MagycError(f"standard deviation {sigma} of a residual; it must be finite and above 0")
     return float(sigma)
 
 
 def measured(name: str, value: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """A read-only float64 copy of a measurement; None in `shape` stands for any length.
+    """Return a read-only float64 copy of a measurement; None in `shape` stands for any length.
 
     Raises:
-        MagycError: wrong shape, or not finite.
+        MagycError: wrong shape, or values that are not finite.
     """
     array = np.array(value, dtype=np.float64)
     if array.ndim != len(shape) or any(s not in (None, n) for s, n in zip(shape, array.shape, strict=True)):

@@ -1,11 +1,11 @@
-"""Residual (7) of the MAGYC paper: the calibrated field changes only as the calibrated gyroscope turns.
+"""Residual (7) of the MAGYC paper: the calibrated field changes only by the calibrated rotation rate.
 
     r_i = [w_i − b]× (C m_i − d) + C ṁ_i,    C = unvech(l)
 
-It is linear in the 21 numbers z = (l, d, [b]×C, b × d), r_i = Φ_i z. With the triangular factor T of a QR
-decomposition of all Φ_i stacked, Σ‖r_i‖² = ‖T z‖² exactly, however many samples there were.
+It is linear in the 21 numbers z = (l, d, [b]×C, b × d): r_i = Φ_i z. With the triangular factor T of a QR
+decomposition of all Φ_i stacked, Σ‖r_i‖² = ‖T z‖² exactly, for any number of samples.
 
-Field and derivative may be in any unit (sigma is then in that unit per second), d in the field's unit.
+Field and derivative may be in any unit (sigma is then in that unit per second); d is in the field's unit.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Samples = tuple[Array, Array, Array]
 
 MONOMIALS = 21
 _CROSS_UNITS = skew(np.eye(3))
-_BLOCK = 4096  # samples decomposed at a time, so that memory stays flat
+_BLOCK = 4096  # samples decomposed at a time, which bounds the memory
 
 
 def derivative_samples(magnetic_field: ArrayLike, derivative: ArrayLike, angular_rate: ArrayLike) -> Samples:
-    """m, ṁ and w, checked: each (n, 3), a single (3,) counting as n = 1.
+    """Check m, ṁ and w and return each as (n, 3); a single (3,) counts as n = 1.
 
     Raises:
         MagycError: shapes that differ or are wrong, or values that are not finite.
@@ -45,7 +45,7 @@ def derivative_samples(magnetic_field: ArrayLike, derivative: ArrayLike, angular
 
 
 def soft_iron_design(vectors: Array) -> Array:
-    """The matrices X with C v = X l for vectors v (n, 3): (n, 3, 6)."""
+    """Return the matrices X (n, 3, 6) with C v = X l for vectors v (n, 3)."""
     return np.einsum("jrc,nc->nrj", SYMMETRIC_UNITS, vectors)
 
 
@@ -56,7 +56,7 @@ def gyro_derivative_error(
     b: Array,
     want_jacobians: bool = False,
 ) -> Residual:
-    """Residual (7) of n samples, (n, 3), and its Jacobians (8) on l, d, b: (n, 3, 6), (n, 3, 3) twice."""
+    """Return residual (7) of n samples, (n, 3), and its Jacobians (8) on l, d, b: (n, 3, 6), (n, 3, 3) twice."""
     m, derivative, w = samples
     c = unvech(l)
     rotation = skew(w - b)
@@ -80,7 +80,7 @@ def gyro_derivative_factor(
     robust: str | None = None,
     tuning: float | None = None,
 ) -> gtsam.CustomFactor:
-    """Residual (7) as one factor on (l, d, b) over one sample or window, or over any number of them.
+    """Return residual (7) as one factor on (l, d, b) over one sample or any number of them.
 
     Args:
         soft_iron_key: l, 6-vector, vech of the soft iron's inverse.
@@ -88,8 +88,8 @@ def gyro_derivative_factor(
         gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`.
         magnetic_field, derivative, angular_rate: (n, 3), or (3,) for one sample.
         noise: standard deviation per row, or a GTSAM noise model of 3n rows.
-        robust: name of a kernel that weighs each sample by itself; `noise` must then be a number.
-        tuning: of the kernel; default 95 % efficiency.
+        robust: name of a kernel that weights each sample separately; `noise` must then be a number.
+        tuning: constant of the kernel; default 95 % efficiency.
 
     Raises:
         MagycError: wrong shapes, values that are not finite, unknown kernel.
@@ -125,7 +125,7 @@ class CompressedGyroDerivative:
 
     Attributes:
         triangular: (21, 21) upper triangular T, diagonal ≥ 0; with `samples` it is the whole state.
-        samples: how many samples it stands for.
+        samples: number of compressed samples.
 
     Raises:
         MagycError: `triangular` is not 21 × 21 finite numbers.
@@ -142,20 +142,20 @@ class CompressedGyroDerivative:
 
     @classmethod
     def empty(cls) -> CompressedGyroDerivative:
-        """No samples."""
+        """Return a compression of no samples."""
         return cls(np.zeros((MONOMIALS, MONOMIALS)), 0)
 
     @classmethod
     def from_samples(
         cls, magnetic_field: ArrayLike, derivative: ArrayLike, angular_rate: ArrayLike
     ) -> CompressedGyroDerivative:
-        """Compress samples (n, 3) each."""
+        """Return the compression of samples, (n, 3) each."""
         return cls.empty().update(magnetic_field, derivative, angular_rate)
 
     def update(
         self, magnetic_field: ArrayLike, derivative: ArrayLike, angular_rate: ArrayLike
     ) -> CompressedGyroDerivative:
-        """With more samples, (n, 3) each or (3,) for one."""
+        """Return a compression that includes more samples, (n, 3) each or (3,) for one."""
         m, rate, w = derivative_samples(magnetic_field, derivative, angular_rate)
         triangular = self.triangular
         for first in range(0, len(m), _BLOCK):
@@ -164,28 +164,28 @@ class CompressedGyroDerivative:
         return CompressedGyroDerivative(triangular, self.samples + len(m))
 
     def merge(self, other: CompressedGyroDerivative) -> CompressedGyroDerivative:
-        """With the samples of another."""
+        """Return a compression that includes the samples of another."""
         return CompressedGyroDerivative(
             _triangular(self.triangular, other.triangular), self.samples + other.samples
         )
 
     def error(self, l: Array, d: Array, b: Array, want_jacobians: bool = False) -> Residual:  # noqa: E741
-        """T z (21,), and its Jacobians on l, d, b: (21, 6), (21, 3), (21, 3)."""
+        """Return T z (21,), and its Jacobians on l, d, b: (21, 6), (21, 3), (21, 3)."""
         z, jacobians = _monomials(l, d, b, want_jacobians)
         return self.triangular @ z, [self.triangular @ jacobian for jacobian in jacobians]
 
     def cost(self, l: Array, d: Array, b: Array) -> float:  # noqa: E741
-        """Σ‖r_i‖² over all samples."""
+        """Return Σ‖r_i‖² over all samples."""
         residual, _ = self.error(l, d, b)
         return float(residual @ residual)
 
     def factor(
         self, soft_iron_key: int, hard_iron_key: int, gyro_bias_key: int, noise: Noise
     ) -> gtsam.CustomFactor:
-        """One factor on (l, d, b) of 21 rows, equal to one residual (7) per sample.
+        """Return one factor on (l, d, b) of 21 rows, equal to one residual (7) per sample.
 
         Args:
-            soft_iron_key, hard_iron_key, gyro_bias_key, noise: as for `gyro_derivative_factor`; `noise` is that of
+            soft_iron_key, hard_iron_key, gyro_bias_key, noise: as in `gyro_derivative_factor`; `noise` applies to
                 every sample's rows.
         """
         keys = (soft_iron_key, hard_iron_key, gyro_bias_key)
@@ -194,7 +194,7 @@ class CompressedGyroDerivative:
 
 
 def _monomials(l: Array, d: Array, b: Array, want_jacobians: bool) -> Residual:  # noqa: E741
-    """z = (l, d, [b]× C row by row, b × d) and ∂z/∂l, ∂z/∂d, ∂z/∂b."""
+    """Return z = (l, d, [b]× C row by row, b × d) and ∂z/∂l, ∂z/∂d, ∂z/∂b."""
     c, cross = unvech(l), skew(b)
     z = np.concatenate([l, d, (cross @ c).ravel(), cross @ d])
     if not want_jacobians:
@@ -212,7 +212,7 @@ def _monomials(l: Array, d: Array, b: Array, want_jacobians: bool) -> Residual: 
 
 
 def _monomial_design(m: Array, derivative: Array, w: Array) -> Array:
-    """Φ with r = Φ z: [w]× C m + C ṁ | −[w]× d | −([b]× C) m | b × d, rows (3n, 21)."""
+    """Return the rows (3n, 21) of Φ with r = Φ z: [w]× C m + C ṁ | −[w]× d | −([b]× C) m | b × d."""
     rotation = skew(w)
     result = np.zeros((len(m), 3, MONOMIALS))
     result[:, :, :6] = rotation @ soft_iron_design(m) + soft_iron_design(derivative)
@@ -224,6 +224,6 @@ def _monomial_design(m: Array, derivative: Array, w: Array) -> Array:
 
 
 def _triangular(first: Array, second: Array) -> Array:
-    """The triangular factor of both stacked, with a diagonal ≥ 0."""
+    """Return the triangular factor, with a diagonal ≥ 0, of both matrices stacked."""
     triangular = np.linalg.qr(np.vstack([first, second]), mode="r")
     return np.triu(np.where(np.diag(triangular) < 0, -1.0, 1.0)[:, None] * triangular)

@@ -1,9 +1,10 @@
-"""Whether the blocks in a graph agree with the rest of it: a normalised innovation squared (NIS) per block, and a word.
+"""Health of the blocks in a graph: a normalised innovation squared (NIS) per block, and the verdict derived from it.
 
-With the whitened residual r and Jacobian J of a block at the estimate that holds it, and the joint covariance P of its
-keys, the innovation against everything else is S⁻¹ν = r, S⁻¹ = I − J P Jᵀ; the NIS is νᵀS⁻¹ν. Its part in the range
-of J is what the graph can see (a disturbance, a step, a wrong mounting), the rest the scatter inside the block.
-The offset of the hard iron that explains a block best, against everything else, follows from the same numbers.
+With the whitened residual r and Jacobian J of a block at the estimate that includes it, and the joint covariance P of
+its keys, the innovation against all other factors satisfies S⁻¹ν = r with S⁻¹ = I − J P Jᵀ; the NIS is νᵀS⁻¹ν. Its
+part in the range of J is what the graph can contradict (a disturbance, a step, a wrong mounting); the rest is the
+scatter inside the block. The offset of the hard iron that explains a block best, against all other factors, follows
+from the same quantities.
 """
 
 from __future__ import annotations
@@ -18,27 +19,27 @@ from scipy.special import chdtrc
 
 from magyc_gtsam.factors.variables import Array
 
-_SCATTERED = 10  # blocks whose median scatter is judged
-_SEEN = 0.02  # of a direction's variance that is not the block's own doing; below it the graph cannot contradict
+_SCATTERED = 10  # number of latest blocks whose median scatter is judged
+_SEEN = 0.02  # share of a direction's variance that is not the block's own; below it the graph cannot contradict
 
 
 @dataclass(frozen=True)
 class HealthLimits:
-    """When a block counts as contradicted.
+    """Limits of the verdict on a graph's blocks.
 
     Attributes:
-        window: blocks whose NIS are judged together.
-        long: blocks over which a small but lasting excess is judged.
-        tolerance: factor by which NIS may exceed its expectation before it counts, for a model that is nearly right:
-            over `window` and over `long`.
-        suspect: probability below which a window is suspect. At a block every 2.5 s a window is suspect by chance
+        window: number of blocks whose NIS are judged together.
+        long: number of blocks over which a small but lasting excess is judged.
+        tolerance: factors, over `window` and over `long`, by which the NIS may exceed its expectation, to allow for a
+            model that is only nearly right.
+        suspect: probability below which a window is suspect. At one block every 2.5 s a window is suspect by chance
             once in 3 · 10⁵ hours at 1e-9.
-        held: probability below which a variable that a prior holds has moved from it.
-        hold: s that an offset must last to be a step of the hard iron; a shorter one is a disturbance.
-        returned: share of its size below which an offset has gone.
-        least: T, smallest offset that is named.
+        held: probability below which a variable that a prior holds counts as moved from it.
+        hold: s, duration from which an offset is a step of the hard iron; a shorter one is a disturbance.
+        returned: share of its size below which an offset counts as over.
+        least: T, smallest offset that is reported.
         scatter: factor by which the samples may scatter more than their stated noise.
-        memory: s for which a disturbance that is over is still reported.
+        memory: s for which a disturbance is still reported after its end.
     """
 
     window: int = 3
@@ -54,7 +55,7 @@ class HealthLimits:
 
 
 class Word(str, Enum):
-    """How far a graph with magnetometer blocks can be trusted."""
+    """The degree to which a graph with magnetometer blocks can be trusted."""
 
     WAITING = "waiting"  # no block has entered: the heading is not settled
     CONSISTENT = "consistent"
@@ -67,16 +68,16 @@ class Word(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class BlockFit:
-    """How one block fits the rest of the graph.
+    """The fit of one block to the rest of the graph.
 
     Attributes:
         time: s, mean stamp of its samples.
-        nis: in the range of its Jacobian.
+        nis: normalised innovation squared in the range of the block's Jacobian.
         freedom: degrees of freedom of `nis`.
-        scatter: root mean square of the rest, 1 where the noise is as stated.
-        offset: (3,) T by which the hard iron would have to differ for this block.
-        offset_sigma: T, root of the trace of its covariance.
-        soft_iron, hard_iron: (3, 3), (3,) T, at which it was judged.
+        scatter: root mean square of the remaining whitened residual, 1 where the noise is as stated.
+        offset: (3,) T, change of the hard iron that would explain this block.
+        offset_sigma: T, root of the trace of the covariance of `offset`.
+        soft_iron, hard_iron: (3, 3), (3,) T, calibration at which the block was judged.
         seen, field: (3,) T, means over its samples of the world's field in the sensor's frame, and of the readings.
     """
 
@@ -92,20 +93,20 @@ class BlockFit:
     field: Array
 
     def offset_from(self, reference: BlockFit) -> Array:
-        """(3,) T by which its readings differ, on the mean, from those of another block's calibration."""
+        """Return the mean deviation (3,) in T of the block's readings from another block's calibration."""
         result: Array = self.field - reference.soft_iron @ self.seen - reference.hard_iron
         return result
 
 
 @dataclass(frozen=True)
 class Health:
-    """What to make of the magnetometer in the graph.
+    """The verdict on the magnetometer in the graph.
 
     Attributes:
         word: `consistent`, `suspect`, `inconsistent`, or `waiting` while no block has entered.
-        by: what contradicts, with its size; empty where nothing does.
-        since: s, time of the first block that did; NaN where none.
-        nis: of the last blocks, per degree of freedom.
+        by: the contradiction, with its size; empty where there is none.
+        since: s, time of the first block that contradicts; NaN where there is none.
+        nis: NIS of the last blocks per degree of freedom.
     """
 
     word: Word
@@ -120,17 +121,19 @@ class Health:
 def block_fit(
     information: Array, gradient: Array, square: float, covariance: Array, rows: int, hard_iron: slice
 ) -> tuple[float, int, float, Array, Array]:
-    """NIS, its degrees of freedom, scatter, offset (3,) and its covariance of one block.
+    """Return the NIS of one block, its degrees of freedom, the scatter, the offset (3,) and the offset's covariance.
 
     Args:
-        information: (p, p) JᵀJ; gradient: (p,) −Jᵀr; square: rᵀr, at the estimate.
+        information: (p, p) JᵀJ at the estimate.
+        gradient: (p,) −Jᵀr at the estimate.
+        square: rᵀr at the estimate.
         covariance: (p, p) P.
-        rows: of r, before any compression.
-        hard_iron: the columns of h.
+        rows: number of rows of r before any compression.
+        hard_iron: the columns of the hard iron h.
     """
     used = np.flatnonzero(
         np.diag(information)
-    )  # no block acts on a pose's translation or the accelerometer's bias
+    )  # without columns that no block depends on: a pose's translation, the accelerometer's bias
     weight, direction = np.linalg.eigh(information[used][:, used])
     kept = weight > 1e-9 * weight[-1]
     root = direction[:, kept] * np.sqrt(weight[kept])
@@ -143,7 +146,7 @@ def block_fit(
     nis = float(np.sum(projected**2 / seen[clear]))
     on_offset = information[:, hard_iron]
     curvature = information[hard_iron, hard_iron] - on_offset.T @ covariance @ on_offset
-    bend, sides = np.linalg.eigh(curvature)  # its pseudo-inverse
+    bend, sides = np.linalg.eigh(curvature)  # for the pseudo-inverse
     spread = (sides * np.divide(1.0, bend, out=np.zeros(3), where=bend > 1e-6 * bend[-1])) @ sides.T
     return nis, int(clear.sum()), float(scatter), spread @ gradient[hard_iron], spread
 
@@ -157,7 +160,7 @@ class _Sums:
         self.freedom = 0
 
     def add(self, fit: BlockFit) -> None:
-        """One more block, and the oldest one out."""
+        """Add a block and remove the oldest one once `span` is reached."""
         if len(self._last) == self._last.maxlen:
             self.nis -= self._last[0].nis
             self.freedom -= self._last[0].freedom
@@ -170,20 +173,22 @@ class _Sums:
 
     @property
     def since(self) -> float:
-        """s, time of the oldest block."""
+        """Time of the oldest block, in s."""
         return self._last[0].time
 
     def unlikely(self, tolerance: float, probability: float) -> bool:
-        """Whether NIS is too large, less probable than `probability` where it is `tolerance` times as expected."""
+        """Whether a NIS this large is less probable than `probability` if its expectation is `tolerance` times as
+        large.
+        """
         return self.freedom > 0 and bool(chdtrc(self.freedom, self.nis / tolerance) < probability)
 
 
 class Monitor:
-    """Turns the fits of successive blocks into a word.
+    """Derives the health of a graph from the fits of successive blocks.
 
     Attributes:
-        fits: of the last blocks.
-        over: [(first, last) s) of disturbances that are over and whose blocks nobody has taken out yet.
+        fits: fits of the last blocks.
+        over: (first, last) in s of disturbances that have ended and whose blocks are still in the graph.
     """
 
     def __init__(self, limits: HealthLimits) -> None:
@@ -201,11 +206,11 @@ class Monitor:
 
     @property
     def open(self) -> bool:
-        """Whether an offset has begun that is neither over nor named."""
+        """Whether an offset has begun that is neither over nor identified."""
         return self._began is not None
 
     def add(self, fit: BlockFit) -> None:
-        """One more block."""
+        """Add a block's fit."""
         limits = self.limits
         before = self.fits[-1] if self.fits else fit
         self.fits.append(fit)
@@ -235,7 +240,9 @@ class Monitor:
             self._named = f"step of the hard iron of {np.linalg.norm(self._size) * 1e6:.1f} µT"
 
     def hold(self, name: str, moved: bool, text: str, time: float) -> None:
-        """Whether something that a prior or the blocks hold is not where it is held, and the words for it."""
+        """Record whether a quantity held by a prior or by the blocks has moved from its held value, and how to report
+        it.
+        """
         if moved:
             self._held.setdefault(name, (text, time))
             self._held[name] = (text, self._held[name][1])
@@ -244,7 +251,7 @@ class Monitor:
 
     @property
     def health(self) -> Health:
-        """The word at present."""
+        """The health at present."""
         if not self.fits:
             return Health(Word.WAITING)
         limits, window = self.limits, self._sums[0]

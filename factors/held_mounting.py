@@ -1,15 +1,18 @@
-"""Whether the mounting that blocks hold is the right one, without making it a variable of the graph.
+"""Test of the mounting that blocks hold, without making it a variable of the graph.
 
-Where the true mounting is ᵇRₛ Exp(θ) and the graph holds ᵇRₛ, its estimate is off by D θ, and the innovation of a
-block with the Jacobians J on its keys and M on the mounting has the mean −G θ, G = M − J D. With the residual
-r = S⁻¹ν at the estimate that holds the block, and the covariance P of its keys there, score and information of θ are
+Where the true mounting is ᵇRₛ Exp(θ) and the graph holds ᵇRₛ, the graph's estimate is biased by D θ, and the
+innovation
+of a block with the Jacobians J on its keys and M on the mounting has the mean −G θ, G = M − J D. With the residual
+r = S⁻¹ν at the estimate that includes the block, and the covariance P of its keys there, the score and information of
+θ
+are
 
     −Gᵀ r    and    Gᵀ S⁻¹ G = Gᵀ G − (Jᵀ G)ᵀ P (Jᵀ G),    and D grows by P Jᵀ G
 
 (the generalised likelihood ratio of Willsky and Jones, 1976). Innovations are independent, so both may be summed over
-blocks whatever D is: where it is only nearly right, the test loses power and stays valid. With a prior on θ they give
-the evidence for a turned mounting, which exceeds 1/α at any time with a probability of at most α where the mounting is
-right (Ville's inequality). Where it says "perhaps", the graph is solved once with the mounting free, which is exact.
+blocks for any D: where D is only nearly right, the test loses power but stays valid. With a prior on θ they give the
+evidence for a turned mounting, which at any time exceeds 1/α with a probability of at most α where the mounting is
+right (Ville's inequality). Above a low threshold the graph is solved once with the mounting free, which is exact.
 """
 
 from __future__ import annotations
@@ -31,15 +34,16 @@ _MOUNTING = gtsam.symbol("~", 2**56 - 2)  # a key that no graph has
 
 @dataclass(frozen=True)
 class MountingLimits:
-    """When a held mounting counts as wrong.
+    """Limits of the test of a held mounting.
 
     Attributes:
-        prior: rad, standard deviation of each angle of θ, of which the evidence is against 0.
-        excess: factor by which squared innovations may exceed their expectation for a model that is nearly right.
-        perhaps: evidence from which the graph is solved with the mounting free.
-        evidence: evidence of that solution from which the mounting is wrong.
-        least: rad, smallest turn that is named.
-        growth: of the number of blocks between two solutions.
+        prior: rad, standard deviation of each angle of θ under the alternative to θ = 0.
+        excess: factor by which squared innovations may exceed their expectation, for a model that is only nearly
+            right.
+        perhaps: evidence above which the graph is solved with the mounting free.
+        evidence: evidence of that solution above which the mounting counts as wrong.
+        least: rad, smallest rotation that is reported.
+        growth: factor of the number of blocks between two solutions.
     """
 
     prior: float = math.radians(2.0)
@@ -51,12 +55,12 @@ class MountingLimits:
 
 
 class HeldMounting:
-    """The evidence for a turned mounting, block by block.
+    """The evidence for a turned mounting, accumulated block by block.
 
     Attributes:
         blocks: number of blocks so far.
-        wrong: whether a solution with the mounting free has said so.
-        since: s, time of the block after which it first did; NaN before.
+        wrong: whether a solution with the mounting free has found it wrong.
+        since: s, time of the block after which it first was; NaN before.
         shift: (p, 3) D of the last block's keys.
     """
 
@@ -69,13 +73,14 @@ class HeldMounting:
         self._next = 0.0
 
     def add(self, gram: Array, axis: Array, covariance: Array, *, counts: bool) -> None:
-        """One more block.
+        """Add a block.
 
         Args:
-            gram: (p + 4, p + 4) products of its columns [J M −r], at the estimate that holds it.
-            axis: (columns of the attitude,) its tangent vector of a turn about the world's vertical.
-            covariance: (p, p) of its keys there.
-            counts: whether it is evidence; one that something else disturbs only moves the graph.
+            gram: (p + 4, p + 4) products of the columns of [J M −r], at the estimate that includes the block.
+            axis: (columns of the attitude,) tangent vector of the block's attitude for a rotation about the world's
+                vertical.
+            covariance: (p, p) covariance of the block's keys at that estimate.
+            counts: whether the block is evidence; a block that is otherwise disturbed only updates D.
         """
         p = len(covariance)
         shift = self._carried(axis, p)
@@ -89,7 +94,9 @@ class HeldMounting:
         self.blocks += 1
 
     def _carried(self, axis: Array, columns: int) -> Array:
-        """D of the next block's keys before it: of the attitude the turn about the vertical, of the others as it is."""
+        """Predict D for the next block's keys: of the attitude the rotation about the vertical, of the other keys
+        unchanged.
+        """
         if len(self.shift) != columns:
             return np.zeros((columns, 3))
         shift, attitude = self.shift.copy(), len(axis)
@@ -98,17 +105,17 @@ class HeldMounting:
 
     @property
     def covariance(self) -> Array:
-        """(3, 3) of θ, given all blocks and its prior."""
+        """Covariance (3, 3) of θ, given all blocks and its prior."""
         return np.asarray(np.linalg.inv(self._information + np.eye(3) / self.limits.prior**2))
 
     @property
     def mean(self) -> Array:
-        """(3,) rad, θ, given all blocks and its prior."""
+        """Mean (3,) of θ in rad, given all blocks and its prior."""
         return np.asarray(self.covariance @ self._score)
 
     @property
     def evidence(self) -> float:
-        """Logarithm of how much more probable the blocks are with θ from its prior than with θ = 0."""
+        """Logarithm of the likelihood ratio between θ drawn from its prior and θ = 0, given the blocks."""
         limits = self.limits
         information = np.eye(3) + limits.prior**2 * self._information / limits.excess
         score = limits.prior * self._score / limits.excess
@@ -124,8 +131,8 @@ class HeldMounting:
         """Solve the graph with the mounting free.
 
         Args:
-            view: of the solver.
-            delivered: all factors that stand in it as quadratics, oldest first.
+            view: view of the solver.
+            delivered: all factors that the solver holds as quadratics, oldest first.
         """
         self._next = self.limits.growth * self.blocks
         blocks = [each for each in delivered if each.details is not None and each.details.freed is not None]
@@ -142,7 +149,7 @@ class HeldMounting:
             solution = free.optimize()
             marginals = gtsam.Marginals(free, solution)
             joint = marginals.jointMarginalCovariance([*last.factor.keys(), _MOUNTING]).fullMatrix()
-        except RuntimeError:  # not determined
+        except RuntimeError:  # the variables are not determined
             return
         mean, information = solution.at(_MOUNTING), np.linalg.inv(joint[-3:, -3:])
         self._information, self._score = information - np.eye(3) / prior**2, information @ mean
@@ -155,10 +162,10 @@ class HeldMounting:
             self.since = last.details.block.time if self.wrong else math.nan
 
     def considered(self, gram: Array, covariance: Array) -> tuple[Array, Array]:
-        """The last block at the estimate with the mounting at its mean: as in `add`, with the mounting among the keys.
+        """Return the last block at the estimate with the mounting at its mean, and the mounting among the keys.
 
         Returns:
-            (p + 4, p + 4) products of its columns, and (p + 3, p + 3) covariance of its keys and θ.
+            Products (p + 4, p + 4) of the columns as in `add`, and the covariance (p + 3, p + 3) of the keys and θ.
         """
         p, mean, spread, shift = len(covariance), self.mean, self.covariance, self.shift
         turn = np.eye(p + 4)
@@ -168,7 +175,7 @@ class HeldMounting:
 
 
 def _free_factor(each: Delivered, point: gtsam.Values) -> gtsam.GaussianFactor:
-    """The block's linearisation at the mounting that it holds, with that as one more variable."""
+    """Return the block's linearisation at the mounting that it holds, with the mounting as an additional variable."""
     details = each.details
     assert details is not None
     assert details.freed is not None

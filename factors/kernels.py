@@ -2,8 +2,8 @@
 
 e is the whitened norm of one sample's residual. A kernel replaces its cost e²/2 by ρ(e) and its weight 1
 by ρ'(e)/e, which is GTSAM's convention; in the paper's, ρ_paper(s) = 2 ρ(√s) with s = e². Two of the
-printed formulas do not hold: (10) jumps at s = τ² unless τ = 1 (the tail meant is 2τ√s − τ²), and (12)
-falls with s (what is meant is τ² − τ⁴/(τ² + s) = τ² s/(τ² + s)).
+printed formulas are wrong: (10) is discontinuous at s = τ² unless τ = 1 (the intended tail is 2τ√s − τ²), and (12)
+decreases with s (the intended function is τ² − τ⁴/(τ² + s) = τ² s/(τ² + s)).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
-_SMALL = 1e-9  # whitened norms below this count as this in quotients
+_SMALL = 1e-9  # lower bound of whitened norms in quotients
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class Kernel:
     Attributes:
         loss: ρ(e, k) of whitened norms e ≥ 0, elementwise.
         weight: ρ'(e, k)/e, elementwise.
-        curvature: ρ''(e, k), elementwise; below 0 where a kernel gives a sample up.
+        curvature: ρ''(e, k), elementwise; below 0 where the kernel rejects a sample.
         tuning: k by the residual's dimension (1, 2 or 3) for 95 % efficiency on Gaussian noise. L1 has
-            none: its efficiency is 64, 79 and 85 %, and k only rounds off the tip at e = 0.
+            no such k: its efficiency is 64, 79 and 85 %, and k only rounds off the tip at e = 0.
     """
 
     loss: Callable[[Array, float], Array]
@@ -56,14 +56,14 @@ def _huber_curvature(e: Array, k: float) -> Array:
 
 KERNELS: Mapping[str, Kernel] = MappingProxyType(
     {
-        # (9) but for a constant k/2, and e²/2k below k, so that the weight stays finite at e = 0.
+        # (9) except for a constant k/2, and e²/2k below k, so that the weight stays finite at e = 0.
         "l1": Kernel(
             lambda e, k: _huber_loss(e, k) / k,
             lambda e, k: _huber_weight(e, k) / k,
             lambda e, k: _huber_curvature(e, k) / k,
             _tuning(1e-3, 1e-3, 1e-3),
         ),
-        # (10), with the tail that makes it continuous.
+        # (10), with the continuous tail.
         "huber": Kernel(_huber_loss, _huber_weight, _huber_curvature, _tuning(1.345, 1.5011, 1.6280)),
         # (11)
         "cauchy": Kernel(
@@ -72,7 +72,7 @@ KERNELS: Mapping[str, Kernel] = MappingProxyType(
             lambda e, k: (1.0 - (e / k) ** 2) / (1.0 + (e / k) ** 2) ** 2,
             _tuning(2.3849, 2.5486, 2.6656),
         ),
-        # (12), rising
+        # (12), with the increasing form.
         "geman-mcclure": Kernel(
             lambda e, k: 0.5 * (k * e) ** 2 / (k**2 + e**2),
             lambda e, k: (k**2 / (k**2 + e**2)) ** 2,
@@ -84,7 +84,7 @@ KERNELS: Mapping[str, Kernel] = MappingProxyType(
 
 
 def kernel(name: str) -> Kernel:
-    """The kernel of that name.
+    """Return the kernel of that name.
 
     Raises:
         MagycError: there is none.
@@ -96,7 +96,7 @@ def kernel(name: str) -> Kernel:
 
 
 def tuning_constant(name: str, dimension: int, tuning: float | None = None) -> float:
-    """`tuning`, or the kernel's own for residuals of this dimension."""
+    """Return `tuning`, or the kernel's own constant for residuals of this dimension."""
     constants = kernel(name).tuning
     if tuning is None:
         if dimension not in constants:
@@ -135,14 +135,14 @@ def robustify(
 
 
 def narrowed(misfits: Sequence[float]) -> float:
-    """By what to multiply a kernel's tuning constant while a graph settles: wide first (graduated non-convexity).
+    """Return the factor of a kernel's tuning constant while a graph settles: wide first (graduated non-convexity).
 
-    From a calibration that is far off every sample looks like an outlier; then the typical misfit is far above 1
-    and the kernel is as much wider, which is least squares. As the estimate settles it falls to 1 by itself,
-    unless more than half of the blocks are outliers.
+    With a calibration that is far off, every sample looks like an outlier. The typical misfit is then far above 1 and
+    widens the kernel by the same factor, which amounts to least squares. As the estimate settles the factor falls to
+    1, unless more than half of the blocks are outliers.
 
     Args:
-        misfits: median whitened norm of each recent block's samples, 1 where the model fits; NaN is left out.
+        misfits: median whitened norm of each recent block's samples, 1 where the model fits; NaN is ignored.
     """
     known = np.asarray(misfits, dtype=float)
     known = known[np.isfinite(known)]

@@ -1,4 +1,4 @@
-"""Both sensors' samples collected as they come, and cut into a block at each keyframe."""
+"""Buffer that collects the samples of both sensors and cuts a block at each keyframe."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from magyc_gtsam.factors.keyframe_field import KeyframeField
 
 
 class KeyframeBuffer:
-    """Collects both sensors' samples as they come and cuts a block at each keyframe.
+    """Collects the samples of both sensors as they arrive and cuts a block at each keyframe.
 
     Args:
         body_R_sensor: magnetometer→body.
         delay: s by which the magnetometer lags the gyroscope.
-        interval_mean: the rates are means since the previous stamp.
+        interval_mean: whether the rates are means since the previous stamp.
     """
 
     def __init__(
@@ -31,20 +31,21 @@ class KeyframeBuffer:
         self._rate: list[Sequence[float]] = []
 
     def add_field(self, time: float, magnetic_field: Sequence[float]) -> None:
-        """One magnetometer sample: s, (3,) T."""
+        """Add a magnetometer sample: s, (3,) T."""
         self._field_time.append(time - self._delay)
         self._field.append(magnetic_field)
 
     def add_rate(self, time: float, angular_rate: Sequence[float]) -> None:
-        """One gyroscope sample: s, (3,) rad/s, body frame."""
+        """Add a gyroscope sample: s, (3,) rad/s, body frame."""
         self._rate_time.append(time)
         self._rate.append(angular_rate)
 
     def close(self, keyframe: float, bias: ArrayLike = (0.0, 0.0, 0.0)) -> KeyframeField:
-        """The block of all magnetometer samples so far that the gyroscope covers; later ones stay, earlier ones go.
+        """Return the block of all magnetometer samples that the gyroscope covers; keep later samples and drop earlier
+        ones.
 
         Args:
-            keyframe: s, the time of the attitude that the block hangs on.
+            keyframe: s, the time of the attitude that the block refers to.
             bias: (3,) rad/s, the graph's present estimate.
 
         Raises:
@@ -63,7 +64,7 @@ class KeyframeBuffer:
             interval_mean=self._interval_mean,
         )
         del self._field_time[:cut], self._field[:cut]
-        # The gyroscope up to the next sample, or keyframe, is still needed.
+        # Gyroscope samples up to the next magnetometer sample, or the next keyframe, are still needed.
         keep = max(len(self._rate_time) - 2, 0)
         if self._field_time:
             keep = min(keep, max(int(np.searchsorted(self._rate_time, self._field_time[0])) - 1, 0))

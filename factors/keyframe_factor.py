@@ -22,35 +22,35 @@ from magyc_gtsam.factors.pose import MICROTESLA, given_keys, known_field
 from magyc_gtsam.factors.units import check_noise, check_rate_noise
 from magyc_gtsam.factors.variables import Array, attitude, direction, gyro_bias, mounting, scalar, vector
 
-_EARTH_FIELD = 50e-6  # T, only to widen a block's sigma where the field is a variable
-_TURNS = skew(np.eye(3)).transpose(2, 0, 1)  # [p]× = Σ p_e [e]×; by its columns first
-_MEDIAN = 1.5382  # of the norm of three independent standard normal numbers
+_EARTH_FIELD = 50e-6  # T, used only to widen a block's sigma where the field is a variable
+_TURNS = skew(np.eye(3)).transpose(2, 0, 1)  # [p]× = Σ p_e [e]×; the matrices' columns are the first axis
+_MEDIAN = 1.5382  # median of the norm of three independent standard normal variables
 
 
 @dataclass(eq=False)
 class BlockDetails:
-    """What a `keyframe_field_factor` is made of, for those who manage it in a graph.
+    """The parts of a `keyframe_field_factor`, for code that manages it in a graph.
 
     Attributes:
         attitude_key, soft_iron_key, hard_iron_key, field_key: as given.
         block: its rows, compressed where no kernel needs the samples.
-        mean_turn: (3, 3), mean over the samples of what turns the field in the body frame at the keyframe into that
-            in the sensor's.
-        mean_field: (3,) T, of the readings.
-        sigma: T, of a sample, widened by the gyroscope.
+        mean_turn: (3, 3), mean over the samples of the matrix that turns the field from the body frame at the
+            keyframe to the sensor's frame.
+        mean_field: (3,) T, mean of the readings.
+        sigma: T, standard deviation of a sample, widened by the gyroscope.
         field: (3,) T, or a strength; None where it is a variable.
         field_unit: T per unit of the keys.
         robust: the kernel's name.
         gyro_bias_key: as given.
-        more_keys: whether it stands on more than attitude, soft and hard iron and the bias.
+        more_keys: whether it has keys besides attitude, soft and hard iron and bias.
         width: factor of the kernel's tuning constant, at least 1: a kernel starts wide and narrows as the graph
             settles (`NativeFactors`, `runners.Incremental`).
         misfit: median whitened norm of the samples at the last evaluation, 1 where the model fits; NaN before, and
             where there is no kernel.
-        freed: makes the same factor with its mounting as the variable of a key; None where the mounting is one
-            already, or where the attitude key holds a direction.
-        on_mounting: (rows, 3) whitened Jacobian on the mounting that is held, at the last linearisation; None before,
-            and where `freed` is.
+        freed: returns the same factor with its mounting as the variable of a key; None where the mounting already is
+            one, or where the attitude key holds a direction.
+        on_mounting: (rows, 3) whitened Jacobian on the held mounting, at the last linearisation; None before, and
+            where `freed` is None.
     """
 
     attitude_key: int
@@ -73,18 +73,18 @@ class BlockDetails:
 
     @cached_property
     def field_over_noise(self) -> float:
-        """Strength of a known field by the standard deviation of the mean of all samples."""
+        """Ratio of a known field's strength to the standard deviation of the mean of all samples."""
         assert self.field is not None
         return float(np.linalg.norm(self.field)) * math.sqrt(self.block.samples) / self.sigma
 
     @cached_property
     def lever(self) -> float:
-        """s, root mean square over the samples of what a bias turns the field by, per rad/s."""
+        """Root mean square, over the samples, of the angle in rad by which a bias of 1 rad/s turns the field; in s."""
         return float(np.linalg.norm(self.block.design[:, :, 3:12])) / math.sqrt(2 * self.block.samples)
 
     @property
     def on_direction(self) -> bool:
-        """Whether the attitude key holds the field's direction in the body frame instead."""
+        """Whether the attitude key holds the field's direction in the body frame."""
         return self.field is not None and self.field.ndim == 0
 
 
@@ -106,27 +106,27 @@ def keyframe_field_factor(
     tuning: float | None = None,
     field_unit: float = MICROTESLA,
 ) -> gtsam.CustomFactor:
-    """All samples of a block as one factor.
+    """Return one factor over all samples of a block.
 
     Args:
         attitude_key: R, body→world at the keyframe: `Pose3`, `Rot3`, `NavState`, `Pose2`, `Rot2`; or, where `field`
             is a strength, the field's direction in the body frame (`Unit3`).
         soft_iron_key: A, 6-vector, vech of the soft iron.
         hard_iron_key: h, 3-vector or `Point3`, `field_unit`.
-        block: of `KeyframeField.from_samples` or `KeyframeBuffer.close`.
+        block: as returned by `KeyframeField.from_samples` or `KeyframeBuffer.close`.
         noise: T per sample and axis.
         gyro_bias_key: b, 3-vector, `Point3` or `ConstantBias`; without it the block stays integrated at its own bias.
         field: (3,) T, the world's field, or its strength, a number.
         field_key: f as a variable, 3-vector or `Point3`, `field_unit`.
         mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`); without it the block's own is held.
         delay_key: τ as a variable, s, double or 1-vector (`delay_prior`); without it the block's own is held.
-        gyroscope_noise: rad/s per sample and axis, which widens `noise` by what it adds inside the block.
-        robust: name of a kernel that weighs every sample by itself; the samples are then not compressed.
-        tuning: of the kernel; default 95 % efficiency.
+        gyroscope_noise: rad/s per sample and axis; `noise` is widened by its contribution inside the block.
+        robust: name of a kernel that weights every sample separately; the samples are then not compressed.
+        tuning: constant of the kernel; default 95 % efficiency.
         field_unit: T per unit of the keys h and f.
 
     Raises:
-        MagycError: neither or both of `field` and `field_key`, units that cannot be, or numbers that are not finite.
+        MagycError: neither or both of `field` and `field_key`, implausible units, or numbers that are not finite.
     """
     name = "keyframe field"
     if isinstance(noise, gtsam.noiseModel.Base):
@@ -148,7 +148,7 @@ def keyframe_field_factor(
     late = delay_key is not None
     whole = block.with_delay() if late else block
     rows = whole.compressed() if robust is None else whole
-    share = rows.share / rows.samples  # a compression keeps the columns' products, and so the samples' means
+    share = rows.share / rows.samples  # compression keeps the columns' products, and so the samples' means
     mean_turn = (share @ rows.design.reshape(len(share), -1)).reshape(3, -1)[:, :3]
     details = BlockDetails(
         attitude_key, soft_iron_key, hard_iron_key, field_key, rows, mean_turn, share @ rows.field, whole_sigma,
@@ -192,7 +192,7 @@ def keyframe_field_factor(
                 jacobians.append(on_v * f)
             else:
                 jacobians.append((f[:, None, None, None] * on_v).reshape(9, -1, 3))
-            # Of the soft iron, and of a mounting that is held: A Exp(φ)ᵀ p = A p + A [p]× φ, p = G y.
+            # Jacobians on the soft iron, and on a held mounting: A Exp(φ)ᵀ p = A p + A [p]× φ, p = G y.
             units = SYMMETRIC_UNITS
             if details.freed is not None:
                 units = np.concatenate([units, _TURNS @ soft_iron])

@@ -1,6 +1,6 @@
-"""All magnetometer samples around one keyframe, turned to it by the gyroscope and compressed.
+"""All magnetometer samples around one keyframe, rotated to it by the gyroscope and compressed.
 
-R is the keyframe's attitude (body→world). The gyroscope turns it to every sample's time, ΔR_s(b), so that
+R is the keyframe's attitude (body→world). The gyroscope propagates it to every sample's time by ΔR_s(b), so that
 
     m_s = A p_s + h,    p_s = ᵇRₛᵀ ΔR_s(b, τ)ᵀ v,    v = Rᵀ f the field in the body frame at the keyframe,
 
@@ -10,11 +10,11 @@ K_s = −∫ ΔR dt, as GTSAM preintegrates. Then
     p_s = G_s y,    y = (v, δ₁v, δ₂v, δ₃v, (τ − τ₀) v),    G_s (3, 15),
 
 and each axis i of the residual B G_s y + h − m_s is linear in the 49 numbers (B_i ⊗ y, h_i, 1) with the coefficients
-(vec G_s, 1, m_s,i), for any 3 × 3 matrix B: the soft iron A, or A turned by a mounting that is a variable. Hence
-Σ‖r_s‖² stays exactly the same when the rows (vec G_s, 1, m_s) of all samples are replaced by the triangular factor of
-their QR decomposition: at most 49 rows, 40 where the delay is held, which look like samples themselves.
+(vec G_s, 1, m_s,i), for any 3 × 3 matrix B: the soft iron A, or A rotated by a mounting that is a variable. Hence
+Σ‖r_s‖² is unchanged when the rows (vec G_s, 1, m_s) of all samples are replaced by the triangular factor of their QR
+decomposition: at most 49 rows, 40 where the delay is held, which have the form of samples.
 
-What the gyroscope's noise adds inside a block is not a variable; it widens the block's standard deviation.
+The gyroscope's noise inside a block is not a variable; it widens the block's standard deviation.
 Keep blocks short (a second or so) and the keyframe near their middle.
 """
 
@@ -37,26 +37,26 @@ from magyc_gtsam.factors.pose import sensor_rotation
 from magyc_gtsam.factors.units import check_rates, check_readings
 from magyc_gtsam.factors.variables import Array
 
-_DELAY = 12  # first of y's columns on the delay
+_DELAY = 12  # first column of y that depends on the delay
 _IDENTITY = np.eye(3)
-_REST = {axes: np.eye(axes)[1:, :, None] for axes in (4, 5)}  # of the weights of y all but the first, which is 1
+_REST = {axes: np.eye(axes)[1:, :, None] for axes in (4, 5)}  # on the weights of y but the first, which is 1
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframeField:
-    """The magnetometer around one keyframe.
+    """The magnetometer samples around one keyframe.
 
     Attributes:
-        design: (k, 3, 12) G, of k samples or of the rows that stand for them; (k, 3, 15) with the delay among y.
+        design: (k, 3, 12) G of k samples or of their compressed rows; (k, 3, 15) with the delay in y.
         share: (k,) coefficient of the hard iron: 1 for a sample.
         field: (k, 3) T, measured.
-        bias: (3,) rad/s, b₀, where the gyroscope was integrated.
+        bias: (3,) rad/s, b₀, at which the gyroscope was integrated.
         samples: number of magnetometer samples.
-        spread: s², the variance of the samples' mean rotation about the keyframe is σ_g² times it.
-        body_R_sensor: (3, 3) ᵇRₛ, the mounting that is in G.
+        spread: s²; σ_g² times it is the variance of the samples' mean rotation about the keyframe.
+        body_R_sensor: (3, 3) ᵇRₛ, the mounting contained in G.
         delay: s, τ₀, by which the stamps were moved.
-        time: s, mean stamp of the samples, the delay taken out.
-        angular_rate: (k, 3) rad/s of the samples in the sensor's frame, less b₀; None of rows that stand for them.
+        time: s, mean stamp of the samples after the delay is subtracted.
+        angular_rate: (k, 3) rad/s of the samples in the sensor's frame, less b₀; None for compressed rows.
     """
 
     design: Array
@@ -90,13 +90,13 @@ class KeyframeField:
             gyroscope: time (g,) s, strictly ascending, across all those times and the keyframe's; angular
                 rate (g, 3) rad/s in the body frame, values AT their stamps.
             keyframe: s, the time of the attitude, best in the samples' middle.
-            bias: (3,) rad/s, where to linearise, best the graph's own estimate.
+            bias: (3,) rad/s, linearisation point, best the graph's own estimate.
             body_R_sensor: magnetometer→body.
             delay: s by which the magnetometer lags the gyroscope; the stamps are moved by it.
             interval_mean: the rates are means since the previous stamp instead.
 
         Raises:
-            MagycError: wrong shapes or units, not finite values, a gyroscope that does not cover the block.
+            MagycError: wrong shapes or units, values that are not finite, a gyroscope that does not cover the block.
         """
         when = measured("magnetometer time", magnetometer[0], (None,)) - delay
         field = measured("magnetic field", magnetometer[1], (len(when), 3))
@@ -126,7 +126,7 @@ class KeyframeField:
         )  # fmt: skip
 
     def with_delay(self) -> KeyframeField:
-        """The same samples with the delay among the numbers of y."""
+        """Return the same samples with the delay among the components of y."""
         if self.design.shape[2] > _DELAY:
             return self
         if self.angular_rate is None:
@@ -138,14 +138,18 @@ class KeyframeField:
         return replace(self, design=np.concatenate([self.design, slips], axis=2))
 
     def compressed(self) -> KeyframeField:
-        """At most 40 rows with the same sum of squares for every R, A, h, b and f; 49 where the delay is in y, too."""
+        """Return at most 40 rows with the same sum of squares for every R, A, h, b and f; at most 49 with the delay
+        in y.
+        """
         design = self.design
         columns = 3 * design.shape[2]
         if len(self.share) <= columns + 4:
             return self
         rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
         root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)])  # each column to its own rounding
-        by_column = np.ascontiguousarray(root[:, :columns].reshape(-1, columns // 3).T)  # as `_columns` wants it
+        by_column = np.ascontiguousarray(
+            root[:, :columns].reshape(-1, columns // 3).T
+        )  # in the layout of `_columns`
         return replace(
             self,
             design=by_column.T.reshape(-1, 3, columns // 3),
@@ -164,20 +168,21 @@ class KeyframeField:
         delay: float | None = None,
         want_jacobians: bool = False,
     ) -> tuple[Array, list[Array]]:
-        """B G y + h − m in units of `unit` T: (k, 3), and what its Jacobians follow from.
+        """Return B G y + h − m (k, 3) in units of `unit` T, and the parts from which its Jacobians are assembled.
 
         Args:
             unit: T.
             v: (3,) `unit`, the field in the body frame at the keyframe.
-            iron: (3, 3) B, the soft iron times what turns the mounting in G into the one at hand.
+            iron: (3, 3) B, the soft iron times the rotation from the mounting in G to the present one.
             h: (3,) `unit`.
             b: (3,) rad/s.
             delay: s; None holds it at the block's own.
-            want_jacobians: else the list is empty.
+            want_jacobians: if False, the list is empty.
 
         Returns:
-            The residual, and G y (k, 3), of which row i of B makes component i of the residual; then the Jacobians on
-            v (3, k, 3), on b (3, k, 3) and, where `delay` is given, on τ (1, k, 3), a column first.
+            The residual, and a list: G y (k, 3), of which row i of B yields component i of the residual; then the
+                Jacobians on v (3, k, 3), on b (3, k, 3) and, where `delay` is given, on τ (1, k, 3), with the columns
+                along the first axis.
         """
         columns, axes, k = self._columns, len(self._columns) // 3, len(self.share)
         weight = np.zeros(axes)  # y = weight ⊗ v
@@ -187,7 +192,7 @@ class KeyframeField:
         if not want_jacobians:
             seen = (np.outer(weight, v).ravel() @ columns).reshape(k, 3)
             return seen @ iron.T + self.share[:, None] * h - self.field / unit, []
-        y = np.empty((axes + 3, axes, 3))  # itself, and its Jacobians on v and on the rest of `weight`
+        y = np.empty((axes + 3, axes, 3))  # y, and its Jacobians on v and on all of `weight` but its first entry
         np.outer(weight, v, out=y[0])
         np.multiply(_IDENTITY[:, None], weight[:, None], out=y[1:4])
         np.multiply(_REST[axes], v, out=y[4:])
@@ -198,14 +203,18 @@ class KeyframeField:
 
     @cached_property
     def _columns(self) -> Array:
-        """(12 or 15, k · 3) the design with what multiplies each number of y in a row."""
+        """The design as (12 or 15, k · 3), with the coefficients of each component of y in one row."""
         return np.ascontiguousarray(self.design.reshape(-1, self.design.shape[2]).T)
 
 
 def _about(
     keyframe: float, when: Array, time: Array, rate: Array, bias: Array, interval_mean: bool
 ) -> tuple[Array, Array, Array, float]:
-    """From the keyframe to the times `when` ΔR (3, 3, n), K (3, 3, n) s, ω (n, 3) rad/s, and `KeyframeField.spread`."""
+    """Integrate the gyroscope from the keyframe to the times `when`.
+
+    Returns:
+        ΔR (3, 3, n), K (3, 3, n) in s, the bias-free rate (n, 3) in rad/s, and `KeyframeField.spread`.
+    """
     first = max(int(np.searchsorted(time, min(keyframe, when.min()), side="right")) - 1, 0)
     last = int(np.searchsorted(time, max(keyframe, when.max()))) + 1
     time, rate = time[first:last], rate[first:last]
@@ -220,7 +229,7 @@ def _about(
     back = track.matrices[:, here].reshape(3, 3).T
     turn = (back @ track.matrices[:, at].reshape(3, -1)).reshape(3, 3, -1)
     lever = (back @ (track.lever[:, at] - track.lever[:, here, None]).reshape(3, -1)).reshape(3, 3, -1)
-    # The share of samples that lie beyond each step, seen from the keyframe.
+    # The share of samples that lie beyond each step, as seen from the keyframe.
     beyond = np.cumsum(np.bincount(at, minlength=len(stamps)))[:-1] / len(when)
     beyond[here:] = 1.0 - beyond[here:]
     spread = float((time[-1] - time[0]) / (len(time) - 1) * (track.step @ (beyond * beyond)))
@@ -228,7 +237,7 @@ def _about(
 
 
 def _cross(first: Array, second: Array, out: Array) -> None:
-    """first × second along the axis before the last, into `out`."""
+    """Write first × second, along the axis before the last, into `out`."""
     x, y, z = first[..., 0, :], first[..., 1, :], first[..., 2, :]
     u, v, w = second[..., 0, :], second[..., 1, :], second[..., 2, :]
     out[..., 0, :] = y * w - z * v

@@ -1,4 +1,4 @@
-"""Names of a package imported at first use, and what is said where one of them needs GTSAM and it is missing."""
+"""Lazy import of a package's names, with an explanatory error where GTSAM is needed but not installed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from magyc_gtsam.factors.errors import MagycError
 
 @contextmanager
 def requires_gtsam(what: str) -> Iterator[None]:
-    """Around an import: where GTSAM is not installed, says so of `what`.
+    """Raise an explanatory error for `what` if an import in the block fails because GTSAM is not installed.
 
     Raises:
-        MagycError: instead of the `ModuleNotFoundError` of gtsam; other modules' pass through.
+        MagycError: instead of the `ModuleNotFoundError` of gtsam; those of other modules pass through.
     """
     try:
         yield
@@ -29,12 +29,12 @@ def requires_gtsam(what: str) -> Iterator[None]:
 
 
 def attribute(package: str, public: Mapping[str, str], name: str) -> Any:
-    """A package's `__getattr__`.
+    """Return an attribute of a package, as its module-level `__getattr__`.
 
     Args:
         package: its `__name__`.
         public: {name: module inside the package that holds it}.
-        name: what is asked for.
+        name: the requested name.
 
     Raises:
         AttributeError: the package has no such name.

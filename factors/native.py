@@ -1,9 +1,9 @@
-"""Python factors delivered as native ones, entered when the heading is settled, renewed, and watched.
+"""Conversion of Python factors to native ones that enter once the heading is settled, are renewed, and monitored.
 
-GTSAM hands each Python factor a copy of all `Values`, so that one of them costs more the larger the graph is.
-`NativeFactors` gives the graph a `LinearContainerFactor` instead, a quadratic that GTSAM evaluates by itself
-without Python, keeps the Python factor aside, and replaces the quadratic when it has grown stale: when its
-gradient at the present estimate differs from the factor's own by more than `tolerance` standard deviations.
+GTSAM hands each Python factor a copy of all `Values`, so that a Python factor costs more the larger the graph is.
+`NativeFactors` gives the graph a `LinearContainerFactor` instead, a quadratic that GTSAM evaluates without Python.
+It keeps the Python factor aside and replaces the quadratic once it is stale: when the quadratic's gradient at the
+present estimate differs from the factor's own by more than `tolerance` standard deviations.
 
     native = NativeFactors()
     graph.push_back(keyframe_field_factor(...))
@@ -33,28 +33,29 @@ from magyc_gtsam.factors.staleness import Staleness
 from magyc_gtsam.factors.variables import Array
 from magyc_gtsam.factors.warm_up import WarmUp
 
-_QUIET = 4  # blocks after those that had waited, until their quadratics are renewed, that are not judged
-_QUIET_AFTER = 3  # blocks after those of a disturbance were taken out
-_EARLY = 30  # blocks until which quadratics that are far from settled postpone the judging
+_QUIET = 4  # blocks not judged after waiting blocks have entered, until their quadratics are renewed
+_QUIET_AFTER = 3  # blocks not judged after those of a disturbance were removed
+_EARLY = 30  # number of blocks up to which quadratics that are far from settled postpone the judging
 
 
 class NativeFactors:
     """Magnetometer factors in iSAM2, a fixed-lag smoother or a batch.
 
     Args:
-        tolerance: standard deviations, of each variable given one factor alone, by which that factor's
-            stale gradient may shift the variable.
-        growth: of the number of factors between two checks of all of them.
-        recent: blocks that are checked at each update that brings one, and at every one until they are settled.
-        quadratic: False leaves the Python factors as they are, for graphs that stay small; alignment and health
-            are the same.
+        tolerance: standard deviations, of each variable given one factor alone, by which that factor's stale gradient
+            may shift the variable.
+        growth: factor of the number of factors between two checks of all of them.
+        recent: number of latest blocks that are checked at each update with a new block, and at every update until
+            they are settled.
+        quadratic: False keeps the Python factors as they are, for graphs that stay small; alignment and health are
+            the same.
         alignment: limits of the coarse alignment; None lets every block enter at once.
-        health: limits of the word; None computes no NIS. Blocks of a disturbance that is over leave the graph.
+        health: limits of the health; None computes no NIS. Blocks of a disturbance that has ended leave the graph.
 
     Attributes:
         replaced: number of replacements so far.
-        withdrawn: number of blocks taken out again because a disturbance lay on them.
-        health: the word at present.
+        withdrawn: number of blocks removed because they were disturbed.
+        health: the health at present.
     """
 
     def __init__(
@@ -90,20 +91,22 @@ class NativeFactors:
 
     @property
     def health(self) -> Health:
-        """Whether the blocks agree with the rest of the graph, and what does not."""
+        """The agreement of the blocks with the rest of the graph, and the cause of any contradiction."""
         if self._examiner is None or self.waiting:
             return Health(Word.WAITING if self.waiting else Word.CONSISTENT)
         return self._examiner.monitor.health
 
     @property
     def mounting_error(self) -> Array | None:
-        """(3,) rad θ, with which the mounting ᵇRₛ Exp(θ) of the blocks would be right; None where nothing is wrong."""
+        """Rotation θ (3,) in rad for which ᵇRₛ Exp(θ) is the correct mounting of the blocks; None where it is not
+        wrong.
+        """
         mounting = None if self._examiner is None else self._examiner.mounting
         return mounting.mean if mounting is not None and mounting.wrong else None
 
     @property
     def fits(self) -> tuple[BlockFit, ...]:
-        """How the last blocks fitted, oldest first."""
+        """The fits of the last blocks, oldest first."""
         return () if self._examiner is None else tuple(self._examiner.monitor.fits)
 
     def update(
@@ -113,19 +116,19 @@ class NativeFactors:
         values: gtsam.Values | None = None,
         timestamps: Mapping[int, float] | None = None,
     ) -> Any:
-        """Update a solver with new factors, the Python ones among them delivered as native ones.
+        """Update a solver with new factors, replacing the Python ones among them by native ones.
 
         Args:
             solver: `ISAM2`, `IncrementalFixedLagSmoother` or `BatchFixedLagSmoother`.
-            graph: the new factors; it is not changed. In the solver the others come first, in their order.
+            graph: the new factors; it is not changed. In the solver the other factors come first, in their order.
             values: the new variables.
-            timestamps: {key: s}, of a fixed-lag smoother.
+            timestamps: {key: s}, for a fixed-lag smoother.
 
         Returns:
-            What the solver's own `update` returns.
+            The result of the solver's own `update`.
 
         Raises:
-            MagycError: as the factors; a solver of another kind; new keys of a smoother without a time stamp.
+            MagycError: errors of the factors; an unsupported solver; new keys of a smoother without a time stamp.
         """
         new = sorted_factors(graph)
         if new.holding and self._examiner is not None:
@@ -136,12 +139,13 @@ class NativeFactors:
 
     @one_thread
     def settle(self, solver: Solver, timestamps: Mapping[int, float] | None = None, *, rounds: int = 20) -> int:
-        """Update until no quadratic is stale, as after a loop closure or for a final result; the rounds needed.
+        """Update until no quadratic is stale, e.g. after a loop closure or for a final result; return the rounds
+        needed.
 
         Args:
             solver: as in `update`.
             timestamps: {key: s} of the keys that must stay in a fixed-lag smoother.
-            rounds: at most.
+            rounds: largest number of rounds.
         """
         for count in range(rounds):
             view = View(solver)
@@ -166,15 +170,15 @@ class NativeFactors:
         rounds: int = 20,
         examine: bool = False,
     ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-        """A batch: its graph with the Python factors as quadratics at the solution, and the solution.
+        """Solve a batch; return its graph, with the Python factors as quadratics at the solution, and the solution.
 
         Args:
             graph, values: the whole problem; neither is changed.
             optimize: (graph, values) → values; default Levenberg–Marquardt. For `GncLMOptimizer` call
-                `setAllowNonNoiseModelFactors(True)` and give the indices of the quadratics, which are the last
-                ones, and of the odometry as known inliers.
-            rounds: of optimising and renewing, at most.
-            examine: whether to judge each block at the solution, for `health`: some milliseconds a block.
+                `setAllowNonNoiseModelFactors(True)` and pass the indices of the quadratics, which are the last ones,
+                and of the odometry as known inliers.
+            rounds: largest number of rounds of optimising and renewing.
+            examine: whether to judge each block at the solution, for `health`; takes some milliseconds per block.
         """
         run = optimize or (lambda g, v: gtsam.LevenbergMarquardtOptimizer(g, v).optimize())
         new = sorted_factors(graph)
@@ -206,7 +210,7 @@ class NativeFactors:
 
     @property
     def _pending(self) -> bool:
-        """Whether there is something to do in an update that brings no block."""
+        """Whether an update that adds no block has work to do."""
         over = self._examiner is not None and bool(self._examiner.monitor.over)
         return over or self._staleness.pending or self._entrance.defers
 
@@ -214,7 +218,7 @@ class NativeFactors:
     def _update_blocks(
         self, solver: Solver, new: Sorted, values: gtsam.Values | None, timestamps: Mapping[int, float] | None
     ) -> Any:
-        """Update with new blocks, or with blocks that wait or have to be examined."""
+        """Update with new blocks, waiting blocks, or blocks that have to be examined."""
         fresh, examiner = new.fresh, self._examiner
         view = View(solver, values)
         self._forget(view)
@@ -250,14 +254,14 @@ class NativeFactors:
         return result
 
     def _forget(self, view: View) -> None:
-        """Drop what stands on keys that have left a fixed-lag smoother."""
+        """Remove the factors on keys that have left a fixed-lag smoother."""
         if isinstance(view.solver, gtsam.ISAM2 | gtsam.Values):
             return
         self._delivered = [each for each in self._delivered if all(map(view.exists, each.factor.keys()))]
         self._entrance.forget(view)
 
     def _withdraw_disturbed(self) -> list[Delivered]:
-        """The blocks in disturbances that are over, which leave the graph."""
+        """Remove and return the blocks inside disturbances that have ended."""
         spans = [] if self._examiner is None else self._examiner.spans_over()
         if self._examiner is None or not spans:
             return []
@@ -268,7 +272,7 @@ class NativeFactors:
         return gone
 
     def _renew(self, delivered: list[Delivered], view: View) -> list[Delivered]:
-        """Those of the quadratics that were stale; they are new ones now. Python factors are the solver's to renew."""
+        """Renew the stale quadratics and return them; Python factors are relinearised by the solver itself."""
         if self.quadratic:
             before = [each.native for each in delivered]
             shifts = [each.renew(view, self.tolerance) for each in delivered]
@@ -285,7 +289,7 @@ class NativeFactors:
     def _place(
         self, solver: Solver, result: Any, placed: list[Delivered], pull: gtsam.NonlinearFactor | None = None
     ) -> None:
-        """Learn the slots of what was pushed last: the prior that turns the graph, and quadratics."""
+        """Store the slots of the factors that were pushed last: the prior that turns the graph, and the quadratics."""
         turning = [] if pull is None else [pull]
         slots = new_slots(solver, result, turning + [each.native for each in placed])
         if pull is not None:

@@ -1,13 +1,14 @@
-"""Magnetometer on an attitude of a graph that exists already: a sample as a factor.
+"""One magnetometer sample as a factor on an attitude of an existing graph.
 
     m = A ᵇRₛᵀ Exp(ω τ) Rᵀ f + h
 
-R body→world from the graph, ᵇRₛ sensor→body, f the world's field in T, τ the delay by which the magnetometer lags,
-ω the angular rate. A, h and f are keys in units that keep a graph's variables of order one: A as it is where f is
-known in tesla, h and f in `field_unit` tesla (µT unless said otherwise), which is also the unit of the residual.
+R is the attitude body→world from the graph, ᵇRₛ the mounting sensor→body, f the world's field in T, τ the delay by
+which the magnetometer lags, ω the angular rate. A, h and f are keys in units that keep a graph's variables of order
+one: A is dimensionless where f is in tesla; h and f are in `field_unit` tesla (µT by default), which is also the unit
+of the residual.
 
-With A = I and f, h known this is GTSAM's `MagFactor1`, `MagPoseFactorPose3` and `MagFactor`; with the
-attitude known and a scale for A it is `MagFactor3`, which GTSAM does not wrap.
+With A = I and f, h known this is GTSAM's `MagFactor1`, `MagPoseFactorPose3` and `MagFactor`; with the attitude known
+and a scale for A it is `MagFactor3`, which GTSAM does not wrap.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ MICROTESLA = 1e-6
 
 
 def body_field(body_R_sensor: Array, rotation: Array, field: Array) -> tuple[Array, Array, Array]:
-    """The field in the sensor's frame ᵇRₛᵀ Rᵀ f (3,), and its derivatives on R (3, 9) and on f (3, 3)."""
+    """Return the field in the sensor's frame ᵇRₛᵀ Rᵀ f (3,), and its derivatives on R (3, 9) and on f (3, 3)."""
     to_sensor = body_R_sensor.T
     turn = to_sensor @ rotation.reshape(3, 3).T
     # ∂(ᵇRₛᵀ Rᵀ f)_i / ∂R_jk = (ᵇRₛᵀ)_ik f_j
@@ -39,14 +40,14 @@ def body_field(body_R_sensor: Array, rotation: Array, field: Array) -> tuple[Arr
 def known_field(
     name: str, field: ArrayLike | None, field_key: int | None, field_unit: float, *, strength: bool = False
 ) -> Array | None:
-    """The world's field in `field_unit`, or None where `field_key` holds it.
+    """Return the world's field in `field_unit`, or None where `field_key` holds it.
 
     Args:
-        name: of the factor.
+        name: name of the factor, for error messages.
         field: (3,) T; where `strength` is set also a number, the field's strength.
-        field_key: of the field as a variable.
+        field_key: key of the field as a variable.
         field_unit: T per unit of the keys.
-        strength: whether a number will do.
+        strength: whether a number is accepted.
     """
     check_unit(field_unit)
     if (field is None) == (field_key is None):
@@ -63,23 +64,23 @@ def known_field(
 
 
 def check_unit(field_unit: float) -> None:
-    """Refuse a unit that is no positive number of T."""
+    """Raise an error for a unit that is not a positive number of T."""
     if not (np.isfinite(field_unit) and field_unit > 0):
         raise MagycError(f"field_unit {field_unit}; it must be finite and above 0 T")
 
 
 def sensor_rotation(body_R_sensor: gtsam.Rot3 | None) -> Array:
-    """ᵇRₛ (3, 3), sensor→body; None is the identity."""
+    """Return ᵇRₛ (3, 3), sensor→body; None is the identity."""
     return np.eye(3) if body_R_sensor is None else body_R_sensor.matrix()
 
 
 def given_keys(*pairs: tuple[int | None, Variable]) -> list[tuple[int, Variable]]:
-    """The optional keys of a factor that were given, with how they are read."""
+    """Return the optional keys that were given, with their readers."""
     return [(key, variable) for key, variable in pairs if key is not None]
 
 
 def in_unit(name: str, noise: Noise, field_unit: float) -> Noise:
-    """A standard deviation in T, checked, in `field_unit`; a noise model stays as it is."""
+    """Check a standard deviation in T and return it in `field_unit`; return a noise model unchanged."""
     if isinstance(noise, gtsam.noiseModel.Base):
         return noise
     check_noise(name, noise)
@@ -102,7 +103,7 @@ def magnetometer_factor(
     body_R_sensor: gtsam.Rot3 | None = None,
     field_unit: float = MICROTESLA,
 ) -> gtsam.CustomFactor:
-    """One measured field on (R, A, h[, f][, ᵇRₛ][, τ]).
+    """Return a factor of one measured field on (R, A, h[, f][, ᵇRₛ][, τ]).
 
     Args:
         attitude_key: R, body→world: `Pose3`, `Rot3`, `NavState`, `Pose2` or `Rot2`.
@@ -112,7 +113,8 @@ def magnetometer_factor(
         noise: standard deviation per axis in T, or a noise model of the 3 rows in `field_unit`, such as
             `robust_noise`.
         field: (3,) T, world frame, e.g. `magyc_gtsam.world_field.world_magnetic_field(...).vector` in a
-            north-east-down world. With f a variable it is that variable's prior (`world_field_prior`).
+            north-east-down world. Where f is a variable, use the known field in its prior (`world_field_prior`)
+            instead.
         field_key: f as a variable, 3-vector or `Point3`, `field_unit`.
         mounting_key: ᵇRₛ as a variable, `Rot3` (`mounting_prior`); without it `body_R_sensor` is held.
         delay_key: τ as a variable, s, double or 1-vector (`delay_prior`); without it `delay` is held.
@@ -122,7 +124,7 @@ def magnetometer_factor(
         field_unit: T per unit of the keys h and f.
 
     Raises:
-        MagycError: arguments that do not fit together, units that cannot be, or values that are not finite.
+        MagycError: arguments that do not fit together, implausible units, or values that are not finite.
     """
     name = "magnetometer"
     known = known_field(name, field, field_key, field_unit)
@@ -182,7 +184,7 @@ def scaled_magnetometer_factor(
     body_R_sensor: gtsam.Rot3 | None = None,
     field_unit: float = MICROTESLA,
 ) -> gtsam.CustomFactor:
-    """GTSAM's `MagFactor3`, m = s ᵇRₛᵀ Rᵀ d + h: the attitude known, scale, direction and bias unknown.
+    """GTSAM's `MagFactor3`, m = s ᵇRₛᵀ Rᵀ d + h: known attitude; unknown scale, direction and bias.
 
     Args:
         direction_key: d, `Unit3`, world frame.

@@ -1,4 +1,4 @@
-"""Native priors: on a calibration that is known, the world's field, the mounting and the delay."""
+"""Native priors on a known calibration, the world's field, the mounting and the delay."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _HELD_DELAY = 1e-6  # s
 def world_field_prior(
     field_key: int, field: ArrayLike, sigma: ArrayLike, *, field_unit: float = MICROTESLA
 ) -> gtsam.PriorFactorPoint3:
-    """Native prior on the world's field as a variable (`Point3`, `field_unit`).
+    """Return a native prior on the world's field as a variable (`Point3`, `field_unit`).
 
     Args:
-        field_key: of f.
+        field_key: key of f.
         field: (3,) T in the graph's world frame, e.g. of the World Magnetic Model.
-        sigma: T, one or three; the model is good to about 0.15 µT plus what the crust adds, which is 0.1 to
+        sigma: T, one or three; the model is good to about 0.15 µT plus the contribution of the crust, which is 0.1 to
             1 µT on most of the sea floor and far more beside steel.
         field_unit: T per unit of the key.
     """
@@ -39,13 +39,14 @@ def world_field_prior(
 def mounting_prior(
     mounting_key: int, body_R_sensor: gtsam.Rot3 | None = None, sigma: float = _HELD_MOUNTING
 ) -> gtsam.PriorFactorRot3:
-    """Native prior on the mounting as a variable (`Rot3`, sensor→body).
+    """Return a native prior on the mounting as a variable (`Rot3`, sensor→body).
 
     Args:
-        mounting_key: of ᵇRₛ.
-        body_R_sensor: as drawn; None is the identity.
-        sigma: rad per axis; the default holds it. A turn of the mounting about the vertical of a vehicle that stays
-            level is a turn of the heading: what else knows the heading tells them apart.
+        mounting_key: key of ᵇRₛ.
+        body_R_sensor: nominal mounting; None is the identity.
+        sigma: rad per axis; the default holds the mounting. On a vehicle that stays level a rotation of the mounting
+            about the vertical is equivalent to a rotation of the heading; only another source of heading separates
+            the two.
     """
     if not (np.isfinite(sigma) and sigma > 0):
         raise MagycError(f"mounting prior: standard deviation {sigma!r}; it must be finite and above 0 rad")
@@ -54,12 +55,12 @@ def mounting_prior(
 
 
 def delay_prior(delay_key: int, delay: float = 0.0, sigma: float = _HELD_DELAY) -> gtsam.PriorFactorDouble:
-    """Native prior on the delay as a variable (double, s).
+    """Return a native prior on the delay as a variable (double, s).
 
     Args:
-        delay_key: of τ.
+        delay_key: key of τ.
         delay: s by which the magnetometer lags.
-        sigma: s; the default holds it.
+        sigma: s; the default holds the delay.
     """
     if not (np.isfinite(delay) and np.isfinite(sigma) and sigma > 0):
         raise MagycError(
@@ -77,17 +78,17 @@ def calibration_prior(
     *,
     field_unit: float = MICROTESLA,
 ) -> gtsam.LinearContainerFactor:
-    """A calibration that is known already as a native prior on (A, h), with all its correlations.
+    """Return a known calibration as a native prior on (A, h), with all correlations.
 
     Args:
         soft_iron_key, hard_iron_key: 6-vector; 3-vector or `Point3` in `field_unit`.
         soft_iron: (3, 3), scaled to the true field (`magyc_gtsam.calibrate(..., field_strength=...)`).
         hard_iron: (3,) T.
-        covariance: (9, 9) or larger, of vech(soft iron), hard iron T and what follows, which is left out.
+        covariance: (9, 9) or larger, of vech(soft iron) and hard iron in T; further rows and columns are ignored.
         field_unit: T per unit of the key h.
 
     Raises:
-        MagycError: a singular covariance, as that of a soft iron of determinant 1.
+        MagycError: a singular covariance, such as that of a soft iron of determinant 1.
     """
     check_unit(field_unit)
     unit = np.concatenate([np.ones(6), np.full(3, field_unit)])

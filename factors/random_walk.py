@@ -1,11 +1,11 @@
-"""Calibration that changes slowly: nodes at intervals, joined by random walks.
+"""Random walks of a slowly changing calibration, between nodes at intervals.
 
-A battery ages, a payload is moved, a sensor warms: the variance of the change grows with time, stated as a
-standard deviation after one hour (per √hour). The factors are GTSAM's own `BetweenFactor`s, so that no
+The variance of changes such as those of an ageing battery, a moved payload or a warming sensor grows with time; it is
+stated as a standard deviation after one hour (per √hour). The factors are GTSAM's own `BetweenFactor`s, so that no
 Python runs inside the optimiser.
 
-Nodes also keep iSAM2 fast where the calibration is constant: iSAM2 looks at every factor of every variable
-that an update touches, so that one pair of keys under n factors costs n per update (docs/slam.md).
+Several nodes also keep iSAM2 fast where the calibration is constant: iSAM2 visits every factor of every variable that
+an update affects, so that one pair of keys under n factors costs n per update (docs/slam.md).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _HOUR = 3600.0
 
 
 def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorVector:
-    """Random walk between two soft irons (6-vectors).
+    """Return a random walk between two soft irons (6-vectors).
 
     Args:
-        first_key, second_key: of the two nodes.
+        first_key, second_key: keys of the two nodes.
         elapsed: s between the two nodes.
         sigma: change per √hour of each entry, one or six; 1e-3 is a tenth of a percent in an hour.
     """
@@ -35,10 +35,10 @@ def soft_iron_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
 def hard_iron_walk(
     first_key: int, second_key: int, elapsed: float, sigma: ArrayLike, *, field_unit: float = MICROTESLA
 ) -> gtsam.BetweenFactorPoint3:
-    """Random walk between two hard irons (3-vectors or `Point3`, `field_unit`).
+    """Return a random walk between two hard irons (3-vectors or `Point3`, `field_unit`).
 
     Args:
-        first_key, second_key: of the two nodes.
+        first_key, second_key: keys of the two nodes.
         elapsed: s between the two nodes.
         sigma: T per √hour, one or three.
         field_unit: T per unit of the keys.
@@ -49,13 +49,13 @@ def hard_iron_walk(
 
 
 def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: ArrayLike) -> gtsam.BetweenFactorPoint3:
-    """Random walk between two gyroscope biases (3-vectors or `Point3`).
+    """Return a random walk between two gyroscope biases (3-vectors or `Point3`).
 
-    A graph whose bias is an `imuBias.ConstantBias` has its own (`CombinedImuFactor`,
+    A graph whose bias is an `imuBias.ConstantBias` has its own walk (`CombinedImuFactor`,
     `BetweenFactorConstantBias`) and needs no other.
 
     Args:
-        first_key, second_key: of the two nodes.
+        first_key, second_key: keys of the two nodes.
         elapsed: s between the two nodes.
         sigma: rad/s per √hour, one or three.
     """
@@ -63,7 +63,7 @@ def gyro_bias_walk(first_key: int, second_key: int, elapsed: float, sigma: Array
 
 
 def _grown(sigma: ArrayLike, size: int, elapsed: float) -> gtsam.noiseModel.Diagonal:
-    """Standard deviation after `elapsed` s of a walk of `sigma` per √hour."""
+    """Return the noise model of a walk of `sigma` per √hour after `elapsed` s."""
     deviation: Array = np.broadcast_to(np.asarray(sigma, dtype=float), (size,)) * np.sqrt(
         max(elapsed, 0.0) / _HOUR
     )

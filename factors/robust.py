@@ -14,19 +14,19 @@ from magyc_gtsam.factors.kernels import tuning_constant
 def robust_noise(
     name: str, sigma: float, dimension: int = 3, tuning: float | None = None
 ) -> gtsam.noiseModel.Robust:
-    """GTSAM's own robust noise model of a kernel, for factors that hold one sample each.
+    """Return GTSAM's own robust noise model of a kernel, for factors that hold one sample each.
 
-    It weighs a factor's whole residual: over stacked samples use `robustify` inside the factor.
+    It weights a factor's whole residual: for stacked samples use `robustify` inside the factor.
 
     Args:
-        name: of the kernel.
+        name: name of the kernel.
         sigma: standard deviation of every row of the residual.
         dimension: rows of the residual.
         tuning: the kernel's constant in whitened units; default 95 % efficiency.
     """
     k, sigma = tuning_constant(name, dimension, tuning), standard_deviation(sigma)
     estimators = gtsam.noiseModel.mEstimator
-    if name == "l1":  # not wrapped; Huber(e/√k; √k) is the same function
+    if name == "l1":  # GTSAM does not wrap L1; Huber(e/√k; √k) is the same function
         estimator, sigma = estimators.Huber.Create(np.sqrt(k)), sigma * np.sqrt(k)
     else:
         family: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""One way to read and update iSAM2 and both fixed-lag smoothers."""
+"""A common interface for reading and updating iSAM2 and both fixed-lag smoothers."""
 
 from __future__ import annotations
 
@@ -15,12 +15,7 @@ _READ = (gtsam.ISAM2, gtsam.FixedLagSmoother, gtsam.Values)
 
 
 class View:
-    """A solver's estimate, with the values of the coming update on top.
-
-    Args:
-        solver: `ISAM2`, a fixed-lag smoother, or the `Values` of a batch.
-        new: values that the solver does not hold yet.
-    """
+    """A solver's estimate, overlaid with the new values of the coming update."""
 
     def __init__(self, solver: Solver | gtsam.Values, new: gtsam.Values | None = None) -> None:
         _check_solver(solver)
@@ -40,7 +35,7 @@ class View:
         return bool(self._held.exists(key))
 
     def values(self, keys: Sequence[int]) -> gtsam.Values:
-        """The values of these keys, all of which exist."""
+        """Return the values of these keys, all of which must exist."""
         if isinstance(self.solver, gtsam.Values):
             return self.solver.extract(list(keys))
         old = [key for key in keys if not self.new.exists(key)]
@@ -50,16 +45,16 @@ class View:
         return point
 
     def linearized(self, keys: Sequence[int]) -> gtsam.Values:
-        """Where the solver has linearised its factors on these keys, all of which it holds."""
+        """Return the solver's linearisation points of these keys, all of which it must hold."""
         held = self.solver if isinstance(self.solver, gtsam.Values) else self.solver.getLinearizationPoint()
         return held.extract(list(keys))
 
     def estimate(self) -> gtsam.Values:
-        """All values that the solver holds, without those of the coming update."""
+        """Return all values that the solver holds, without those of the coming update."""
         return self.solver if isinstance(self.solver, gtsam.Values) else self.solver.calculateEstimate()
 
     def factors(self) -> gtsam.NonlinearFactorGraph:
-        """The solver's graph, by slots; a copy."""
+        """Return a copy of the solver's graph, indexed by slots."""
         if isinstance(self.solver, gtsam.Values):
             raise MagycError("the values of a batch have no graph")
         if isinstance(self.solver, gtsam.IncrementalFixedLagSmoother):
@@ -69,7 +64,7 @@ class View:
         return gtsam.NonlinearFactorGraph(self.solver.getFactorsUnsafe())
 
     def covariance(self, keys: Sequence[int]) -> Array | None:
-        """Joint covariance of keys that the solver holds, in their order; None where it cannot be had."""
+        """Return the joint covariance of keys that the solver holds, in their order; None where it is not available."""
         if isinstance(self.solver, gtsam.Values):
             return None
         try:
@@ -79,7 +74,7 @@ class View:
             else:
                 isam = self.solver if isinstance(self.solver, gtsam.ISAM2) else self.solver.getISAM2()
                 joint = isam.jointMarginalCovariance(list(keys))
-        except RuntimeError:  # not determined
+        except RuntimeError:  # the variables are not determined
             return None
         covariance: Array = joint.fullMatrix()
         return covariance
@@ -93,12 +88,12 @@ def update_solver(
     remove: Sequence[int],
     last: Sequence[Collection[int]] = (),
 ) -> Any:
-    """Update; the solver's result.
+    """Update the solver and return its result.
 
     Args:
         solver, graph, values, timestamps: as in `NativeFactors.update`.
-        remove: slots of factors that leave.
-        last: groups of keys that iSAM2 eliminates after all others, in this order; none leaves the order to it.
+        remove: slots of factors to remove.
+        last: groups of keys that iSAM2 eliminates after all others, in this order; empty for iSAM2's own order.
     """
     if isinstance(solver, gtsam.ISAM2):
         if not last:
@@ -120,8 +115,8 @@ def update_solver(
 
 
 def new_slots(solver: Solver, result: Any, last: Sequence[gtsam.NonlinearFactor]) -> list[int]:
-    """The slots of the last factors that an update brought, in their order."""
-    if isinstance(solver, gtsam.BatchFixedLagSmoother):  # does not tell them
+    """Return the slots of the last factors that an update added, in their order."""
+    if isinstance(solver, gtsam.BatchFixedLagSmoother):  # its result does not contain them
         factors = solver.getFactors()
         held = [(i, factors.at(i)) for i in range(factors.size()) if factors.exists(i)]
         return [next(i for i, factor in reversed(held) if factor is each) for each in last]
@@ -131,7 +126,7 @@ def new_slots(solver: Solver, result: Any, last: Sequence[gtsam.NonlinearFactor]
 
 
 def _check_solver(solver: object) -> None:
-    """Refuse what is no solver."""
+    """Raise an error for objects that are not a supported solver."""
     if not isinstance(solver, _READ):
         raise MagycError(
             f"solver is a {type(solver).__name__}; accepted: ISAM2, IncrementalFixedLagSmoother, "

@@ -1,7 +1,7 @@
 """Sphere-constrained measurement of the Autocal paper, eq. (7): r = K x̂ + h − m, x̂ a `Unit3`.
 
-The field strength is folded into K = F·A. The paper takes K upper triangular, because without a
-gyroscope a rotation of K cannot be told from one of the directions; with one, K is symmetric.
+The field strength is absorbed into K = F·A. The paper takes K upper triangular, because without a gyroscope a
+rotation of K is equivalent to a rotation of the directions; with a gyroscope, K is symmetric.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ SHAPES = {
     "triangular": np.triu(SYMMETRIC_UNITS),
     "full": _FULL_UNITS,
 }
-"""Unit matrices U_j of each form of K = Σ k_j U_j, (6 or 9, 3, 3); entries run row by row."""
+"""Unit matrices U_j of each form of K = Σ k_j U_j, (6 or 9, 3, 3), in row-major order of the entries."""
 
 
 def sphere_error(
     units: Array, measurement: Array, x: Array, k: Array, h: Array, want_jacobians: bool = False
 ) -> Residual:
-    """Eq. (7) and its Jacobians (18) to (20) on x̂, k and h: (3,), and (3, 3), (3, len(k)), (3, 3)."""
+    """Return residual (7) (3,), and its Jacobians (18) to (20) on x̂, k and h: (3, 3), (3, len(k)), (3, 3)."""
     matrix = (k @ units.reshape(len(k), 9)).reshape(3, 3)
     residual = matrix @ x + h - measurement
     return residual, [matrix, (units @ x).T, np.eye(3)] if want_jacobians else []
@@ -43,11 +43,11 @@ def sphere_factor(
     *,
     shape: str = "symmetric",
 ) -> gtsam.CustomFactor:
-    """One measured field m = K x̂ + h on (x̂, k, h).
+    """Return a factor of one measured field m = K x̂ + h on (x̂, k, h).
 
     Args:
         direction_key: x̂, `Unit3`.
-        soft_iron_key: k, 6-vector, or 9 for "full".
+        soft_iron_key: k, 6-vector, or 9-vector for "full".
         hard_iron_key: h, 3-vector or `Point3`.
         measurement: (3,), in the unit of K and h.
         noise: standard deviation per axis, or a noise model of 3 rows, e.g. `robust_noise`.

@@ -1,4 +1,4 @@
-"""Which quadratics are looked at in an update: whether the estimate has moved away from where they were made."""
+"""Selection of the quadratics that an update checks for staleness."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ _UNSETTLED = 1.0  # standard deviations
 
 
 class Staleness:
-    """Looks at the last quadratics with each block, at all now and then, and at every update until they are settled.
+    """Selects the latest quadratics with each new block, all of them occasionally, and stale ones at every update.
 
-    A quadratic is made where its attitude is predicted, before the update that it enters by; so it is looked at in the
-    next one, where its variables are still at the root of iSAM2's tree and renewing it costs little. Later only blocks
-    move old attitudes and the calibration much. From the oldest quadratic on that was stale by more than a standard
-    deviation they are looked at in each update until none is; all are, each time that their number has grown by a
-    factor.
+    A quadratic is linearised at the predicted attitude, before the update that adds it. It is therefore checked in
+    the next update, where its variables are still at the root of iSAM2's tree and renewing it costs little. Later
+    only new blocks move old attitudes and the calibration much. All quadratics from the oldest one that was stale by
+    more than a standard deviation onwards are checked in each update until none is; all quadratics are checked each
+    time their number has grown by a factor.
 
     Args:
-        recent: number of quadratics that count as the last ones.
-        growth: factor of their number between two looks at all of them.
+        recent: number of quadratics that count as the latest ones.
+        growth: factor of their number between two checks of all of them.
 
     Attributes:
-        reach: number of quadratics from the oldest on that was stale by more than a standard deviation at the last
-            look.
+        reach: number of quadratics from the oldest one that was stale by more than a standard deviation at the last
+            check up to the newest.
         entered: number of quadratics that entered in the last update.
     """
 
@@ -35,16 +35,21 @@ class Staleness:
 
     @property
     def unsettled(self) -> bool:
-        """Whether a quadratic was stale by more than a standard deviation at the last look."""
+        """Whether a quadratic was stale by more than a standard deviation at the last check."""
         return self.reach > 0
 
     @property
     def pending(self) -> bool:
-        """Whether to look at some in an update that brings no block."""
+        """Whether an update that adds no block has quadratics to check."""
         return self.unsettled or self.entered > 0
 
     def due(self, delivered: list[Delivered], entering: int) -> list[Delivered]:
-        """Those to look at in an update by which `entering` more enter, of all that are delivered, oldest first."""
+        """Return the quadratics to check in an update.
+
+        Args:
+            delivered: all quadratics in the solver, oldest first.
+            entering: number of quadratics that the update adds.
+        """
         newest, self.entered = self.entered, entering
         if newest and not (entering or self.unsettled):
             return delivered[-newest:]
@@ -54,6 +59,6 @@ class Staleness:
         return list(delivered)
 
     def found(self, shifts: Sequence[float]) -> None:
-        """By how many standard deviations each of those was stale, oldest first."""
+        """Record the staleness, in standard deviations, of each checked quadratic, oldest first."""
         stale = [i for i, shift in enumerate(shifts) if shift > _UNSETTLED]
         self.reach = len(shifts) - stale[0] if stale else 0

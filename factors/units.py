@@ -1,4 +1,4 @@
-"""Checks of units where a factor is made: a field in µT or a rate in degrees per second is refused, never rescaled."""
+"""Checks of units where a factor is made: a field in µT or a rate in degrees per second is rejected, never rescaled."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from magyc_gtsam.factors.variables import Array
 
 @dataclass(frozen=True)
 class LargestReadings:
-    """What a value in SI units cannot exceed.
+    """The limits of plausible values in SI units.
 
     Attributes:
-        field: T, strength of the world's field. The Earth's is 22 to 67 µT; the rest is for a field beside steel.
+        field: T, strength of the world's field. The Earth's is 22 to 67 µT; the margin allows for a field beside
+            steel.
         noise: T, standard deviation of a magnetometer sample: from a fluxgate to a phone beside its battery.
-        reading: T, largest magnetometer reading; a hard iron of ten times the field stays far below.
+        reading: T, largest magnetometer reading; a hard iron of ten times the field stays far below it.
         rate: rad/s, twice the range of the fastest common gyroscopes (2000 deg/s).
         rate_noise: rad/s, standard deviation of a gyroscope sample.
     """
@@ -32,11 +33,11 @@ class LargestReadings:
 
 LIMITS = LargestReadings()
 _SCALES = {"µT": 1e-6, "nT": 1e-9, "gauss": 1e-4, "milligauss": 1e-7}
-_ROUNDING = 1e-9  # relative, so that a limit itself is allowed
+_ROUNDING = 1e-9  # relative margin, so that the limits themselves are allowed
 
 
 def check_field(name: str, strength: float) -> None:
-    """Refuse a strength of the world's field in T that no field on Earth has."""
+    """Raise an error for a field strength in T that does not occur on Earth."""
     low, high = LIMITS.field
     if not low * (1 - _ROUNDING) <= strength <= high * (1 + _ROUNDING):
         raise MagycError(
@@ -46,7 +47,7 @@ def check_field(name: str, strength: float) -> None:
 
 
 def check_noise(name: str, sigma: float) -> None:
-    """Refuse a standard deviation of a magnetometer sample, in T, that no magnetometer has."""
+    """Raise an error for a standard deviation of a magnetometer sample, in T, that no magnetometer has."""
     low, high = LIMITS.noise
     if not low * (1 - _ROUNDING) <= sigma <= high * (1 + _ROUNDING):
         raise MagycError(
@@ -56,7 +57,7 @@ def check_noise(name: str, sigma: float) -> None:
 
 
 def check_readings(name: str, field: ArrayLike) -> None:
-    """Refuse magnetometer readings (n, 3) or (3,) in T that are in another unit."""
+    """Raise an error for magnetometer readings (n, 3) or (3,) in T that are in another unit."""
     largest = float(np.abs(np.asarray(field)).max(initial=0.0))
     if largest > LIMITS.reading:
         raise MagycError(
@@ -66,7 +67,7 @@ def check_readings(name: str, field: ArrayLike) -> None:
 
 
 def check_rates(name: str, rate: Array) -> None:
-    """Refuse angular rates in rad/s that are in another unit."""
+    """Raise an error for angular rates in rad/s that are in another unit."""
     largest = float(np.abs(rate).max(initial=0.0))
     if largest > LIMITS.rate:
         raise MagycError(
@@ -76,7 +77,7 @@ def check_rates(name: str, rate: Array) -> None:
 
 
 def check_rate_noise(name: str, sigma: float) -> None:
-    """Refuse a standard deviation of a gyroscope sample, in rad/s, that no gyroscope has."""
+    """Raise an error for a standard deviation of a gyroscope sample, in rad/s, that no gyroscope has."""
     if not 0 <= sigma <= LIMITS.rate_noise:
         raise MagycError(
             f"{name}: gyroscope noise of {sigma:.4g} rad/s; it must be between 0 and {LIMITS.rate_noise:g}; "
@@ -85,6 +86,6 @@ def check_rate_noise(name: str, sigma: float) -> None:
 
 
 def _likely(value: float, low: float, high: float) -> str:
-    """The unit in which the value would be inside the limits."""
+    """Return a note on the units in which the value would be inside the limits; empty where there is none."""
     units = [unit for unit, scale in _SCALES.items() if low <= value * scale <= high]
     return f"; likely unit: {' or '.join(units)}" if units else ""

@@ -1,7 +1,7 @@
-"""How a factor reads its keys: the types that a key may hold, each as a vector and the tangent space behind it.
+"""Readers of a factor's keys: each accepted type as a vector, with the derivative on its tangent space.
 
-Every reader turns a value into a plain vector and, where the key's own tangent space is another, the derivative
-(len(value), dimension) of the vector on it.
+Every reader returns a value as a plain vector and, where the key's own tangent space differs, the derivative
+(len(value), dimension) of the vector on it; otherwise None.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ Reader = Callable[[gtsam.Values, int], tuple[Array, Array | None]]
 Variable = Mapping[str, Reader]
 """The types that a key may hold, {name: reader}."""
 
-_GYROSCOPE_PART = np.hstack([np.zeros((3, 3)), np.eye(3)])  # of a ConstantBias: accelerometer, gyroscope
+_GYROSCOPE_PART = np.hstack([np.zeros((3, 3)), np.eye(3)])  # order in a ConstantBias: accelerometer, gyroscope
 _GYROSCOPE_PART.flags.writeable = False
 _TURNS = skew(np.eye(3))
 _STORED = re.compile(r"GenericValue<(.*)> but requested")
 
 
 def vector(size: int) -> Variable:
-    """A vector of `size` numbers; where `size` is 3 it may also be a `Point3`."""
+    """Return the variable of a vector of `size` numbers; where `size` is 3 the key may also hold a `Point3`."""
 
     def read(values: gtsam.Values, key: int) -> tuple[Array, None]:
         value = values.atPoint3(key) if size == 3 else values.atVector(key)
@@ -46,7 +46,9 @@ def _at_unit(values: gtsam.Values, key: int) -> tuple[Array, Array]:
 
 
 def _at_rotation(rotation: Array, first: int, columns: int) -> tuple[Array, Array]:
-    """R row by row (9,), and its derivative where the rotation is the tangent space's columns `first` to + 3."""
+    """Return R row by row (9,), and its derivative where the rotation is in the tangent space's columns `first` to
+    first + 2.
+    """
     tangent = np.zeros((9, columns))  # R Exp(φ) = R + R [φ]×, in the body frame as GTSAM has it
     tangent[:, first : first + 3] = (rotation @ _TURNS).reshape(3, 9).T
     return rotation.ravel(), tangent
@@ -103,10 +105,10 @@ scalar: Variable = MappingProxyType(
 
 
 def choose(name: str, variable: Variable, values: gtsam.Values, key: int) -> Reader:
-    """The reader of what the key holds.
+    """Return the reader of the type that the key holds.
 
     Raises:
-        MagycError: the key has no value, or one of a type that is not among the variable's.
+        MagycError: the key has no value, or one of a type that the variable does not accept.
     """
     if not values.exists(key):
         raise MagycError(f"{name}: {key_name(key)} has no value; insert one before the factor is evaluated")
@@ -122,12 +124,12 @@ def choose(name: str, variable: Variable, values: gtsam.Values, key: int) -> Rea
 
 
 def key_name(key: int) -> str:
-    """A key as GTSAM prints it."""
+    """Return a key as GTSAM prints it."""
     return str(gtsam.DefaultKeyFormatter(key))
 
 
 def _stored(problem: str) -> str:
-    """The type that GTSAM's message says is stored."""
+    """Return the stored type according to GTSAM's error message."""
     found = _STORED.search(problem)
     if found is None:
         return "value of another type"
