@@ -1,1 +1,1 @@
-"""One comparison over many logs of one instrument: which effect has one value in all, and which one in each."""
+"""One comparison over many logs of one instrument: effects with one value in all logs, and with a value in each."""

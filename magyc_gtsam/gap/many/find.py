@@ -1,4 +1,4 @@
-"""`find_gap` of many logs of one instrument: forward by the strongest hypothesis, everything refitted after each."""
+"""`find_gap` of many logs of one instrument: forward selection of effects, with a refit of all logs after each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False)
 class _Course:
-    """How far a search is: the logs, what was added, what was left out, and the last look."""
+    """The state of a search: the logs, the added effects, the logs left out, and the last look."""
 
     logs: tuple[OneLog, ...]
     added: tuple[Added, ...] = ()
@@ -39,7 +39,7 @@ class _Course:
 def find_gap_of_many(
     recordings: Sequence[Recording], candidates: Sequence[str], progress: Progress | None = None
 ) -> GapOfMany:
-    """One comparison over all logs of one instrument.
+    """Compare all logs of one instrument.
 
     Args:
         recordings: of one instrument, each with magnetometer and gyroscope.
@@ -47,7 +47,7 @@ def find_gap_of_many(
         progress: called with the share done.
 
     Raises:
-        MagycError: something that is no recording, or none.
+        MagycError: no recordings, or an object that is not a recording.
     """
     report = progress or (lambda _: None)
     course = _begun(recordings, candidates, lambda share: report(0.4 * share))
@@ -57,7 +57,7 @@ def find_gap_of_many(
             report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
             if not going:
                 break
-    # What hangs together or stands out beside something unknown is its misfit, and no noise.
+    # Beside an unknown effect, autocorrelation and outliers are part of its misfit, not noise.
     looked = len(course.logs) >= MODEL.least and not course.unknown
     noise = noise_effects(course.logs, candidates) if looked else ()
     report(1.0)
@@ -65,7 +65,7 @@ def find_gap_of_many(
 
 
 def _begun(recordings: Sequence[Recording], names: Sequence[str], report: Progress) -> _Course:
-    """Each log at its minimum; one that cannot be read or calibrated is left out with its reason."""
+    """Fit the base model to each log; leave out logs that cannot be read or calibrated, with the reason."""
     if not len(recordings):
         raise MagycError("mg.find_gap: no recordings; give those of one instrument")
     logs: list[OneLog] = []
@@ -73,7 +73,7 @@ def _begun(recordings: Sequence[Recording], names: Sequence[str], report: Progre
     for k in range(len(recordings)):
         called = f"log {k + 1}"
         try:
-            recording = recordings[k]  # may be read here
+            recording = recordings[k]  # a lazy sequence reads it here
         except MagycError as problem:
             own.append(Own(called, str(problem)))
             continue
@@ -90,7 +90,7 @@ def _begun(recordings: Sequence[Recording], names: Sequence[str], report: Progre
 
 
 def _step(course: _Course, names: Sequence[str], more: bool) -> tuple[_Course, bool]:
-    """Look, and add the strongest name, or leave out logs that hold what has none; whether there is more to do."""
+    """Test all effects, and add the strongest or leave out logs with an unknown effect; return whether to continue."""
     had = [each.name for each in course.added]
     asked = [name for name in names if name in TERMS and name not in had]
     weighed = _look(course.logs, asked)
@@ -110,7 +110,7 @@ def _step(course: _Course, names: Sequence[str], more: bool) -> tuple[_Course, b
 
 
 def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs, ...]:
-    """All hypotheses, strongest first."""
+    """Return all hypotheses, strongest first."""
     tests = [log.tests(names) for log in logs]
     for name in names:
         pooled = _pooled([log.get(name, ()) for log in tests])
@@ -123,7 +123,7 @@ def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs
 
 
 def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
-    """Whether an effect that the data want has values that it can have, in most of the logs that have it."""
+    """Return whether a significant effect has possible values in most of the logs that contain it."""
     if not weighed.named or weighed.nats < MODEL.sure:
         return True
     shared = weighed.instrument >= 0.5 and weighed.name not in OF_THE_INSTRUMENT
@@ -138,7 +138,7 @@ def _possible(weighed: WeighedOverLogs, logs: Sequence[OneLog]) -> bool:
 
 
 def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
-    """Where the logs have no setting in common, the best of each: what is tried in one is tried in all."""
+    """Return the best setting of each log, to be tested in all logs, if the logs have no setting in common."""
     keys = [{test.key for test in tests} for tests in of_log if tests]
     if len(keys) < 2 or set.intersection(*keys):
         return []
@@ -149,7 +149,7 @@ def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
 
 
 def _as_good(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
-    """Names that are not clearly behind the strongest."""
+    """Return the names that are not clearly behind the strongest one."""
     first = weighed[0]
 
     def lead(other: WeighedOverLogs) -> float:
@@ -175,7 +175,7 @@ def _left_out(course: _Course, few: np.ndarray, strongest: WeighedOverLogs) -> _
 
 
 def _with(course: _Course, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _Course:
-    """The effect in all logs, or in those that have it; a log whose model does not bear it is left out."""
+    """Add the effect to all logs, or to those that have it; leave out logs whose model does not converge with it."""
     instrument = chosen.instrument >= 0.5
     logs: list[OneLog] = []
     own: list[Own] = []
@@ -233,6 +233,6 @@ def _result(course: _Course, noise: Sequence[SharedEffect]) -> GapOfMany:
 
 
 def _calibration(log: OneLog) -> Calibration:
-    """With the effects as terms, and with what the log shows beside them in its covariance and verdict."""
+    """Return the calibration with the effects as terms; covariance and verdict include the remaining misfit."""
     fitted = widened(log.refitted)
     return judged(as_calibration(fitted, None), fitted, log.recording, None)[0]

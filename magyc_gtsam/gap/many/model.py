@@ -1,4 +1,4 @@
-"""What decides in a comparison over many logs, each with its unit and the measurement behind it."""
+"""The constants that decide in a comparison over many logs, each with its unit and the measurement behind it."""
 
 from __future__ import annotations
 
@@ -7,29 +7,30 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ManyModel:
-    """The prior of the effects, and from where a name is given.
+    """The prior of the effects, and the thresholds for a name.
 
     Attributes:
-        sizes: (squared sigmas of one log) prior variances of an effect's values, all as likely: from what one log
-            hardly shows to what is plain in it.
-        shares: of the logs that have an effect of the place or the day, all as likely.
-        sure: nats, from which something is missing. The strongest of all hypotheses over ten clean logs has −1.9 to
-            0.7 nats (9 such sets of wide and moderate motion).
-        lead: nats, by which the strongest name must be ahead, or the next is as good.
-        moments: nats, likewise between jumps, drifts and passed objects: the forms of a moment are only alike, and a
-            jump of a quarter of a published one is held by a drift of ten logs with 3 to 8 nats more.
-        generic: nats, and share of its own, by which a family without a name must be ahead of all names.
-        remain: share of what was explained that may remain, for effects are not quite of the catalogue's form.
-        few: share of the logs up to which what no name explains is these logs' own.
-        most: effects, at which a search ends.
-        longest: s, correlation time from which noise that hangs together is a drift of something unknown.
-        one_way: share of it along one axis, from which it is no noise.
+        sizes: prior variances of an effect's values, equally probable, in squared sigmas of one log: from hardly
+            detectable in one log to evident.
+        shares: shares of the logs that have an effect of the place or the day, equally probable.
+        sure: nats of evidence from which something is missing. The strongest of all hypotheses over ten clean logs has
+            −1.9 to 0.7 nats (9 such sets of wide and moderate motion).
+        lead: nats by which the strongest name must lead; otherwise the next is an alternative.
+        moments: the same between jumps, drifts and passed objects, whose forms only approximate the true one: over ten
+            logs with a jump a quarter the size of a published one, a drift has 3 to 8 nats more than the jump.
+        generic: nats, and share of its own, by which a generic family must lead all names.
+        remain: share of the explained evidence that may remain, because effects do not quite have the catalogue's form.
+        few: share of the logs up to which an effect without a name is attributed to these logs alone.
+        most: number of effects at which a search ends.
+        longest: s, correlation time from which autocorrelated noise is a drift of unknown cause.
+        one_way: share of its power along one axis from which it is not noise.
         alone: nats from which one log alone names an effect on the noise.
-        has_it: probability from which a log gets an effect of the place; plain: from which what no name explains is a
-            log's own.
-        mostly: share of the logs, in which a value must be possible.
-        least: logs that can be compared.
-        settled: nats for and against what is seen or not seen at once: exchanged axes, held values, coarse steps.
+        has_it: probability from which a log gets an effect of the place.
+        plain: probability from which an effect without a name is attributed to a log.
+        mostly: share of the logs in which a value must be possible.
+        least: number of logs needed for a comparison.
+        settled: nats for and against effects that are detected with certainty: exchanged axes, held values, coarse
+            steps.
     """
 
     sizes: tuple[float, ...] = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
@@ -52,6 +53,6 @@ class ManyModel:
 
 
 MODEL = ManyModel()
-MOMENTS = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # at times of a log; they have no one value
-OF_THE_PLACE = (*MOMENTS, "field-gradient")  # whatever their values are
-OF_THE_INSTRUMENT = ("saturation",)  # its value is a level, relative to what a log read
+MOMENTS = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # at times of a log; no value common to all logs
+OF_THE_PLACE = (*MOMENTS, "field-gradient")  # whatever their values
+OF_THE_INSTRUMENT = ("saturation",)  # its value is a level relative to the readings of a log

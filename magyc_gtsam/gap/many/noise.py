@@ -1,8 +1,8 @@
-"""Effects that change the noise or the rows, over many logs: the instrument's where most logs have them.
+"""Effects on the noise or the rows over many logs: attributed to the instrument if most logs have them.
 
-Each log's gain in log-likelihood has two parameters of its own and is weighed as a score of rank 2. A tone is the
-largest of many lines: its p-value p weighs ∫ κ p^(κ−1) dκ = (1 − p + p ln p) / (p ln² p) against nothing (Sellke,
-Bayarri and Berger 2001). Axes, held values and coarse steps are seen at once or not at all.
+The gain in log-likelihood of each log has two parameters and is treated as a score of rank 2. A tone is the largest of
+many lines: its p-value p has the evidence ∫ κ p^(κ−1) dκ = (1 − p + p ln p) / (p ln² p) relative to no effect (Sellke,
+Bayarri and Berger 2001). Exchanged axes, held values and coarse steps are detected with certainty or not at all.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _NAMES = ("axis-order", "sample-hold", "quantisation", "spikes", "tone", "colour
 _FITTED = ("coloured-noise", "spikes")
 _IN_TESLA = ("tone", "coloured-noise", "spikes", "quantisation")
 _RANK = 2
-_LEAST = 1e-3  # nats of evidence, at which a p-value is 1
+_LEAST = 1e-3  # nats of evidence below which a p-value counts as 1
 
 
 def noise_effects(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[SharedEffect, ...]:
-    """What the logs have beside their models, the surest first; a weak one beside a sure one is its shadow."""
+    """Return the effects on the noise, strongest first; a weak one is left out beside a strong one that may cause it."""
     scores = [log.noise() for log in logs]
     found = [_effect(name, logs, scores) for name in _NAMES if name in names]
     kept: list[SharedEffect] = []
@@ -76,7 +76,7 @@ def _effect(name: str, logs: Sequence[OneLog], scores: Sequence[Mapping[str, Noi
 
 
 def _nats(score: NoiseScore, sizes: Array) -> Array:
-    """(sizes,) of one log."""
+    """Return the evidence (sizes,) of one log, nats."""
     if score.name in _FITTED:
         return nats_of(score.statistic, _RANK, sizes)
     if score.name == "tone":
@@ -87,7 +87,7 @@ def _nats(score: NoiseScore, sizes: Array) -> Array:
 
 
 def _of_its_form(name: str, scores: Sequence[NoiseScore]) -> bool:
-    """Whether what hangs together is noise, and no drift of something unknown, nor along one axis."""
+    """Return whether autocorrelated noise is noise: not a drift of unknown cause, and not along one axis."""
     if name != "coloured-noise":
         return True
     times = [score.setting["correlation_time"] for score in scores]

@@ -1,4 +1,4 @@
-"""One log of many: its model at the minimum, and what each effect would explain, as small sums that add up."""
+"""One log of many: its model at the minimum, and the score and information of each effect, which add over logs."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from magyc_gtsam.gap.scores.score import candidates
 from magyc_gtsam.recording import Recording
 from magyc_gtsam.sensor_faults.usable import without_faults
 
-_LEAST = 1e-10  # of the largest variance of a value, below which it is no direction of its own
-_OF_THE_LOG = ("start", "end")  # settings that are this recording's, beside the references of channels
+_LEAST = 1e-10  # of the largest variance of a value, below which a direction is left out
+_OF_THE_LOG = ("start", "end")  # settings that belong to one recording, as the references of channels do
 
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """An effect at one setting, the log's own calibration projected out.
+    """The score test of an effect at one setting, after projection on the complement of the log's own calibration.
 
     Attributes:
-        setting: of what is searched over.
-        statistic, rank: squared length of the score in its sigmas, and of how many values.
+        setting: of the grid search.
+        statistic, rank: squared length of the score in its sigmas, and its number of values.
         information, score: (k, k) and (k,) of the values, SI: the estimate is information⁻¹ score.
     """
 
@@ -50,7 +50,7 @@ class Test:
 
     @property
     def key(self) -> tuple[tuple[str, float], ...]:
-        """What makes it the same test in another log."""
+        """Return the setting without what belongs to one log, which identifies the same test in another log."""
         return tuple(
             sorted(
                 (k, float(f"{v:.6g}"))
@@ -66,11 +66,12 @@ class OneLog:
 
     Attributes:
         name: of the log.
-        recording: with the axes and rows as they were settled.
-        problem, short_term: its data, and the noise that its samples show.
+        recording: with its axes and rows corrected.
+        problem: its data.
+        short_term: noise of the sensors from sample to sample.
         refitted: the model at its minimum.
-        discrete: what was found and mended before anything was estimated.
-        notes: what was left out.
+        discrete: effects that were detected and corrected before the estimation.
+        notes: sentences on what was left out.
     """
 
     name: str
@@ -83,10 +84,10 @@ class OneLog:
 
     @classmethod
     def of(cls, recording: Recording, names: Sequence[str], name: str) -> OneLog:
-        """The twelve parameters at their minimum.
+        """Fit the twelve parameters to a log.
 
         Raises:
-            MagycError: no gyroscope, or data that cannot be calibrated at all.
+            MagycError: no gyroscope, or data that cannot be calibrated.
         """
         needs_gyroscope(recording)
         usable = without_faults(recording, ("magnetic_field", "angular_rate"))
@@ -97,10 +98,10 @@ class OneLog:
         return cls(name, data, problem_of(data), short_term, base, discrete, (*usable.left_out, *unlogged))
 
     def with_effect(self, name: str, setting: Mapping[str, float], value: Array) -> OneLog:
-        """With one more effect in the model, everything refitted.
+        """Return the log with one more effect in the model, after a joint refit.
 
         Raises:
-            MagycError: the model with it has no minimum.
+            MagycError: the refit does not converge.
         """
         model = with_term(self.refitted.model, Active(name, dict(setting), value))
         fitted = refit(self.problem, model, self.short_term)
@@ -109,7 +110,7 @@ class OneLog:
         return replace(self, refitted=fitted)
 
     def tests(self, names: Sequence[str]) -> dict[str, tuple[Test, ...]]:
-        """{effect or family without a name: it at all settings}."""
+        """Return {effect or generic family: its tests at all settings}."""
         project, innovation = self._innovation
         found = {
             name: [one for one in many if len(one.unit)]
@@ -119,7 +120,7 @@ class OneLog:
         return {name: tuple(_test(one, innovation, colour) for one in many) for name, many in found.items()}
 
     def tests_at(self, name: str, settings: Sequence[Mapping[str, float]]) -> tuple[Test, ...]:
-        """An effect at settings of other logs, with this log's own references."""
+        """Return the tests of an effect at settings of other logs, with this log's own references."""
         twin = self.refitted.twin
         project, innovation = self._innovation
         own = TERMS[name].settings(twin)
@@ -132,7 +133,7 @@ class OneLog:
         return tuple(_test(one, innovation, colour) for one in made)
 
     def noise(self) -> dict[str, NoiseScore]:
-        """{effect on the noise, or settled before: its test}, against the model as it is."""
+        """Return {effect on the noise, or corrected before the estimation: its test} for the present model."""
         fine = fine_innovations(self.recording, self.refitted.model)
         return {score.name: score for score in (*self.discrete, *noise_scores(self.recording, fine, MODEL.alone))}
 
@@ -143,7 +144,7 @@ class OneLog:
         return project, project(twin.residual().reshape(1, -1))[0]
 
     def _colour(self, found: Mapping[str, Sequence[Variant]], innovation: Array) -> float:
-        """By how much the innovations repeat each other, without what the best named effect explains of them."""
+        """Return the factor by which autocorrelation widens variances, without what the best named effect explains."""
         named = [one for name, many in found.items() if name in TERMS for one in many]
         gains = [float(np.sum(one.score(innovation) ** 2)) - 2 * len(one.unit) for one in named]
         if gains and max(gains) > RULES.much:
@@ -153,14 +154,14 @@ class OneLog:
 
 
 def _test(one: Variant, innovation: Array, colour: float) -> Test:
-    """The value is −back d with covariance back backᵀ; what hangs together counts for less."""
+    """Return a test; the value is −back d with covariance back backᵀ, and autocorrelation reduces its weight."""
     d = one.score(innovation)
     information = _inverse(one.back @ one.back.T) / colour
     return Test(dict(one.setting), float(d @ d) / colour, len(d), information, -information @ (one.back @ d))
 
 
 def _inverse(covariance: Array) -> Array:
-    """Of values in whatever units; no information where there is no covariance."""
+    """Return the information of values in any units; zero in directions without covariance."""
     scale = 1 / np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     weight, vector = np.linalg.eigh(covariance * scale * scale[:, None])
     kept = weight > _LEAST * weight[-1]
@@ -169,5 +170,5 @@ def _inverse(covariance: Array) -> Array:
 
 
 def as_json(setting: Mapping[str, float]) -> dict[str, Any]:
-    """A setting as JSON types."""
+    """Return a setting as JSON types."""
     return {k: float(v) for k, v in setting.items()}

@@ -1,4 +1,4 @@
-"""What was added to many logs, as values with their sigmas, and in words."""
+"""The effects that were added to many logs, as values with sigmas, and in words."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FIRST = 4  # logs that a sentence names
 
 @dataclass(frozen=True, eq=False)
 class Added:
-    """An effect in the model: probability that it is the instrument's, that each log has it, and its setting there."""
+    """An effect in the model: probabilities that it is the instrument's and that each log has it, and its settings."""
 
     name: str
     evidence: float
@@ -29,7 +29,7 @@ class Added:
 
 
 def told(added: Sequence[Added], logs: Sequence[OneLog]) -> tuple[SharedEffect, ...]:
-    """The effects of a search at its end, but those whose logs were all left out later."""
+    """Return the effects of a search at its end, without those whose logs were all left out later."""
     return tuple(_effect(each, logs) for each in added if any(s is not None for s in each.settings))
 
 
@@ -79,7 +79,7 @@ def _value(log: OneLog, name: str) -> tuple[Array, Array]:
 
 
 def _together(values: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
-    """The mean by information, its covariance, and χ² per freedom of the values about it."""
+    """Return the mean weighted by information, its covariance, and χ² per degree of freedom of the values about it."""
     information = [np.linalg.pinv(covariance, hermitian=True) for _, covariance in values]
     covariance = np.linalg.pinv(np.sum(information, axis=0), hermitian=True)
     mean = covariance @ np.sum([w @ v for w, (v, _) in zip(information, values, strict=True)], axis=0)

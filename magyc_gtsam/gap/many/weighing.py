@@ -1,9 +1,9 @@
-"""The evidence over many logs: one value everywhere against a value of its own in each log that has the effect.
+"""The evidence over many logs for one value in all logs, and for a separate value in each log that has the effect.
 
-With the values' prior variance γ in units of what one log tells of them (Zellner's g-prior), a score of squared
-length T and rank r weighs ½ γ/(1+γ) T − ½ r ln(1+γ) nats against nothing. One value for all: the logs' information
-and scores are summed before that, with γ times the number of logs. A value each: a share π of the logs has it,
-Σ ln(1 − π + π B_l). Both are averaged over γ, π and the settings.
+With the values' prior variance γ in units of their variance from one log (Zellner's g-prior), a score of squared length
+T and rank r has the evidence ½ γ/(1+γ) T − ½ r ln(1+γ) nats relative to no effect. For one value in all logs, the logs'
+information matrices and scores are summed first, and γ is multiplied by the number of logs. For a value in each log, a
+share π of the logs has it, Σ ln(1 − π + π B_l). Both are averaged over γ, π and the settings.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from magyc_gtsam.gap.many.one_log import Test
 
 Tests = Mapping[str, tuple[Test, ...]]
 _SIZES = np.array(MODEL.sizes)
-_WALK = 6  # modes of a drift: a random walk, whose k-th has the variance 1/k²
-_FAR = 300.0  # nats beyond which the share no longer counts
-_CORRELATED = 2.0  # knots over which a field that wanders in the world is alike
+_WALK = 6  # modes of a drift, a random walk: the variance of mode k is 1/k²
+_FAR = 300.0  # nats beyond which the share no longer matters
+_CORRELATED = 2.0  # knots, correlation length of a field that varies in the world frame
 
 
 @dataclass(frozen=True, eq=False)
 class WeighedOverLogs:
-    """One effect, or family without a name, over all logs.
+    """One effect or generic family over all logs.
 
     Attributes:
-        name: of it.
-        shared: nats of one value everywhere; −∞ where there can be none.
-        apart: nats of a value of its own in each log that has it.
+        name: of the effect or family.
+        shared: evidence of one value in all logs, nats; −∞ if it has none.
+        apart: evidence of a separate value in each log that has it, nats.
         setting, value: of the shared value at its best setting, SI.
-        present: (logs,) probability that a log has it, if each has its own.
-        best: per log the test that explains most; None where it cannot be tested.
+        present: (logs,) probability that a log has it, if each log has a separate value.
+        best: for each log the test that explains most; None if it cannot be tested.
     """
 
     name: str
@@ -49,25 +49,25 @@ class WeighedOverLogs:
 
     @property
     def named(self) -> bool:
-        """Whether it is of the catalogue."""
+        """Return whether it is an effect of the catalogue."""
         return self.name in TERMS
 
     @property
     def nats(self) -> float:
-        """Of either; a family without a name less what it must be ahead by."""
+        """Return the evidence of both cases together; for a generic family less its required lead."""
         nats = float(np.logaddexp(self.shared, self.apart) - np.log(2))
         return nats if self.named else nats - MODEL.generic[0] - MODEL.generic[1] * max(nats, 0.0)
 
     @property
     def instrument(self) -> float:
-        """Probability that it is the instrument's: what the data say, but where it can only be one of the two."""
+        """Return the probability that it is the instrument's: from the data, unless only one case is possible."""
         if self.name in OF_THE_PLACE or not np.isfinite(self.shared):
             return 0.0
         return 1.0 if self.name in OF_THE_INSTRUMENT else float(expit(self.shared - self.apart))
 
 
 def weigh(name: str, logs: Sequence[Tests]) -> WeighedOverLogs:
-    """All hypotheses of one effect."""
+    """Return the evidence of an effect in both cases."""
     of_log = [log.get(name, ()) for log in logs]
     best = tuple(max(tests, key=_surprise, default=None) for tests in of_log)
     apart, present = _apart(name, of_log)
@@ -82,13 +82,13 @@ def _surprise(test: Test) -> float:
 
 
 def nats_of(statistic: Array | float, rank: Array | int, size: Array) -> Array:
-    """Of a score of squared length `statistic` in its sigmas, at prior variances `size`."""
+    """Return the evidence of a score with squared length `statistic` in its sigmas, at prior variances `size`, nats."""
     result: Array = 0.5 * size / (1 + size) * statistic - 0.5 * rank * np.log1p(size)
     return result
 
 
 def _shared(of_log: Sequence[Sequence[Test]]) -> tuple[float, Mapping[str, float], Array]:
-    """Nats of one value, and setting and value that explain most."""
+    """Return the evidence of one value in all logs, and the setting and value that explain most."""
     keyed: dict[tuple, list[Test]] = {}
     for tests in of_log:
         for key, test in {test.key: test for test in tests}.items():
@@ -118,17 +118,21 @@ def _solved(information: Array, score: Array) -> tuple[Array, int]:
 
 
 def _apart(name: str, of_log: Sequence[Sequence[Test]]) -> tuple[float, Array]:
-    """Nats of a value each, and the probability of each log to have it.
+    """Return the evidence of a value in each log, nats, and the probability of each log to have the effect.
 
-    What is searched over is either of one kind in all logs, as a jump or something attached and taken off, or not.
+    The grid points of a jump or a passed object are of several kinds (a lasting jump, for example, or something that is
+    attached and taken off); all logs have the same kind.
     """
     total, present, _ = mixture(_by_kind(name, of_log))
     return total, present
 
 
 def mixture(tables: Array) -> tuple[float, Array, float]:
-    """Over tables (kinds, sizes, logs) of each log's nats: those of all logs, the probability of each log to have the
-    effect, and that of the largest share of the logs."""
+    """Return the evidence of all logs, the probability of each log to have the effect, and that of the largest share.
+
+    Args:
+        tables: (kinds, sizes, logs) evidence of each log, nats.
+    """
     share = np.array(MODEL.shares)[:, None, None, None]
     mixed = np.log1p(share * np.expm1(np.minimum(tables, _FAR))) + np.maximum(tables - _FAR, 0.0)
     nats = mixed.sum(axis=-1)  # (shares, kinds, sizes)
@@ -139,7 +143,7 @@ def mixture(tables: Array) -> tuple[float, Array, float]:
 
 
 def _by_kind(name: str, of_log: Sequence[Sequence[Test]]) -> Array:
-    """(kinds, sizes, logs) nats of each log by itself, averaged over the settings of a kind."""
+    """Return the evidence (kinds, sizes, logs) of each log alone, nats, averaged over the settings of a kind."""
     smooth = _walk if name == "hard-iron-drift" else _wandering if name.startswith("time:world") else None
     if smooth is not None:
         return np.array([[smooth(tests) for tests in of_log]]).transpose(0, 2, 1)
@@ -156,14 +160,14 @@ def _by_kind(name: str, of_log: Sequence[Sequence[Test]]) -> Array:
 
 
 def _kind(name: str, test: Test) -> tuple:
-    """Of a moment: what it has beside its time; other effects are of one kind."""
+    """Return the kind of a setting of a jump, a drift or a passed object; other effects have one kind."""
     if name not in MOMENTS:
         return ()
     return tuple(sorted((k, v if k == "width" else 0.0) for k, v in test.setting.items()))
 
 
 def _walk(tests: Sequence[Test]) -> Array:
-    """(sizes,) nats of a random walk, by the modes that there are."""
+    """Return the evidence (sizes,) of a random walk, represented by its first modes, nats."""
     test = next((test for test in tests if test.setting.get("order") == _WALK), None)
     if test is None:
         return np.zeros(len(_SIZES))
@@ -172,7 +176,7 @@ def _walk(tests: Sequence[Test]) -> Array:
 
 
 def _wandering(tests: Sequence[Test]) -> Array:
-    """(sizes,) nats of a field that wanders in the world, knot by knot, along the vehicle's way."""
+    """Return the evidence (sizes,) of a field that varies in the world frame from knot to knot, nats."""
     whole = [test for test in tests if not test.setting]
     if not whole:
         return np.zeros(len(_SIZES))
@@ -184,7 +188,7 @@ def _wandering(tests: Sequence[Test]) -> Array:
 
 
 def _likelihood(test: Test, kernel: Array, variances: Array) -> Array:
-    """(sizes,) nats of values whose prior covariance is each of the variances times the kernel."""
+    """Return the evidence (sizes,) of values whose prior covariance is each variance times the kernel, nats."""
     root = np.linalg.cholesky(kernel)
     weight, vector = np.linalg.eigh(root.T @ test.information @ root)
     weight, pull = np.maximum(weight, 0.0), vector.T @ (root.T @ test.score)

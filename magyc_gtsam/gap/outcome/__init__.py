@@ -1,1 +1,1 @@
-"""What is said of a search: effects, verdict, calibration, and how well model and data agree."""
+"""The result of a search: effects, verdict, calibration, and the agreement of model and data."""

@@ -1,4 +1,4 @@
-"""How well a model and a recording agree, and where they do not: values only."""
+"""Values that describe the agreement of a model and a recording."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from magyc_gtsam.recording import Array
 
 @dataclass(frozen=True, eq=False)
 class GapMap:
-    """Where the gap is: the misfit over one variable.
+    """The misfit as a function of one variable.
 
     Attributes:
         over: "time", "frequency", "heading", "pitch", "rate", "temperature", "current" or "field strength" (of the
-            reading that the model predicts: the reading itself holds the misfit that is to be shown).
+            reading that the model predicts, because the measured reading contains the misfit).
         unit: of the variable: "s", "Hz", "°", "rad/s", ….
         centre: (n,) of the bins.
-        level: (n,) root mean square of the innovations in sigmas; 1 where the model is right.
-        band: (n, 2) where 99 % of the levels lie if the model is right.
+        level: (n,) root mean square of the innovations in sigmas; 1 if the model is right.
+        band: (n, 2) interval that contains 99 % of the levels if the model is right.
         share: (n,) share of the samples in the bin.
     """
 
@@ -31,7 +31,7 @@ class GapMap:
 
     @property
     def worst(self) -> float:
-        """The largest level over its upper band."""
+        """Return the largest ratio of a level to the upper limit of its band."""
         return float((self.level / self.band[:, 1]).max(initial=0.0))
 
 
@@ -46,14 +46,14 @@ class Line:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoop:
-    """Prediction of the field over `horizon` seconds by the gyroscope alone.
+    """The prediction of the field over `horizon` seconds by the gyroscope alone.
 
     Attributes:
         horizon: s.
-        time: (n,) s, when the prediction was due.
+        time: (n,) s, of the predicted fields.
         error: (n, 3) T, measured − predicted.
-        sigma: (n, 3) T, what the twin expects of it.
-        rms, floor: T, root mean squares of the two.
+        sigma: (n, 3) T, standard deviation of the error according to the twin.
+        rms, floor: T, root mean squares of error and sigma.
     """
 
     horizon: float
@@ -65,22 +65,22 @@ class OpenLoop:
 
     @property
     def excess(self) -> float:
-        """T², variance beyond the twin's floor."""
+        """Return the variance beyond the twin's floor, T²."""
         return max(self.rms**2 - self.floor**2, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Metrics:
-    """How well a model and a recording agree.
+    """The agreement of a model and a recording.
 
     Attributes:
         held_out: log-likelihood per window on blocks that were not fitted, nats.
-        open_loop: the 20 s prediction against its floor.
-        whiteness: ratio of the innovations' autocorrelation to what white noise would show; 1 is white.
-        lines: what stands out of the innovations' spectrum, strongest first.
-        heading: deg, standard deviation of heading against the reference attitude; None without one.
+        open_loop: the 20 s prediction and its floor.
+        whiteness: ratio of the innovations' autocorrelation to that of white noise; 1 is white.
+        lines: lines in the spectrum of the innovations, strongest first.
+        heading: standard deviation of the heading against the reference attitude, deg; None without one.
         noise: standard deviations per sample that the model needs: magnetic_field T, angular_rate rad/s.
-        maps: where the gap is.
+        maps: the misfit as a function of each variable.
     """
 
     held_out: float

@@ -1,4 +1,4 @@
-"""The calibration that comes of a refit."""
+"""The calibration that results from a refit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from magyc_gtsam.gap.rules import RULES
 
 
 def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Term, ...] = ()) -> Calibration:
-    """The model as a calibration; its terms in SI units, and terms that change no reading appended."""
+    """Return the model as a calibration: its terms in SI units, then `extra` terms, which change no reading."""
     model, parameters = result.model, result.model.parameters
     base = np.flatnonzero(model.free)[:12]
     covariance = result.covariance[: len(base), : len(base)]
@@ -44,10 +44,10 @@ def as_calibration(result: Refit, field_strength: float | None, extra: tuple[Ter
 
 
 def unmoved(before: Calibration, after: Calibration) -> Calibration:
-    """`after` with the soft and hard iron of `before`, where they hardly differ against what is known of them.
+    """Return `after`, with the soft and hard iron of `before` if their difference is small relative to its sigmas.
 
-    An effect that moves the iron by little of its sigma was none of the heading's error; to follow it is to follow the
-    noise as often as not.
+    An effect that moves the iron by a small part of its sigma did not cause an error of the heading; to follow it would
+    be to follow the noise as often as not.
     """
     change = [after.soft_iron - before.soft_iron, after.hard_iron - before.hard_iron]
     sigmas = [after.sigma["soft_iron"], after.sigma["hard_iron"]]

@@ -1,4 +1,4 @@
-"""What a search found as effects: value and sigma in the effect's unit, and a sentence."""
+"""The effects that a search found, as values and sigmas in their units, with a sentence."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNPAID = (
 
 
 def _setting(refitted: Refit, index: int) -> dict[str, float]:
-    """What was searched over, with the deviation of a time."""
+    """Return the setting of a term; of a step with the standard deviation of its time."""
     term = refitted.model.terms[index]
     if term.name != "hard-iron-step":
         return dict(term.setting)
@@ -62,7 +62,14 @@ def _noise_sentence(noise: NoiseScore) -> str:
 def describe(
     found: Sequence[Found], refitted: Refit, uncorrected: Container[int], unpaid: Container[int] = ()
 ) -> tuple[Effect, ...]:
-    """The effects as values; `uncorrected` are the places of what is named only, `unpaid` of what gains nothing."""
+    """Return the effects as values.
+
+    Args:
+        found: the effects.
+        refitted: the model that contains them.
+        uncorrected: places in `found` of effects that are named only.
+        unpaid: places of those among them whose correction gains nothing.
+    """
     indices = term_places(found, refitted.model)
 
     def why(place: int, one: Found) -> str:
@@ -76,7 +83,14 @@ def describe(
 
 
 def _described(found: Found, refitted: Refit, index: int | None, why: str) -> Effect:
-    """An effect; `index` is its place among the model's terms, None for what is no term; `why` it is not corrected."""
+    """Return an effect.
+
+    Args:
+        found: the effect.
+        refitted: the model that contains it.
+        index: place among the model's terms; None for an effect that is not a term.
+        why: the reason why it is not corrected; empty if it is.
+    """
     if found.noise is not None:
         sentence = _noise_sentence(found.noise)
         value, sigma, setting = found.noise.value, found.noise.sigma, found.noise.setting

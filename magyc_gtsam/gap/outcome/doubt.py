@@ -1,4 +1,4 @@
-"""Why a gap's calibration must not be used, and what to do: in few words, the same for every output."""
+"""The reason why the calibration of a gap must not be used, and a remedy; short, and the same for every output."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _WITHOUT = "choose an interval without the jumps (--start, --end)"
 
 
 def with_doubt(gap: Gap, doubt: Doubt) -> Gap:
-    """The gap with its calibration marked as one that must not be used."""
+    """Return the gap with its calibration marked as one that must not be used."""
     return replace(gap, doubt=doubt, calibration=doubted(gap.calibration, doubt))
 
 
 def doubted(calibration: Calibration, doubt: Doubt) -> Calibration:
-    """A calibration that says why it must not be used, and is refused by `export` and `apply`."""
+    """Return the calibration with a message why it must not be used; `export` and `apply` refuse it."""
     message = "; ".join(part for part in (doubt.sentence, calibration.message) if part)
     return replace(calibration, converged=False, message=message)
 
@@ -27,13 +27,13 @@ def doubted(calibration: Calibration, doubt: Doubt) -> Calibration:
 def left_open(
     effects: Sequence[Effect], uncorrected: Collection[int], missing: str, manoeuvre: Manoeuvre | None
 ) -> Doubt:
-    """Of a gap that is open or unknown.
+    """Return the doubt about a gap that is open or unknown.
 
     Args:
-        effects: what was named.
+        effects: effects that were named.
         uncorrected: places of those that are named only.
-        missing: what is left beside them, in words; "" where nothing is.
-        manoeuvre: what would help.
+        missing: the remaining misfit, in words; "" without one.
+        manoeuvre: the next manoeuvre.
     """
     if missing:
         if not effects:
@@ -49,7 +49,7 @@ def left_open(
 
 
 def _shortest(missing: str, beside: Sequence[str], action: str) -> Doubt:
-    """The first that is short enough."""
+    """Return the first doubt that is short enough, or the last."""
     doubts = [Doubt(f"beside {each}, {missing}", action) for each in beside]
     return next((doubt for doubt in doubts if len(doubt.sentence.split()) <= MOST_WORDS), doubts[-1])
 

@@ -1,4 +1,4 @@
-"""Every candidate of a search with its evidence, and what became of it."""
+"""All candidates of a search with their evidence and status."""
 
 from __future__ import annotations
 
@@ -29,10 +29,16 @@ def hypotheses(
     left: Sequence[str] = (),
     slight: Sequence[str] = (),
 ) -> tuple[Hypothesis, ...]:
-    """Every candidate with its evidence, strongest first.
+    """Return all candidates with their evidence, strongest first.
 
-    `discrete` are those that were settled before the look, `left` names that count in spite of a veto, `slight` what
-    would explain the data, and is too small and too weak to be named.
+    Args:
+        look: the first look of the search.
+        names: candidates.
+        found: the effects.
+        word: the verdict.
+        discrete: scores of effects that were corrected before the look.
+        left: names that count in spite of a veto.
+        slight: effects that would explain the data, but are too small and too weak to be named.
     """
     named = {f.name for f in found} if word in ("closed", "open") else set()
     rivals = {r for f in found for r in f.rivals} if word in ("closed", "open") else set()

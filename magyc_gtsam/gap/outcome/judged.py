@@ -1,4 +1,4 @@
-"""What the calibration of a gap is worth beside what the model with its terms still does not explain."""
+"""The covariance and verdict of a gap's calibration, with the misfit that the model and its terms do not explain."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.result import Doubt
 from magyc_gtsam.recording import Recording
 
-_SKEW = "misalignment"  # the term that is the chips' skew, which is then not asked for once more
+_SKEW = "misalignment"  # the term that is the skew of the chips, which is then not estimated a second time
 
 
 def judged(
     calibration: Calibration, result: Refit, recording: Recording, strength: float | None
 ) -> tuple[Calibration, Doubt | None]:
-    """A calibration with its whole covariance and its verdict, as `calibrate` has them; and why not to use it, if so.
+    """Return a calibration with covariance and verdict as in `calibrate`, and the reason not to use it, if any.
 
     Args:
         calibration: of `result`.
-        result: the model at its minimum, its covariance as wide as the misfit's colour makes it.
-        recording: that it was fitted to.
-        strength: T, of the field, where it was given.
+        result: the model at its minimum, with a covariance widened by the colour of the misfit.
+        recording: the fitted data.
+        strength: of the field, T, if it was given.
     """
     model, fit = result.model, fit_of(result.twin)
     if all(term.name != _SKEW for term in model.terms):
@@ -68,7 +68,7 @@ def judged(
 
 
 def fit_of(twin: Twin) -> Fit:
-    """The field chain of a twin with the terms of its model beside θ."""
+    """Return the field chain of a twin, with the terms of its model beside θ."""
     weights = twin.chain.unweighted()
     return Fit(twin.chain, twin.state, weights, twin.reduced, twin.model.free, terms=_terms(twin))
 

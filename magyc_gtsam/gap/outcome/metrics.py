@@ -1,4 +1,4 @@
-"""How well a model and a recording agree, and where they do not."""
+"""Metrics of the agreement of a model and a recording."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _FEW = 5  # windows below which a bin is left out
 
 
 def measure(twin: Twin, calibration: Calibration, fine: Fine | None = None) -> Metrics:
-    """All metrics of a model on its recording.
+    """Compute all metrics of a model on its recording.
 
     Args:
-        twin: the model, linearised.
-        calibration: the same as a calibration.
-        fine: innovations of single samples, for lines above the band of the motion; None leaves them out.
+        twin: the linearised model.
+        calibration: the same model as a calibration.
+        fine: innovations of single samples, for lines above the frequencies of the motion; None leaves them out.
     """
     v = twin.residual()
     lines: tuple[Line, ...] = ()
@@ -51,7 +51,7 @@ def measure(twin: Twin, calibration: Calibration, fine: Fine | None = None) -> M
 
 
 def held_out(twin: Twin, innovation: Array) -> float:
-    """Log-likelihood per window (nats) on blocks that the parameters were not fitted to."""
+    """Return the log-likelihood per window (nats) on blocks that the parameters were not fitted to."""
     base, block = twin.base_columns, interleaved(twin.time, RULES.block)
     flat = innovation.ravel()
     size = np.maximum(np.linalg.norm(base, axis=1), 1e-300)[:, None]
@@ -61,18 +61,18 @@ def held_out(twin: Twin, innovation: Array) -> float:
         solution = np.linalg.lstsq((base[:, train] / size).T, flat[train], rcond=1e-8)[0]
         error = flat[test] - solution @ (base[:, test] / size)
         square += float(error @ error)
-    sigma = twin.chain.window_sigma * 1e6  # per µT³, so that the number has a size one can read
+    sigma = twin.chain.window_sigma * 1e6  # density per µT³, for a number of readable size
     constant = 1.5 * np.log(2 * np.pi) + 3 * np.log(sigma) + 0.5 * twin.log_determinant()
     return -float(constant[1:].mean()) - 0.5 * square / twin.n
 
 
 def open_loop(twin: Twin, horizon: float = HORIZON) -> OpenLoop:
-    """The field predicted `horizon` seconds ahead by the gyroscope alone, against the measured one."""
+    """Predict the field `horizon` seconds ahead by the gyroscope alone, and compare it with the measured field."""
     windows, parameters = twin.chain.windows, twin.state.parameters
     g, spread = twin.predictions()
     target = np.searchsorted(windows.time, windows.time + horizon)
     start = np.flatnonzero(target < twin.n)
-    start = start[start > min(10, twin.n // 4)]  # before, the filter has not seen enough
+    start = start[start > min(10, twin.n // 4)]  # the filter has not converged before
     broken = np.concatenate([[0], np.cumsum(~windows.linked)])
     start = start[broken[target[start]] == broken[start]]
     target = target[start]
@@ -98,7 +98,7 @@ def open_loop(twin: Twin, horizon: float = HORIZON) -> OpenLoop:
 
 
 def whiteness(innovation: Array) -> float:
-    """Root mean square of the first autocorrelations over what white noise would show."""
+    """Return the root mean square of the first autocorrelations relative to that of white noise."""
     n = innovation.shape[1]
     total = float(np.vdot(innovation, innovation))
     lags = range(1, min(20, n // 4) + 1)
@@ -107,13 +107,13 @@ def whiteness(innovation: Array) -> float:
 
 
 def heading_error(recording: Recording, calibration: Calibration) -> float | None:
-    """deg, standard deviation of the calibrated field's heading in the reference's world frame."""
+    """Return the standard deviation of the calibrated field's heading in the reference's world frame, deg."""
     if recording.attitude is None:
         return None
     known = np.isfinite(recording.attitude).all(axis=1)
     if known.sum() < 10:
         return None
-    # The field is left where it was read; a late one is compared with the attitude of that moment instead.
+    # The timing is not applied to the field; a late field is compared with the attitude at its own time instead.
     still = replace(calibration, terms=tuple(t for t in calibration.terms if t.name != "timing"))
     field, time = still.apply(recording), recording.time
     attitude = Slerp(time[known], Rotation.from_quat(recording.attitude[known]))
@@ -123,7 +123,7 @@ def heading_error(recording: Recording, calibration: Calibration) -> float | Non
 
 
 def maps(twin: Twin, innovation: Array) -> tuple[GapMap, ...]:
-    """The misfit over everything that is known about a window."""
+    """Return the misfit as a function of every known variable."""
     signals = twin.windows
     square = (innovation**2).sum(axis=0)
     over: list[tuple[str, str, Array]] = [("time", "s", signals.time - signals.time[0])]

@@ -1,4 +1,4 @@
-"""What moved: parameters by the effects found, and what the data contradict in a calibration that was given."""
+"""Parameters that the effects moved, and parameters of a given calibration that the data contradict."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _BIAS = "gyro bias"
 
 
 def moved(before: Calibration, after: Calibration) -> tuple[Moved, ...]:
-    """Parameters of the base model that the effects moved, most first."""
+    """Return the parameters of the base model that the effects moved, the largest move in sigmas first."""
     return _beyond(RULES.moved, _parameters(before, after))
 
 
 def against(given: Calibration, refitted: Calibration) -> tuple[Moved, ...]:
-    """What the data contradict in a calibration that was given: parameters and values of its terms, most first."""
+    """Return the parameters and term values of a given calibration that the data contradict, largest first."""
     return _beyond(RULES.contradicted, [*_parameters(given, refitted, given), *_terms(given, refitted)])
 
 
 def contradiction(rows: Sequence[Moved]) -> str:
-    """`against` in words; empty where nothing is contradicted but the gyroscope's bias, which no two days share."""
+    """Return `against` in words; empty if only the gyroscope's bias differs, which changes from day to day."""
     lasting = [row for row in rows if not row.name.startswith(_BIAS)]
     if not lasting:
         return ""
@@ -43,7 +43,7 @@ def _beyond(limit: float, rows: Sequence[Moved] | Iterator[Moved]) -> tuple[Move
 
 
 def _parameters(before: Calibration, after: Calibration, uncertain: Calibration | None = None) -> Iterator[Moved]:
-    """All of both, by the sigmas of `after`, and of `uncertain` too."""
+    """Return all parameters of both, with the sigmas of `after`, combined with those of `uncertain` if given."""
     for name, unit, scale in _PARAMETERS:
         one, two = getattr(before, name), getattr(after, name)
         if one is None or two is None:
@@ -55,7 +55,7 @@ def _parameters(before: Calibration, after: Calibration, uncertain: Calibration 
 
 
 def _terms(given: Calibration, refitted: Calibration) -> Iterator[Moved]:
-    """The values of the terms given, in the order in which the model took them over."""
+    """Return the values of the given terms, in the order in which the model contains them."""
     known = [term for term in given.terms if term.side is not None and term.name != "tone"]
     for old, new in zip(known, refitted.terms, strict=False):
         term = TERMS[old.name]

@@ -1,4 +1,4 @@
-"""The gap that a search has found: what is said of it, the calibration with it, and what is left."""
+"""The gap of a search: verdict, effects, calibration, and the remaining misfit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,15 @@ from magyc_gtsam.gap.search.search import Search
 
 
 def nothing_tested(base: Refit, reason: str, doubt: Doubt, calibration: Calibration | None, seconds: float) -> Gap:
-    """The verdict "not enough information", for a reason at length, and in few words with what would help."""
+    """Return a gap with the verdict "not enough information".
+
+    Args:
+        base: the model without effects.
+        reason: why nothing was tested, in full.
+        doubt: the same in few words, with a remedy.
+        calibration: the given calibration, if any.
+        seconds: duration.
+    """
     fitted = as_calibration(base, None if calibration is None else calibration.field_strength)
     sentence = f"not enough information: {reason}; nothing was tested"
     fitted = doubted(replace(fitted, message=sentence), doubt)
@@ -64,16 +72,16 @@ def gap_of(
     discrete: tuple[NoiseScore, ...],
     seconds: float,
 ) -> Gap:
-    """The gap that a search has found.
+    """Return the gap that a search has found.
 
     Args:
         result: of the search.
-        base: the model that it began with.
+        base: the model at its start.
         short_term: noise of the sensors between neighbouring samples.
-        calibration: the one given, if any.
+        calibration: the given calibration, if any.
         names: candidates.
-        discrete: scores of what was settled before the search (held samples, exchanged axes).
-        seconds: that it took.
+        discrete: scores of effects that were corrected before the search (held samples, exchanged axes).
+        seconds: duration of the search.
     """
     strength = None if calibration is None else calibration.field_strength
     first, plain = result.first, widened(result.last.refit)
@@ -91,7 +99,7 @@ def gap_of(
     )
     open_places |= unpaid
     corrected, fine = _corrected(result, last, held, open_places.values(), short_term)
-    turned = tuple(term for term in added if term.name == "axis-order")  # in the data that all was fitted to
+    turned = tuple(term for term in added if term.name == "axis-order")  # already corrected in the fitted data
     started = as_calibration(base, strength, (*known, *turned))
     final = unmoved(started, as_calibration(corrected, strength, (*known, *added)))
     catalogue = "in the catalogue" if names == NAMES else "among the candidates"
@@ -111,7 +119,7 @@ def gap_of(
     contradicted = () if calibration is None else against(calibration, started)
     shifted = moved(started, final) if applied else ()
     if contradicted and word == "none":
-        word = "closed"  # by the fit: the calibration was the model, and it does not hold
+        word = "closed"  # by the refit: the given calibration was the model, and the data contradict it
     wanted = manoeuvre(first, found, word, open_places)
     given, fitted = (final, corrected) if applied else (started, base)
     used, untrusted = judged(given, fitted, result.recording, strength)
@@ -144,7 +152,7 @@ def gap_of(
 
 
 def _unpaid(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
-    """Those of the terms found (place: index) whose correction does not pay beside a field that varies."""
+    """Return the terms (place: index) whose correction is not worthwhile, if the field evidently varies."""
     if not places:
         return {}
     variation = field_variation(result.last.refit.twin)
@@ -161,7 +169,7 @@ def _unpaid(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int,
 def _on_noise(
     calibration: Calibration | None, found: Sequence[Found]
 ) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
-    """What is no term of the fit: of the calibration given, but for what was found again, and what was found."""
+    """Return the terms outside the fit: those of the given calibration that were not found again, and those found."""
     again = {f.name for f in found}
     known = tuple(
         t
@@ -179,10 +187,10 @@ def _on_noise(
 def _corrected(
     result: Search, last: Look, held: Refit, open_places: Collection[int], short_term: SensorNoise
 ) -> tuple[Refit, Fine]:
-    """The model without the terms that are named, not corrected, and its innovations sample by sample."""
+    """Return the model without the terms that are not corrected, and its innovations sample by sample."""
     corrected, first = last.refit, result.first
     if 0 < len(open_places) == len(held.model.terms) and result.problem is first.refit.twin.problem:
-        return widened(first.refit), first.fine  # nothing is corrected, and stays as it was
+        return widened(first.refit), first.fine  # no correction: the first model is unchanged
     if open_places:
         model = held.model
         for index in sorted(open_places, reverse=True):
@@ -194,7 +202,7 @@ def _corrected(
 
 
 def _untested(names: tuple[str, ...], base: Refit) -> tuple[Untested, ...]:
-    """Effects whose channel the recording lacks."""
+    """Return the effects whose channel the recording lacks."""
     return tuple(
         Untested(
             n,

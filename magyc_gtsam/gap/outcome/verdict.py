@@ -12,17 +12,17 @@ from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import label_of, product_of
 from magyc_gtsam.gap.search.naming import Found, Look
 
-_SPELLED = 3  # effects named one by one
+_SPELLED = 3  # effects that a sentence names
 
 
 def verdict(effects: Sequence[Effect], left: Sequence[str], last: Look, catalogue: str) -> tuple[Verdict, str]:
-    """One word, and one sentence for a navigator.
+    """Return the verdict in one word, and in one sentence for a navigator.
 
     Args:
-        effects: what was found.
-        left: names of what is left over.
-        last: the last look, in which that is.
-        catalogue: what the names were chosen from, in words.
+        effects: effects that were found.
+        left: names of the significant candidates that remain.
+        last: the last look, which contains them.
+        catalogue: the set of candidates, in words.
     """
     if not effects and not left:
         return "none", "the model and the data agree"
@@ -32,14 +32,14 @@ def verdict(effects: Sequence[Effect], left: Sequence[str], last: Look, catalogu
         if firm:
             return "open", f"{'; '.join(firm)}; beside that, {where}"
         return "unknown", f"{where}; nothing was changed"
-    # What moves the heading comes before what concerns the noise.
+    # Effects that change the heading come before effects on the noise.
     ordered = sorted(effects, key=lambda effect: effect.name not in TERMS and effect.name != "axis-order")
     word: Verdict = "closed" if all(effect.applied for effect in ordered) else "open"
     return word, "; ".join(effect.sentence for effect in ordered)
 
 
 def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
-    """What a verdict that nothing was found does not say: what is too small, and could not have been seen."""
+    """Return the limits of the verdict "none": effects that are too small, or that would not have been found."""
     blind = [h.label for h in hypotheses if h.status == "not enough information" and h.name in TERMS]
     parts = [
         f"a possible “{h.label}” is too weak to be distinguished from other weak effects"
@@ -56,7 +56,7 @@ def unseen(hypotheses: Sequence[Hypothesis], untested: int) -> str:
 
 
 def place_of(left: Sequence[str], last: Look) -> str:
-    """Where the strongest of what is left lives, in words."""
+    """Return the variable that the strongest remaining candidate depends on, in words."""
     names = set(left)
     for score in last.scores:
         if score.name in names and score.generic:
@@ -66,7 +66,7 @@ def place_of(left: Sequence[str], last: Look) -> str:
 
 
 def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
-    """The same, with why it has no name."""
+    """Return the same with the reason why it has no name."""
     if CLOCK_DRIFT in left:
         return APART
     where = place_of(left, last)
@@ -74,7 +74,11 @@ def _place(left: Sequence[str], last: Look, catalogue: str) -> str:
 
 
 def manoeuvre(look: Look, found: Sequence[Found], word: Verdict, uncorrected: Iterable[int]) -> Manoeuvre | None:
-    """The motion that determines what is named only, separates an effect from its rivals, or finds the unseen."""
+    """Return the next manoeuvre.
+
+    Its motion determines an effect that is named only, distinguishes an effect from its rivals, or makes effects
+    detectable. None if no manoeuvre is needed.
+    """
     for place in uncorrected:
         one = found[place]
         motion = TERMS[one.name].motion

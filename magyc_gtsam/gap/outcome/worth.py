@@ -1,7 +1,7 @@
-"""Whether a correction pays where the field varies: on data it was not fitted to, and in what it moves.
+"""A test whether a correction is worthwhile in a varying field: its prediction of held-out data, and its field.
 
-An effect may be there and yet not be worth its correction: what its value gains is lost by the spread of the parameters
-that are estimated with it, and in a room much of what a name explains is the room.
+A real effect need not be worth its correction. The improvement by its value can be less than the added variance of the
+parameters that are estimated with it, and in a room an effect explains much of the variation of the room's field.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from magyc_gtsam.gap.model.twin import Twin
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.score import held_out_gain, interleaved
 
-_OF_ITS_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # one half tells nothing of the other
+_OF_ITS_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # one half does not predict the other
 
 
 def pays(with_it: Refit, without: Refit, index: int, variation: FieldVariation) -> bool:
-    """Whether to correct the term `index` of a model is expected to better the prediction and the field.
+    """Return whether correcting the term `index` of a model is expected to improve the prediction and the field.
 
     Args:
-        with_it, without: the model with the term and the rest of it without, at their minima.
+        with_it, without: the model with and without the term, at their minima.
         index: of the term.
-        variation: of the field, beside which it has to explain.
+        variation: of the field, which is part of both hypotheses.
     """
     tried = len(TERMS[with_it.model.terms[index].name].settings(with_it.twin)) * len(TERMS)
-    # The best of many gains something by chance, on data that helped to choose it.
+    # The best of many settings and effects gains something by chance, because the data helped to choose it.
     return min(predicted(with_it, index, variation)) > np.log(tried) and expected(with_it, without, index) > 0
 
 
 def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[float, float]:
-    """Nats gained on blocks in turn that nothing was fitted to, and on the other half of the recording."""
+    """Return the gain (nats) on held-out blocks: on alternate blocks, and on the other half of the recording."""
     twin = with_it.twin
     rows, own = twin.base_columns, _rows_of(with_it, index)
     value, _ = with_it.value_of(index)
@@ -49,10 +49,10 @@ def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[fl
 
 
 def expected(with_it: Refit, without: Refit, index: int) -> float:
-    """T², mean square error of the calibrated field without the correction, less that with it.
+    """Return the mean square error of the calibrated field without the correction, less that with it, T².
 
-    With d the difference of the two fields and V the variance that the correction adds, E|d|² = bias² + V, so that the
-    gain, bias² − V, is |d|² − 2 V.
+    With d the difference of the two fields and V the variance that the correction adds, E|d|² = bias² + V. Therefore
+    the gain, bias² − V, is |d|² − 2 V.
     """
     iron = np.arange(9)
     more, rows = _field_columns(with_it.twin), np.concatenate([iron, _rows_of(with_it, index)])
@@ -66,18 +66,18 @@ def expected(with_it: Refit, without: Refit, index: int) -> float:
 
 
 def _variance(columns: Array, covariance: Array) -> float:
-    """T², mean over the windows, of a field with columns (p, 3, n)."""
+    """Return the variance of a field with columns (p, 3, n), mean over the windows, T²."""
     return float(np.einsum("pin,pq,qin->", columns, covariance, columns, optimize=True)) / columns.shape[2]
 
 
 def _field_columns(twin: Twin) -> Array:
-    """(q, 3, n) T per unit of the free parameters, then of the terms, on the windows."""
+    """Return the columns (q, 3, n) of the free parameters, then of the terms, on the windows, T per unit."""
     base = twin.reduced.on_parameters[np.flatnonzero(twin.model.free)] / twin.chain.window_scale
     return np.concatenate([base, *(twin.columns(t.name, t.setting).window for t in twin.model.estimated)])
 
 
 def _rows_of(result: Refit, index: int) -> np.ndarray:
-    """Places of the model's term `index` among its free parameters and terms."""
+    """Return the places of the model's term `index` among its free parameters and terms."""
     model = result.model
     term = model.terms[index]
     if term.name == "timing":
