@@ -1,4 +1,4 @@
-"""`find_gap`: where a recording and the model disagree, by which effect, and what is left once it is added."""
+"""`find_gap`: where a recording and the model disagree, the effect that causes it, and the remaining misfit."""
 
 from __future__ import annotations
 
@@ -69,21 +69,21 @@ def find_gap(
     candidates: Sequence[str] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Gap | GapOfMany:
-    """Find where model and measurement disagree, name the effect, add it, and show what is left.
+    """Find where model and measurement disagree, name the effect, add it, and show the remaining misfit.
 
     Args:
-        recording: with magnetometer and gyroscope; other channels (current, temperature, depth, position) and
-            the acceleration let more effects be tested. Several, of one instrument, are one comparison: an effect of
-            the instrument has one value everywhere, one of the place or the day has one in each log.
-        calibration: the model to begin with, its delay and terms included. All of it is fitted anew; what the data
-            contradict is said and in `Gap.moved`. None begins with the twelve parameters and no delay.
+        recording: with magnetometer and gyroscope. Other channels (current, temperature, depth, position) and the
+            acceleration allow more effects to be tested. Several recordings of one instrument are compared: an effect
+            of the instrument has one value in all, an effect of the place or the day a separate value in each.
+        calibration: the initial model with its delay and terms. All of it is estimated again; parameters that the data
+            contradict are in the sentence and in `Gap.moved`. None: the twelve parameters without delay.
         simulated: a recording of the user's own simulator on the same or a similar motion, compared directly.
-        candidates: names to choose from; None is the whole catalogue.
+        candidates: names to choose from; None for the whole catalogue.
         progress: called with the share done, 0 to 1.
 
     Raises:
-        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion
-            or no noise at all is no error but a verdict, "not enough information".
+        MagycError: unknown candidate, no gyroscope, or data that cannot be calibrated at all. Too little motion or
+            noise-free data are not an error but give the verdict "not enough information".
     """
     if progress is not None and not callable(progress):
         raise MagycError(f"progress: a function of the share done is needed, got {type(progress).__name__}")
@@ -106,10 +106,10 @@ def find_gap(
 
 
 def _side(recording: Recording, names: tuple[str, ...], what: str, report: Callable[[float], None]) -> Side:
-    """What is missing in the twelve parameters of one of two recordings.
+    """Return the gap of the base model on one of the two recordings.
 
     Raises:
-        MagycError: what is wrong with the recording, after `what` it is.
+        MagycError: an error of the recording; its message begins with `what`.
     """
     try:
         gap, result = _looked(recording, None, names, report)
@@ -127,7 +127,7 @@ def _told(gap: Gap, result: Search) -> Side:
 def _looked(
     recording: Recording, calibration: Calibration | None, names: tuple[str, ...], report: Callable[[float], None]
 ) -> tuple[Gap, Search | None]:
-    """The gap of one recording, and the search that found it; None where nothing can be told."""
+    """Return the gap of one recording, and its search; None if there is not enough information for a search."""
     started = clock.perf_counter()
     needs_gyroscope(recording)
     usable = without_faults(recording, ("magnetic_field", "angular_rate"))
@@ -188,7 +188,7 @@ def _names(candidates: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def _determined(recording: Recording, base: Refit, short_term: SensorNoise) -> Observability:
-    """What the motion could determine, at the sensors' own noise: a missing effect's misfit is no noise."""
+    """Return what the motion determines at the sensors' own noise, to which the misfit of an effect does not add."""
     fitted = as_calibration(base, None)
     assert fitted.covariance is not None
     assert fitted.field_strength is not None

@@ -1,7 +1,7 @@
-"""The user's own simulator against the data: which of its assumptions do the data reject?
+"""Comparison of the user's simulator with the data: the assumptions of the simulator that the data reject.
 
-Both recordings go through the same search; an effect that is found in one alone, and what differs by more than both
-can be wrong, is an assumption that fails. The motions need not be the same, for the twin takes the motion out of each.
+Both recordings are searched in the same way. An assumption is rejected if an effect is found in one recording only, or
+if a value differs by more than its uncertainty in both. The motions may differ, because the twin accounts for each.
 """
 
 from __future__ import annotations
@@ -26,16 +26,19 @@ _AXES = ("x", "y", "z")
 
 
 class Side(NamedTuple):
-    """What was found in one of the two recordings: the gap, and the last look at its model."""
+    """The result of a search on one of the two recordings: the gap, and the last look at its model."""
 
     gap: Gap
     last: Look
 
 
 def compare(measured: Side, simulated: Side) -> tuple[Assumption, ...]:
-    """Effects, parameters and noise of the two, the rejected ones first; what one could not show is last.
+    """Compare effects, parameters and noise of the two recordings.
 
-    Parameters and noise are those beside the effects that were found.
+    Parameters and noise are those of the models with the effects that were found.
+
+    Returns:
+        Rejected assumptions first; last, those that one recording could not test.
     """
     models = measured.last.refit, simulated.last.refit
     rows = [*_noise(*models), *_parameters(*models), *_unnamed(measured, simulated)]
@@ -55,21 +58,21 @@ def compare(measured: Side, simulated: Side) -> tuple[Assumption, ...]:
 def _pairs(
     measured: tuple[Effect, ...], simulated: tuple[Effect, ...]
 ) -> Iterator[tuple[Effect | None, Effect | None]]:
-    """Effects of one name in both, in the order of finding; None where the other has it not."""
+    """Yield the effects of one name in both, in the order in which they were found; None for a missing one."""
     for name in dict.fromkeys(e.name for e in (*measured, *simulated)):
         own, other = ([e for e in side if e.name == name] for side in (measured, simulated))
         yield from zip_longest(own, other)
 
 
 def _size(effect: Effect) -> tuple[float, float]:
-    """The length of its value, and the sigma of that."""
+    """Return the length of the effect's value, and its sigma."""
     value, sigma = np.ravel(effect.value), np.ravel(effect.sigma)
     length = float(np.linalg.norm(value))
     return length, float(np.linalg.norm(value * sigma)) / max(length, 1e-300)
 
 
 def _row(measured: Effect, simulated: Effect) -> _Row:
-    """An effect in both: by the parameter that differs most, or by its size where each has a time or phase."""
+    """Return an effect in both: its most different parameter, or its size if it has a setting (a time or phase)."""
     if measured.setting or simulated.setting or len(measured.value) != len(simulated.value):
         (first, before), (second, after) = _size(simulated), _size(measured)
         return measured.label, first, second, float(np.hypot(before, after)), measured.unit
@@ -80,7 +83,7 @@ def _row(measured: Effect, simulated: Effect) -> _Row:
 
 
 def _lacking(measured: Effect | None, simulated: Effect | None) -> Assumption:
-    """An effect that was found in one of the two alone."""
+    """Return the assumption for an effect that was found in one recording only."""
     effect = measured or simulated
     assert effect is not None
     size, sigma = _size(effect)
@@ -90,7 +93,7 @@ def _lacking(measured: Effect | None, simulated: Effect | None) -> Assumption:
 
 
 def _nameless(measured: Gap, simulated: Gap) -> Iterator[Assumption]:
-    """What is missing in one of the two alone and was given no name, by how many hypotheses show it."""
+    """Yield the assumption for a misfit without a name in one recording only, with its number of hypotheses."""
     own, other = (float(len(gap.diagnostics["leftover"])) for gap in (measured, simulated))
     if bool(own) != bool(other):
         words = (
@@ -102,7 +105,7 @@ def _nameless(measured: Gap, simulated: Gap) -> Iterator[Assumption]:
 
 
 def _untested(measured: Gap, simulated: Gap) -> Iterator[Assumption]:
-    """What one of the two has no channel for, and was not found in the other either."""
+    """Yield the effects for which one recording lacks a channel, and that were found in neither."""
     own, other = ({u.name: u for u in gap.untested} for gap in (measured, simulated))
     for name, candidate in (own | other).items():
         if name in measured.names or name in simulated.names:
@@ -129,7 +132,7 @@ def _noise(measured: Refit, simulated: Refit) -> Iterator[_Row]:
         ("gyroscope noise per sample", 1, 1e3, "mrad/s"),
     ):
         values = [float(r.model.noise[index]) * scale for r in (simulated, measured)]
-        # A level from n squares is known to 1/√(2n) of itself; the gyroscope's shows in the links only.
+        # A level from n squares has a relative sigma of 1/√(2n); the gyroscope's is determined by the links only.
         shares = [(2.0 * r.twin.n) ** -0.5 * (1.0 if index == 0 else 3.0) for r in (simulated, measured)]
         first, second = values
         yield name, first, second, float(np.hypot(*np.multiply(values, shares))), unit
@@ -164,14 +167,14 @@ def _parameters(measured: Refit, simulated: Refit) -> Iterator[_Row]:
 
 
 def _unnamed(measured: Side, simulated: Side) -> Iterator[_Row]:
-    """Effects with one setting that were found in neither, by the parameter that differs most."""
+    """Yield the effects with one setting that were found in neither, by their most different parameter."""
     found = {*measured.gap.names, *simulated.gap.names}
     by_name = {score.name: score for score in simulated.last.scores}
     for score in measured.last.scores:
         other = by_name.get(score.name)
         if score.generic or score.name in found or other is None or len(score.expected) != len(other.expected):
             continue
-        if len(score.variants) > 1:  # at different settings it is not the same quantity
+        if len(score.variants) > 1:  # values at different settings are different quantities
             continue
         term = TERMS[score.name]
         sigma = np.sqrt(np.diag(score.covariance) + np.diag(other.covariance))

@@ -1,4 +1,4 @@
-"""A calibration on a recording that it was not made from."""
+"""Validation of a calibration on a recording that it was not made from."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ from magyc_gtsam.recording import Recording
 _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
-# What belongs to the time or place of one recording says nothing about another.
+# Terms that belong to the time or place of one recording contain nothing about another.
 _OF_ONE_RECORDING = ("hard-iron-step", "hard-iron-drift", "local-anomaly", "tone")
 
 
 def agreement(recording: Recording, calibration: Calibration) -> Metrics:
-    """How well a calibration with its terms agrees with another recording of the same instrument.
+    """Return how well a calibration with its terms agrees with another recording of the same instrument.
 
-    All is held as it is but the gyroscope's bias, which differs from one switch-on to the next, and but terms that
-    belong to a time or place of the recording they were found in (a step, a passing object), which are left out.
+    All parameters are fixed except the gyroscope's bias, which changes between switch-ons. Terms that belong to a time
+    or place of the recording they were found in (a step, a passing object) are left out.
 
     Raises:
-        MagycError: no gyroscope, no bias, noise or field strength in the calibration, or a term needs a channel
-            that the recording lacks.
+        MagycError: no gyroscope; no bias, noise or field strength in the calibration; or a term needs a channel that
+            the recording lacks.
     """
     needed = {"magnetic_field", "angular_rate"} - calibration.noise.keys()
     if calibration.gyro_bias is None or calibration.field_strength is None or needed:
@@ -60,10 +60,11 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
 
 
 def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, ...]:
-    """What another recording of the same instrument says otherwise when it is fitted by itself, most first.
+    """Return the parameters that differ when another recording of the same instrument is fitted, largest first.
 
-    Of iron and delay, beyond what both sigmas allow and by what matters: 2 % of the field, or a turn of 0.01 rad
-    (root mean square) within the delay. The strength of the field is that of a place, and counts for nothing.
+    Iron and delay are compared. A difference must exceed the sigmas of both and the size that matters: 2 % of the
+    field, or a rotation of 0.01 rad (root mean square) within the delay. The field strength belongs to the place, and
+    is not compared.
 
     Raises:
         MagycError: no gyroscope, no uncertainty or field strength in the calibration, or data that cannot be fitted.
@@ -94,14 +95,14 @@ def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, 
 
 
 def _without_strength(calibration: Calibration) -> Calibration:
-    """With a soft iron of determinant 1."""
+    """Return the calibration with a soft iron of determinant 1."""
     assert calibration.covariance is not None
     soft_iron, _, covariance = fix_scale(calibration.soft_iron, calibration.covariance)
     return replace(calibration, soft_iron=soft_iron, covariance=covariance)
 
 
 def _as_it_is_read(recording: Recording, calibration: Calibration) -> Recording:
-    """With the axes of the gyroscope as the calibration has them, and held samples at their own times."""
+    """Return the recording with the gyroscope in the axes of the calibration, and held samples at their own times."""
     needs_gyroscope(recording)
     for term in calibration.terms:
         if term.name == "axis-order" and recording.angular_rate is not None:
@@ -111,13 +112,13 @@ def _as_it_is_read(recording: Recording, calibration: Calibration) -> Recording:
 
 
 def swept(recording: Recording) -> float:
-    """T that the field sweeps on the axis that sees most of it; single wrong samples are no turn."""
+    """Return the range of the field on the axis where it is largest, T, without the outer 1 % at each end."""
     low, high = np.quantile(recording.magnetic_field, (0.01, 0.99), axis=0)
     return float((high - low).max())
 
 
 def as_model(problem: Problem, calibration: Calibration) -> Model:
-    """The model of a calibration, its bias free, without what belongs to the recording it was made from."""
+    """Return the model of a calibration with free bias, without the terms that belong to one recording."""
     assert calibration.field_strength is not None
     free = np.zeros(PARAMETERS, dtype=bool)
     free[_BIAS] = True
@@ -150,7 +151,7 @@ def as_model(problem: Problem, calibration: Calibration) -> Model:
 
 
 def _own_bias(problem: Problem, model: Model) -> Twin:
-    """The twin with the bias at its minimum."""
+    """Return the twin with the bias at its minimum."""
     twin = Twin.of(problem, model)
     for _ in range(_STEPS):
         columns = twin.base_columns[:3]

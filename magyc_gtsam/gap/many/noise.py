@@ -27,7 +27,7 @@ _LEAST = 1e-3  # nats of evidence below which a p-value counts as 1
 
 
 def noise_effects(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[SharedEffect, ...]:
-    """Return the effects on the noise, strongest first; a weak one is left out beside a strong one that may cause it."""
+    """Return the effects on the noise, strongest first, without weak ones that a stronger one may cause."""
     scores = [log.noise() for log in logs]
     found = [_effect(name, logs, scores) for name in _NAMES if name in names]
     kept: list[SharedEffect] = []

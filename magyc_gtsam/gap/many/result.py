@@ -1,4 +1,4 @@
-"""What a comparison over many logs found."""
+"""The result of a comparison over many logs."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class InLog:
 
     Attributes:
         log: its name.
-        present: probability that it has it; of an effect of the instrument 1.
-        value, sigma: (k,) by this log alone, in the effect's unit.
-        setting: of what was searched over, here.
+        present: probability that the log has the effect; 1 for an effect of the instrument.
+        value, sigma: (k,) from this log alone, in the effect's unit.
+        setting: of the grid search in this log.
     """
 
     log: str
@@ -37,14 +37,15 @@ class SharedEffect:
 
     Attributes:
         name, label: of the catalogue.
-        of: "instrument" (one value everywhere) or "place" (of the place or the day: a value of its own in each log).
-        instrument: probability of the former.
-        value, sigma: (k,) of all logs together, in `unit`; of the place, empty.
-        parameters, unit, setting: as of `Effect`.
-        evidence: nats over all logs.
-        scatter: of the instrument: χ² of the logs' values about the one, per freedom; NaN for one log.
-        ambiguous_with: names that explain all logs as well.
-        logs: those that have it.
+        of: "instrument" (one value in all logs) or "place" (of the place or the day: a separate value in each log).
+        instrument: probability that it is of the instrument.
+        value, sigma: (k,) from all logs together, in `unit`; empty for an effect of the place.
+        parameters, unit, setting: as in `Effect`.
+        evidence: over all logs, nats.
+        scatter: for an effect of the instrument, χ² of the logs' values about the common value per degree of freedom;
+            NaN for one log.
+        ambiguous_with: names of alternatives that explain all logs as well.
+        logs: the logs that have the effect.
         sentence: for a navigator.
     """
 
@@ -66,7 +67,7 @@ class SharedEffect:
 
 @dataclass(frozen=True)
 class Own:
-    """What one log has on its own, and does not share: it was left out of the comparison."""
+    """A log that was left out of the comparison, and the reason."""
 
     log: str
     sentence: str
@@ -74,7 +75,7 @@ class Own:
 
 @dataclass(frozen=True)
 class Weight:
-    """A hypothesis in the last look: nats of one value everywhere, and of a value each."""
+    """A hypothesis in the last look: its evidence (nats) with one value in all logs, and with a value in each log."""
 
     name: str
     shared: float
@@ -83,16 +84,16 @@ class Weight:
 
 @dataclass(frozen=True, eq=False)
 class GapOfMany:
-    """The result of `find_gap` of several recordings of one instrument.
+    """The result of `find_gap` for several recordings of one instrument.
 
     Attributes:
-        verdict: "none" (nothing is missing), "closed" (named, and nothing significant left), "unknown" (something is
-            missing that is not in the catalogue), "not enough information" (fewer than two logs can be used).
+        verdict: "none" (nothing is missing), "closed" (named, and nothing significant remains), "unknown" (an effect
+            outside the catalogue is missing), "not enough information" (fewer than two logs can be used).
         sentence: the verdict, for a navigator.
-        effects: in the order of adding.
-        own: logs that were left out, and why.
+        effects: in the order in which they were added.
+        own: logs that were left out, and the reasons.
         weights: every hypothesis against the last model, strongest first.
-        calibrations: {log: with the effects as terms, and a verdict by what the log shows beside them}.
+        calibrations: {log: calibration}, with the effects as terms; each verdict includes the log's remaining misfit.
     """
 
     verdict: Verdict
@@ -107,7 +108,7 @@ class GapOfMany:
         return f"GapOfMany({self.verdict!r}, {len(self.calibrations)} logs{', ' + names if names else ''})"
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON types, without the calibrations."""
+        """Return the result as JSON types, without the calibrations."""
         names = ("verdict", "sentence", "effects", "own", "weights")
         result: dict[str, Any] = json_types({name: getattr(self, name) for name in names})
         return result
