@@ -1,1 +1,1 @@
-"""The numeric core: field chains, and the gyroscope that links their windows. Needs numpy and scipy only."""
+"""The numeric core: field chains, and the gyroscope that links their windows; needs only numpy and scipy."""

@@ -1,4 +1,4 @@
-"""Banded factors: many columns at a time, and the diagonal blocks of an inverse."""
+"""Banded Cholesky factors: solutions for many columns at a time, and the diagonal blocks of an inverse."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from magyc_gtsam.factors.chain.rotations import Array, Complex
 
 
 class UnitFactor(NamedTuple):
-    """A Cholesky factor L = U D as the solutions want it: U (4, m), complex, with a diagonal of ones, and 1/D (m,)."""
+    """A Cholesky factor L = U D in the form that the solutions need: U (4, m), complex, with unit diagonal, and 1/D
+    (m,).
+    """
 
     unit: Complex
     inverse: Array
 
     @classmethod
     def of(cls, factor: Array) -> UnitFactor:
-        """Of L (4, m), lower form, diagonal first."""
+        """Split the factor L (4, m), in lower form with the diagonal first."""
         inverse = 1 / factor[0]
         unit = np.empty(factor.shape, complex, order="F")
         unit.imag = 0.0
@@ -27,17 +29,18 @@ class UnitFactor(NamedTuple):
 
 
 def forward_solved(factor: UnitFactor, border: Array) -> Array:
-    """(k, 2n) L⁻¹ c of columns c, given by the two tangents of each window (k, 2, n).
+    """Return L⁻¹ c (k, 2n) for columns c, given by the two tangents of each window (k, 2, n).
 
-    Two at a time, as real and imaginary part: LAPACK takes one column after the other through a short loop of calls,
-    so that a complex one costs little more than a real one; and without a division by every entry of the diagonal.
+    Two columns are solved at a time, as real and imaginary part: LAPACK processes one column after the other in a
+    short loop of calls, so that a complex column costs little more than a real one. The unit diagonal saves a
+    division per entry.
     """
     count, _, n = border.shape
     pairs, rest = -(-count // 2), count // 2
     both = np.empty((pairs, n, 2), complex)
     if rest < pairs:
         both.imag[-1] = 0.0
-    for a in (0, 1):  # not both at once, which would be a loop over two numbers
+    for a in (0, 1):  # one tangent at a time; both together would loop over two numbers
         both.real[:, :, a], both.imag[:rest, :, a] = border[:pairs, a], border[pairs:, a]
     both = both.reshape(pairs, 2 * n)
     ztbtrs(factor.unit, both.T, uplo="L", diag="U", overwrite_b=1)
@@ -48,7 +51,7 @@ def forward_solved(factor: UnitFactor, border: Array) -> Array:
 
 
 def backward_solved(factor: UnitFactor, columns: Array) -> Array:
-    """(k, 2, n) L⁻ᵀ c of columns c (k, 2n), likewise."""
+    """Return L⁻ᵀ c (k, 2, n) for columns c (k, 2n), in the same way."""
     count, size = columns.shape
     pairs, rest = -(-count // 2), count // 2
     both = np.empty((pairs, size), complex)
@@ -65,14 +68,14 @@ def backward_solved(factor: UnitFactor, columns: Array) -> Array:
 
 
 def inverse_blocks(band: Array, factor: Array) -> tuple[Array, Array, Array]:
-    """The diagonal 2×2 blocks of the inverse: entries 00, 01, 11, (n,) each.
+    """Return the diagonal 2×2 blocks of the inverse: entries 00, 01, 11, (n,) each.
 
-    They are (D_f + D_b − D)⁻¹ with the forward and the backward Schur complements, each read off one
+    They are (D_f + D_b − D)⁻¹ with the forward and the backward Schur complements D_f and D_b, each taken from one
     banded factorisation.
 
     Args:
         band: (4, 2n), lower form, diagonal first.
-        factor: its Cholesky factor, likewise.
+        factor: its Cholesky factor, in the same form.
     """
     forward = _schur_blocks(factor)
     backward = _schur_blocks(dpbtrf(_reversed_band(band), lower=1)[0])
@@ -84,13 +87,13 @@ def inverse_blocks(band: Array, factor: Array) -> tuple[Array, Array, Array]:
 
 
 def _schur_blocks(factor: Array) -> tuple[Array, Array, Array]:
-    """The 2×2 blocks L_nn L_nnᵀ of a banded Cholesky factor: their entries 00, 01, 11, (n,) each."""
+    """Return the 2×2 blocks L_nn L_nnᵀ of a banded Cholesky factor: their entries 00, 01, 11, (n,) each."""
     a, b, c = factor[0, ::2], factor[1, ::2], factor[0, 1::2]
     return a * a, a * b, b * b + c * c
 
 
 def _reversed_band(band: Array) -> Array:
-    """The band of the matrix with rows and columns in reverse order."""
+    """Return the band of the matrix with rows and columns in reverse order."""
     result = np.zeros(band.shape, order="F")
     size = band.shape[1]
     for below in range(4):

@@ -1,6 +1,6 @@
-"""What a field chain takes and returns: noise levels, states, weights, residuals and the reduced normal equations.
+"""Inputs and results of a field chain: noise levels, states, weights, residuals and the reduced normal equations.
 
-See `field_chain`; n is the number of windows, p that of the parameters θ.
+See `field_chain`; n is the number of windows, p the number of parameters θ.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class Residuals(NamedTuple):
 
 
 class Reduced(NamedTuple):
-    """The normal equations after elimination, and what a step and the diagnostics need.
+    """The normal equations after elimination, with the quantities that a step and the diagnostics need.
 
-    cost: half the weighted sum of squares at the state; information (p, p): Schur complement on θ;
-    gradient (p,): of the reduced cost; basis (3, 2, n) of the tangent planes; on_direction (3, 2, n) and
-    on_parameters (p, 3, n): whitened window Jacobians; before, after (3, 2, n − 1) and on_bias (3, 3, n − 1), the
-    bias along the second axis: those of the links; band and factor (4, 2n): the directions' matrix and
-    its Cholesky factor L; half (2n, p + 1): L⁻¹ of its border with θ and of the directions' gradient.
+    cost: half the weighted sum of squares at the state; information (p, p): Schur complement on θ; gradient (p,): of
+    the reduced cost; basis (3, 2, n): bases of the tangent planes; on_direction (3, 2, n) and on_parameters (p,
+    3, n): whitened Jacobians of the windows; before, after (3, 2, n − 1) and on_bias (3, 3, n − 1), with the bias
+    along the second axis: those of the links; band and factor (4, 2n): the matrix of the directions and its
+    Cholesky factor L; half (2n, p + 1): L⁻¹ of its border with θ and of the directions' gradient.
     """
 
     cost: float
@@ -65,10 +65,10 @@ class Reduced(NamedTuple):
     half: Array
 
     def absorbed(self, covariance: Array) -> float:
-        """How much of the windows' squared residuals the fit absorbs, in expectation.
+        """Return the expected part of the windows' squared residuals that the fit absorbs.
 
-        The trace of the windows' block of the hat matrix; `covariance` (p, p) is the inverse of the
-        information (zeros for fixed parameters).
+        It is the trace of the windows' block of the hat matrix; `covariance` (p, p) is the inverse of the information
+        (zeros for fixed parameters).
         """
         s00, s01, s11 = inverse_blocks(self.band, self.factor)
         j0, j1 = self.on_direction[:, 0], self.on_direction[:, 1]
@@ -80,11 +80,11 @@ class Reduced(NamedTuple):
 
     @property
     def direction_slopes(self) -> Array:
-        """(p, 3, n) dg/dθ, every direction at its best for θ: −T H⁻¹ C."""
+        """dg/dθ (p, 3, n) with every direction optimal for θ: −T H⁻¹ C."""
         slopes: Array = -np.einsum("ian,pan->pin", self.basis, self._solved)
         return slopes
 
     @property
     def _solved(self) -> Array:
-        """H⁻¹ C: (p, 2, n)."""
+        """H⁻¹ C (p, 2, n)."""
         return backward_solved(UnitFactor.of(self.factor), self.half[:, :-1].T)

@@ -1,6 +1,6 @@
-"""The directions of a field chain at fixed θ: residuals, Jacobians and normal equations of their own.
+"""The directions of a field chain at fixed θ: their residuals, Jacobians and normal equations.
 
-See `field_chain`. A step of the directions alone costs a third of one with θ, whose border it does without.
+See `field_chain`. A step of the directions alone needs no border with θ and costs a third of a step with it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from magyc_gtsam.factors.chain.rotations import Array, tangent_frame
 
 
 class LinearDirections(NamedTuple):
-    """Whitened residuals and their Jacobians on the directions, linearised at some.
+    """Whitened residuals and their Jacobians on the directions, at a linearisation point.
 
-    frame (3, 3, n): the directions and their tangent bases; body (3, n): M g whitened; window (3, 3, n): the windows'
-    residual, then its Jacobian on the two tangents; turned (3, 3, n − 1): the frame turned on to the next window,
-    whitened; link (3, 3, n − 1): the links' residual, then its Jacobian on the tangents of the window after;
-    square (n − 1,).
+    frame (3, 3, n): the directions and their tangent bases; body (3, n): M g, whitened; window (3, 3, n): the
+    windows' residual, then its Jacobian on the two tangents; turned (3, 3, n − 1): the frame rotated to the next
+    window, whitened; link (3, 3, n − 1): the links' residual, then its Jacobian on the tangents of the following
+    window; square (n − 1,): squared scale of the links.
     """
 
     frame: Array
@@ -30,25 +30,25 @@ class LinearDirections(NamedTuple):
 
     @property
     def basis(self) -> Array:
-        """(3, 2, n) of the tangent planes."""
+        """Bases of the tangent planes (3, 2, n)."""
         return self.frame[:, 1:]
 
     @property
     def on_direction(self) -> Array:
-        """(3, 2, n) of the windows' residuals."""
+        """Jacobians (3, 2, n) of the windows' residuals."""
         return self.window[:, 1:]
 
     @property
     def after(self) -> Array:
-        """(3, 2, n − 1) of the links' residuals on the direction after them."""
+        """Jacobians (3, 2, n − 1) of the links' residuals on the following direction."""
         return self.link[:, 1:]
 
     def normal_equations(self) -> tuple[Array, Array]:
-        """The matrix in its lower band (2n, 4), diagonal first, and the gradient (2, n)."""
+        """Return the matrix in its lower band (2n, 4), diagonal first, and the gradient (2, n)."""
         n = self.frame.shape[2]
         band = np.zeros((2 * n, 4))
         own = np.einsum("ian,ibn->abn", self.on_direction, self.window)
-        # Of the direction before, but for the sign.
+        # Jacobian on the preceding direction, except for its sign.
         across = np.einsum("ian,ibn->abn", self.turned[:, 1:], self.link)
         for a in (0, 1):
             diagonal = band[a::2, 0]
@@ -66,10 +66,11 @@ class LinearDirections(NamedTuple):
 
 
 class Sight(NamedTuple):
-    """What θ, the noise and the weights say of the directions.
+    """The linear model of the directions for given θ, noise and weights.
 
-    matrix (3, 3): B; rotation (3, 3, n): M; scale (n,): what whitens windows; field (3, n): mean(m) − h, whitened;
-    turn (3, 3, n − 1): from one window to the next; link_scale (n − 1,); answer: see `FieldChain`.
+    matrix (3, 3): B; rotation (3, 3, n): M; scale (n,): whitening scale of the windows; field (3, n): mean(m) − h,
+    whitened; turn (3, 3, n − 1): rotation from one window to the next; link_scale (n − 1,); answer: see
+    `FieldChain`.
     """
 
     matrix: Array
@@ -81,7 +82,7 @@ class Sight(NamedTuple):
     answer: Array | None
 
     def at(self, direction: Array) -> LinearDirections:
-        """Linearised at directions (3, n)."""
+        """Linearise at directions (3, n)."""
         frame, scale = tangent_frame(direction), self.link_scale
         body = np.einsum("ijn,jkn->ikn", self.rotation, frame)
         body *= self.scale
@@ -105,7 +106,7 @@ class QuadraticPrior(NamedTuple):
     gradient: Array
 
     def onto_first(self, band: Array, pull: Array) -> None:
-        """Add what is known of the first direction to the normal equations of the directions."""
+        """Add the prior on the first direction to the normal equations of the directions."""
         band[0, 0] += self.information[-2, -2]
         band[0, 1] += self.information[-1, -2]
         band[1, 0] += self.information[-1, -1]
@@ -113,7 +114,7 @@ class QuadraticPrior(NamedTuple):
 
 
 def stepped(direction: Array, basis: Array, tangent: Array) -> Array:
-    """(3, n) directions after a step −tangent (2n,) in their tangent planes."""
+    """Return the directions (3, n) after a step −tangent (2n,) in their tangent planes."""
     g: Array = direction - np.einsum("ian,an->in", basis, np.ascontiguousarray(tangent.reshape(-1, 2).T))
     g /= np.sqrt(np.einsum("in,in->n", g, g))
     return g

@@ -1,7 +1,7 @@
-"""Windows without a sample of the magnetometer: what the gyroscope does while the field is not measured.
+"""Windows without a magnetometer sample, which hold the gyroscope's motion while the field is not measured.
 
-A link across a gap of many seconds is exact in attitude and bias. What an error of the gyroscope makes of it, a scale
-for instance, is an integral over the turn inside the gap, which the windows on both sides do not know.
+A link across a gap of many seconds is exact in attitude and bias. The effect of a gyroscope error on it, such as a
+scale error, is an integral over the rotation inside the gap, which the windows on either side do not contain.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, matrices
 
-_GAP = 3.0  # steps of the magnetometer: one that is slower than windows last has no gaps
+_GAP = 3.0  # in steps of the magnetometer: a magnetometer slower than the windows has no gaps
 
 
 @dataclass(frozen=True, eq=False)
 class EmptyWindows:
-    """k of them, ascending.
+    """The time intervals of k windows without a magnetometer sample, in ascending order.
 
     Attributes:
-        stamps: (3, k) s on the magnetometer's clock, their begins, middles and ends.
-        link: (k,) the number of the link that each lies in.
+        stamps: (3, k) s on the magnetometer's clock: begin, middle and end of each.
+        link: (k,) index of the link that contains each window.
     """
 
     stamps: Array
@@ -31,18 +31,18 @@ class EmptyWindows:
 
     @classmethod
     def of(cls, time: Array, passed: Array, numbers: np.ndarray, gap: np.ndarray) -> EmptyWindows:
-        """The windows that pass inside links.
+        """Return the empty windows inside links.
 
         Args:
-            time, passed: (G,) s, the gyroscope's stamps, and windows that have passed by each.
-            numbers: (n,) of the windows that have samples, ascending where there is a gap.
-            gap: (n − 1,) bool, links whose samples lie apart.
+            time, passed: (G,) s, the gyroscope's stamps, and the number of windows passed at each.
+            numbers: (n,) numbers of the windows that have samples, ascending where there is a gap.
+            gap: (n − 1,) bool, links across a gap of the magnetometer.
         """
         missing = np.where(gap, np.maximum(np.diff(numbers) - 1, 0), 0)
         if not missing.any():
             return NONE
         link = np.flatnonzero(missing)
-        # At most as many as the gyroscope has steps there: windows may be shorter than these.
+        # At most one window per gyroscope step: windows may be shorter than the steps.
         begin, end = numbers[link] + 1.0, numbers[link + 1].astype(float)
         steps = np.searchsorted(passed, end) - np.searchsorted(passed, begin)
         count = np.clip(missing[link], 1, np.maximum(steps, 1))
@@ -53,12 +53,12 @@ class EmptyWindows:
         return cls(np.interp(edges, passed, time), np.repeat(link, count))
 
     def part(self, first: int, stop: int) -> EmptyWindows:
-        """Those in the links from `first` up to `stop`, numbered from `first` on."""
+        """Return the windows in the links `first` ≤ link < `stop`, numbered from `first` on."""
         own = slice(*np.searchsorted(self.link, [first, stop]))
         return EmptyWindows(self.stamps[:, own], self.link[own] - first)
 
     def integrated(self, track: GyroscopeTrack, delay: float) -> Between:
-        """What a track that covers them says of them."""
+        """Return the motion in the windows, from a track that covers them."""
         begin, middle, end = (matrices(track.rotation_at(each - delay)[0]) for each in self.stamps)
         begin, middle, end = (each.reshape(3, 3, -1) for each in (begin, middle, end))
         turn = np.einsum("jin,jkn->ikn", begin, end)
@@ -76,9 +76,9 @@ class Between:
 
     Attributes:
         time: (k,) s, middles.
-        link: (k,) ascending, the number of the link that each lies in.
+        link: (k,) ascending, index of the link that contains each window.
         rotation: (3, 3, k) integrated world → sensor.
-        rate: (3, k) rad/s about the sensor's axes, mean, less the bias of the integration.
+        rate: (3, k) rad/s in the sensor's axes, mean, less the bias of the integration.
     """
 
     time: Array
@@ -90,17 +90,17 @@ class Between:
         return len(self.time)
 
     def turned(self, turn: Array) -> Between:
-        """In another world frame, into which `turn` (3, 3) rotates."""
+        """Return the motion in another world frame, into which `turn` (3, 3) rotates."""
         return replace(self, rotation=np.einsum("ijn,kj->ikn", self.rotation, turn))
 
     def part(self, first: int, stop: int) -> Between:
-        """Those in the links from `first` up to `stop`, numbered from `first` on."""
+        """Return the motion in the links `first` ≤ link < `stop`, numbered from `first` on."""
         own = slice(*np.searchsorted(self.link, [first, stop]))
         return Between(self.time[own], self.link[own] - first, self.rotation[:, :, own], self.rate[:, own])
 
 
 def joined(parts: list[Between], links: list[int]) -> Between:
-    """One after the other, the links of each (of which there are `links`) numbered on from those before."""
+    """Concatenate motions; `links` are their numbers of links, by which the link indices continue."""
     before = np.cumsum([0, *links[:-1]])
     return Between(
         np.concatenate([part.time for part in parts]),
@@ -111,11 +111,13 @@ def joined(parts: list[Between], links: list[int]) -> Between:
 
 
 def gaps(time: Array, starts: np.ndarray, length: float) -> np.ndarray:
-    """(n − 1,) bool, links in which no sample comes for longer than a window lasts, and than samples are apart.
+    """Return (n − 1,) bool: links across which the magnetometer pauses.
+
+    A pause is longer than a window and longer than several times the median sample interval.
 
     Args:
-        time: (M,) s, of all samples of the magnetometer.
-        starts: (n,) number of each window's first sample.
+        time: (M,) s, stamps of all magnetometer samples.
+        starts: (n,) index of each window's first sample.
         length: s, longest window.
     """
     step = np.diff(time)

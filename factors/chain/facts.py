@@ -1,7 +1,7 @@
-"""What is known of θ before the data: Gaussian facts, each a whitened residual and its Jacobian.
+"""Prior knowledge of θ: Gaussian facts, each a whitened residual and its Jacobian.
 
-An earlier calibration, the prior of the skew between the chips, a delay measured on the bench and the strength of the
-field at the place are all of this kind, and enter the normal equations after the elimination.
+Examples are an earlier calibration, the prior of the skew between the chips, a delay measured on the bench and the
+strength of the field at the site. They enter the normal equations after the elimination.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from magyc_gtsam.factors.chain.vech import unvech
 _UPPER = np.triu_indices(3)
 _MIRRORED = np.where(
     _UPPER[0] == _UPPER[1], 1.0, 2.0
-)  # entries of a symmetric matrix that an entry of vech stands for
+)  # number of entries of a symmetric matrix that each entry of vech represents
 
 
 class Fact(Protocol):
-    """One thing that is known of θ."""
+    """A single prior constraint on θ."""
 
     def residual(self, parameters: Array) -> tuple[Array, Array]:
-        """Whitened residual (k,) at θ (p,), and its Jacobian (k, p)."""
+        """Return the whitened residual (k,) at θ (p,), and its Jacobian (k, p)."""
         ...
 
 
@@ -52,7 +52,7 @@ class LinearFact:
 
 @dataclass(frozen=True)
 class StrengthFact:
-    """The strength of the field, ∛det B, T: mean and sigma. Of use only where the shape of B is known too."""
+    """The field strength ∛det B in T: mean and sigma. It is useful only where the shape of B is known too."""
 
     mean: float
     sigma: float
@@ -67,7 +67,7 @@ class StrengthFact:
 
 @dataclass(frozen=True, eq=False)
 class IronFact:
-    """root · (vech(S)/F − shape, h − hard_iron) ~ N(0, I), F = ∛det S: soft iron but for its scale, and hard iron.
+    """root · (vech(S)/F − shape, h − hard_iron) ~ N(0, I), F = ∛det S: soft iron up to its scale, and hard iron.
 
     Args:
         shape: (6,) vech of a soft iron with determinant 1.
@@ -87,7 +87,9 @@ class IronFact:
         return self.root @ away, jacobian
 
     def away(self, parameters: Array) -> tuple[Array, Array]:
-        """How far θ is from what is known, (9,), and its derivative on the first nine parameters (9, 9)."""
+        """Return the deviation (9,) of θ from the prior values, and its derivative (9, 9) on the first nine
+        parameters.
+        """
         strength, slope = field_strength(parameters[:6])
         scaled = parameters[:6] / strength
         derivative = np.eye(9)
@@ -96,7 +98,7 @@ class IronFact:
 
 
 def field_strength(vech: Array) -> tuple[float, Array]:
-    """∛det S of vech(S) (6,), and its derivative (6,): d∛det S = ∛det S / 3 · tr(S⁻¹ dS)."""
+    """Return ∛det S of vech(S) (6,), and its derivative (6,): d∛det S = ∛det S / 3 · tr(S⁻¹ dS)."""
     matrix = unvech(vech)
     strength = float(np.cbrt(np.linalg.det(matrix)))
     inverse: Array = np.linalg.inv(matrix).astype(np.float64)
@@ -105,7 +107,7 @@ def field_strength(vech: Array) -> tuple[float, Array]:
 
 
 def quadratic(facts: Sequence[Fact], parameters: Array) -> tuple[float, Array, Array]:
-    """Half the sum of squares of all facts at θ (p,), its gradient (p,) and its information (p, p)."""
+    """Return half the sum of squares of all facts at θ (p,), its gradient (p,) and its information (p, p)."""
     size = len(parameters)
     cost, gradient, information = 0.0, np.zeros(size), np.zeros((size, size))
     for fact in facts:

@@ -1,21 +1,22 @@
-"""The field chain: every window's field direction eliminated, leaving a cost on (S, h, b, τ, ε) alone.
+"""The field chain: the field direction of every window is eliminated, which leaves a cost on (S, h, b, τ, ε) alone.
 
-See docs/field_chain.md; in the integrated world frame of `preintegration`. Parameters θ (13 or 16):
+See docs/field_chain.md. Directions are in the integrated world frame of `preintegration`. Parameters θ (13 or 16):
 
-    vech(S) 6 T (soft iron times field strength), h 3 T, b 3 rad/s, τ 1 s (delay), ε 3 rad (skew, where it is carried),
+    vech(S) 6 T (soft iron times field strength), h 3 T, b 3 rad/s, τ 1 s (delay), ε 3 rad (skew, where it is a
+    parameter),
 
 states g_n ∈ S² (the field direction of window n), residuals
 
     r_n = B M_n(τ) g_n + h − mean(m)_n,  B = S Exp(ε),      covariance σ_m²/W_n I,
     e_n = g_{n+1} − Exp(−ΔK_n (b − b₀)) g_n  (chordal),     variance σ_g² Σdt² in the tangent plane,
 
-and what is known of θ beforehand (`facts`). ε turns the gyroscope's axes into the magnetometer's: with twelve
-parameters and a delay θ has 13 entries and costs nothing for a skew that is held at 0.
+and the priors on θ (`facts`). ε turns the gyroscope's axes into the magnetometer's. With twelve parameters and a delay
+θ has 13 entries, so that a skew held at 0 costs nothing.
 
 One Gauss–Newton step eliminates the directions by a banded Cholesky factorisation (2×2 blocks, three
 sub-diagonals) and is linear in the number of windows. All arrays keep the windows along their last,
-contiguous axis. `scipy.linalg.lapack` does the elimination: a
-numpy-only cyclic reduction was several times slower.
+contiguous axis. `scipy.linalg.lapack` does the elimination; a cyclic reduction in numpy alone was several times
+slower.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ UPPER = np.triu_indices(3)
 DELAY = 12
 SKEW = slice(13, 16)  # ε, in a θ of `WITH_SKEW` entries
 WITH_SKEW = 16
-_SETTLING = 20  # Gauss–Newton steps of the directions alone, at most
-_SETTLED = 1e-18  # squared step of a direction, rad²
+_SETTLING = 20  # largest number of Gauss–Newton steps of the directions alone
+_SETTLED = 1e-18  # rad², squared step of a direction below which the directions have converged
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +55,15 @@ class FieldChain:
     """Cost, elimination and diagnostics of one chain of windows.
 
     Args:
-        windows: integrated windows; `windows.bias` and `.delay` are the points of linearisation.
+        windows: integrated windows; `windows.bias` and `.delay` are the linearisation points.
         noise: standard deviations per sample.
-        answer: (3, n) by how much of the field's change the reading changes, where the sensor clips or bends.
-        facts: what is known of θ beforehand.
+        answer: (3, n) ratio of a change of the reading to a change of the field, where the sensor clips or is
+            non-linear.
+        facts: priors on θ.
 
     Attributes:
-        window_scale: (n,) 1/T, one over the standard deviation of a window's mean.
-        link_scale: (n − 1,) 1/rad, one over that of a link; 0 across a hole.
+        window_scale: (n,) 1/T, reciprocal standard deviation of a window's mean.
+        link_scale: (n − 1,) 1/rad, reciprocal standard deviation of a link; 0 across a hole.
 
     Raises:
         MagycError: fewer than 3 windows.
@@ -81,39 +83,39 @@ class FieldChain:
             )
         w = self.windows
         object.__setattr__(self, "window_scale", np.sqrt(w.count) / self.noise.magnetometer)
-        # A floor of a thousandth of the magnetometer's own angle keeps a perfect gyroscope solvable.
+        # A floor of a thousandth of the magnetometer's own angular noise keeps a noise-free gyroscope solvable.
         floor = (0.001 * self.noise.magnetometer / (w.spread + 1e-9)) ** 2 / w.count.mean()
         variance = self.noise.gyroscope**2 * w.link_time + floor
         object.__setattr__(self, "link_scale", w.linked / np.sqrt(variance))
 
     @property
     def window_sigma(self) -> Array:
-        """(n,) T, standard deviation of a window's mean."""
+        """Standard deviation of each window's mean (n,) in T."""
         return 1 / self.window_scale
 
     @property
     def link_sigma(self) -> Array:
-        """(n − 1,) rad, standard deviation of a link; infinite across a hole."""
+        """Standard deviation of each link (n − 1,) in rad; infinite across a hole."""
         with np.errstate(divide="ignore"):
             return 1 / self.link_scale
 
     def part(self, first: int, stop: int) -> FieldChain:
-        """The windows from `first` up to `stop`, with the same facts."""
+        """Return the chain of the windows `first` ≤ n < `stop`, with the same facts."""
         answer = None if self.answer is None else self.answer[:, first:stop]
         return replace(self, windows=self.windows.part(first, stop), answer=answer)
 
     def unweighted(self) -> Weights:
-        """All weights one."""
+        """Return weights that are all one."""
         return Weights(np.ones(len(self.windows)), np.ones(len(self.windows) - 1))
 
     def start(self, parameters: Array) -> ChainState:
-        """A state at θ: each direction read off its own window's field."""
+        """Return a state at θ whose directions are computed from each window's own field."""
         body = np.linalg.solve(iron_matrix(parameters), self.windows.field - parameters[6:9, None])
         g = np.einsum("ijn,in->jn", self.rotation(parameters), body)
         return ChainState(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
 
     def residuals(self, state: ChainState) -> Residuals:
-        """Unwhitened residuals of both groups."""
+        """Return the unwhitened residuals of windows and links."""
         parameters, g = state
         body = np.einsum("ijn,jn->in", self.rotation(parameters), g)
         window = iron_matrix(parameters) @ body + parameters[6:9, None] - self.windows.field
@@ -121,7 +123,7 @@ class FieldChain:
         return Residuals(window, g[:, 1:] - np.einsum("ijn,jn->in", turn, g[:, :-1]))
 
     def squares(self, residuals: Residuals) -> tuple[Array, Array]:
-        """Squared whitened residuals of windows (n,) and links (n − 1,)."""
+        """Return the squared whitened residuals of windows (n,) and links (n − 1,)."""
         return (
             np.einsum("in,in->n", residuals.window, residuals.window) * self.window_scale**2,
             np.einsum("in,in->n", residuals.link, residuals.link) * self.link_scale**2,
@@ -143,17 +145,18 @@ class FieldChain:
         on_parameters = columns[:size]
 
         # Links: e = g' − E g, E = Exp(−ΔK δ); −∂(E g)/∂b = [E g]× ΔK, column by column.
-        links = np.empty((4, 3, n - 1))  # on the bias, and the residual
+        links = np.empty((4, 3, n - 1))  # Jacobians on the bias, and the residual
         on_bias = cross(self.windows.lever, linear.turned[:, 0, None], out=links[:3].swapaxes(0, 1))
         links[3] = linear.link[:, 0]
 
-        # The directions' matrix H in 2×2 blocks, and its border [C, gradient].
+        # The matrix H of the directions in 2×2 blocks, and its border [C, gradient].
         border = np.empty((size + 1, 2, n))
         band, border[size] = linear.normal_equations()
         np.einsum("ian,pin->pan", on_direction, on_parameters, out=border[:size])
         border[9:12, :, 1:] += np.einsum("ian,pin->pan", linear.after, links[:3])
         border[9:12, :, :-1] -= np.einsum("ian,pin->pan", linear.turned[:, 1:], links[:3])
-        # Never a matrix with its own transpose: BLAS has a routine for that, which is half as fast at this size.
+        # No matrix is multiplied by its own transpose: BLAS uses a special routine for that, which is half as fast at
+        # this size.
         flat, flat_links = columns.reshape(size + 1, -1), links.reshape(4, -1)
         products = flat[:size] @ flat.T
         information, gradient = products[:, :size], products[:, size]
@@ -194,9 +197,10 @@ class FieldChain:
         )
 
     def _on_parameters(self, parameters: Array, g: Array, body: Array, scale: Array) -> Array:
-        """The windows' Jacobian on θ, r = S Exp(ε) M g + h − m, whitened: (p + 1, 3, n), the last for the residual.
+        """Return the windows' whitened Jacobian on θ, r = S Exp(ε) M g + h − m: (p + 1, 3, n), with room for the
+        residual.
 
-        `body` is M g times `scale`.
+        `body` is M g times `scale`; the last entry along the first axis is left for the residual.
         """
         size, n = len(parameters), g.shape[1]
         matrix, whitened = iron_matrix(parameters), g * scale
@@ -218,18 +222,18 @@ class FieldChain:
         return result
 
     def move(self, state: ChainState, reduced: Reduced, step: Array) -> ChainState:
-        """The state after a step on θ; the directions follow by back-substitution."""
+        """Return the state after a step on θ; the directions follow by back-substitution."""
         pull = reduced.half[:, -1] + reduced.half[:, :-1] @ step
         tangent, _ = dtbtrs(reduced.factor, pull, uplo="L", trans="T")
         return ChainState(state.parameters + step, stepped(state.direction, reduced.basis, tangent))
 
     def settle(self, state: ChainState, weights: Weights) -> tuple[ChainState, Reduced]:
-        """The directions at their best for the state's θ, and the linearisation there."""
+        """Optimise the directions for the state's θ; return the state and the linearisation there."""
         state = self.settled(state, weights)
         return state, self.eliminate(state, weights)
 
     def settled(self, state: ChainState, weights: Weights) -> ChainState:
-        """The directions at their best for the state's θ, which stays as it is."""
+        """Return the state with the directions optimised for its θ, which is unchanged."""
         sight = self._sight(state, weights)
         for _ in range(_SETTLING):
             linear = sight.at(state.direction)
@@ -246,7 +250,7 @@ class FieldChain:
         return state
 
     def _known(self, state: ChainState, basis: Array) -> QuadraticPrior | None:
-        """What is known of θ and the first direction besides the windows; here nothing."""
+        """Return the prior on θ and the first direction besides the facts; the base class has none."""
         return None
 
     def _sight(self, state: ChainState, weights: Weights) -> Sight:
@@ -264,7 +268,7 @@ class FieldChain:
         )
 
     def _factor(self, band: Array) -> Array:
-        """The Cholesky factor (4, 2n) of a band (2n, 4)."""
+        """Return the Cholesky factor (4, 2n) of a band (2n, 4)."""
         factor, failed = dpbtrf(band.T, lower=1)
         if failed:
             window = (failed - 1) // 2
@@ -276,20 +280,20 @@ class FieldChain:
         return result
 
     def rotation(self, parameters: Array) -> Array:
-        """M at θ, (3, 3, n): the integrated world as the windows see it."""
+        """Return M (3, 3, n) at θ: the rotation from the integrated world to the sensor, averaged over each window."""
         return self.windows.rotation_at(parameters[9:12], float(parameters[DELAY]))
 
     def turn(self, parameters: Array) -> Array:
-        """E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
+        """Return E = Exp(−ΔK (b − b₀)), (3, 3, n − 1)."""
         return self.windows.turn_at(parameters[9:12])
 
 
 def iron_matrix(parameters: Array) -> Array:
-    """B (3, 3) T of θ: the reading is B u + h for the field's direction u in the gyroscope's axes."""
+    """Return B (3, 3) in T at θ: the reading is B u + h for the field's direction u in the gyroscope's axes."""
     soft_iron = unvech(parameters[:6])
     return soft_iron if len(parameters) == PARAMETERS else soft_iron @ _turn_of(parameters)
 
 
 def _turn_of(parameters: Array) -> Array:
-    """Exp(ε), from the gyroscope's axes to the magnetometer's."""
+    """Return Exp(ε), from the gyroscope's axes to the magnetometer's."""
     return exponential_matrices(parameters[SKEW, None])[:, :, 0]

@@ -1,4 +1,4 @@
-"""Windows of magnetometer samples with what the gyroscope says of each: what a field chain is made of."""
+"""Windows of magnetometer samples with the gyroscope's integrals over each: the data of a field chain."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from magyc_gtsam.factors.chain.rotations import Array, exponential_matrices
 
 @dataclass(frozen=True, eq=False)
 class FieldWindows:
-    """n windows integrated at one bias and delay; the windows run along the last axis, contiguous.
+    """n windows integrated at one bias and delay; the windows run along the last, contiguous axis.
 
     Attributes:
         time: (n,) s, mean stamp.
-        count: (n,) magnetometer samples.
+        count: (n,) number of magnetometer samples.
         field: (3, n) T, mean measured field.
         rotation: (3, 3, n) mean of R_jᵀ, integrated world→sensor.
         rotation_bias: (3, 3, 3, n) its derivative with respect to the bias (third axis), s.
         rotation_rate: (3, 3, n) its derivative with respect to the delay, 1/s.
         lever: (3, 3, n − 1) s, K̄' − K̄ between neighbours.
         link_time: (n − 1,) s², Σ dt² between neighbours; the link's variance is σ_g² times it.
-        linked: (n − 1,) False where a hole in the gyroscope parts two windows.
-        bias: (3,) rad/s and delay: s, where the gyroscope was integrated.
+        linked: (n − 1,) False where a hole in the gyroscope separates two windows.
+        bias: (3,) rad/s and delay: s, at which the gyroscope was integrated.
         between: the motion while the field was not measured.
     """
 
@@ -47,7 +47,9 @@ class FieldWindows:
         return len(self.time)
 
     def rotation_at(self, bias: Array, delay: float) -> Array:
-        """M (3, 3, n) at a bias and delay, to first order; the last one is kept, and not to be written to."""
+        """Return M (3, 3, n) at a bias and delay, to first order; the latest result is cached and must not be written
+        to.
+        """
 
         def moved() -> Array:
             result = np.einsum("ijkn,k->ijn", self.rotation_bias, bias - self.bias)
@@ -59,7 +61,7 @@ class FieldWindows:
         return self._kept("rotation", np.append(bias, delay), moved)
 
     def turn_at(self, bias: Array) -> Array:
-        """E = Exp(−ΔK (b − b₀)) (3, 3, n − 1) from one window to the next; kept likewise."""
+        """Return E = Exp(−ΔK (b − b₀)) (3, 3, n − 1) from one window to the next; cached in the same way."""
         return self._kept(
             "turn",
             bias,
@@ -68,12 +70,14 @@ class FieldWindows:
 
     @cached_property
     def spread(self) -> float:
-        """T, mean distance of a window's field from the middle of all."""
+        """Mean distance, in T, of a window's field from the centroid of all."""
         away = self.field - self.field.mean(axis=1)[:, None]
         return float(np.sqrt(np.einsum("in,in->n", away, away)).mean())
 
     def _kept(self, what: str, point: Array, compute: Callable[[], Array]) -> Array:
-        """What was computed at the last point if that is this one: a state is asked for residuals and for Jacobians."""
+        """Return the cached result if the point is the last one; residuals and Jacobians are requested at the same
+        state.
+        """
         key = point.tobytes()
         kept = self._last.get(what)
         if kept is None or kept[0] != key:
@@ -85,7 +89,7 @@ class FieldWindows:
         return {}
 
     def part(self, first: int, stop: int) -> FieldWindows:
-        """The windows from `first` up to `stop`, in the same world frame."""
+        """Return the windows `first` ≤ n < `stop`, in the same world frame."""
         rows, links = slice(first, stop), slice(first, stop - 1)
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""The forward filter of a field chain, read off its banded factorisation : what is new in each window."""
+"""The forward filter of a field chain, taken from its banded factorisation, and the innovations of its windows."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
-_VAGUE = 1e-4  # rad⁻², information of a direction before anything was seen of it
-_AT_ONCE = 50_000  # numbers of one axis that are filtered at once, so that they stay in the processor's cache
+_VAGUE = 1e-4  # rad⁻², information of a direction before any observation
+_AT_ONCE = 50_000  # numbers per axis filtered at once, so that they stay in the processor's cache
 
 
 class ForwardFilter(NamedTuple):
     """The forward filter of a factorised chain.
 
-    before, after (3, 2, n − 1): whitened link Jacobians on its two directions; factor: banded Cholesky factor, `unit`
-    as the solutions want it; below (2, 2, n − 1): its off-diagonal blocks L_{n,n−1}; ahead (2, 2, n): covariance of the
-    predictions; seen (3, 2, n): window Jacobians; scatter, whitener (3, 3, n): innovation covariance and its inverse
-    root; from_half (2, 3, n − 1), from_link (3, 3, n − 1): whitened innovations of L⁻¹ c one window before, and of the
-    link to it, what comes from them first.
+    before, after (3, 2, n − 1): whitened link Jacobians on its two directions; factor: banded Cholesky factor; unit:
+    the factor in the form that the solutions need; below (2, 2, n − 1): its off-diagonal blocks L_{n,n−1}; ahead (2,
+    2, n): covariance of the predictions; seen (3, 2, n): window Jacobians; scatter, whitener (3, 3, n): innovation
+    covariance and its inverse square root; from_half (2, 3, n − 1), from_link (3, 3, n − 1): contributions to the
+    whitened innovations from L⁻¹ c of the preceding window and from the link to it, with the input along the first
+    axis.
     """
 
     before: Array
@@ -40,7 +41,7 @@ class ForwardFilter(NamedTuple):
 
     @classmethod
     def of(cls, chain: FieldChain, reduced: Reduced, link_weight: Array | None = None) -> ForwardFilter:
-        """Of a chain linearised at `reduced`, whose links had robust weights (n − 1,)."""
+        """Build the filter of a chain linearised at `reduced`, whose links had robust weights (n − 1,)."""
         n = len(chain.windows)
         scale = chain.link_scale if link_weight is None else chain.link_scale * np.sqrt(link_weight)
         factor = reduced.factor
@@ -78,7 +79,7 @@ class ForwardFilter(NamedTuple):
         )
 
     def of_units(self, window_scale: Array, link_scale: Array) -> ForwardFilter:
-        """The same filter for windows in T and links in rad, given one over their sigmas (n,) and (n − 1,)."""
+        """Return the same filter for windows in T and links in rad, given the reciprocal sigmas (n,) and (n − 1,)."""
         return self._replace(
             before=self.before * link_scale,
             after=self.after * link_scale,
@@ -88,7 +89,9 @@ class ForwardFilter(NamedTuple):
         )
 
     def __call__(self, window: Array, link: Array | None) -> Array:
-        """Whitened innovations (p, 3, n) of windows (p, 3, n) and links (p, 3, n − 1), whitened by their sigmas."""
+        """Return the whitened innovations (p, 3, n) of windows (p, 3, n) and links (p, 3, n − 1), whitened by their
+        sigmas.
+        """
         p, _, n = window.shape
         result = np.empty((p, 3, n))
         rows = max(_AT_ONCE // n, 1)
@@ -103,7 +106,7 @@ class ForwardFilter(NamedTuple):
         return result
 
     def filtered(self, window: Array, link: Array) -> tuple[Array, Array]:
-        """Tangent steps (2, n) to the filtered directions, and their covariance (2, 2, n)."""
+        """Return the tangent steps (2, n) to the filtered directions, and their covariance (2, 2, n)."""
         predicted = np.einsum("ian,in->an", self.seen, window)
         half = self._half(window[None], link[None])[0]
         predicted[:, 1:] += np.einsum("ian,in->an", self.after, link)
@@ -114,7 +117,7 @@ class ForwardFilter(NamedTuple):
         return -np.einsum("abn,bn->an", covariance, predicted), covariance
 
     def _half(self, window: Array, link: Array | None) -> Array:
-        """(p, 2, n) L⁻¹ c."""
+        """Return L⁻¹ c (p, 2, n)."""
         right = _onto(self.seen, window)
         if link is not None:
             right[..., 1:] += _onto(self.after, link)
@@ -124,6 +127,6 @@ class ForwardFilter(NamedTuple):
 
 
 def _onto(matrix: Array, columns: Array, out: Array | None = None) -> Array:
-    """(p, b, n) products of columns (p, a, n) with matrices (a, b, n), which einsum does in order."""
+    """Return the products (p, b, n) of columns (p, a, n) with matrices (a, b, n), contiguous in this order."""
     result: Array = np.einsum("pan,abn->pbn", columns, matrix, out=out)
     return result

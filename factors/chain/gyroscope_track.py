@@ -1,9 +1,9 @@
-"""The gyroscope integrated over a log: what every other file here needs of it, computed in one place.
+"""The gyroscope integrated over a log, computed once for all users.
 
     R_{k+1} = R_k Exp(φ_k),    K_k = −∫ R dt,    Σ dt²
 
-R_k turns the sensor's axes at stamp k into those at the first stamp; a bias moved by δ turns it into
-Exp(K_k δ) R_k to first order (as GTSAM preintegrates), and σ_g² Σ dt² is the variance of its angle per axis.
+R_k turns the sensor's axes at stamp k into those at the first stamp. A bias changed by δ turns R_k into
+Exp(K_k δ) R_k to first order (as GTSAM preintegrates); σ_g² Σ dt² is the variance of its angle per axis.
 """
 
 from __future__ import annotations
@@ -23,14 +23,17 @@ from magyc_gtsam.factors.chain.rotations import (
     multiply,
 )
 
-_CHUNK = 32768  # stamps whose matrices are held at a time
-_BLOCK = 24  # stamps that are summed by one product
+_CHUNK = 32768  # stamps whose matrices are held at a time, which bounds the memory
+_BLOCK = 24  # stamps summed by one product
 _UP_TO = np.triu(np.ones((_BLOCK, _BLOCK)))
 
 
 def running_sums(values: Array) -> Array:
-    """Sums of (k, n) along the rows up to each entry: in blocks by a triangular matrix, for one addition after the
-    other waits for the one before, four times as long."""
+    """Return the cumulative sums of (k, n) along each row.
+
+    The sums are formed in blocks by a triangular matrix: sequential additions wait for each other and take four times
+    as long.
+    """
     rows, n = values.shape
     blocks = -(-n // _BLOCK)
     padded = np.zeros((rows, blocks * _BLOCK))
@@ -41,10 +44,10 @@ def running_sums(values: Array) -> Array:
 
 
 def summed_rate(time: Array, rate: Array) -> Array:
-    """(G, …) rad, rates (G, …) rad/s summed from the first stamp on by the trapezoid rule.
+    """Return the cumulative integral (G, …) in rad of rates (G, …) in rad/s by the trapezoid rule.
 
-    No attitude: the angle about an axis only where the others hardly turn, and the length of the way of a speed. For
-    what asks how much the sensor turned and not where to.
+    The result is not an attitude. It is the angle about an axis only where the other axes hardly turn, and the path
+    length if the rate is a speed. It serves where the amount of rotation matters but not its direction.
     """
     total = np.zeros_like(rate)
     step = np.diff(time).reshape(-1, *[1] * (rate.ndim - 1))
@@ -59,12 +62,12 @@ class GyroscopeTrack:
     Attributes:
         time: (G,) s, ascending.
         angular_rate: (G, 3) rad/s, bias included.
-        bias: (3,) rad/s, taken out before the integration.
+        bias: (3,) rad/s, subtracted before the integration.
         interval_mean: the rates are means since the previous stamp, not values at the stamps.
         increment: (G − 1, 3) rad, rotation vectors from stamp to stamp.
         rotation: R at the stamps, as spinors (G,).
-        lever_before: (9,) s, K at the first stamp, and squared_time_before: s², Σ dt² there; of a piece of a longer
-            track (`following`).
+        lever_before: (9,) s, K at the first stamp, for a piece of a longer track (`following`).
+        squared_time_before: s², Σ dt² at the first stamp, likewise.
     """
 
     time: Array
@@ -98,7 +101,7 @@ class GyroscopeTrack:
         """
         b = np.zeros(3) if bias is None else bias
         if stamps is not None:
-            if interval_mean:  # the rate of a stamp is that of the interval in which it lies
+            if interval_mean:  # the rate of a stamp is that of the interval containing it
                 angular_rate = angular_rate[np.searchsorted(time, stamps)]
             elif len(stamps) != len(time) or not np.array_equal(stamps, time):
                 angular_rate = np.stack([np.interp(stamps, time, axis) for axis in angular_rate.T], axis=1)
@@ -110,10 +113,10 @@ class GyroscopeTrack:
         return cls(time, angular_rate, b, interval_mean, increment, chain(exponential(increment)))
 
     def following(self, before: GyroscopeTrack, when: float) -> GyroscopeTrack:
-        """This piece of a track in the world frame of the piece before it, with its K and Σ dt² continued.
+        """Return this piece of a track in the world frame of the preceding piece, with K and Σ dt² continued.
 
         Args:
-            before: the piece before, which overlaps this one.
+            before: the preceding piece, which overlaps this one.
             when: s, a stamp of both pieces, at which they are joined.
         """
         here, there = (int(np.searchsorted(track.time, when)) for track in (self, before))
@@ -130,17 +133,17 @@ class GyroscopeTrack:
 
     @cached_property
     def step(self) -> Array:
-        """(G − 1,) s between stamps."""
+        """Intervals between stamps (G − 1,) in s."""
         return np.diff(self.time)
 
     @cached_property
     def matrices(self) -> Array:
-        """(9, G) rotation matrices at the stamps, row by row along the first axis."""
+        """Rotation matrices at the stamps (9, G), row by row along the first axis."""
         return matrices(self.rotation)
 
     @cached_property
     def lever(self) -> Array:
-        """(9, G) s, K = −∫ R dt by the trapezoid rule (relative error φ²/12 of a step), rows as `matrices`."""
+        """K = −∫ R dt (9, G) in s by the trapezoid rule (relative error φ²/12 of a step), rows as in `matrices`."""
         p, q = self.rotation
         n, step = len(self.time), self.step
         lever = np.empty((9, n))
@@ -156,13 +159,14 @@ class GyroscopeTrack:
 
     @cached_property
     def squared_time(self) -> Array:
-        """(G,) s², Σ dt² up to each stamp."""
+        """Σ dt² up to each stamp (G,) in s²."""
         return np.cumsum(np.concatenate([[self.squared_time_before], self.step**2]))
 
     def rotation_at(self, when: Array) -> tuple[Spinor, Array]:
-        """R as spinors (n,), and the rate (n, 3) rad/s less the bias, at times inside the track.
+        """Return R as spinors (n,), and the rate (n, 3) in rad/s less the bias, at times inside the track.
 
-        Between stamps the rate is linear, and what makes the whole step differ from its integral acts evenly.
+        Between stamps the rate is linear; the difference between the whole increment and its integral is spread
+        evenly.
         """
         left, since, share = self._place(when)
         share = share[:, None]
@@ -179,14 +183,16 @@ class GyroscopeTrack:
         return multiply((p[left], q[left]), exponential(turned)), rate - self.bias
 
     def lever_at(self, when: Array) -> Array:
-        """(9, n) s, K at times inside the track, linear between stamps."""
+        """Return K (9, n) in s at times inside the track, interpolated linearly between stamps."""
         left, _, share = self._place(when)
         before = self.lever[:, left]
         result: Array = before + (self.lever[:, left + 1] - before) * share
         return result
 
     def _place(self, when: Array) -> tuple[np.ndarray, Array, Array]:
-        """The step in which each time lies: its number, s since its begin, and that as a share of it."""
+        """Return the step containing each time: its index, the time since its begin in s, and that as a share of the
+        step.
+        """
         left = np.clip(np.searchsorted(self.time, when, side="right") - 1, 0, len(self.time) - 2)
         since = when - self.time[left]
         return left, since, since / self.step[left]

@@ -1,8 +1,8 @@
-"""How blocks of magnetometer samples, and the attitudes of a graph, say together how far the graph's heading is off.
+"""The probability of a graph's heading error, from blocks of magnetometer samples and the graph's attitudes.
 
-Where the whole graph is turned by ψ about the vertical, a sample reads m = A P Rᵀ Rz(−ψ) f + h. For each ψ that is
-linear in soft iron A and hard iron h, so that their best values and the cost there are in closed form: the profile of
-the cost over ψ, at any number of minima, from thirteen rows that stand for all samples.
+Where the whole graph is rotated by ψ about the vertical, a sample reads m = A P Rᵀ Rz(−ψ) f + h. For each ψ this is
+linear in soft iron A and hard iron h, so that their optimum and its cost have a closed form. Thirteen rows that
+represent all samples thus yield the profile of the cost over ψ, with any number of minima.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import numpy as np
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS
 
-_HEADINGS = 72  # of the profile, 5 degrees apart: a minimum is some tens of degrees wide
+_HEADINGS = 72  # number of headings in the profile, 5 degrees apart: a minimum is some tens of degrees wide
 _MODEL_ERROR = (
-    0.1  # of the field: six degrees of attitude that a block's samples share and the graph does not know
+    0.1  # relative to the field: six degrees of attitude error, common to a block's samples, unknown to the graph
 )
 COLUMNS = 13  # vec P 9, share 1, field 3
 
@@ -27,7 +27,7 @@ class HeadingProfile:
 
     Attributes:
         angle: (n,) rad, ψ, evenly spaced from −π on.
-        probability: (n,), adding up to 1.
+        probability: (n,), with sum 1.
     """
 
     angle: Array
@@ -35,7 +35,7 @@ class HeadingProfile:
 
     @property
     def best(self) -> float:
-        """The most probable ψ, rad, between the grid's points by its probable neighbours."""
+        """The most probable ψ in rad, interpolated between grid points by the probabilities around it."""
         top = int(np.argmax(self.probability))
         near = np.abs(_wrapped(self.angle - self.angle[top])) < np.radians(30)
         weight = self.probability * near
@@ -43,12 +43,12 @@ class HeadingProfile:
         return float(_wrapped(self.angle[top] + offset))
 
     def within(self, angle: float, centre: float = 0.0) -> float:
-        """Probability that ψ is at most `angle` rad from `centre`."""
+        """Return the probability that ψ is at most `angle` rad from `centre`."""
         return float(self.probability[np.abs(_wrapped(self.angle - centre)) <= angle].sum())
 
 
 def block_rows(design: Array, share: Array, field: Array) -> Array:
-    """A block's samples in at most 13 rows (vec P, share, m) with the same sums of squares for every A, v and h.
+    """Compress a block's samples to at most 13 rows (vec P, share, m) with equal sums of squares for every A, v and h.
 
     Args:
         design: (k, 3, 3) P, from the body frame at the keyframe to the sensor at the sample.
@@ -64,7 +64,7 @@ def block_rows(design: Array, share: Array, field: Array) -> Array:
 
 
 def in_world(rows: Array, rotation: Array) -> Array:
-    """The rows of a block with P Rᵀ in the place of P, R (3, 3) being the attitude at its keyframe."""
+    """Return the rows of a block with P replaced by P Rᵀ, where R (3, 3) is the attitude at its keyframe."""
     turned = rows[:, :9].reshape(-1, 3, 3) @ rotation.T
     return np.column_stack([turned.reshape(-1, 9), rows[:, 9:]])
 
@@ -78,14 +78,14 @@ def heading_profile(
     mean: Array,
     information: Array,
 ) -> HeadingProfile:
-    """The profile from the rows of all blocks in the world.
+    """Compute the profile from the rows of all blocks in the world frame.
 
     Args:
-        rows: (n, 13), of `in_world`, stacked.
+        rows: (n, 13), stacked results of `in_world`.
         field: (3,) f, world frame, in the unit of the rows.
-        sigma: of a sample, in that unit.
-        samples, blocks: how many there are.
-        mean, information: (9,), (9, 9) of vech(A) and h before the blocks.
+        sigma: standard deviation of a sample, in that unit.
+        samples, blocks: numbers of samples and of blocks.
+        mean, information: (9,), (9, 9) of the prior on vech(A) and h.
     """
     strength = float(np.linalg.norm(field))
     variance = sigma**2 + samples / blocks * (_MODEL_ERROR * strength) ** 2

@@ -1,4 +1,4 @@
-"""The median of a few numbers, without the ceremony of `np.median`, which takes longer than its partition."""
+"""The median of a few numbers, without the overhead of `np.median`, which exceeds the cost of its partition."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 
 
 def median(values: Array) -> float:
-    """Of finite numbers (n,), n > 0: the middle one, or the mean of the two in the middle."""
+    """Return the median of finite numbers (n,), n > 0."""
     upper = len(values) // 2
     if len(values) % 2:
         return float(np.partition(values, upper)[upper])

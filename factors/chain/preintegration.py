@@ -1,18 +1,19 @@
-"""Gyroscope and magnetometer samples, brought together in windows: the data behind every field chain.
+"""Gyroscope and magnetometer samples combined in windows: the data of every field chain.
 
-The gyroscope is integrated once over the whole log into an attitude R_k against an arbitrary world
-frame ("integrated world"); in that frame the field direction g stands still but for the gyroscope's
+The gyroscope is integrated once over the whole log into an attitude R_k relative to an arbitrary world
+frame ("integrated world"). In that frame the field direction g is constant except for the gyroscope's
 noise and bias error. A window of W magnetometer samples then reads, with B = F·A,
 
     mean(m_j) = B M g + h + ε/√W,    M = mean_j R_jᵀ,
 
-which holds however far the vehicle turns inside the window (averaging m alone would set M = R_cᵀ).
+which holds for any rotation of the vehicle inside the window (averaging m alone would set M = R_cᵀ).
 A bias error δ turns R_k into Exp(K_k δ) R_k, K_k = −∫ R dt, so that two windows are linked by
 
     g' = Exp(−(K̄' − K̄) δ) g,    tangent noise σ_g √(Σ dt²),
 
-K̄ being the mean over the window, and inside it M g gains mean_j R_jᵀ [g]× (K_j − K̄) δ. Both are first
-order in δ: when the bias has moved far, integrate again. A delay τ of the magnetometer reads R at t − τ.
+with K̄ the mean over the window; inside the window M g gains mean_j R_jᵀ [g]× (K_j − K̄) δ. Both are first
+order in δ, so that a large change of the bias requires a new integration. With a delay τ of the magnetometer R is
+taken at t − τ.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.rotations import Array, matrices
 from magyc_gtsam.factors.errors import MagycError
 
-_ROWS = 54  # per sample: R 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
-_CHUNK = 16384  # samples whose matrices are held at a time
-_MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the samples next to its own
+_ROWS = 54  # rows per sample: R 9, K 9, dRᵀ/dτ 9, Rᵀ [·]× K 27
+_CHUNK = 16384  # samples whose matrices are held at a time, which bounds the memory
+_MARGIN = 3  # stamps by which pieces of the track overlap; an increment depends on the neighbouring samples
 
 
 def windows_passed(step: Array, rate: Array, turn: float, length: float) -> Array:
-    """(n − 1,) windows, in parts, that pass in steps (n − 1,) s between rates (n, 3) rad/s.
+    """Return the fractions of a window (n − 1,) that pass in steps (n − 1,) s between rates (n, 3) rad/s.
 
-    A window ends after a turn of `turn` rad, and after `length` s at the latest.
+    A window ends after a rotation by `turn` rad, and after `length` s at the latest.
     """
     x, y, z = rate.T
     speed = np.sqrt(x * x + y * y + z * z)
@@ -46,25 +47,26 @@ def windows_passed(step: Array, rate: Array, turn: float, length: float) -> Arra
 
 @dataclass(frozen=True, eq=False)
 class Preintegration:
-    """The samples of both sensors and the windows they fall into.
+    """The samples of both sensors and the windows that contain them.
 
     Args:
         magnetometer_time, magnetic_field: (M,) s, (M, 3) T.
-        gyroscope_time, angular_rate: (G,) s, (G, 3) rad/s, may differ in rate and clock from the former.
+        gyroscope_time, angular_rate: (G,) s, (G, 3) rad/s; may differ from the magnetometer in rate and clock.
         interval_mean: the rate is the mean since the previous sample, not the value at the stamp.
         length: s, longest window.
-        turn: rad, largest rotation inside a window; infinitely small gives one window per sample.
-        hole: s, a gyroscope step longer than this parts the chain.
-        begun: windows, and the share of the one at hand, that lie before the first gyroscope sample; for
-            the continuation of a longer log.
+        turn: rad, largest rotation inside a window; an infinitesimal one gives one window per sample.
+        hole: s, a gyroscope step longer than this interrupts the chain.
+        begun: number of windows, including the share of the present one, before the first gyroscope sample; for the
+            continuation of a longer log.
 
     Attributes:
         starts: (n,) index of each window's first magnetometer sample.
-        linked: (n − 1,) False where a hole parts two windows.
-        empty: windows in which no magnetometer sample lies.
+        linked: (n − 1,) False where a hole separates two windows.
+        empty: windows that contain no magnetometer sample.
 
     Raises:
-        MagycError: no magnetometer sample lies inside the gyroscope's time span.
+        MagycError: fewer than 3 gyroscope samples, or fewer than 3 magnetometer samples inside the gyroscope's time
+            span.
     """
 
     magnetometer_time: Array
@@ -108,17 +110,17 @@ class Preintegration:
 
     @property
     def step(self) -> Array:
-        """(G − 1,) s between gyroscope samples."""
+        """Intervals between gyroscope samples (G − 1,) in s."""
         return np.diff(self.gyroscope_time)
 
     def _holes(self) -> np.ndarray:
-        """The steps of the gyroscope that part the chain."""
+        """Return the indices of the gyroscope steps that interrupt the chain."""
         step = self.step
         holes = np.flatnonzero(step > self.hole)
         return holes[step[holes] > 10 * float(np.median(step))] if len(holes) else holes
 
     def _ended(self, holes: np.ndarray) -> Array:
-        """(G,) windows that have ended by each stamp; one ends where it has lasted or turned enough, or at a hole."""
+        """Return the number of windows (G,) that have ended by each stamp; a hole ends a window, too."""
         time = self.gyroscope_time
         ended = np.empty(len(time))
         ended[0] = self.begun
@@ -131,7 +133,7 @@ class Preintegration:
         return ended
 
     def _starts(self, holes: np.ndarray, ended: Array) -> np.ndarray:
-        """The first sample of each window."""
+        """Return the index of the first sample of each window."""
         time, ends = self.gyroscope_time, self.gyroscope_time[holes + 1]
         starts, last = [], -1
         for first in range(0, len(self.magnetometer_time), _CHUNK):
@@ -153,7 +155,7 @@ class Preintegration:
         return EmptyWindows.of(self.gyroscope_time, ended, numbers.astype(np.int64), apart)
 
     def integrate(self, bias: Array | None = None, delay: float = 0.0) -> FieldWindows:
-        """Integrate the gyroscope at `bias` (3,) rad/s, the magnetometer taken `delay` s earlier."""
+        """Integrate the gyroscope at `bias` (3,) rad/s, with the magnetometer taken `delay` s earlier."""
         bias = np.zeros(3) if bias is None else np.asarray(bias, dtype=float)
         starts, total = self.starts, len(self.magnetometer_time)
         count = np.diff(np.append(starts, total)).astype(float)
@@ -164,7 +166,7 @@ class Preintegration:
         first, track = 0, None
         between: list[Between] = []
         links: list[int] = []
-        while first < len(starts):  # chunks of whole windows, so that memory stays flat
+        while first < len(starts):  # chunks of whole windows, which bounds the memory
             last = max(int(np.searchsorted(starts, starts[first] + _CHUNK)), first + 1)
             stop = int(starts[last]) if last < len(starts) else total
             track = self._track(track, slice(int(starts[first]), stop), bias, delay)
@@ -195,11 +197,11 @@ class Preintegration:
         )
 
     def with_rate(self, angular_rate: Array) -> Preintegration:
-        """The same samples and windows with another angular rate (G, 3) rad/s."""
+        """Return the same samples and windows with another angular rate (G, 3) in rad/s."""
         return self._with(angular_rate=np.ascontiguousarray(angular_rate))
 
     def stretch(self, first: int, last: int, beyond: float) -> tuple[Preintegration, slice]:
-        """The samples of the windows from `first` up to `last`, and which of the gyroscope's samples these are.
+        """Return the samples of the windows `first` ≤ n < `last`, and the slice of the gyroscope samples among them.
 
         Args:
             first, last: 0 ≤ first < last ≤ number of windows.
@@ -222,14 +224,16 @@ class Preintegration:
         return result, rates
 
     def _with(self, **changes: Array | EmptyWindows) -> Preintegration:
-        """With other fields, and the windows as they are: they are not cut anew."""
+        """Return a copy with other fields and the same windows, which are not computed again."""
         result = copy.copy(self)
         for name, value in changes.items():
             object.__setattr__(result, name, value)
         return result
 
     def _track(self, before: GyroscopeTrack | None, rows: slice, bias: Array, delay: float) -> GyroscopeTrack:
-        """The gyroscope over a slice of the magnetometer's samples, in the world frame of the piece `before`."""
+        """Integrate the gyroscope over a slice of the magnetometer's samples, in the world frame of the piece
+        `before`.
+        """
         begin, stop = 0, len(self.gyroscope_time)
         if rows.stop < len(self.magnetometer_time):  # beyond the first sample of the next piece
             stop = int(
@@ -248,7 +252,9 @@ class Preintegration:
         return track if before is None else track.following(before, float(time[min(_MARGIN, len(time) - 1)]))
 
     def _at(self, track: GyroscopeTrack, rows: slice, delay: float) -> tuple[Array, Array, Array, Array]:
-        """R, K, dRᵀ/dτ (9, len(rows)) each and Rᵀ [·]× K (27, len(rows)) at samples' stamps less the delay."""
+        """Return R, K, dRᵀ/dτ (9, len(rows)) each and Rᵀ [·]× K (27, len(rows)) at the samples' stamps less the
+        delay.
+        """
         when = self.magnetometer_time[rows] - delay
         begin = int(np.searchsorted(track.time, when[0]))
         own = slice(begin, begin + len(when))
@@ -269,7 +275,7 @@ class Preintegration:
 
 
 def turned_lever(rotation: Array, lever: Array) -> Array:
-    """Rᵀ [e_k]× K column by column, from the rows of R and K (9, n) each: (3, 3, 3, n), rows of Rᵀ first."""
+    """Return Rᵀ [e_k]× K column by column, from the rows of R and K (9, n) each: (3, 3, 3, n), rows of Rᵀ first."""
     r = rotation.reshape(3, 3, -1)
     x, y, z = lever.reshape(3, 3, -1)  # rows of K
     result = np.empty((3, 3, 3, r.shape[2]))

@@ -1,8 +1,8 @@
-"""What an error of the angular rate does to the windows and links of a field chain, to first order.
+"""First-order effect of an angular-rate error on the windows and links of a field chain.
 
-An error ω of the rate turns the integrated world by φ = −∫ R ω dt: two windows are linked by g' = Exp(Δφ̄) g, φ̄
-being the mean over a window, and inside a window, which turns meanwhile, the mean field gains
-A mean_j Rⱼᵀ [g]× (φⱼ − φ̄).
+An error ω of the rate rotates the integrated world by φ = −∫ R ω dt. The link between two windows becomes g' =
+Exp(Δφ̄) g, with φ̄ the mean over a window; because the sensor turns inside a window, its mean field gains A mean_j
+Rⱼᵀ [g]× (φⱼ − φ̄).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.preintegration import Preintegration
 from magyc_gtsam.factors.chain.rotations import Array, cross
 
-_AT_ONCE = 50_000  # numbers of one axis that are worked on at once, so that they stay in the processor's cache
+_AT_ONCE = 50_000  # numbers per axis processed at once, so that they stay in the processor's cache
 
 
 class RateColumns(NamedTuple):
@@ -29,14 +29,15 @@ class RateColumns(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RateDerivatives:
-    """An integrated gyroscope, whose rate may be in error.
+    """The integrated gyroscope, prepared for derivatives with respect to an error of its rate.
 
     Attributes:
-        samples: of both sensors.
+        samples: samples of both sensors.
         turn: (3, 3, G) sensor → integrated world at the gyroscope's samples.
-        before, share: (M,) gyroscope sample before each magnetometer sample, and how far it lies towards the next.
+        before, share: (M,) gyroscope sample before each magnetometer sample, and the share of the step to the next
+            one.
         window_of, count: (M,) window of each magnetometer sample, (n,) samples of each window.
-        back: (3, 3, M) integrated world → sensor at the gyroscope's sample next to each magnetometer sample.
+        back: (3, 3, M) integrated world → sensor at the gyroscope sample next to each magnetometer sample.
     """
 
     samples: Preintegration
@@ -49,7 +50,7 @@ class RateDerivatives:
 
     @classmethod
     def of(cls, samples: Preintegration, rate: Array, delay: float) -> RateDerivatives:
-        """Of the true rate (3, G) rad/s, the magnetometer taken `delay` s earlier."""
+        """Integrate the true rate (3, G) in rad/s, with the magnetometer taken `delay` s earlier."""
         time, when = samples.gyroscope_time, samples.magnetometer_time - delay
         track = GyroscopeTrack.integrate(time, rate.T, interval_mean=samples.interval_mean)
         turn = track.matrices.reshape(3, 3, -1)
@@ -62,10 +63,10 @@ class RateDerivatives:
         return cls(samples, turn, before, share, np.repeat(np.arange(len(count)), count), count, back)
 
     def columns(self, windows: FieldWindows, soft_iron: Array, direction: Array, error: Array) -> RateColumns:
-        """The derivatives of a chain's residuals on the value of an error of the rate.
+        """Return the derivatives of a chain's residuals with respect to the values of rate errors.
 
         Args:
-            windows: of the samples, integrated.
+            windows: the integrated windows of the samples.
             soft_iron: (3, 3) times the field strength, T.
             direction: (3, n) of the field in the integrated world.
             error: (k, 3, G) rad/s per unit, at the gyroscope's samples.
@@ -78,7 +79,9 @@ class RateDerivatives:
         return RateColumns(np.einsum("ij,pjn->pin", soft_iron, window), link)
 
     def _onto(self, direction: Array, error: Array, window: Array, link: Array) -> None:
-        """Writes what errors do to windows, in units of the iron, and to links."""
+        """Write the effect of errors on the windows (in units of the soft iron) and on the links into `window` and
+        `link`.
+        """
         samples, starts = self.samples, self.samples.starts
         turned = turned_by(self.turn, error)
         angle = np.zeros_like(turned)
@@ -97,7 +100,7 @@ class RateDerivatives:
         window /= self.count
 
     def _swing(self, direction: Array, inside: Array) -> Array:
-        """(k, 3, M) g × φ of a window's direction (3, n) and angles (k, 3, M)."""
+        """Return g × φ (k, 3, M) for a direction (3, n) per window and angles (k, 3, M)."""
         x, y, z = direction.take(self.window_of, axis=-1)
         result = np.empty_like(inside)
         result[:, 0] = y * inside[:, 2] - z * inside[:, 1]
@@ -107,6 +110,6 @@ class RateDerivatives:
 
 
 def turned_by(rotation: Array, columns: Array) -> Array:
-    """(p, 3, n) columns turned by (3, 3, n)."""
+    """Return columns (p, 3, n) rotated by (3, 3, n)."""
     result: Array = np.einsum("pjn,jin->pin", columns, np.swapaxes(rotation, 0, 1))
     return result

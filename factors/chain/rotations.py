@@ -1,7 +1,7 @@
 """Chains of rotations without a Python loop over samples: unit quaternions as pairs of complex numbers.
 
-A rotation is the SU(2) element (p, q) = (w + i x, y + i z); then the product is
-(p₁p₂ − q₁ q̄₂, p₁q₂ + q₁ p̄₂), eight numpy calls for any number of rotations.
+A rotation is the SU(2) element (p, q) = (w + i x, y + i z); the product is (p₁p₂ − q₁ q̄₂, p₁q₂ + q₁ p̄₂), eight
+numpy calls for any number of rotations.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Spinor = tuple[Complex, Complex]
 
-_BLOCK = 16  # rotations chained one after the other before the blocks themselves are chained
-_SHORT = 3000  # rotations below which doubling is faster than blocks
-_HOLE = 10  # times the shorter one of two neighbouring steps, from which the longer one is a hole
+_BLOCK = 16  # rotations chained sequentially before the blocks themselves are chained
+_SHORT = 3000  # number of rotations below which doubling is faster than blocks
+_HOLE = 10  # ratio of two neighbouring steps from which the longer one is a hole
 
 
 def exponential(rotation_vector: Array) -> Spinor:
-    """Exp of rotation vectors (n, 3) rad."""
+    """Return Exp of rotation vectors (n, 3) in rad."""
     x, y, z = rotation_vector.T
     square = x * x + y * y + z * z
     p = np.empty(len(square), complex)
     q = np.empty(len(square), complex)
-    if square.max(initial=0.0) < 0.05:  # series of cos(φ/2) and sin(φ/2)/φ, to rounding
+    if square.max(initial=0.0) < 0.05:  # series of cos(φ/2) and sin(φ/2)/φ, exact to rounding
         p.real = 1 - square * (1 / 8 - square * (1 / 384 - square * (1 / 46080 - square / 10321920)))
         half = 0.5 - square * (1 / 48 - square * (1 / 3840 - square * (1 / 645120 - square / 185794560)))
     else:
@@ -39,15 +39,16 @@ def exponential(rotation_vector: Array) -> Spinor:
 
 
 def increments(time: Array, rate: Array, bias: Array | None = None) -> Array:
-    """Rotation vectors (n − 1, 3) rad from each sample to the next, of rates (n, 3) rad/s AT their stamps.
+    """Return the rotation vectors (n − 1, 3) in rad from each sample to the next, of rates (n, 3) rad/s AT their
+    stamps.
 
-    The trapezoid rule with its end correction, h/2 (ω₀ + ω₁) − h²/12 (ω̇₁ − ω̇₀), and the first term of the
-    Magnus series, h²/12 ω₀ × ω₁ (coning): fourth order where plain trapezoids lose (ωh)²/12 of every
-    oscillation, 1 % of a 0.5 Hz swell at 10 Hz. Derivatives are those of the parabola through three samples,
-    however uneven their steps (samples get lost), but none across a hole.
+    The method is the trapezoid rule with its end correction, h/2 (ω₀ + ω₁) − h²/12 (ω̇₁ − ω̇₀), and the first term of
+    the Magnus series, h²/12 ω₀ × ω₁ (coning). It is of fourth order, where plain trapezoids lose (ωh)²/12 of every
+    oscillation, 1 % of a 0.5 Hz swell at 10 Hz. Derivatives are those of the parabola through three samples, for any
+    ratio of their steps (samples get lost), but not across a hole.
     """
     step = np.diff(time)
-    rate = np.array(rate.T, order="C")  # an axis a row
+    rate = np.array(rate.T, order="C")  # one axis per row
     if bias is not None:
         rate -= bias[:, None]
     result = (0.5 * step) * (rate[:, 1:] + rate[:, :-1])
@@ -66,17 +67,17 @@ def increments(time: Array, rate: Array, bias: Array | None = None) -> Array:
 
 
 def multiply(first: Spinor, second: Spinor) -> Spinor:
-    """R₁ R₂, elementwise."""
+    """Return R₁ R₂, elementwise."""
     p1, q1 = first
     p2, q2 = second
     return p1 * p2 - q1 * q2.conj(), p1 * q2 + q1 * p2.conj()
 
 
 def chain(steps: Spinor) -> Spinor:
-    """All products R_k = R_{k−1} S_{k−1} from R_0 = I: n steps in, n + 1 rotations out.
+    """Return all products R_k = R_{k−1} S_{k−1} from R_0 = I: n + 1 rotations from n steps.
 
-    They are products of few factors each, blocks of blocks: their norm is 1 to 1e-14 after ten minutes at 10 Hz and to
-    some 1e-13 after ten hours at 100 Hz.
+    Each product has few factors, by blocks of blocks: the norm is 1 to 1e-14 after ten minutes at 10 Hz and to some
+    1e-13 after ten hours at 100 Hz.
     """
     p, q = steps
     n = len(p)
@@ -85,7 +86,7 @@ def chain(steps: Spinor) -> Spinor:
     if n < _SHORT:
         p, q = np.insert(p, 0, 1.0), np.insert(q, 0, 0.0)
         reach = 1
-        while reach <= n:  # by doubling: fewer calls
+        while reach <= n:  # by doubling, which needs fewer calls
             p[reach:], q[reach:] = multiply((p[:-reach], q[:-reach]), (p[reach:], q[reach:]))
             reach *= 2
         return p, q
@@ -109,7 +110,7 @@ def chain(steps: Spinor) -> Spinor:
 
 
 def matrices(rotation: Spinor) -> Array:
-    """Rotation matrices, row by row along the first axis: (9, n), so that every entry is contiguous."""
+    """Return rotation matrices (9, n), row by row along the first axis, so that every entry is contiguous."""
     p, q = rotation
     w, x, y, z = p.real, p.imag, q.real, q.imag
     x2, y2, z2 = x + x, y + y, z + z
@@ -130,7 +131,7 @@ def matrices(rotation: Spinor) -> Array:
 
 
 def skew(vector: Array) -> Array:
-    """[v]× for vectors (..., 3): matrices (..., 3, 3)."""
+    """Return [v]×, matrices (..., 3, 3), for vectors (..., 3)."""
     result = np.zeros((*vector.shape, 3))
     result[..., 0, 1] = -vector[..., 2]
     result[..., 0, 2] = vector[..., 1]
@@ -142,7 +143,7 @@ def skew(vector: Array) -> Array:
 
 
 def cross(first: Array, second: Array, out: Array | None = None) -> Array:
-    """Cross product along the first axis."""
+    """Return the cross product along the first axis."""
     result = np.empty(np.broadcast_shapes(first.shape, second.shape)) if out is None else out
     (a, b, c), (x, y, z) = first, second
     np.subtract(b * z, c * y, out=result[0, ...])
@@ -152,15 +153,15 @@ def cross(first: Array, second: Array, out: Array | None = None) -> Array:
 
 
 def along(vector: Array, columns: Array) -> Array:
-    """(p, n) products of vectors (3, n) with columns (p, 3, n)."""
+    """Return the products (p, n) of vectors (3, n) with columns (p, 3, n)."""
     result: Array = np.einsum("in,pin->pn", vector, columns)
     return result
 
 
 def exponential_matrices(rotation_vector: Array) -> Array:
-    """Rotation matrices (3, 3, n) of rotation vectors (3, n)."""
+    """Return the rotation matrices (3, 3, n) of rotation vectors (3, n)."""
     square = np.einsum("in,in->n", rotation_vector, rotation_vector)
-    if square.max(initial=0.0) < 1e-3:  # series, to rounding
+    if square.max(initial=0.0) < 1e-3:  # series, exact to rounding
         a = 1 - square * (1 / 6 - square * (1 / 120 - square / 5040))
         b = 0.5 - square * (1 / 24 - square * (1 / 720 - square / 40320))
     else:
@@ -180,7 +181,7 @@ def exponential_matrices(rotation_vector: Array) -> Array:
 
 
 def right_jacobian(rotation_vector: Array) -> Array:
-    """J (3, 3) of Exp(v + δ) = Exp(v) Exp(J δ) to first order in δ, for v (3,)."""
+    """Return J (3, 3) with Exp(v + δ) = Exp(v) Exp(J δ) to first order in δ, for v (3,)."""
     angle = float(np.linalg.norm(rotation_vector))
     across = skew(rotation_vector)
     if angle < 1e-3:
@@ -191,7 +192,9 @@ def right_jacobian(rotation_vector: Array) -> Array:
 
 
 def tangent_frame(direction: Array) -> Array:
-    """Unit vectors (3, n) and their orthonormal tangent bases: (3, 3, n) (Duff et al. 2017, without branches)."""
+    """Return unit vectors (3, n) and their orthonormal tangent bases: (3, 3, n) (Duff et al. 2017, without
+    branches).
+    """
     x, y, z = direction
     sign = np.copysign(1.0, z)
     frame = np.empty((3, 3, len(x)))
@@ -212,5 +215,5 @@ def tangent_frame(direction: Array) -> Array:
 
 
 def tangent_basis(direction: Array) -> Array:
-    """Orthonormal tangent bases (3, 2, n) of unit vectors (3, n)."""
+    """Return orthonormal tangent bases (3, 2, n) of unit vectors (3, n)."""
     return tangent_frame(direction)[:, 1:]

@@ -9,7 +9,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.errors import MagycError
 
 _UPPER = np.triu_indices(3)
-_WHOLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # where each entry of the matrix is in the vector
+_WHOLE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # index of each entry of the matrix in the vector
 
 SYMMETRIC_UNITS = np.zeros((6, 3, 3))
 """The six symmetric unit matrices E_j: unvech(l) = Σ l_j E_j."""
@@ -19,7 +19,7 @@ SYMMETRIC_UNITS.flags.writeable = False
 
 
 def vech(matrix: ArrayLike) -> Array:
-    """Upper triangle of symmetric matrices (..., 3, 3), row by row: (..., 6)."""
+    """Return the upper triangle of symmetric matrices (..., 3, 3), row by row: (..., 6)."""
     array = np.asarray(matrix, dtype=np.float64)
     if array.shape[-2:] != (3, 3):
         raise MagycError(f"vech: shape {array.shape}, expected (..., 3, 3)")
@@ -27,7 +27,7 @@ def vech(matrix: ArrayLike) -> Array:
 
 
 def unvech(vector6: ArrayLike) -> Array:
-    """Symmetric matrices (..., 3, 3) from their upper triangles (..., 6); the inverse of `vech`."""
+    """Return the symmetric matrices (..., 3, 3) of their upper triangles (..., 6); the inverse of `vech`."""
     array = np.asarray(vector6, dtype=np.float64)
     if array.shape[-1:] != (6,):
         raise MagycError(f"unvech: shape {array.shape}, expected (..., 6)")

@@ -1,1 +1,1 @@
-"""Extra effects: what each adds to a reading, in a model, in data and in a graph."""
+"""Extra effects on the readings of a sensor, as they enter a model, a correction of data and a graph."""

@@ -1,4 +1,4 @@
-"""Taking the terms of a calibration out of what the sensors read."""
+"""Correction of measured fields and rates for the terms of a calibration."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
 
-_PASSES = 20  # most need three; where next to nothing of a change is read, the last digits are lost anyway
+_PASSES = 20  # most inputs need three; where a change is hardly read, the last digits are lost anyway
 _CLOSE = 1e-12  # T and rad/s
 _NEARBY = 1e-8  # T and rad/s
-_LOST = 0.2  # of a change in what is read, below which it is not to be had back from the noise
+_LOST = 0.2  # smallest slope of the reading that can be inverted without amplifying noise too much
 
 
 def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals: Signals) -> Array:
-    """True angular rate (3, n) rad/s of the measured one; where the axes were exchanged, `bias` is in the
-    magnetometer's axes and the rate stays in the gyroscope's, unless one of these is reversed.
+    """Return the true angular rate (3, n) in rad/s of the measured one.
 
-    A misalignment stays: it is taken out of the field, which is brought to the gyroscope's axes.
+    Where the axes were exchanged, `bias` is in the magnetometer's axes. The result stays in the gyroscope's axes,
+    unless one of these is reversed.
+
+    A misalignment is not corrected here but in the field, which is rotated to the gyroscope's axes.
 
     Raises:
-        MagycError: a term needs a signal that is not there.
+        MagycError: a term needs a signal that is not available.
     """
     matrix, turn = _exchanged(terms)
     still = matrix @ measured - bias[:, None]
@@ -40,11 +42,12 @@ def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals:
 
 
 def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
-    """The x (3, n) of which x + added(x) was read: Newton's steps, each axis by itself.
+    """Return the x (3, n) for which x + added(x) equals `read`, by Newton steps for each axis separately.
 
-    Terms read what they change, and may bend it much: the plain iteration of a response that grows with the cube of
-    the field runs away from some field on. A step that brings a sample no closer is halved, so that where nothing
-    reads so, as beyond the top of a response that turns round, x stays where it comes closest.
+    Terms depend on the quantity that they change and may be strongly non-linear: for a response with the cube of the
+    field the plain fixed-point iteration diverges beyond some field. A step that does not reduce a sample's residual
+    is halved. Where no solution exists, as beyond the maximum of a response that is not monotonic, x stays at the
+    smallest residual found.
     """
     x = read
     missing = read - x - added(x)
@@ -57,17 +60,18 @@ def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
         left = read - ahead - added(ahead)
         closer = np.abs(left).max(axis=0) < np.abs(missing).max(axis=0)
         x = np.where(closer, ahead, x)
-        missing = left if closer.all() else read - x - added(x)  # what remembers reads its neighbours, too
+        missing = left if closer.all() else read - x - added(x)  # terms with memory depend on neighbours, too
         share = np.where(closer, 1.0, 0.5 * share)
     return x
 
 
 def _exchanged(terms: Sequence[Term]) -> tuple[Array, Array]:
-    """Of an `axis-order` term the matrix G (rate in the magnetometer's axes = G · rate read), and the rotation to the
-    magnetometer's axes from those of what is returned.
+    """Return the matrix of an `axis-order` term, and the rotation from the axes of the corrected data to the
+    magnetometer's.
 
-    These are the gyroscope's where G is a rotation. Where it mirrors, one of the gyroscope's axes is reversed or two
-    are exchanged, and its axes are no frame: what is returned is in the magnetometer's.
+    The matrix G gives the rate in the magnetometer's axes, G · measured rate. The axes of the corrected data are the
+    gyroscope's where G is a rotation. Where G is a reflection (an axis of the gyroscope is reversed, or two are
+    exchanged), the gyroscope's axes are not a right-handed frame, and corrected data are in the magnetometer's axes.
     """
     for term in terms:
         if term.name == "axis-order":
@@ -79,16 +83,17 @@ def _exchanged(terms: Sequence[Term]) -> tuple[Array, Array]:
 def corrected_field(
     measured: Array, soft_iron: Array, hard_iron: Array, terms: Sequence[Term], signals: Signals
 ) -> Array:
-    """Calibrated field (3, n) T in the gyroscope's axes; in the magnetometer's, if one of these is reversed.
+    """Return the calibrated field (3, n) in T in the gyroscope's axes; in the magnetometer's, if one of these is
+    reversed.
 
     Args:
         measured: (3, n) T.
         soft_iron, hard_iron: (3, 3), (3,) T.
-        terms: of the calibration.
+        terms: terms of the calibration.
         signals: time, true rate, acceleration and channels, as far as they are known.
 
     Raises:
-        MagycError: a term needs a signal that is not there.
+        MagycError: a term needs a signal that is not available.
     """
     inverse = np.linalg.inv(soft_iron)
     _, turn = _exchanged(terms)
@@ -114,7 +119,7 @@ def corrected_field(
 
 
 def shifted(time: Array, field: Array, terms: Sequence[Term]) -> Array:
-    """The field (3, n) as it was when the gyroscope was sampled: read later by the delay of a `timing` term."""
+    """Return the field (3, n) at the time of the gyroscope's samples, shifted by the delay of the `timing` terms."""
     late = sum(float(term.value[0]) for term in terms if term.name == "timing")
     if late == 0:
         return field
@@ -122,6 +127,6 @@ def shifted(time: Array, field: Array, terms: Sequence[Term]) -> Array:
 
 
 def _to_sensor(signals: Signals) -> Array:
-    """(3, 3, n) rotation of the integrated world into the sensor, the first row's attitude being the identity."""
+    """Return the rotation (3, 3, n) from the integrated world to the sensor, with the identity at the first sample."""
     track = GyroscopeTrack.integrate(signals.time, signals.need("rate").T)
     return np.swapaxes(track.matrices.reshape(3, 3, -1), 0, 1)

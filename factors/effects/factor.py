@@ -1,10 +1,10 @@
-"""Extra effects as variables of a graph, beside soft iron, hard iron and gyroscope bias.
+"""Extra effects as variables of a graph, in addition to soft iron, hard iron and gyroscope bias.
 
 `effect_chain_factor` is a field chain (a whole log, or any stretch of it) with effects on either sensor, for batch
-and incremental graphs; `effect_magnetometer_factor` one reading on an attitude of the graph, for pose graphs. The
-effect adds Σ value_k · column_k to a reading, the columns (`effects.Form.columns`) being known: a current, a
-temperature, a step; of an effect that reads a signal of its own sensor (a scale of the gyroscope), the columns at
-the present estimate.
+and incremental graphs; `effect_magnetometer_factor` is one reading on an attitude of the graph, for pose graphs. An
+effect adds Σ value_k · column_k to a reading. The columns (`effects.Form.columns`) are known: a current, a
+temperature, a step; for an effect that depends on a signal of its own sensor (a scale error of the gyroscope), they
+are evaluated at the present estimate.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from magyc_gtsam.factors.variables import Array, attitude, gyro_bias, vector
 
 Side = Literal["magnetometer", "gyroscope"]
 
-_LEAST = 3  # windows of a chain
-_BEYOND = 1.0  # s of the gyroscope kept at either end of a stretch, for a delay that moves
-_ROUNDING = 1e-12  # of what a parameter's information was before elimination; less is none
+_LEAST = 3  # smallest number of windows of a chain
+_BEYOND = 1.0  # s of the gyroscope kept at either end of a stretch, to allow for a change of the delay
+_ROUNDING = 1e-12  # share of a parameter's information before elimination below which it counts as zero
 
 
 def effect_chain_factor(
@@ -55,31 +55,31 @@ def effect_chain_factor(
     soft_iron_unit: float = 1e-6,
     field_unit: float = 1e-6,
 ) -> gtsam.CustomFactor:
-    """A factor over all windows of `samples`, the directions eliminated inside as in `field_chain_factor`.
+    """Return a factor over all windows of `samples`, with the directions eliminated as in `field_chain_factor`.
 
-    It holds the whole sum of squares of its windows: effects of the same data go into one factor, each with its own
-    key, not into factors beside each other. Stretches of a log share keys; what one of them does not determine (a step
-    outside it) has rows of zeros in its Jacobian.
+    It contains the whole sum of squares of its windows: effects on the same data go into one factor, each with its
+    own key, not into separate factors. Stretches of a log share keys; a parameter that one of them does not
+    determine (a step outside it) has rows of zeros in its Jacobian.
 
     Args:
         soft_iron_key, hard_iron_key, gyro_bias_key: as in `field_chain_factor`, in its units.
         value_key: k-vector, the effect's value; or a sequence of keys, one per effect.
-        samples: both sensors' samples in windows.
-        columns: per unit of the value; of the magnetometer (k, 3, n) T, means over the windows; of the gyroscope
-            (k, 3, G) rad/s, at its samples. With a sequence of keys, as many arrays.
+        samples: samples of both sensors, in windows.
+        columns: per unit of the value; for the magnetometer (k, 3, n) T, means over the windows; for the gyroscope
+            (k, 3, G) rad/s, at its samples. With a sequence of keys, one array per key.
         noise: standard deviations per sample.
-        side: the sensor that the effect adds to; of all, or one per effect.
+        side: the sensor that the effect acts on; one for all effects, or one per effect.
         mounting_key: as in `field_chain_factor`.
-        delay_key: 1-vector, s; None fixes the delay at `delay`. The factor's keys are soft iron, hard iron, gyroscope
-            bias, values, mounting if any, delay if any.
-        delay: s, fixed.
-        part: (first, last) windows that the factor is of, the last excluded; None is all. `columns` are still of all
-            samples, so that an effect that remembers is the same in every stretch.
+        delay_key: 1-vector, s; None fixes the delay at `delay`. The order of the factor's keys is soft iron, hard
+            iron, gyroscope bias, values, mounting if any, delay if any.
+        delay: s, the fixed delay.
+        part: (first, last) windows of the factor, `last` excluded; None for all. `columns` still cover all samples,
+            so that an effect with memory is the same in every stretch.
         soft_iron_unit, field_unit: T per unit of the keys.
 
     Raises:
-        MagycError: columns that do not fit the windows, or the gyroscope's samples; not as many columns or sides as
-            keys; a part of fewer than 3 windows.
+        MagycError: columns that do not fit the windows, or the gyroscope's samples; numbers of columns or sides that
+            differ from that of the keys; a part of fewer than 3 windows.
     """
     if isinstance(value_key, Sequence):
         value_keys, effects = list(value_key), list(columns)
@@ -103,7 +103,7 @@ def effect_chain_factor(
     size = PARAMETERS if mounting_key is None else WITH_SKEW
     unit = np.concatenate([np.full(6, soft_iron_unit), np.full(3, field_unit), np.ones(size - 9 + sum(counts))])
     optional, rows = optional_keys(mounting_key, delay_key)
-    rows = np.r_[rows[:DELAY], size : len(unit), rows[DELAY:]]  # the values before what is optional
+    rows = np.r_[rows[:DELAY], size : len(unit), rows[DELAY:]]  # the values precede the optional parameters
     keys = [soft_iron_key, hard_iron_key, gyro_bias_key, *value_keys, *(key for key, _ in optional)]
     sizes = [6, 3, 3, *counts] + [3] * (mounting_key is not None) + [1] * (delay_key is not None)
 
@@ -138,7 +138,7 @@ def effect_chain_factor(
 
 
 def _fitting(samples: Preintegration, columns: ArrayLike, side: str) -> Array:
-    """The columns of one effect, checked against what they are of."""
+    """Check the columns of one effect against the samples of its sensor and return them as an array."""
     if side not in ("magnetometer", "gyroscope"):
         raise MagycError(f"side {side!r} is neither 'magnetometer' nor 'gyroscope'")
     on_rate = side == "gyroscope"
@@ -155,7 +155,7 @@ def _fitting(samples: Preintegration, columns: ArrayLike, side: str) -> Array:
 def _stretch(
     samples: Preintegration, part: tuple[int, int] | None, delay: float
 ) -> tuple[Preintegration, slice, slice]:
-    """The samples of some of their windows, which windows these are, and which of the gyroscope's samples."""
+    """Return the samples of a part of their windows, the slice of these windows and that of the gyroscope samples."""
     count = len(samples.starts)
     first, last = (0, count) if part is None else part
     if not 0 <= first <= last - _LEAST <= count - _LEAST:
@@ -169,13 +169,13 @@ def _stretch(
 
 
 def semidefinite_root(information: Array, gradient: Array, alone: Array) -> tuple[Array, Array]:
-    """R (p, p) and r (p,) with RᵀR = information and Rᵀr = gradient, also where directions are not determined.
+    """Return R (p, p) and r (p,) with RᵀR = information and Rᵀr = gradient, also where directions are not determined.
 
     Args:
-        information: (p, p), positive semidefinite but for rounding.
+        information: (p, p), positive semidefinite up to rounding.
         gradient: (p,) in its range.
-        alone: (p,) roots of what its diagonal was before anything was eliminated, which is what rounding is relative
-            to; 0 for a parameter that nothing here depends on.
+        alone: (p,) square roots of the information's diagonal before any elimination, to which rounding is relative;
+            0 for a parameter on which nothing depends.
     """
     scale = np.where(alone > 0, alone, 1.0)
     weight, direction = np.linalg.eigh(information / scale / scale[:, None])
@@ -187,14 +187,15 @@ def semidefinite_root(information: Array, gradient: Array, alone: Array) -> tupl
 def bordered(
     chain: FieldChain, state: ChainState, reduced: Reduced, window: Array, link: Array
 ) -> tuple[Array, Array, Array]:
-    """Information (p + k, p + k) and gradient on θ (p,) and k more parameters, the directions eliminated.
+    """Return the information (p + k, p + k) and gradient on θ (p,) and k more parameters, with the directions
+    eliminated.
 
-    The third are roots (p + k,) of the information's diagonal with the directions held.
+    The third result holds the square roots (p + k,) of the information's diagonal with the directions held.
 
     Args:
-        chain, state, reduced: the chain at its best directions.
+        chain, state, reduced: the chain at its optimal directions.
         window: (k, 3, n) T per unit, derivatives of the windows' predictions.
-        link: (k, 3, n − 1) rad per unit, of the links' residuals.
+        link: (k, 3, n − 1) rad per unit, derivatives of the links' residuals.
     """
     window, link = window * chain.window_scale, link * chain.link_scale
     (count, _, n), theirs = window.shape, len(reduced.gradient)
@@ -232,7 +233,7 @@ def effect_magnetometer_factor(
     body_R_sensor: gtsam.Rot3 | None = None,
     field_unit: float = MICROTESLA,
 ) -> gtsam.CustomFactor:
-    """`magnetometer_factor` in a known field, with an effect: m = A (ᵇRₛᵀ Rᵀ f) + h + Σ value_k · column_k.
+    """Return `magnetometer_factor` in a known field with an effect: m = A (ᵇRₛᵀ Rᵀ f) + h + Σ value_k · column_k.
 
     Args:
         attitude_key, soft_iron_key, hard_iron_key: as in `magnetometer_factor`.

@@ -1,9 +1,9 @@
 """The extra effects of the gap workflow: what each adds to a sensor's reading.
 
-A form is linear in its value but for a rotation of axes: reading = base model + Σ value_k · column_k, with the
-columns a function of the signals at hand (time, field, rate, other channels) and of a setting that was searched
-over (the time of a step, the frequency of a tone). The same forms serve the score tests, the joint refit, the
-GTSAM factor (`effect_chain_factor`) and `Calibration.apply`.
+A form is linear in its value, except for a rotation of axes: reading = base model + Σ value_k · column_k. The columns
+are a function of the available signals (time, field, rate, other channels) and of a setting that was searched over
+(the time of a step, the frequency of a tone). The same forms serve the score tests, the joint refit, the GTSAM factor
+(`effect_chain_factor`) and `Calibration.apply`.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.factors.errors import MagycError
 
 Setting = Mapping[str, float]
-RATE_MATRIX = ("x", "y", "z", "xy", "xz", "yz")  # elements of a symmetric matrix on the rate
+RATE_MATRIX = ("x", "y", "z", "xy", "xz", "yz")  # elements of a symmetric matrix that multiplies the rate
 
 
 class Form(NamedTuple):
-    """What an effect adds to a reading: the sensor, the signals it needs, and its columns (k, 3, n) per unit."""
+    """An effect on a reading: the sensor, the signals that it needs, and its columns (k, 3, n) per unit of the
+    value.
+    """
 
     side: str  # "magnetometer" or "gyroscope"
     needs: tuple[str, ...]
     columns: Callable[[Signals, Setting], Array]
-    rotates: bool = False  # the value is a rotation vector that turns the rate, to all orders
+    rotates: bool = False  # the value is a rotation vector that is applied to the rate exactly, not to first order
 
     def evaluate(self, signals: Signals, value: Array, setting: Setting) -> Array:
-        """(3, n) what it adds, in T or rad/s."""
+        """Return the effect's contribution (3, n) to the reading, in T or rad/s."""
         if self.rotates:
             turn = exponential_matrices(np.asarray(value, dtype=float)[:, None])[:, :, 0]
             return (turn - np.eye(3)) @ signals.need("rate")
@@ -47,7 +49,7 @@ class Form(NamedTuple):
 
 
 def per_axis(profile: Array) -> Array:
-    """Columns e_i · profile_j for profiles (p, n): (3p, 3, n)."""
+    """Return the columns e_i · profile_j (3p, 3, n) of profiles (p, n)."""
     p, n = profile.shape
     result = np.zeros((p, 3, 3, n))
     for i in range(3):
@@ -56,13 +58,13 @@ def per_axis(profile: Array) -> Array:
 
 
 def referenced(channel: Array, setting: Setting) -> list[int]:
-    """The rows of a channel (k, n) that have a reference, the settings `reference_0`, …; all, if none has."""
+    """Return the rows of a channel (k, n) that have a reference (`reference_0`, … in the setting); all, if none has."""
     known = [int(name.removeprefix("reference_")) for name in setting if name.startswith("reference_")]
     return sorted(known) or list(range(len(channel)))
 
 
 def _beyond_reference(channel: Array, setting: Setting) -> Array:
-    """The referenced rows of a channel (k, n), less their references."""
+    """Return the referenced rows of a channel (k, n), less their references."""
     rows = referenced(channel, setting)
     if rows[-1] >= len(channel):
         raise MagycError(
@@ -78,13 +80,15 @@ def _motor_current(s: Signals, setting: Setting) -> Array:
 
 
 def _temperature(s: Signals, setting: Setting) -> Array:
-    """Of what lies `lag` s behind the thermometer, as a battery does: a first-order response."""
+    """Return the columns of a part that follows the thermometer by `lag` s, as a battery does: a first-order
+    response.
+    """
     warm = _beyond_reference(s.need("temperature"), setting)
     return per_axis(_lagged(s.need("time"), warm, setting.get("lag", 0.0)))
 
 
 def _lagged(time: Array, rows: Array, lag: float) -> Array:
-    """(k, n) rows through a first-order filter, in balance at the start."""
+    """Return (k, n) rows after a first-order filter that starts in equilibrium."""
     if lag <= 0:
         return rows
     decay = np.exp(-np.diff(time) / lag)
@@ -92,21 +96,24 @@ def _lagged(time: Array, rows: Array, lag: float) -> Array:
 
 
 def _remembered(decay: Array, driven: Array) -> Array:
-    """(k, n) yₙ = decayₙ yₙ₋₁ + drivenₙ, y₀ = driven₀, as a bidiagonal system; decay (n − 1,)."""
+    """Return yₙ = decayₙ yₙ₋₁ + drivenₙ, y₀ = driven₀, (k, n), by a bidiagonal system; decay (n − 1,)."""
     band = np.array([np.ones(driven.shape[1]), np.append(-decay, 0.0)])
     result: Array = solve_banded((1, 0), band, driven.T).T
     return result
 
 
 def _step(s: Signals, setting: Setting) -> Array:
-    """From `time` on; to `until`, where what was attached is taken off again."""
+    """Return the columns of a step at `time`, which ends at `until` where the setting has one."""
     time = s.need("time")
     on = (time > setting["time"]) & (time <= setting.get("until", np.inf))
     return per_axis(on.astype(float)[None])
 
 
 def _drift(s: Signals, setting: Setting) -> Array:
-    """Cosines of half periods over [start, end] (the modes of a random walk), `order` of them; 0 is linear."""
+    """Return the columns of a drift over [start, end]: `order` cosines of half periods, the modes of a random walk.
+
+    An order of 0 is a linear drift.
+    """
     share = (s.need("time") - setting["start"]) / (setting["end"] - setting["start"])
     order = int(setting["order"])
     if order == 0:
@@ -124,10 +131,11 @@ def _timing(s: Signals, setting: Setting) -> Array:
 
 
 def _eddy_plane(s: Signals, setting: Setting) -> Array:
-    """E = value normalᵀ: the change of the field across a plate drives currents, whose field may lie otherwise.
+    """Return the columns of eddy currents E = value normalᵀ.
 
-    `full` takes any E (9 values, column by column): several plates, or a bent one; `uneven` any of trace zero, which
-    holds no delay (8 values, without the last of the diagonal).
+    A change of the field across a plate drives currents, whose own field may point in another direction. The setting
+    `full` admits any E (9 values, column by column), for several plates or a bent one; `uneven` any E of trace zero,
+    which contains no delay (8 values, without the last of the diagonal).
     """
     if setting.get("full") or setting.get("uneven"):
         columns = -per_axis(s.need("field_rate"))
@@ -140,7 +148,9 @@ def _eddy_plane(s: Signals, setting: Setting) -> Array:
 
 
 def _gyro_scale(s: Signals, setting: Setting) -> Array:
-    """The six symmetric matrices, or those of `RATE_MATRIX` that the setting names."""
+    """Return the columns of the six symmetric matrices, or of those elements of `RATE_MATRIX` that the setting
+    names.
+    """
     x, y, z = s.need("rate")
     zero = np.zeros_like(x)
     columns = np.array(
@@ -151,7 +161,9 @@ def _gyro_scale(s: Signals, setting: Setting) -> Array:
 
 
 def _gyro_quadratic(s: Signals, setting: Setting) -> Array:
-    """Axis by axis; the scale grows ever less beyond `level` rad/s, where there is one, as that of any sensor must."""
+    """Return the columns per axis; above `level` rad/s, where the setting has one, the scale saturates as in a real
+    sensor.
+    """
     rate = s.need("rate")
     grown = np.abs(rate)
     if "level" in setting:
@@ -164,23 +176,26 @@ def _g_sensitivity(s: Signals, setting: Setting) -> Array:
 
 
 def _field_gradient(s: Signals, setting: Setting) -> Array:
-    """Along the rows of the channel that the setting has references for; without any, along all."""
+    """Return the columns of those rows of the channel that have references in the setting; without any, of all rows."""
     columns: Array = _beyond_reference(s.need("position"), setting)[:, None] * s.need("field")
     return columns
 
 
 def _local_anomaly(s: Signals, setting: Setting) -> Array:
-    """A bump fixed in the world, Gaussian in time; `passing` adds its derivative, as of a dipole passed by."""
+    """Return the columns of an anomaly fixed in the world with a Gaussian profile in time.
+
+    The setting `passing` adds the derivative of the profile, as for a dipole that is passed.
+    """
     since = (s.need("time") - setting["time"]) / setting["width"]
     bump = np.exp(-0.5 * since**2)
-    axes = np.swapaxes(s.need("to_sensor"), 0, 1)  # column j of the rotation: world axis j in the sensor
+    axes = np.swapaxes(s.need("to_sensor"), 0, 1)  # column j of the rotation: world axis j in the sensor's frame
     if setting.get("passing"):
         return np.concatenate([axes * bump, axes * (bump * since)])
     return axes * bump
 
 
 def _saturation(s: Signals, setting: Setting) -> Array:
-    """What is beyond the level, which may be reached with a knee of some width, as cores do."""
+    """Return the column of the excess over the level, with a smooth knee of some width where the setting has one."""
     reading = s.need("field") + s.need("hard_iron")[:, None]
     level, knee = setting["level"], setting.get("knee", 0.0)
 
@@ -193,15 +208,16 @@ def _saturation(s: Signals, setting: Setting) -> Array:
 
 
 def _cubic(s: Signals, setting: Setting) -> Array:
-    """Per axis, of the reading in units of 50 µT, so that the value is T at 50 µT."""
+    """Return the columns per axis, of the reading in units of 50 µT, so that the value is the effect in T at 50 µT."""
     reading = (s.need("field") + s.need("hard_iron")[:, None]) / 50e-6
     return np.eye(3)[:, :, None] * reading**3
 
 
 def _hysteresis(s: Signals, setting: Setting) -> Array:
-    """Duhem (Dahl) loop of width `width` T: dz/dy = 1 − sgn(ẏ) z, y in units of the width.
+    """Return the columns of a Duhem (Dahl) loop of width `width` T: dz/dy = 1 − sgn(ẏ) z, y in units of the width.
 
-    y is the field along (x, y, z), its loop's field may lie otherwise; without a direction, each axis by itself.
+    y is the field along (x, y, z), while the loop's own field may have another direction; without a direction, each
+    axis has its own loop.
     """
     field = s.need("field")
     if field.shape[1] < 2:

@@ -1,4 +1,4 @@
-"""What the formulas of extra effects read: fields, rates and other channels, sample by sample."""
+"""The signals that the formulas of extra effects depend on: fields, rates and other channels, sample by sample."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STANDARD_GRAVITY = 9.80665  # m/s² in a g
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What the forms read, sample by sample along the last axis; what is unknown is None.
+    """The signals of a recording, sample by sample along the last axis; unknown ones are None.
 
     Attributes:
         time: (n,) s, as in the recording.
@@ -41,10 +41,10 @@ class Signals:
     channels: Mapping[str, Array] = dataclasses.field(default_factory=dict)
 
     def need(self, name: str) -> Array:
-        """A signal, or the channel of that name.
+        """Return a signal, or the channel of that name.
 
         Raises:
-            MagycError: it is not there.
+            MagycError: it is not available.
         """
         value = getattr(self, name, None) if name not in CHANNELS else self.channels.get(name)
         if value is None or (name == "time" and np.isnan(value).any()):
@@ -63,13 +63,15 @@ CHANNELS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "position": ("position", "depth", "altitude", "height"),
     }
 )
-"""What a channel must be called to count as one of a kind: long words may be a part of a word, short ones may not."""
-_LONG = 5  # letters
+"""Words in a channel's name by which it counts as one of a kind; long words may be part of a word, short ones
+may not.
+"""
+_LONG = 5  # letters from which a word is long
 _WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 
 def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
-    """{kind: (k, n)} from {name: (n,) or (n, k)}, the names in alphabetical order."""
+    """Return {kind: (k, n)} from {name: (n,) or (n, k)}, with the names in alphabetical order."""
     result = {}
     for kind in CHANNELS:
         found = [channels[name] for name in sorted(channels) if kind in kinds(name)]
@@ -81,7 +83,7 @@ def channels_by_kind(channels: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def rows_by_kind(channels: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
-    """{kind: (k,)} what the rows of `channels_by_kind` are called."""
+    """Return {kind: (k,)}, the names of the rows of `channels_by_kind`."""
     result = {}
     for kind in CHANNELS:
         found = [name for name in sorted(channels) if kind in kinds(name)]
@@ -96,11 +98,11 @@ def rows_by_kind(channels: Mapping[str, Array]) -> dict[str, tuple[str, ...]]:
 
 
 def kinds(name: str) -> tuple[str, ...]:
-    """The kinds that a channel of this name counts as."""
+    """Return the kinds that a channel of this name counts as."""
     return tuple(kind for kind, words in CHANNELS.items() if _is_called(name, words))
 
 
 def _is_called(name: str, words: Sequence[str]) -> bool:
-    """Whether a channel's name holds one of the words; "timestamp" holds no "amp"."""
+    """Whether a channel's name contains one of the words; "timestamp" does not contain "amp"."""
     parts = [part.lower() for part in _WORDS.findall(name)]
     return any(word in part if len(word) >= _LONG else word == part for word in words for part in parts)

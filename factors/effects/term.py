@@ -18,13 +18,13 @@ from magyc_gtsam.factors.errors import MagycError
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """One effect in a calibration.
+    """One effect of a calibration, with its value.
 
     Attributes:
-        name: of the catalogue (`FORMS` holds those that change a reading; noise effects change none).
+        name: name in the catalogue (`FORMS` holds the effects that change a reading; noise effects change none).
         value: (k,) in SI units (T, rad/s, s, … per unit of the channel).
         covariance: (k, k) of the value.
-        setting: what was searched over, and references of channels.
+        setting: parameters that were searched over, and references of channels.
     """
 
     name: str
@@ -48,20 +48,20 @@ class Term:
 
     @property
     def side(self) -> str | None:
-        """ "magnetometer" or "gyroscope"; None for an effect that changes the noise only."""
+        """The sensor, "magnetometer" or "gyroscope"; None for an effect that changes the noise only."""
         return FORMS[self.name].side if self.name in FORMS else None
 
     @property
     def sigma(self) -> Array:
-        """(k,) standard deviations."""
+        """Standard deviations (k,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def evaluate(self, signals: Signals) -> Array:
-        """(3, n) what it adds to the reading of its side, T or rad/s."""
+        """Return the contribution (3, n) to the reading of its sensor, in T or rad/s."""
         return FORMS[self.name].evaluate(signals, self.value, self.setting)
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON types."""
+        """Return the term in JSON types."""
         return {
             "name": self.name,
             "value": self.value.tolist(),
@@ -71,5 +71,5 @@ class Term:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Term:
-        """The inverse of `to_dict`."""
+        """Return the term of a dictionary; the inverse of `to_dict`."""
         return cls(data["name"], data["value"], data["covariance"], data.get("setting") or {})
