@@ -1,8 +1,8 @@
-"""Whether the two sensors' axes, signs and units agree: checked before a misfit is called noise.
+"""Check of the consistency of the two sensors' axes, signs and units, made before a misfit is attributed to noise.
 
-Field fixed in the world ⇒ ṁ = −(G ω) × (m − h) with G = I where magnetometer and gyroscope agree. Breakout
-boards and drivers deliver signed permutations of each other's axes (48 of them, 24 of which change the
-handedness), or degrees for radians.
+A field fixed in the world implies ṁ = −(G ω) × (m − h), with G = I if magnetometer and gyroscope are consistent.
+Breakout boards and drivers may deliver signed permutations of the axes (48, 24 of which change the handedness), or
+degrees instead of radians.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.recording.time_base import interpolated
 
-_LEAST_SAMPLES = 60  # of the magnetometer: three numbers each, against nine unknowns and 144 arrangements
+_LEAST_SAMPLES = 60  # magnetometer samples of three values each, for nine unknowns and 144 arrangements
 _PAIRS = 3000  # pairs of means that are compared
 _TURN = 0.3  # rad of rotation between the means of a pair: above their noise, yet small
-_LAGS = (0.1, 2.0)  # s between them
+_LAGS = (0.1, 2.0)  # s between the means of a pair
 _CLEARLY = 0.5  # share of the squared misfit below which another arrangement is clearly better
-_ALONE = 0.85  # share of what the next best leaves, from which the best is but one of several
-_POOR = 0.2  # share left unexplained from which the given arrangement is in doubt at all
-_EXPLAINS = 0.25  # share of the field's variation that an arrangement must leave unexplained at most
+_ALONE = 0.85  # share of the second-best arrangement's misfit above which the best is ambiguous
+_POOR = 0.2  # share left unexplained below which the given arrangement is accepted
+_EXPLAINS = 0.25  # largest share of the field's variation that an accepted arrangement leaves unexplained
 
 _MATRICES = [
     np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -34,7 +34,13 @@ _SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s": 180 / np.pi}
 
 
 class Arrangement(NamedTuple):
-    """ω = matrix · (angular_rate of the log), and the share of the field's variation it leaves unexplained."""
+    """An arrangement of the gyroscope's axes: ω = matrix · (angular_rate of the log).
+
+    Attributes:
+        matrix: (3, 3) G, including the factor of the unit.
+        unit: assumed unit of the log's angular rate; "" if rad/s as given.
+        unexplained: share of the field's variation that it leaves unexplained.
+    """
 
     matrix: Array
     unit: str
@@ -42,7 +48,7 @@ class Arrangement(NamedTuple):
 
     @property
     def axes(self) -> str:
-        """How to read the gyroscope in the magnetometer's axes, e.g. "x ← −y, y ← x, z ← z"."""
+        """The gyroscope's axes in those of the magnetometer, e.g. "x ← −y, y ← x, z ← z"."""
         parts = []
         for name, row in zip("xyz", np.sign(self.matrix), strict=True):
             column = int(np.argmax(np.abs(row)))
@@ -51,12 +57,12 @@ class Arrangement(NamedTuple):
 
     @property
     def option(self) -> str:
-        """The same as `--gyroscope-axes` takes it, e.g. "-y,x,z"."""
+        """The axes in the form of `--gyroscope-axes`, e.g. "-y,x,z"."""
         return ",".join(part.partition(" ← ")[2] for part in self.axes.split(", ")).replace("−", "-")
 
 
 def arrangements(recording: Recording) -> list[Arrangement]:
-    """All signed permutations and units of the gyroscope, the best first.
+    """Return all signed permutations and units of the gyroscope, the best first.
 
     Δm = m × Gθ − h × Gθ − m × b' Δt + c Δt is linear in h, b' = G b and c; all arrangements share one
     normal matrix of the products that occur in it.
@@ -72,7 +78,7 @@ def arrangements(recording: Recording) -> list[Arrangement]:
 
 
 def _normal_matrix(change: Array, mid: Array, turn: Array, step: Array) -> Array:
-    """(25, 25) of the products in the model: G_ij, eᵢ θⱼ, m × Δt, Δt, and Δm itself."""
+    """Return the normal matrix (25, 25) of the products in the model: G_ij, eᵢ θⱼ, m × Δt, Δt, and Δm itself."""
     scale = float(np.linalg.norm(mid, axis=1).mean())
     change, mid, step = change / scale, mid / scale, step[:, None, None]
     columns = np.concatenate(
@@ -89,7 +95,7 @@ def _normal_matrix(change: Array, mid: Array, turn: Array, step: Array) -> Array
 
 
 def _unexplained(normal: Array, matrix: Array) -> float:
-    """Share of Σ‖Δm‖² that the arrangement G leaves, with the best h, b' and c."""
+    """Return the share of Σ‖Δm‖² that the arrangement G leaves unexplained, with the best h, b' and c."""
     chosen = np.zeros((25, 10))
     chosen[:9, 9] = matrix.ravel()  # Δm − m × Gθ …
     chosen[24, 9] = 1.0
@@ -104,17 +110,17 @@ def _unexplained(normal: Array, matrix: Array) -> float:
 
 
 def check(recording: Recording) -> None:
-    """Compare the arrangements; too few samples to choose between so many of them say nothing, nor do two as good.
+    """Compare the arrangements; with too few samples, or two almost equally good arrangements, nothing is decided.
 
     Raises:
-        MagycError: another arrangement than the given one explains the field's variation clearly better.
+        MagycError: an arrangement other than the given one explains the field's variation clearly better.
     """
     if len(recording.magnetometer.time) < _LEAST_SAMPLES:
         return
     ranked = arrangements(recording)
     best = ranked[0]
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
-    # Without any gyroscope a constant bias alone explains a turn at constant rate.
+    # Even without a gyroscope, a constant bias explains a turn at constant rate.
     still = _unexplained(_normal_matrix(*_pairs(recording, _SCALES[best.unit])), np.zeros((3, 3)))
     limit = min(_EXPLAINS, _CLEARLY * given.unexplained, _CLEARLY * still, _ALONE * ranked[1].unexplained)
     if given.unexplained < _POOR or best.unexplained > limit:
@@ -132,15 +138,17 @@ def check(recording: Recording) -> None:
 
 
 def _pairs(recording: Recording, factor: float) -> tuple[Array, Array, Array, Array]:
-    """Of pairs of means over half the time between them, the rate being `factor` times what the log says:
+    """Return n pairs of means, each over half the time between the two, with the log's rate multiplied by `factor`.
 
-    change and middle of the field (n, 3), rotation vector in between (n, 3), and the time step (n,). Of single samples
-    the noise of a cheap sensor, 2 µT, is half of what they change by.
+    Means are used because the noise of a low-cost sensor, 2 µT per sample, is half of the change between samples.
+
+    Returns:
+        Change and midpoint of the field (n, 3), rotation vector in between (n, 3), and time step (n,).
     """
     time, field = recording.magnetometer
     gyro_time, rate = recording.gyroscope
     rate = rate * factor
-    speed = float(np.sqrt(np.mean(rate**2) * 3))  # not the median: a log may rest most of the time
+    speed = float(np.sqrt(np.mean(rate**2) * 3))  # not the median: the sensor may rest most of the time
     seconds = np.clip(_TURN / max(speed, 1e-6), *_LAGS)
     lag = int(np.clip(round(float(seconds / np.median(np.diff(time)))), 1, (len(time) - 1) // 2))
     first = np.arange(0, len(time) - lag, max((len(time) - lag) // _PAIRS, 1))

@@ -1,10 +1,10 @@
-"""Clocks of the two sensors that drift apart: found by a score test, measured by stamping the magnetometer anew.
+"""Drift between the clocks of the two sensors: a score test, and estimation by restamping the magnetometer.
 
-A magnetometer whose clock gains ρ on the gyroscope's has a delay that grows, τ(t) = τ₀ + ρ (t − t₀). At the minimum
-without it the derivative of the cost by ρ is known from one more column, the delay's times t − t̄, and with what
-directions and parameters absorb of that column, its variance: z = gradient / √information, 1 in standard deviation
-where the clocks agree. That costs one solve. Only where it speaks are the magnetometer's stamps t replaced by
-t₀ + (t − t₀)(1 − ρ) and everything fitted again, until z is small; what then has moved is what the drift did.
+If the magnetometer's clock gains ρ on the gyroscope's, its delay grows as τ(t) = τ₀ + ρ (t − t₀). At the minimum
+without drift the score and information of ρ follow from one additional column, that of the delay times t − t̄, after
+directions and parameters are projected out: z = score / √information has unit standard deviation if the clocks agree.
+This costs one solve. Only if z is significant are the magnetometer's stamps t replaced by t₀ + (t − t₀)(1 − ρ) and
+everything fitted again, until z is small; the change of the parameters is the error that the drift caused.
 """
 
 from __future__ import annotations
@@ -24,22 +24,26 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
-_SPEAKS = 6.0  # sigmas; clean logs reach 3.3 in 280, the recordings of real instruments 4.8
+_SPEAKS = 6.0  # sigmas of a significant drift; 280 clean logs reach 3.3, the recordings of real instruments 4.8
 _HARMS = 0.5  # sigmas by which a drift may move a parameter
 _ROUNDS = 6
-_NOISY = 1.5  # short-term noises of the magnetometer from which a fit leaves more than the sensor's own
-_PART = (0.4, 0.6)  # of a recording that fits nowhere as a whole, where the drift is looked for first
+_NOISY = (
+    1.5  # ratio of the fitted noise to the magnetometer's short-term noise above which the fit is not explained
+)
+_PART = (0.4, 0.6)  # shares of the duration between which a drift is estimated if the whole recording has no fit
 
 Judge = Callable[[], bool]
 Refit = Callable[[Recording, Array | None], tuple[Fit, Judge]]
 
 
 class Drift(NamedTuple):
-    """What a clock did.
+    """The drift of the magnetometer's clock.
 
-    rate: s/s that the magnetometer's clock gains on the gyroscope's, and its sigma; moved: largest change of soft
-    iron, hard iron or gyroscope bias that taking it out makes, in their sigmas; delay: s, at the first row and the
-    last; known: s/s, what was taken out of the stamps before.
+    Attributes:
+        rate, sigma: s/s that the magnetometer's clock gains on the gyroscope's, and its standard deviation.
+        moved: largest change of soft iron, hard iron or gyroscope bias by correcting the drift, in sigmas.
+        delay: s, at the first row and at the last.
+        known: s/s, drift that was corrected in the stamps before.
     """
 
     rate: float
@@ -50,12 +54,12 @@ class Drift(NamedTuple):
 
     @property
     def harms(self) -> bool:
-        """Whether the calibration that ignores it must not be trusted."""
+        """Whether the calibration without the drift must not be trusted."""
         return self.moved > _HARMS
 
     @property
     def sentence(self) -> str:
-        """What it is, and the remedy."""
+        """The drift in words, with the remedy."""
         first, last = (f"{1e3 * d:.0f}" for d in self.delay)
         digits = int(np.clip(-np.floor(np.log10(100 * self.sigma)), 2, 6))
         what = f"clock {'gains' if self.rate > 0 else 'loses'} {100 * abs(self.rate):.{digits}f} %"
@@ -69,7 +73,7 @@ class Drift(NamedTuple):
 
 
 def with_drift(calibration: Calibration, drift: Drift | None) -> Calibration:
-    """A calibration that says what the clocks did while it was recorded, and is not trusted where that harms it."""
+    """Return the calibration with the drift in its message; it is not trusted if the drift harms it."""
     if drift is None:
         return calibration
     trusted = calibration.converged and not drift.harms
@@ -85,7 +89,7 @@ def with_drift(calibration: Calibration, drift: Drift | None) -> Calibration:
 
 
 def restamped(recording: Recording, drift: float) -> Recording:
-    """The same with the magnetometer's clock slowed down by `drift` s/s from the first row on."""
+    """Return the recording with the magnetometer's clock slowed down by `drift` s/s from the first row on."""
     if not drift:
         return recording
     time, field = recording.magnetometer
@@ -93,22 +97,22 @@ def restamped(recording: Recording, drift: float) -> Recording:
 
 
 def slowed(time: Array, start: float, drift: float) -> Array:
-    """s, the stamps of a clock slowed down by `drift` s/s from `start` on."""
+    """Return the stamps, in s, of a clock slowed down by `drift` s/s from `start` on."""
     return start + (time - start) * (1 - drift)
 
 
 def speaks(fit: Fit) -> bool:
-    """Whether a minimum without a drift says that there is one."""
+    """Return whether the score test at a minimum without drift is significant."""
     return abs(_score(fit).ratio) > _SPEAKS
 
 
 def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near: float = 0.0) -> Drift | None:
-    """The drift of a recording whose minimum without one is `fit`; None where the clocks keep step.
+    """Return the drift of a recording whose minimum without drift is `fit`; None if there is no significant drift.
 
     Args:
-        recording, fit, trusted: what was fitted, and whether the fit may be used but for a drift.
-        refit: the fit of a recording, from θ (13,) or from nothing, and what tells whether it may be used.
-        near: s/s, what an earlier part of the recording showed, tried where the whole has no minimum near.
+        recording, fit, trusted: the data, their fit, and whether the fit is trusted apart from a drift.
+        refit: fits a recording, from θ (13,) or from no start, and returns the fit and a test whether it is trusted.
+        near: s/s, drift of an earlier part of the recording, as a start if the whole has no minimum nearby.
     """
     found = speaks(fit)
     if not found and (trusted or _explained(recording, fit)):
@@ -123,7 +127,7 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
             rate, corrected, good = way()
         except MagycError:
             continue
-        # What does not fit with the drift taken out has, or has as well, another cause.
+        # If the fit is still not trusted with the drift corrected, there is another cause.
         if good():
             break
     else:
@@ -138,14 +142,14 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
 
 
 def _explained(recording: Recording, fit: Fit) -> bool:
-    """Whether a fit leaves no more than the magnetometer's own noise."""
+    """Return whether the residual of a fit is no larger than the magnetometer's own noise."""
     return fit.chain.noise.magnetometer < _NOISY * short_term_noise(recording).magnetometer
 
 
 def _measure(
     recording: Recording, fit: Fit, good: Judge, refit: Refit, rate: float = 0.0
 ) -> tuple[float, Fit, Judge]:
-    """The rate at which no drift is left, the fit there and what tells whether it may be used, from those at `rate`."""
+    """Iterate from the fit at `rate` to the drift rate of zero score; return rate, fit and the test of its trust."""
     for _ in range(_ROUNDS):
         step, _, ratio = _score(fit)
         if abs(ratio) < 1 or abs(rate + step) > MOST_DRIFT:
@@ -156,7 +160,10 @@ def _measure(
 
 
 def _measure_from_part(recording: Recording, refit: Refit) -> tuple[float, Fit, Judge]:
-    """The same, from the rate of a part, in which a drift too large for the whole to have a minimum near is smaller."""
+    """Estimate the rate on a part of the recording first, and start the whole from it.
+
+    Within a part the delay changes less, so that a minimum is found at drifts that are too large for the whole.
+    """
     part = recording.between(*(share * recording.duration for share in _PART))
     rate, fit, _ = _measure(part, *refit(part, None), refit)
     if abs(rate) < _SPEAKS * _score(fit).sigma:
@@ -167,7 +174,7 @@ def _measure_from_part(recording: Recording, refit: Refit) -> tuple[float, Fit, 
 
 
 class _Score(NamedTuple):
-    """The Gauss–Newton step of ρ and its sigma, s/s, and their ratio."""
+    """The score test of ρ: the Gauss–Newton step and its standard deviation, s/s, and their ratio."""
 
     step: float
     sigma: float
@@ -175,7 +182,7 @@ class _Score(NamedTuple):
 
 
 def _score(fit: Fit) -> _Score:
-    """Of one more column, the delay's times t − t̄."""
+    """Return the score test of one additional column, that of the delay times t − t̄."""
     time = fit.chain.windows.time
     column = fit.reduced.on_parameters[DELAY] * (time - np.average(time, weights=fit.weights.window))
     information = max(float(np.vdot(column, column)) - explained(fit, column, fit.covariance), 1e-300)

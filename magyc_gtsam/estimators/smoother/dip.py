@@ -1,4 +1,4 @@
-"""The dip of the field at the place, as a fact: the angle of the chain's directions below the horizontal.
+"""The known dip of the ambient field as a fact on the angle of the chain's directions below the horizontal.
 
 Over the windows n, with g_n the field's direction and p_n the vertical in the integrated world,
 
@@ -27,7 +27,7 @@ from magyc_gtsam.recording import Recording
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DipFact(UprightFact):
-    """y(θ) ~ N(dip, σ²) at a `place` with a dip."""
+    """The fact y(θ) ~ N(dip, σ²) at a `place` with a known dip."""
 
     place: PlaceField
     name = "dip"
@@ -68,7 +68,7 @@ class DipFact(UprightFact):
 
 
 def dip_fact(recording: Recording, place: PlaceField | None) -> tuple[DipFact, ...]:
-    """The fact, not linearised yet; none where no dip is known, or nothing says which way is up."""
+    """Return the fact, not yet linearised; empty if the dip is unknown or the recording has no vertical."""
     if place is None or place.dip is None:
         return ()
     found = vertical_of(recording)
@@ -76,12 +76,15 @@ def dip_fact(recording: Recording, place: PlaceField | None) -> tuple[DipFact, .
 
 
 def dip_of(fit: Fit) -> DipFact | None:
-    """The dip among a fit's facts."""
+    """Return the dip fact of a fit, or None."""
     return next((fact for fact in fit.chain.facts if isinstance(fact, DipFact)), None)
 
 
 def known_dip(recording: Recording, fit: Fit) -> tuple[DipFact, ...]:
-    """As if the dip that a fit has were known, with the sigma of a place; none where nothing says which way is up."""
+    """Return a hypothetical fact that the fit's own dip is known with the sigma of a place.
+
+    The result is empty if the recording has no vertical.
+    """
     place = PlaceField(1.0, FIELD_SIGMA, 0.0, DIP_SIGMA)
     linear = (fact.linearised(fit) for fact in dip_fact(recording, place))
     parameters = with_angles(fit.state.parameters)

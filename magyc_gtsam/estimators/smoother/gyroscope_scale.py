@@ -1,13 +1,13 @@
-"""Estimate the scales of the gyroscope's axes together with the calibration, where this is asked for.
+"""Joint estimation of the gyroscope's scale errors and the calibration, as an option.
 
 The gyroscope is modelled as reading = ω ∘ (1 + g) + bias with g ~ N(0, s²) on each axis. The rates are divided by 1 + g
-and fitted again until g stays (Gauss–Newton on g, each step at the minimum of all other parameters). Dividing the rates
-divides their noise too, which the cost of the links would reward; by the likelihood of the readings, to which the noise
-is added after the scale, the gradient holds Σ n²/σ² on top (`_noise_shrunk`; without it a motion of small turns has g
-too large by up to 2 %). At the end g is a term beside θ (`EstimatedTerms`), beside which the model error is judged.
+and fitted again until g converges (Gauss–Newton on g, each step at the minimum over all other parameters). Dividing the
+rates also divides their noise, which would lower the cost of the links. In the likelihood of the readings, where the
+noise is added after the scale, the gradient has the additional term Σ n²/σ² (`_noise_shrunk`; without it g is too large
+by up to 2 % on a motion of small turns). Finally g is a term beside θ (`EstimatedTerms`) in the model error.
 
-One log determines g to some tenths of a percent about the axes that it turns about, and to nothing beyond the prior
-about others. Many logs of one instrument share it (`magyc_gtsam.history`).
+One log determines g to some tenths of a percent about the axes that it turns about, and no better than the prior about
+others. Many logs of one instrument can share it (`magyc_gtsam.history`).
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # the elements of the term `gyro-s
 _FAMILIES = ("gyroscope:scale", "gyroscope:scales")
 _ROUNDS = 6
 _SETTLED = 0.01  # squared length of a step in sigmas
-_MOST = 4.0  # of the prior's deviations, beyond which g is no scale error of the sensor that the prior describes
+_MOST = 4.0  # prior standard deviations beyond which g is not plausible as a scale error
 
 
 class ScaleError(NamedTuple):
-    """What `with_scale` found.
+    """The result of `with_scale`.
 
     Attributes:
         recording: with its rates corrected.
-        fit: of it, with the scales as terms.
-        doubt: why the scales are not believed, with the recording and the fit as they were given; "" where they are.
+        fit: of the corrected recording, with the scales as terms.
+        doubt: why the scales are implausible, in which case recording and fit are those given; "" if plausible.
     """
 
     recording: Recording
@@ -54,7 +54,7 @@ class GyroscopeScale(NamedTuple):
         value: (3,) g, relative.
         covariance: (3, 3) of g.
         gain: (13, 3) dθ/dg of the other parameters.
-        shift: (13,) by which the other parameters are to be moved from the fit's, for `value`.
+        shift: (13,) change of the other parameters from the fit's values to those that hold at `value`.
     """
 
     value: Array
@@ -64,17 +64,17 @@ class GyroscopeScale(NamedTuple):
 
     @property
     def term(self) -> Term:
-        """Return the scales as a term of a calibration."""
+        """The scales as a term of a calibration."""
         return Term("gyro-scale", self.value, self.covariance, SCALED_AXES)
 
     @property
     def cross(self) -> Array:
-        """Return the covariance (13, 3) of θ with g."""
+        """(13, 3) cross-covariance of θ with g."""
         return self.gain @ self.covariance
 
 
 def scale_of(fit: Fit, factor: float) -> GyroscopeScale | None:
-    """Return the scales of a fit that has them as terms; None for one that has not.
+    """Return the scales of a fit that has them as terms; None if it has not.
 
     Args:
         fit: at its minimum.
@@ -98,9 +98,9 @@ def with_scale(
 
     Args:
         recording: as read.
-        fit: of it, at its minimum.
-        deviation: of the prior of each axis' scale, relative.
-        refit: the minimum of a corrected recording next to an earlier fit.
+        fit: of that recording, at its minimum.
+        deviation: prior standard deviation of each axis' scale, relative.
+        refit: fits a corrected recording, started from an earlier fit.
     """
     value, corrected, given = np.zeros(3), recording, fit
     fit = _beside_scale(fit, value, deviation)
@@ -133,7 +133,7 @@ def _beside_scale(fit: Fit, value: Array, deviation: float) -> Fit:
 
 
 def _noise_shrunk(fit: Fit) -> Array:
-    """Return (3,) Σ n²/σ² about each of the sensor's axes, of the noise n that the links leave."""
+    """Return (3,) Σ n²/σ² about each of the sensor's axes, with n the residuals of the links."""
     rotation, direction = fit.chain.windows.rotation[..., :-1], fit.state.direction[:, :-1]
     turned = np.einsum("ijn,jn->in", rotation, cross(direction, fit.residuals.link))
     result: Array = turned**2 @ (fit.weights.link * fit.chain.link_scale**2)
@@ -141,6 +141,6 @@ def _noise_shrunk(fit: Fit) -> Array:
 
 
 def _corrected(recording: Recording, value: Array, bias: Array) -> Recording:
-    """Return the recording with the scales (3,) taken out of its rates about the bias (3,) rad/s."""
+    """Return the recording with its rates corrected for the scales (3,) about the bias (3,) rad/s."""
     time, rate = recording.gyroscope
     return recording.with_samples(recording.magnetometer, (time, bias + (rate - bias) / (1 + value)))

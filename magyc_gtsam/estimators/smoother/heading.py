@@ -1,14 +1,14 @@
-"""A known heading as a fact: it tells the yaw part of a skew between the chips, which a level motion does not show.
+"""A known heading as a fact, which informs the yaw component of the misalignment between the chips.
 
-The heading of the sensor's x axis is known at some stamps k, from two GNSS antennas, a gyrocompass, or the course of a
-vehicle that does not drift. With the vertical p and the field's direction g in the integrated world, in which the x
-axis is a,
+A level motion does not observe that component. The heading of the sensor's x axis is known at some stamps k, from two
+GNSS antennas, a gyrocompass, or the course of a vehicle without leeway. With the vertical p, the field's direction g
+and the x axis a in the integrated world,
 
     φ = atan2(−p · (g × a), g · a − (g · p)(a · p)),   y(θ) = mean_k (φ(t_k) + declination − heading_k) ~ N(0, σ²),
     σ² = σ_heading² + σ_scatter² + σ_vertical²,
 
-where φ is interpolated between windows, and σ_heading is what the heading is off by all the time: the angle between the
-sensor's x axis and the axis of which the heading is known.
+where φ is interpolated between windows, and σ_heading is the standard deviation of the constant heading error, such as
+the angle between the sensor's x axis and the axis whose heading is known.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
-_APART = 5.0  # s between two windows, up to which the heading is interpolated between them
+_APART = 5.0  # s, longest distance of two windows between which the heading is interpolated
 _LEAST = 8  # stamps
 _TILT = 1e-5  # rad, step of a derivative
 
 
 class _Between(NamedTuple):
-    """Stamps between windows `before` and `before` + 1 (k,), how far (k,), and their heading (k,)."""
+    """Stamps between windows `before` and `before` + 1 (k,), their relative position (k,), and their heading (k,)."""
 
     before: np.ndarray
     share: Array
@@ -46,9 +46,9 @@ class _Between(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HeadingFact(UprightFact):
-    """y(θ) ~ N(0, σ²).
+    """The fact y(θ) ~ N(0, σ²).
 
-    Args:
+    Attributes:
         known: sigma and declination.
         time: (k,) s, ascending.
         heading: (k,) rad, of the sensor's x axis, clockwise from true north.
@@ -76,7 +76,7 @@ class HeadingFact(UprightFact):
             return self
         up, counts, turn = found
         g, ahead = fit.state.direction, fit.chain.windows.rotation[0]
-        level = np.linalg.norm(cross(ahead, up), axis=0) > 0.5  # else the axis points up or down
+        level = np.linalg.norm(cross(ahead, up), axis=0) > 0.5  # otherwise the axis is nearly vertical
         stamps = self._between(fit.chain.windows.time, counts & level)
         if len(stamps.before) < _LEAST:
             return self
@@ -111,7 +111,7 @@ class HeadingFact(UprightFact):
 
 
 def _azimuth(field: Array, ahead: Array, up: Array) -> Array:
-    """(n,) rad, clockwise from the horizontal field to `ahead`, both (3, n), about `up` (3, n)."""
+    """Return (n,) rad, the angle clockwise from the horizontal field to `ahead`, both (3, n), about `up` (3, n)."""
     turned = np.einsum("in,in->n", up, cross(field, ahead))
     along = np.einsum("in,in->n", field, ahead) - np.einsum("in,in->n", field, up) * np.einsum(
         "in,in->n", ahead, up
@@ -120,10 +120,10 @@ def _azimuth(field: Array, ahead: Array, up: Array) -> Array:
 
 
 def heading_fact(recording: Recording, known: KnownHeading | None) -> tuple[HeadingFact, ...]:
-    """The fact, not linearised yet; none where no heading is known.
+    """Return the fact, not yet linearised; empty if no heading is known.
 
     Raises:
-        MagycError: the recording does not have the channel, or nothing says which way is up.
+        MagycError: the recording does not have the channel, or has no signed vertical.
     """
     if known is None:
         return ()

@@ -1,8 +1,8 @@
-"""Find stretches of a recording in which the hard iron was another one.
+"""Detection of stretches of a recording with a different hard iron.
 
-The robust fit leaves them out as disturbed, and says nothing of them where they are the smaller part. It does the same
-with disturbances by the place. The two differ in what explains the stretches: after a change of the instrument the same
-soft iron and strength of the field with another hard iron, which the turns within the stretches determine.
+The robust fit rejects such stretches as disturbed, without a message if they are the smaller part. It does the same
+with disturbances by the surroundings. The two can be told apart: after a change of the instrument, the stretches fit
+with the same soft iron and field strength and another hard iron, which the rotation within them determines.
 """
 
 from __future__ import annotations
@@ -26,30 +26,30 @@ from magyc_gtsam.sensor_faults.cut_off import inside
 
 @dataclass(frozen=True)
 class _Limits:
-    """Measured on vehicles of five kinds with a jump of 3 µT an axis, and on real logs without one."""
+    """Thresholds, set on vehicles of five kinds with a jump of 3 µT per axis, and on real logs without a jump."""
 
     shortest: float = 15.0  # s of a stretch, and of a break between two; shorter ones seldom turn enough
     disturbed: float = 0.5  # weight of a window below which it counts as disturbed
-    smoothed: float = 5.0  # s, in which the most of the windows decide
-    explained: float = 0.8  # mean weight of the windows of a stretch that another hard iron explains
-    noise: float = 1.5  # times the noise of the rest, at most, that remains in the stretch
-    strength: float = 0.02  # relative difference of the field's strength that is none
-    walk: float = 1e-3  # T, by which the hard iron may have changed
-    sigmas: float = 6.0  # of the change
-    smallest: float = 0.02  # of the field's strength: one degree of heading
+    smoothed: float = 5.0  # s, length of the median filter of the weights
+    explained: float = 0.8  # least mean weight of the windows of a stretch that another hard iron explains
+    noise: float = 1.5  # largest noise in the stretch, as a multiple of that in the rest
+    strength: float = 0.02  # largest relative difference of the field strength
+    walk: float = 1e-3  # T, prior standard deviation of the change of the hard iron
+    sigmas: float = 6.0  # least Mahalanobis distance of the change
+    smallest: float = 0.02  # least change, as a share of the field strength; one degree of heading
 
 
 _LIMITS = _Limits()
 
 
 class IronChange(NamedTuple):
-    """The hard iron of `stretches` (k, 2), from and to in s since the first row, less that of the rest, T (3,)."""
+    """The change (3,) T of the hard iron in `stretches` (k, 2), from and to in s since the first row."""
 
     stretches: Array
     change: Array
 
     def sentence(self, recording: Recording) -> str:
-        """Return when and by how much, and what to do."""
+        """Return the times and the size of the change in words, with the remedy."""
         duration = recording.time[-1] - recording.time[0]
         times = [t for t in self.stretches.ravel() if _LIMITS.shortest < t < duration - _LIMITS.shortest]
         listed = " and ".join(f"{t:.0f} s" for t in times[:2]) or f"{self.stretches[0, 0]:.0f} s"
@@ -65,11 +65,11 @@ class IronChange(NamedTuple):
 def hard_iron_change(
     recording: Recording, fit: Fit, calibration: Calibration, options: SmootherOptions
 ) -> IronChange | None:
-    """Return the stretches that another hard iron explains, None if there are none.
+    """Return the stretches that another hard iron explains; None if there are none.
 
     Args:
         recording: the data.
-        fit, calibration: of the whole recording, the calibration with covariance.
+        fit, calibration: of the whole recording.
         options: of that fit.
     """
     stretches = _disturbed(fit.chain.windows.time - recording.time[0], fit.weights.window)
@@ -90,7 +90,7 @@ def hard_iron_change(
             start=fit.state.parameters,
             brief=True,
         )
-    except MagycError:  # too short, or without motion: it determines no hard iron; or the fit is none
+    except MagycError:  # too short or too little motion to determine a hard iron, or no convergence
         return None
     strength, size = (field_strength(each.state.parameters[:6])[0] for each in (fit, other))
     change = other.state.parameters[6:9] - fit.state.parameters[6:9]
@@ -107,7 +107,7 @@ def hard_iron_change(
 
 
 def _disturbed(time: Array, weight: Array) -> Array:
-    """The stretches (k, 2) s in which most of what a few seconds hold is disturbed, joined over short breaks."""
+    """Return the stretches (k, 2) s with a low running median of the weights, merged across short breaks."""
     size = round(_LIMITS.smoothed / max(median(np.diff(time)), 1e-9)) | 1
     low = np.flatnonzero(median_filter(weight, size, mode="nearest") < _LIMITS.disturbed)
     if not len(low):

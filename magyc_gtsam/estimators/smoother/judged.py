@@ -1,4 +1,4 @@
-"""What a calibration is worth: its covariance with what the model does not explain, and why it must not be trusted."""
+"""The assessment of a calibration: its covariance with the model error, and reasons not to trust it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,13 @@ from magyc_gtsam.recording import Array, Recording
 
 
 class Posterior(NamedTuple):
-    """θ (13,) and its covariance (13, 13) with the shares of skew and gyroscope's scale, and these themselves."""
+    """The posterior of θ by the sensors.
+
+    Attributes:
+        parameters: (13,) θ.
+        covariance: (13, 13), including the contributions of misalignment and gyroscope scale.
+        skew, scale: the estimates of these; None if not estimated.
+    """
 
     parameters: Array
     covariance: Array
@@ -29,15 +35,15 @@ class Posterior(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """A calibration and what it is worth.
+    """A calibration and its assessment.
 
     Attributes:
         soft_iron: (3, 3); strength: T.
-        reported: (12, 12) covariance of soft iron, hard iron and bias; of_sensors: the sensors' part of it.
+        reported: (12, 12) covariance of soft iron, hard iron and bias; of_sensors: its part by the sensors' noise.
         delay_variance: s².
-        observability: by the sensors' part; its heading_sigma by the whole.
-        reasons: why it must not be trusted, beside what observability says.
-        remark: on its sigmas.
+        observability: computed from `of_sensors`, except its heading_sigma, which is from `reported`.
+        reasons: reasons not to trust it, beyond observability.
+        remark: on the composition of its sigmas.
         diagnostics: JSON types.
     """
 
@@ -60,13 +66,13 @@ def judge(
     strength: float | None = None,
     strength_sigma: float = 0.0,
 ) -> Judgement:
-    """Judge what is known of θ.
+    """Assess the posterior of θ.
 
     Args:
-        known: by the sensors alone.
+        known: the posterior by the sensors alone.
         unexplained: the model error of the same fit.
-        recording: says how it moved; samples: of both sensors, which may be fewer.
-        strength: T, of the field, where it is known; strength_sigma: its standard deviation.
+        recording: the motion; samples: those of both sensors, which may be fewer.
+        strength: T, known field strength, or None; strength_sigma: its standard deviation.
     """
     parameters, sensors, skew, _ = known
     scale = IronScale.of(unvech(parameters[:6]), strength, strength_sigma)
@@ -80,7 +86,9 @@ def judge(
     if unexplained.covariance.any():
         whole = assessor.of(reported)
     probable = whole
-    if whole.weak and unexplained.possible:  # what is merely possible widens the sigmas and leaves the verdict
+    if (
+        whole.weak and unexplained.possible
+    ):  # merely possible effects widen the sigmas without changing the verdict
         of_probable = sensors + unexplained.probable[:PARAMETERS, :PARAMETERS]
         probable = assessor.of(scale.covariance(of_probable[:12, :12]))
     reasons = (flickers(samples), too_slow(samples), reason(unexplained, probable, observability))
@@ -98,7 +106,10 @@ def judge(
 
 
 def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | None:
-    """What a skew leaves open of the heading; `unexplained` (P, P) is what model error adds, to ε where it is in θ."""
+    """Return the misalignment's contribution to the heading error.
+
+    `unexplained` (P, P) is the covariance of the model error, which adds to that of ε if ε is part of θ.
+    """
     if skew is None:
         return None
     covariance, cross = skew.covariance, skew.gain[:9] @ skew.covariance
@@ -109,7 +120,7 @@ def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | No
 
 
 def _said_of(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
-    """For the diagnostics, JSON types."""
+    """Return the misalignment's entry in the diagnostics, as JSON types."""
     if skew is None or askew is None:
         return {}
     return {

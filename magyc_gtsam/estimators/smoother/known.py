@@ -1,4 +1,4 @@
-"""From an earlier calibration and the field at the place to facts about θ, and whether the data agree with them."""
+"""Facts about θ from an earlier calibration and the field at the place, and the test of the data against them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,21 @@ from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Recording
 
-_FLOOR = np.r_[np.full(6, 1e-5), np.full(3, 1e-9)]  # sigmas, 1 and T, below which no calibration is known
-_CONTRADICTS = 31.8  # squared difference in its covariance: the 99.99 % point of χ² of eight degrees of freedom
-ENOUGH = "this motion is enough with"  # begins the sentence on facts that make up for too little motion
+_FLOOR = np.r_[np.full(6, 1e-5), np.full(3, 1e-9)]  # least sigmas of a prior, 1 and T
+_CONTRADICTS = 31.8  # squared Mahalanobis distance: the 99.99 % point of χ² of eight degrees of freedom
+ENOUGH = "this motion is enough with"  # start of the sentence on facts that compensate for too little motion
 _NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 
 
 class Known(NamedTuple):
-    """Facts on the first thirteen parameters; on the skew, where the earlier calibration has one; a start."""
+    """Prior knowledge from the options.
+
+    Attributes:
+        facts: on the first thirteen parameters.
+        skew: fact on the misalignment, if the earlier calibration has one.
+        soft_iron, hard_iron: a start, vech (6,) of determinant 1 and (3,) T.
+        note: remark for the message; "" if there is none.
+    """
 
     facts: tuple[Fact, ...] = ()
     skew: LinearFact | None = None
@@ -37,15 +44,15 @@ class Known(NamedTuple):
 
 
 def known_of(options: SmootherOptions) -> Known:
-    """What the options say of θ beforehand.
+    """Return the prior knowledge of θ in the options.
 
     Raises:
-        MagycError: a prior without covariance, or of another kind of instrument.
+        MagycError: a prior without covariance, or in raw counts.
     """
     prior = options.prior
     if prior is None:
         return Known()
-    scale, slope = field_strength(vech(prior.soft_iron))  # ∛det, 1 where no strength of the field was given
+    scale, slope = field_strength(vech(prior.soft_iron))  # ∛det, 1 if no field strength was given
     covariance = _covariance(prior, options)
     shape = vech(prior.soft_iron) / scale
     onto = np.eye(9)
@@ -57,7 +64,7 @@ def known_of(options: SmootherOptions) -> Known:
     if place is not None:
         relative = math.sqrt(max(float(slope @ covariance[:6, :6] @ slope), 0.0)) / scale
         if not _scaled(prior):
-            # Its scale is that of the instrument itself, unknown but for how well it measured the field then.
+            # Its scale is the instrument's own; it is known as well as its field strength agrees with the place's.
             measured = prior.field_strength
             relative = np.inf if measured is None else abs(math.log(measured / place.strength))
         if relative < 0.1:
@@ -72,13 +79,13 @@ def known_of(options: SmootherOptions) -> Known:
 
 
 def _scaled(prior: Calibration) -> bool:
-    """Whether a calibration's soft iron has the scale of a known field."""
+    """Return whether a calibration's soft iron has the scale of a known field."""
     configured = prior.configuration.get("field_strength", prior.configuration.get("field"))
     return configured is not None or abs(float(np.linalg.det(prior.soft_iron)) - 1) > 1e-6
 
 
 def _covariance(prior: Calibration, options: SmootherOptions) -> Array:
-    """(9, 9) of soft and hard iron."""
+    """Return the covariance (9, 9) of soft and hard iron."""
     if prior.configuration.get("magnetic_field_unit") == "counts":
         raise MagycError("prior: it is of raw counts, and the recording is in tesla; calibrate both in one unit")
     if prior.covariance is not None:
@@ -92,7 +99,7 @@ def _covariance(prior: Calibration, options: SmootherOptions) -> Array:
 
 
 def _walked(shape: Array, options: SmootherOptions) -> Array:
-    """(9, 9) what may have changed since, on the soft iron of determinant 1 and the hard iron."""
+    """Return the covariance (9, 9) of changes since, of the soft iron of determinant 1 and the hard iron."""
     sigma = np.hypot(_FLOOR, np.r_[np.full(6, options.soft_iron_walk), np.full(3, options.hard_iron_walk)])
     _, slope = field_strength(shape)
     kept = np.eye(9)
@@ -101,7 +108,7 @@ def _walked(shape: Array, options: SmootherOptions) -> Array:
 
 
 def _root(covariance: Array) -> Array:
-    """(k, 9) of the pseudo-inverse: rootᵀ root = covariance⁺, one row less for the scale, which is not in it."""
+    """Return a root (k, 9) of the pseudo-inverse, rootᵀ root = covariance⁺; the unknown scale reduces k by one."""
     scale = np.sqrt(np.diag(covariance))
     value, vector = np.linalg.eigh(covariance / np.outer(scale, scale))
     kept = value > 1e-9 * value[-1]
@@ -110,7 +117,7 @@ def _root(covariance: Array) -> Array:
 
 
 def _skew(prior: Calibration, options: SmootherOptions) -> LinearFact | None:
-    """What the earlier calibration says of the skew; ε is the negative of the term's rotation of the rate."""
+    """Return the earlier calibration's fact on the misalignment; ε is minus the term's rotation of the rate."""
     terms = [term for term in prior.terms if term.name == "misalignment"]
     if not terms or options.misalignment == 0:
         return None
@@ -121,12 +128,12 @@ def _skew(prior: Calibration, options: SmootherOptions) -> LinearFact | None:
 
 
 def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
-    """In which parameters the data alone and the prior contradict each other, by how much, and what to believe.
+    """Return a sentence on the parameters in which the data alone and the prior contradict each other, or nothing.
 
     Args:
-        alone: the calibration of the same recording without the prior; where it is not determined nothing is
-            contradicted.
-        options: with the prior, widened by what may have changed since.
+        alone: the calibration of the same recording without the prior; directions that it does not determine cannot
+            contradict.
+        options: with the prior, widened by the changes allowed since.
     """
     fact = known_of(options).facts[0]
     assert isinstance(fact, IronFact)
@@ -138,7 +145,7 @@ def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
     before = before @ before.T
     total = before + slope @ alone.covariance[:9, :9] @ slope.T
     counted = total.copy()
-    counted[:6, :6] += np.outer(fact.shape, fact.shape)  # the scale, which neither knows, is not compared
+    counted[:6, :6] += np.outer(fact.shape, fact.shape)  # excludes the scale, which neither determines
     root = _root(counted)
     if float(np.sum((root @ away) ** 2)) < _CONTRADICTS:
         return []
@@ -161,12 +168,12 @@ def _said(k: int, away: float, sigma: float) -> str:
     return f"hard iron {'xyz'[k - 6]} by {1e6 * away:+.2f} µT, known to {1e6 * sigma:.2g} µT"
 
 
-_MATRIX = 2e-3  # of each element, by which a matrix from an earlier calibration is typically known
-_OPEN = 1e-3  # T, a hard iron of which nothing is known
+_MATRIX = 2e-3  # typical sigma of each element of a matrix from an earlier calibration
+_OPEN = 1e-3  # T, sigma of an unknown hard iron
 
 
 def typical_matrix(parameters: Array) -> IronFact:
-    """What an earlier calibration typically knows: the matrix of θ, and nothing of the hard iron."""
+    """Return the fact that an earlier calibration typically gives: the matrix of θ, with an unknown hard iron."""
     strength, _ = field_strength(parameters[:6])
     sigma = np.concatenate([np.full(6, _MATRIX), np.full(3, _OPEN)])
     return IronFact(parameters[:6] / strength, parameters[6:9], np.diag(1 / sigma))
@@ -175,14 +182,14 @@ def typical_matrix(parameters: Array) -> IronFact:
 def remedies(
     fit: Fit, factor: float, enough: Callable[[Array], bool], options: SmootherOptions, recording: Recording
 ) -> list[str]:
-    """Which facts would be enough where the motion was not, the cheapest first, with the sigma each would give.
+    """Return a sentence on facts that would compensate for too little motion, the cheapest first, with their sigmas.
 
     Args:
         fit: at its minimum.
         factor: by which the data's information is divided.
-        enough: whether a covariance (13, 13) of θ is.
-        options: with what is known already.
-        recording: says whether there is something that knows which way is up.
+        enough: whether a covariance (13, 13) of θ is small enough.
+        options: with the facts that are known already.
+        recording: determines whether a vertical is available.
     """
     parameters = fit.state.parameters[:PARAMETERS]
     strength, _ = field_strength(parameters[:6])
@@ -193,7 +200,7 @@ def remedies(
         ("an earlier calibration of the instrument", "--prior", (matrix,)),
         ("an earlier calibration, place and date", "--prior, --location, --date", (matrix, place)),
     )
-    if options.prior is not None:  # whose scale, where it is known, makes the strength of the field tell
+    if options.prior is not None:  # with the prior's scale known, the field strength is informative
         known = options.place is not None or not _scaled(options.prior)
         ways = () if known else (("place and date", "--location, --date", (place, *dip)),)
     facts_given = tuple(fact for fact in fit.chain.facts if not on_skew(fact))

@@ -1,4 +1,4 @@
-"""Robust weights and noise levels of a field chain, the latter by variance components."""
+"""Robust weights and noise levels of a field chain; the noise levels by variance components."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from magyc_gtsam.factors.chain.facts import quadratic
 from magyc_gtsam.factors.chain.field_chain import FieldChain
 from magyc_gtsam.factors.chain.rotations import Array
 
-ROUNDS = 20  # of robust weights and noise levels
+ROUNDS = 20  # most updates of robust weights and noise levels
 _WINDOW_OUTLIER = 16.27  # χ² of 3 degrees of freedom at 99.9 %
 _LINK_OUTLIER = 13.82  # χ² of 2 degrees of freedom at 99.9 %
 _NOISE_STABLE = 10.0  # squared length of the last step of the noise levels in their own sigmas
-_GYROSCOPE_RANGE = 3.0
-_MAGNETOMETER_FLOOR = 3.0
+_GYROSCOPE_RANGE = 3.0  # largest factor between the gyroscope's noise and its short-term noise
+_MAGNETOMETER_FLOOR = 3.0  # divides the magnetometer's short-term noise to give the least noise
 _WEIGHTS_STABLE = 1e-3  # mean change of a robust weight
 
 
 def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
-    """Directions and robust weights at given θ and noise."""
+    """Fit directions and robust weights at given θ and noise."""
     state, weights = chain.start(parameters), chain.unweighted()
     before = weights
     for _ in range(rounds):
@@ -37,20 +37,21 @@ def weigh(chain: FieldChain, parameters: Array, rounds: int = 10) -> Fit:
 
 
 def misfit(fit: Fit, noise: SensorNoise) -> float:
-    """Sum of squares at `noise`, each window and link counting up to its rejection threshold."""
+    """Return the sum of squares at `noise`, with each window and link truncated at its rejection threshold."""
     chain = replace(fit.chain, noise=noise)
     window, link = chain.squares(fit.residuals)
     return float(np.minimum(window, _WINDOW_OUTLIER).sum() + np.minimum(link, _LINK_OUTLIER).sum())
 
 
 def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = ROUNDS) -> Fit:
-    """Alternate robust weights, noise levels and descent until all three stand still.
+    """Alternate updates of robust weights and noise levels with the descent until all three converge.
 
     Args:
         fit: near the minimum.
-        reject: weigh down windows and links beyond the 99.9 % point of their χ².
-        short_term: the sensors' short-term noise, about which the noise levels are estimated (see
-            `improved_noise`); None keeps the noise as it is.
+        reject: whether to down-weight windows and links beyond the 99.9 % point of their χ².
+        short_term: the sensors' short-term noise, which bounds the estimated noise levels (see `improved_noise`); None
+            keeps the noise levels.
+        rounds: most updates.
     """
     for _ in range(rounds):
         weights = _reweigh(fit.chain, fit.residuals) if reject else fit.weights
@@ -65,7 +66,7 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
         chain = replace(fit.chain, noise=noise)
         reduced = chain.eliminate(fit.state, weights)
         fit = replace(fit, chain=chain, reduced=reduced, iterations=fit.iterations + 1, noise_freedom=freedom)
-        # The noise levels' gradient holds at a minimum only, so descend in every round.
+        # The gradient of the noise levels is valid at a minimum only, so descend in every round.
         fit = descend(fit, SETTLED if stable else NEAR)
         if stable or not fit.converged:
             return fit
@@ -73,7 +74,7 @@ def adapt(fit: Fit, reject: bool, short_term: SensorNoise | None, rounds: int = 
 
 
 def _reweigh(chain: FieldChain, residuals: Residuals) -> Weights:
-    """Weights min(1, (c²/χ²)²): one for all that the noise explains, then redescending."""
+    """Return the redescending weights min(1, (c²/χ²)²), which are one below the threshold c²."""
     window, link = chain.squares(residuals)
     return Weights(
         np.minimum(1.0, (_WINDOW_OUTLIER / np.maximum(window, 1e-100)) ** 2),
@@ -82,17 +83,17 @@ def _reweigh(chain: FieldChain, residuals: Residuals) -> Weights:
 
 
 def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, float, float]:
-    """One average-information step on the restricted likelihood of the two noise levels.
+    """Take one average-information step on the restricted likelihood of the two noise levels.
 
     Gilmour, Thompson and Cullis (1995). With Q the weighted squares of a group and D its redundancy
     (residuals less the trace of its block of the hat matrix; the two traces add up to the number of
     unknowns, so that only the windows' is computed), the gradient in log σ² is Q − D, and the average
-    information [[Q₁ − c, c], [c, Q₂ − c]] needs one more solve: c = gᵀ K⁻¹ g, g being the gradient of one
+    information [[Q₁ − c, c], [c, Q₂ − c]] needs one more solve: c = gᵀ K⁻¹ g, with g the gradient of one
     group (at the minimum the other's is −g) and K the full normal matrix.
 
-    The gyroscope's noise stays within a factor `_GYROSCOPE_RANGE` of its short-term noise, the
-    magnetometer's above a third of its own: where the field itself varies (indoors, over a wreck), the
-    likelihood would else call the gyroscope bad and the magnetometer perfect, and the bias would wander.
+    The gyroscope's noise stays within a factor `_GYROSCOPE_RANGE` of its short-term noise, and the magnetometer's above
+    a third of its own. Otherwise, in a field that varies (indoors, over a wreck), the likelihood would attribute all
+    misfit to the gyroscope and none to the magnetometer, and the bias would drift.
 
     Returns:
         The noise, the step's squared length in its own sigmas, and the links' redundancy D.
@@ -101,11 +102,11 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
     residuals = fit.residuals
     window, link = chain.squares(residuals)
     covariance = fit.covariance
-    if not np.isfinite(covariance).all():  # nothing depends on a parameter: the redundancies are not defined
+    if not np.isfinite(covariance).all():  # no residual depends on a parameter: the redundancies are undefined
         return chain.noise, 0.0, fit.noise_freedom
     absorbed = reduced.absorbed(covariance)
     unknowns = float(2 * len(chain.windows) + fit.free.sum())
-    if chain.facts:  # what is known beforehand takes nothing from the data
+    if chain.facts:  # prior knowledge uses up no redundancy of the data
         unknowns -= float(np.sum(covariance * quadratic(chain.facts, fit.state.parameters)[2]))
     squares = np.array([weights.window @ window, weights.link @ link])
     redundancy = np.array(
@@ -120,7 +121,7 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
     level = np.array(chain.noise)
     low = np.array(short_term) / np.array([_MAGNETOMETER_FLOOR, _GYROSCOPE_RANGE])
     high = np.array([np.inf, short_term.gyroscope * _GYROSCOPE_RANGE])
-    # A group with less than one degree of freedom of information, or at its bound, keeps the noise it has.
+    # A group with less than one degree of freedom of information, or at its bound, keeps its noise level.
     kept = (np.diag(information) > 1.0) & ~((level <= low) & (gradient < 0)) & ~((level >= high) & (gradient > 0))
     if not kept.any():
         return chain.noise, 0.0, float(redundancy[1])
@@ -132,9 +133,9 @@ def improved_noise(fit: Fit, short_term: SensorNoise) -> tuple[SensorNoise, floa
 
 
 def explained(fit: Fit, whitened: Array, covariance: Array) -> float:
-    """How much of the square of `whitened` (3, n) on the windows directions and θ can explain.
+    """Return the part of the squared norm of `whitened` (3, n) on the windows that directions and θ can explain.
 
-    gᵀ K⁻¹ g for the gradient g that it leaves in them, by the elimination at hand.
+    It is gᵀ K⁻¹ g, with g the gradient with respect to directions and θ, computed with the existing elimination.
     """
     reduced = fit.reduced
     on_direction = np.einsum("ian,in->an", reduced.on_direction, whitened)

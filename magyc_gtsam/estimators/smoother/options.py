@@ -1,4 +1,4 @@
-"""The options of the field smoother, batch and online, checked once."""
+"""The options of the field smoother, batch and online, with their validation."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.gauge import check_field_strength
 from magyc_gtsam.factors.errors import MagycError
 
-MOST_DRIFT = 0.1  # s/s, of a clock that is one
+MOST_DRIFT = 0.1  # s/s, largest plausible drift of a clock
 MOST_SKEW = np.radians(45.0)
-MOST_SCALE = 0.1  # of a gyroscope: more is another unit
-FIELD_SIGMA = 150e-9  # T; what the World Magnetic Model is off by, by its own error budget
-DIP_SIGMA = np.radians(0.2)  # likewise
-HEADING_SIGMA = np.radians(1.0)  # of a sensor's x axis against that of its vehicle, mounted with care
+MOST_SCALE = 0.1  # largest prior sigma of a gyroscope's scale; larger errors mean a wrong unit
+FIELD_SIGMA = 150e-9  # T, sigma of the World Magnetic Model's strength by its error budget
+DIP_SIGMA = np.radians(0.2)  # sigma of its dip
+HEADING_SIGMA = np.radians(1.0)  # of a sensor's x axis relative to that of its vehicle, with careful mounting
 
 Pair = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class PlaceField:
-    """The field at the place: strength T and dip rad (below the horizontal), with sigmas; dip None where unknown."""
+    """The field at the place: strength T and dip rad (below the horizontal), with sigmas; dip None if unknown."""
 
     strength: float
     strength_sigma: float
@@ -34,7 +34,7 @@ class PlaceField:
 
 @dataclass(frozen=True)
 class KnownHeading:
-    """A channel with the heading of the sensor's x axis, sigma rad of its mean over a log, and declination rad."""
+    """A channel with the heading of the sensor's x axis, sigma (rad) of its mean over a log, and declination (rad)."""
 
     channel: str
     sigma: float
@@ -43,34 +43,34 @@ class KnownHeading:
 
 @dataclass(frozen=True, kw_only=True)
 class SmootherOptions:
-    """What the user of the smoother may choose.
+    """The options of the smoother.
 
     Attributes:
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
         noise: (magnetometer T, gyroscope rad/s) per sample; None estimates both.
-        robust: reject disturbed windows; None and True do.
+        robust: whether to reject disturbed windows; None means True.
         delay: s by which the magnetometer lags; None estimates it, a number fixes it.
         window: s, longest window.
         turn: rad, largest rotation inside a window; None chooses it from the spread of the data.
-        clock_drift: s/s that the magnetometer's clock gains on the gyroscope's, taken out of its stamps from the first
-            row on. What is left of one is found, and a result that it harms is not trusted.
-        misalignment: "auto" asks the data whether the two chips are askew; a number is the standard deviation in rad of
-            the prior of each angle, with which the skew is estimated whatever the data say; 0 holds it at none.
-        gyroscope_scale: standard deviation (1) of the prior of the scale error of each of the gyroscope's axes, with
-            which it is estimated, as the term `gyro-scale`; 0 holds it at none. Sensors have some 0.01.
-        prior: an earlier calibration of the same instrument, with covariance (or what its `to_dict` gives).
-        hard_iron_walk: T, by which each axis of the hard iron may have changed since.
-        soft_iron_walk: by which each element of the soft iron (determinant 1) may have changed since.
+        clock_drift: s/s that the magnetometer's clock gains on the gyroscope's, corrected in its stamps from the first
+            row on. A remaining drift is detected, and a result that it harms is not trusted.
+        misalignment: "auto" lets the data decide whether to correct a misalignment of the two chips; a number is the
+            prior standard deviation of each angle in rad, with which it is always estimated; 0 fixes it at zero.
+        gyroscope_scale: prior standard deviation (1) of the scale error of each of the gyroscope's axes, which is
+            estimated as the term `gyro-scale`; 0 fixes it at zero. Typical sensors have 0.01.
+        prior: an earlier calibration of the same instrument, with covariance (or the result of its `to_dict`).
+        hard_iron_walk: T, standard deviation of the change of each axis of the hard iron since the prior.
+        soft_iron_walk: standard deviation of the change of each element of the soft iron (determinant 1) since.
         field: (strength T, dip rad) at the place, or ((strength, sigma), (dip, sigma)); the dip may be None. The
-            strength sets the scale of the soft iron and, with a prior, informs the fit; the dip does where there is an
-            accelerometer or an attitude.
+            strength sets the scale of the soft iron and, with a prior, informs the fit; the dip informs the fit if the
+            recording has an accelerometer or an attitude.
         heading: name of the channel that holds the heading of the sensor's x axis, degrees clockwise from north, or
-            (name, sigma rad) with what its mean over the log may be off by (default 1°). It informs the yaw part of a
-            skew, and needs an accelerometer.
-        declination: rad, of the field at the place, east positive; 0 where that heading is from magnetic north.
+            (name, sigma rad) with the sigma of its mean over the log (default 1°). It informs the yaw component of the
+            misalignment, and needs an accelerometer.
+        declination: rad, of the field at the place, east positive; 0 if that heading is from magnetic north.
 
     Raises:
-        MagycError: an option that is out of range.
+        MagycError: an option is out of range.
     """
 
     field_strength: float | None = None
@@ -132,12 +132,12 @@ class SmootherOptions:
 
     @property
     def reject(self) -> bool:
-        """Whether disturbed windows are weighed down."""
+        """Whether disturbed windows are down-weighted."""
         return self.robust is not False
 
     @property
     def place(self) -> PlaceField | None:
-        """`field` with its sigmas."""
+        """The value of `field` with its sigmas."""
         if self.field is None:
             return None
         wrong = MagycError(
@@ -165,7 +165,7 @@ class SmootherOptions:
 
     @property
     def known_heading(self) -> KnownHeading | None:
-        """`heading` with its sigma."""
+        """The value of `heading` with its sigma."""
         if self.heading is None:
             return None
         named = isinstance(self.heading, str)
@@ -179,19 +179,19 @@ class SmootherOptions:
 
     @property
     def known_strength(self) -> float | None:
-        """T, the strength that sets the scale of the soft iron."""
+        """T, the field strength that sets the scale of the soft iron."""
         place = self.place
         return self.field_strength if place is None else place.strength
 
     @property
     def strength_sigma(self) -> float:
-        """T, of `known_strength`."""
+        """T, standard deviation of `known_strength`."""
         place = self.place
         return 0.0 if place is None else place.strength_sigma
 
     @property
     def configuration(self) -> Mapping[str, Any]:
-        """What was chosen, JSON types; enough to run again."""
+        """The chosen options as JSON types, sufficient to repeat the run."""
         chosen = {each.name: getattr(self, each.name) for each in fields(self)}
         result = {name: value for name, value in chosen.items() if value is not None or name in ("delay", "turn")}
         for name in ("clock_drift", "gyroscope_scale", "hard_iron_walk", "soft_iron_walk", "declination"):

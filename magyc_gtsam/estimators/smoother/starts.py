@@ -1,4 +1,4 @@
-"""Where the smoother starts: no start is asked of the user, and h = 0 can be a false minimum."""
+"""Starting values of the smoother: the user supplies none, and h = 0 can lead to a local minimum."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, cross
 from magyc_gtsam.factors.chain.vech import unvech
 
-_LAG = 3.0  # s between the windows that the linear start compares
-_PAIRS = 200  # pairs of windows that are enough for a start
+_LAG = 3.0  # s between the windows compared by the linear start
+_PAIRS = 200  # pairs of windows that suffice for a start
 _PASSES = 3
 
 
 def parameters(soft_iron: Array, hard_iron: Array, bias: Array, delay: float) -> Array:
-    """θ (13,) from soft iron times field strength (3, 3) T, hard iron T, bias rad/s and delay s."""
+    """Return θ (13,) of soft iron times field strength (3, 3) T, hard iron T, bias rad/s and delay s."""
     result = np.empty(PARAMETERS)
     result[:6], result[6:9], result[9:12], result[12] = soft_iron[UPPER], hard_iron, bias, delay
     return result
 
 
 def from_prior(windows: FieldWindows, soft_iron: Array, hard_iron: Array, bias: Array) -> Array:
-    """θ of an earlier calibration, vech(soft_iron) (6,), with the median strength of the field."""
+    """Return θ of an earlier calibration, vech(soft_iron) (6,), with the median strength of the field."""
     straight = np.linalg.solve(unvech(soft_iron), windows.field - hard_iron[:, None])
     strength = median(np.linalg.norm(straight, axis=0))
     return parameters(unvech(soft_iron) * strength, hard_iron, bias, windows.delay)
 
 
 def spherical(windows: FieldWindows, hard_iron: Array, bias: Array) -> Array:
-    """θ with a spherical field around `hard_iron`, of the median radius."""
+    """Return θ with a spherical soft iron of the median radius around `hard_iron`."""
     away = windows.field - hard_iron[:, None]
     radius = median(np.sqrt(np.einsum("in,in->n", away, away)))
     return parameters(np.eye(3) * radius, hard_iron, bias, windows.delay)
 
 
 def from_gyroscope(windows: FieldWindows) -> Array:
-    """Hard iron and gyroscope bias by robust linear least squares, soft iron spherical.
+    """Return θ with hard iron and gyroscope bias by robust linear least squares, and a spherical soft iron.
 
-    With A = I the field turned back by the gyroscope, y = Mᵀ(m − h), stands still but for the bias:
-    y' − y = [y]× ΔK b. Noise is additive here, so a large hard iron or noisy data do not bias it, and
-    it needs no tilt: it is right where an ellipsoid fit sees only an arc.
+    With A = I the field rotated back by the gyroscope, y = Mᵀ(m − h), changes only by the bias: y' − y = [y]× ΔK b.
+    Noise is additive in this form, so a large hard iron or noisy data do not bias the solution. No tilt is needed: the
+    solution is right even if an ellipsoid fit sees only an arc.
     """
     spacing = max(median(np.diff(windows.time)), 1e-9)
     lag = min(max(round(_LAG / spacing), 1), (len(windows) - 1) // 2)
@@ -79,7 +79,7 @@ def from_gyroscope(windows: FieldWindows) -> Array:
 
 
 def _solved(normal: Array, right: Array) -> Array:
-    """The solution of normal equations, of least norm where there are many."""
+    """Return the solution of normal equations, that of least norm if they are singular."""
     try:
         solution = np.linalg.solve(normal, right)
     except np.linalg.LinAlgError:
@@ -88,7 +88,7 @@ def _solved(normal: Array, right: Array) -> Array:
 
 
 def others(windows: FieldWindows, bias: Array) -> list[Array]:
-    """The starts that need no gyroscope: no hard iron, the middle of the samples' box, the sphere fit."""
+    """Return the starts that need no gyroscope: hard iron 0, the centre of the samples' bounding box, a sphere fit."""
     field = windows.field
     box = 0.5 * (field.max(axis=1) + field.min(axis=1))
     ones = np.ones((1, field.shape[1]))

@@ -1,9 +1,9 @@
-"""Facts that need to know which way is up: the vertical in the integrated world, and how such a fact enters a fit.
+"""Facts that need the vertical: its estimation in the integrated world, and how such a fact enters a fit.
 
-Vertical and directions of the field meet in the integrated world, in which both stand still, so that what a vehicle
-accelerates averages out. A fact is one number y(θ) for the whole log, for what it is known from is off by the same all
-the time. The directions are eliminated in the chain, so y is linearised at their best for θ, dg/dθ = −T H⁻¹ C (tangent
-bases T, the directions' matrix H and its border C with θ), again at every minimum until it stands still.
+Vertical and field directions are compared in the integrated world, in which both are constant, so that accelerations of
+the vehicle average out. A fact is one scalar y(θ) for the whole log, because its error is constant. The directions are
+eliminated in the chain, so y is linearised at their optimum for θ, dg/dθ = −T H⁻¹ C (tangent bases T, the directions'
+matrix H and its border C with θ), and relinearised at every minimum until it converges.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ SomeFact = TypeVar("SomeFact", bound="UprightFact")
 
 @dataclass(frozen=True)
 class UprightModel:
-    """What is believed of a vertical.
+    """The error model and thresholds of the vertical.
 
     Attributes:
         average: s, over which the specific force is averaged in the world; a change of speed by 2 m/s leaves 0.2°.
-        accelerated: m/s² by which the specific force may differ from gravity for a window to count.
-        offset: m/s² an axis, of an accelerometer (10 mg: MEMS after the factory's calibration are off by 5 to 20).
-        attitude: rad, by which the vertical of an attitude is off.
-        contradicts: sigmas from which what is measured here is not what is known.
-        settled: whitened change of y at which its linearisation stands still.
+        accelerated: m/s², largest difference of the specific force from gravity for a window to count.
+        offset: m/s² per axis, sigma of an accelerometer's offset (10 mg; MEMS with factory calibration have 5 to 20).
+        attitude: rad, sigma of the vertical of an attitude.
+        contradicts: sigmas from which the measurement contradicts the known value.
+        settled: whitened change of y below which its linearisation has converged.
         outlier: robust deviations from the median beyond which a window does not count.
-        least: windows that count, below which there is no fact.
+        least: number of windows below which there is no fact.
     """
 
     average: float = 60.0
@@ -59,13 +59,13 @@ MODEL = UprightModel()
 
 @dataclass(frozen=True, eq=False)
 class Vertical:
-    """What says which way is up.
+    """The source of the vertical.
 
     Attributes:
         time: (k,) s.
         force: (k, 3) m/s², specific force, or gravity along the vertical of an attitude, in sensor axes.
-        by_attitude: which of the two.
-        signed: whether up and down are told apart.
+        by_attitude: whether `force` is by an attitude.
+        signed: whether up and down are distinguished.
     """
 
     time: Array
@@ -75,8 +75,13 @@ class Vertical:
 
 
 class Upright(NamedTuple):
-    """Up (3, n) at n windows in the integrated world, which of them count (n,), and by how much an offset of the
-    specific force in sensor axes turns it (3, 3, n), s²/m."""
+    """The vertical at the n windows of a fit.
+
+    Attributes:
+        up: (3, n) unit vectors in the integrated world.
+        counts: (n,) bool, windows that count.
+        turn: (3, 3, n) s²/m, derivative of `up` by an offset of the specific force in sensor axes.
+    """
 
     up: Array
     counts: np.ndarray
@@ -85,13 +90,15 @@ class Upright(NamedTuple):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class UprightFact(ABC):
-    """y(θ) ~ N(known, σ²), linearised; a `factors.chain.facts.Fact` on θ of 13 or 16 entries.
+    """The fact y(θ) ~ N(known, σ²), linearised; a `factors.chain.facts.Fact` on θ of 13 or 16 entries.
 
     Attributes:
-        vertical: what says which way is up.
-        value: whitened residual at `at`; slope (16,): its derivative; 0 before it was linearised.
-        measured, sigma: rad, y there and σ.
-        contradiction: sigmas by which the data alone contradict it; it is not used then.
+        vertical: source of the vertical.
+        value: whitened residual at `at`.
+        slope: (16,) derivative of the residual; 0 before the linearisation.
+        at: (16,) θ of the linearisation.
+        measured, sigma: rad, y at `at`, and σ.
+        contradiction: sigmas by which the data alone contradict the fact, which is then not used; otherwise 0.
     """
 
     vertical: Vertical
@@ -104,17 +111,17 @@ class UprightFact(ABC):
 
     @abstractmethod
     def linearised(self: SomeFact, fit: Fit) -> SomeFact:
-        """At a minimum; unchanged where too few windows count."""
+        """Return the fact linearised at a minimum; unchanged if too few windows count."""
 
     @property
     @abstractmethod
     def sentence(self) -> str:
-        """What the data alone say against it, where they do."""
+        """The contradiction by the data in words."""
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """In the diagnostics."""
+        """The key in the diagnostics."""
 
     @property
     def used(self) -> bool:
@@ -128,7 +135,7 @@ class UprightFact(ABC):
 
     @property
     def diagnostics(self) -> dict[str, dict[str, float | bool]]:
-        """What was measured, in degrees, and whether it was used; empty where nothing was."""
+        """The measured value in degrees and whether it was used; empty if nothing was measured."""
         if not np.isfinite(self.sigma):
             return {}
         measured, sigma = np.degrees([self.measured, self.sigma]).tolist()
@@ -137,7 +144,7 @@ class UprightFact(ABC):
     def at_minimum(
         self: SomeFact, fit: Fit, slopes: Array, measured: float, known: float, sigma: float
     ) -> SomeFact:
-        """Linearised where y is `measured`, from its derivative by the directions (3, n)."""
+        """Return the fact linearised at a fit, where y is `measured`, given its derivative by the directions (3, n)."""
         at = with_angles(fit.state.parameters)
         wide = fit.chain.eliminate(ChainState(at, fit.state.direction), fit.weights)
         total = np.einsum("in,pin->p", slopes, wide.direction_slopes)
@@ -146,7 +153,7 @@ class UprightFact(ABC):
 
 
 def vertical_of(recording: Recording) -> Vertical | None:
-    """What in a recording says which way is up; None where nothing does."""
+    """Return the source of the vertical in a recording, an attitude or else an accelerometer; None if there is none."""
     by_attitude = recording.attitude is not None and bool(np.isfinite(recording.attitude).any())
     force = recording.acceleration
     if by_attitude:
@@ -161,12 +168,12 @@ def vertical_of(recording: Recording) -> Vertical | None:
 
 
 def upright_facts(fit: Fit) -> list[UprightFact]:
-    """Those among a fit's facts."""
+    """Return the upright facts of a fit."""
     return [fact for fact in fit.chain.facts if isinstance(fact, UprightFact)]
 
 
 def relinearised(fit: Fit) -> tuple[Fit, bool]:
-    """A fit with its upright facts linearised at its minimum, and whether they were so before."""
+    """Return a fit with its upright facts linearised at its minimum, and whether their linearisation had converged."""
     facts, settled = [], True
     for fact in fit.chain.facts:
         if isinstance(fact, UprightFact) and not fact.contradiction:
@@ -184,7 +191,10 @@ def relinearised(fit: Fit) -> tuple[Fit, bool]:
 
 
 def _questioned(fact: UprightFact, fit: Fit) -> UprightFact:
-    """The fact, or that the data contradict it, by a fit without it; a skew that is not fitted is as boards have it."""
+    """Return the fact, marked as contradicted and unused if a fit without it differs by too many sigmas.
+
+    A misalignment that is not fitted has the typical prior variance of boards.
+    """
     size = len(fit.state.parameters)
     spread = float(fact.slope[:size] @ fit.covariance @ fact.slope[:size]) * fit.colour * fit.widening
     if size == PARAMETERS:
@@ -196,14 +206,14 @@ def _questioned(fact: UprightFact, fit: Fit) -> UprightFact:
 
 
 def upright(vertical: Vertical, fit: Fit) -> Upright | None:
-    """Up at the windows of a fit; None where too few of them count."""
+    """Return the vertical at the windows of a fit; None if too few of them count."""
     windows = fit.chain.windows
     force, counts = _of_windows(vertical, windows)
     counts &= np.abs(np.sqrt(np.einsum("in,in->n", force, force)) - _GRAVITY) < MODEL.accelerated
     counts &= fit.weights.window > 0
     if counts.sum() < MODEL.least:
         return None
-    # The vertical in the integrated world, and by how much an offset of the accelerometer turns it.
+    # The vertical in the integrated world, and its derivative by an offset of the accelerometer.
     share = counts.astype(float)
     to_world = windows.rotation.swapaxes(0, 1) * share
     up = _averaged(np.einsum("ijn,jn->in", to_world, force), windows.time)
@@ -217,25 +227,30 @@ def upright(vertical: Vertical, fit: Fit) -> Upright | None:
 
 
 def vertical_sigma(vertical: Vertical, lever: Array) -> float:
-    """rad, of y by what the vertical is off; `lever` (3,) rad s²/m is its derivative by an offset of the force."""
+    """Return the sigma of y, in rad, by the error of the vertical.
+
+    `lever` (3,) rad s²/m is the derivative of y by an offset of the specific force.
+    """
     return MODEL.attitude if vertical.by_attitude else MODEL.offset * float(np.linalg.norm(lever))
 
 
 def independent(windows: FieldWindows) -> float:
-    """How many independent means of a vertical there are."""
+    """Return the number of independent averages of the vertical."""
     return max(float(np.ptp(windows.time)) / MODEL.average, 1.0)
 
 
 def near(angle: Array, counts: np.ndarray) -> np.ndarray:
-    """Within `outlier` deviations of the median, by the median absolute deviation; all or nothing, so that the mean's
-    derivative is the mean of the derivatives."""
+    """Return which angles are within `outlier` robust deviations (by the median absolute deviation) of the median.
+
+    The weights are 0 or 1, so that the derivative of the mean is the mean of the derivatives.
+    """
     away = np.abs(angle - np.median(angle[counts]))
     result: np.ndarray = away <= MODEL.outlier * 1.4826 * float(np.median(away[counts])) + 1e-12
     return result
 
 
 def _of_windows(vertical: Vertical, windows: FieldWindows) -> tuple[Array, np.ndarray]:
-    """(3, n) mean force within each window, and which have one."""
+    """Return the mean force (3, n) of each window, and which windows (n,) have samples."""
     time = windows.time
     middle = 0.5 * (time[1:] + time[:-1])
     edges = np.concatenate([[1.5 * time[0] - 0.5 * time[1]], middle, [1.5 * time[-1] - 0.5 * time[-2]]])
@@ -247,7 +262,7 @@ def _of_windows(vertical: Vertical, windows: FieldWindows) -> tuple[Array, np.nd
 
 
 def _averaged(values: Array, time: Array) -> Array:
-    """Sums of (..., n) over the windows within half of `average` of each."""
+    """Return, for each window, the sums of (..., n) over the windows within half of `average` of it."""
     first = np.searchsorted(time, time - 0.5 * MODEL.average)
     last = np.searchsorted(time, time + 0.5 * MODEL.average, side="right")
     total = np.concatenate([np.zeros((*values.shape[:-1], 1)), np.cumsum(values, axis=-1)], axis=-1)
