@@ -1,4 +1,4 @@
-"""Calibrate magnetometers and gyroscopes on GTSAM factor graphs, from the data a vehicle records anyway."""
+"""Calibration of magnetometers and gyroscopes on GTSAM factor graphs, from the data that a vehicle records anyway."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ import numpy as np
 from magyc_gtsam.recording import Array
 
 _LARGEST_STEPS = 50
-_CONVERGED = 1e-6  # |N − 1| at which the search stops: the step that follows squares it
+_CONVERGED = 1e-6  # |N − 1| at which the search stops: the following step squares it
 
 
 class ClosestPoints(NamedTuple):

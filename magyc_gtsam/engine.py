@@ -1,8 +1,8 @@
-"""Run independent units of work in parallel, on this machine or on a cluster; each unit gives one row of a table.
+"""Parallel execution of independent units of work, on this machine or on a cluster; each unit gives one row of a table.
 
 The rows do not depend on where a unit runs, to the last bit. Units run in local processes (`concurrent.futures`) or on
-a cluster (`dask.distributed`). With a folder for parts each row is written atomically to a Parquet file, and a run that
-was interrupted resumes from these files.
+a cluster (`dask.distributed`). With a folder for parts each row is written atomically to a Parquet file, and a run
+that was interrupted resumes from these files.
 """
 
 from __future__ import annotations
@@ -82,10 +82,10 @@ def run_many(
 
 
 def _in_processes(work: Work, units: Mapping[str, Any], workers: int) -> Rows:
-    """Yield rows as units finish. Each process holds one unit at a time, so few are repeated when one dies."""
+    """Yield rows as units finish. Each process holds one unit at a time, so few are repeated if a process dies."""
     waiting = list(units)
     before = {name: os.environ.get(name) for name in _THREADS}
-    # The cores are busy with processes already, and sums keep their order on one thread.
+    # The processes already use all cores, and with one thread sums keep their order.
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         while waiting:

@@ -7,11 +7,11 @@ from collections.abc import Collection
 from itertools import islice
 
 LONGEST = 200  # characters of a text from a file in a message
-_MOST_LISTED = 20  # names that a message lists
-_LONGEST_LISTED = 60  # characters of each
-_MOST_SENTENCES = 40  # of a report
-_LONGEST_SENTENCE = 500  # characters of each
-MOST_WORDS = 30  # of the cause and the action that a verdict gives
+_MOST_LISTED = 20  # largest number of names that a message lists
+_LONGEST_LISTED = 60  # largest number of characters of each name
+_MOST_SENTENCES = 40  # largest number of sentences of a report
+_LONGEST_SENTENCE = 500  # largest number of characters of each sentence
+MOST_WORDS = 30  # largest number of words of the cause and the action in a verdict
 # Control characters, characters that reverse the direction of text, and characters without width.
 _CONTROL = re.compile(
     "[\x00-\x09\x0b-\x1f\x7f-\x9f\xad\u061c\u180e\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb\ud800-\udfff]"

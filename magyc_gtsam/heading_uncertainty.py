@@ -46,7 +46,7 @@ class HeadingUncertainty:
         return cls(None if sigma is None or not sigma < UNKNOWN_FROM else sigma, None)
 
     def to_dict(self) -> Mapping[str, float | None]:
-        """JSON types, units in the names."""
+        """Return the fields as JSON types, with units in the names."""
         return {"systematic_deg": self.systematic, "per_sample_deg": self.per_sample}
 
 

@@ -1,4 +1,4 @@
-"""A level turn, and what errors of a calibration do to heading over it."""
+"""A level turn, and the effect of calibration errors on heading over it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.recording import Array, Recording
 
-_MOST_ROWS = 1000  # used for the vertical and the dip
+_MOST_ROWS = 1000  # largest number of rows used for the vertical and the dip
 _UPRIGHT = 0.5  # length of the mean vertical above which the vehicle has an axis that points up
-_DEFAULT_DIP = 60.0  # deg, of the middle latitudes; used if the recording has no vertical
-_STEPS = 120  # headings of a turn
+_DEFAULT_DIP = 60.0  # deg, as in middle latitudes; used if the recording has no vertical
+_STEPS = 120  # number of headings of a turn
 _HEADING = np.linspace(0.0, 360.0, _STEPS + 1)
 _HEADING.flags.writeable = False
 
@@ -85,7 +85,7 @@ class LevelTurn:
         return np.hstack([gain[:, rows] * self.field[:, columns] + mirrored, gain])
 
     def spread(self, covariance: Array, slopes: Array, askew: Askew | None = None) -> Array:
-        """Return what `systematic` returns, with the `slopes` of the soft iron at hand."""
+        """Return the result of `systematic`, from given `slopes` of the soft iron."""
         variance = np.einsum("na,na->n", slopes @ covariance[:9, :9], slopes)
         if askew is not None:
             turned = self.turned
@@ -174,7 +174,7 @@ def vertical(attitude: Array | None, acceleration: Array | None) -> Array | None
         return up
     if acceleration is not None:
         norm = np.linalg.norm(acceleration, axis=1, keepdims=True)
-        if (norm > 0).any():  # else it was not measured: NaN, or zeros in its place
+        if (norm > 0).any():  # zeros or NaN mean that it was not measured
             return acceleration / np.where(norm > 0, norm, np.nan)
     return None
 

@@ -1,4 +1,4 @@
-"""Which parameters of a calibration the motion determined, and the motion that would determine the others."""
+"""The parameters of a calibration that the motion determined, and the motion that would determine the others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROWS_FOR_VERTICAL = 2000
 _LEAST_MEAN_FORCE = (
     5.0  # m/s²; an instrument whose mean specific force is less was tumbled and has no vertical axis
 )
-_UNDETERMINED = 100  # times the limit, above which a parameter counts as not determined at all
+_UNDETERMINED = 100  # factor of the limit above which a parameter counts as not determined at all
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Assessor:
     askew: Askew | None = None
 
     def of(self, covariance: Array) -> Observability:
-        """Return what `assess` returns for a covariance."""
+        """Return the result of `assess` for a covariance."""
         shown, unit_shown = self.recording.field_shown
         in_tesla = self.recording.magnetic_field_unit == "T"
         limit = (
@@ -119,7 +119,7 @@ class Assessor:
 
     @cached_property
     def _slopes(self) -> Array:
-        """Of the heading over that turn."""
+        """Derivative of the heading over the level turn with respect to soft and hard iron."""
         return self._turn.slopes(self.soft_iron)
 
     @cached_property

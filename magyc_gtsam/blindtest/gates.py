@@ -39,7 +39,7 @@ class Gate:
 
     @property
     def passed(self) -> bool:
-        """Return whether the share keeps its limit."""
+        """Whether the share keeps its limit."""
         return self.share >= self.limit if self.at_least else self.share <= self.limit
 
 

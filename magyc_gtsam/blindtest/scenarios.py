@@ -66,17 +66,17 @@ class Scenario:
 
     @property
     def factor(self) -> float:
-        """Return the factor of the effects; 1 without effects."""
+        """The factor of the effects; 1 without effects."""
         return self.effects[0][1] if self.effects else 1.0
 
     @property
     def label(self) -> str:
-        """Return the names of the hidden effects as text."""
+        """The names of the hidden effects as text."""
         return " + ".join(self.names) or "nothing"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the hidden effects."""
+        """The names of the hidden effects."""
         return tuple(name for name, _ in self.effects)
 
 

@@ -67,7 +67,7 @@ class Outcome:
 
     @property
     def said(self) -> str:
-        """Return the names, or the kind of the outcome if no effect was named."""
+        """The names, or the kind of the outcome if no effect was named."""
         if self.verdict in (UNKNOWN, REFUSED, CRASHED) or not self.named:
             return self.kind
         return " + ".join(name for name, _ in self.named)

@@ -165,7 +165,7 @@ class Calibration:
         return recording
 
     def made_from(self, recording: Recording) -> Calibration:
-        """Remember the recording for `plot` and `report`, and return this calibration."""
+        """Store the recording for `plot` and `report`, and return this calibration."""
         object.__setattr__(self, "_recording", recording)
         return self
 

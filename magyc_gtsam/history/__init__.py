@@ -1,4 +1,4 @@
-"""Calibrate one instrument over many logs: constant parameters, a walking hard iron, and its jumps."""
+"""Calibration of one instrument over many logs: constant parameters, a walking hard iron, and its jumps."""
 
 from magyc_gtsam.history.contradictions import Contradiction
 from magyc_gtsam.history.history import History

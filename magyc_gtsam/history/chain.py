@@ -1,7 +1,7 @@
-"""Solve all logs of one instrument jointly, given which logs are wrong and where the hard iron jumped.
+"""Joint solution of all logs of one instrument, given which logs are wrong and where the hard iron jumped.
 
 The shape of the soft iron, and the gyroscope's scale where it is estimated, are shared (s, p numbers), each log has
-its hard iron h_k, and neighbours are joined by a random walk:
+its hard iron h_k, and neighbours are linked by a random walk:
 
     (s, h_k) ~ N(log k),   h_{k+1} − h_k ~ N(0, q Δt_k I), or with a jump N(0, (q Δt_k + jump²) I).
 
@@ -39,7 +39,7 @@ class Observations:
 
     @property
     def shared(self) -> int:
-        """Return p, the number of parameters that all logs share."""
+        """Number p of the parameters that all logs share."""
         return self.mean.shape[1] - 3
 
 

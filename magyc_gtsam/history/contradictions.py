@@ -1,4 +1,4 @@
-"""Find the logs that contradict the others of their instrument."""
+"""Detection of the logs that contradict the others of their instrument."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Filter one instrument's logs in the order of time with a bank of Kalman filters.
+"""Kalman filters over one instrument's logs in the order of time.
 
 Each log is labelled: the hard iron walked or jumped before it, or the log is wrong. A labelling, a walk and a scatter
-define one Kalman filter on (s, h). The bank keeps the `KEPT` likeliest labellings, each at every walk and scatter of a
-grid (a Gaussian sum filter with pruning, Alspach and Sorenson 1972, over multiple models, Magill 1965). A step takes
-constant time, and earlier logs are never filtered again.
+define one Kalman filter on (s, h). The bank keeps the `KEPT` likeliest labellings, each at every walk and scatter of
+a grid (a Gaussian sum filter with pruning, Alspach and Sorenson 1972, over multiple models, Magill 1965). A step
+takes constant time, and earlier logs are never filtered again.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
 WALKED, JUMPED, WRONG = 0, 1, 2
-KEPT = 8  # labellings
+KEPT = 8  # number of labellings that are kept
 WALKS = np.geomspace(
     0.02, 10.0, 16
 )  # µT per √day; neighbours differ by half, while sixty logs determine the walk to a tenth
-SCATTERS = np.array([0.0, 0.002, 0.005, 0.012, 0.03])  # relative
+SCATTERS = np.array([0.0, 0.002, 0.005, 0.012, 0.03])  # relative scatter between logs
 _CELLS = len(WALKS) * len(SCATTERS)
 WALK_OF_CELL, SCATTER_OF_CELL = np.repeat(WALKS, len(SCATTERS)), np.tile(SCATTERS, len(WALKS))
 
@@ -53,7 +53,7 @@ class Bank:
 
     @property
     def share(self) -> Array:
-        """Return the posterior probabilities (k, cells)."""
+        """The posterior probabilities (k, cells)."""
         share = np.exp(self.weight - self.weight.max())
         result: Array = share / share.sum()
         return result
@@ -155,7 +155,7 @@ def stepped(bank: Bank, index: int, factor: LogFactor, elapsed: float, model: Hi
 
 
 def observed_covariance(covariance: Array, model: HistoryModel) -> Array:
-    """Return the covariance (p + 3, p + 3) of a log's s, g and h, with what g scatters between logs."""
+    """Return the covariance (p + 3, p + 3) of a log's s, g and h, including the scatter of g between logs."""
     observed = covariance[OBSERVED, OBSERVED].copy()
     scale = np.arange(SHAPE, len(observed) - 3)
     observed[scale, scale] += model.gyroscope_scale_scatter**2

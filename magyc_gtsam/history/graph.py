@@ -1,8 +1,8 @@
-"""The history as a GTSAM graph, to be joined to other graphs; needs GTSAM.
+"""The history as a GTSAM graph that can be joined to other graphs; needs GTSAM.
 
-Variables: what all logs share, `s` (5-vector, the soft iron's shape; 8-vector with the gyroscope's scale), and each
-log's hard iron `h_k` (3-vector, µT). Factors: one per log, which remains of its field chain after elimination, and a
-random walk between neighbours.
+Variables: the shared parameters `s` (5-vector, the soft iron's shape; 8-vector with the gyroscope's scale), and each
+log's hard iron `h_k` (3-vector, µT). Factors: one per log, the result of eliminating its field chain, and a random
+walk between neighbours.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Group the logs that can be of one instrument, by the evidence of the parameters that an instrument keeps.
+"""Grouping of logs by instrument, by the evidence of the parameters that an instrument keeps.
 
 An instrument keeps its soft iron, misalignment, gyroscope scale and bias up to a scatter, and its hard iron unless
-iron was moved. A log joins the group that predicts it best, or starts a group where "another instrument" predicts it
-better. Logs are taken out and assigned again until nothing changes, and groups are split where that is likelier (the
+iron was moved. A log joins the group that predicts it best, or starts a new group where "another instrument" predicts
+it better. Logs are removed and assigned again until nothing changes, and groups are split where that is likelier (the
 moves of Neal 2000, algorithm 3, and of Jain and Neal 2004, at zero temperature).
 """
 
@@ -20,9 +20,9 @@ from magyc_gtsam.history.log_statistics import STAYED, Group, LogStatistics
 from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
-_SWEEPS = 10  # most rounds of taking out and assigning all logs
-_WORTH_SPLITTING = 3  # logs of the smallest group that may be split
-_CLEAR = 7.0  # nats (odds of a thousand) of a log that clearly belongs; simulated dives of one instrument have 17
+_SWEEPS = 10  # largest number of rounds of removing and assigning all logs
+_WORTH_SPLITTING = 3  # size of the smallest group that may be split
+_CLEAR = 7.0  # nats (odds of 1000) by which a log clearly belongs; simulated dives of one instrument have 17
 
 
 class Grouping:
@@ -92,11 +92,11 @@ class Grouping:
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Return the logs' indices, the largest group first, each ascending; logs without a calibration are in none."""
+        """The logs' indices, the largest group first, each ascending; logs without a calibration are in none."""
         return tuple(sorted((tuple(sorted(g.logs)) for g in self._groups), key=lambda group: (-len(group), group)))
 
     def _settle(self, logs: Sequence[int]) -> None:
-        """Take logs out of their groups and assign them again until nothing changes."""
+        """Remove logs from their groups and assign them again until nothing changes."""
         for _ in range(_SWEEPS):
             before = self.groups
             for i in logs:
@@ -138,7 +138,7 @@ class Grouping:
         return float(sum(each) - len(each) * self._together(empty.information, empty.weighted))
 
     def _fit(self, logs: Sequence[int], group: Group, *, inside: bool = True) -> Array:
-        """Return (n,) nats by which logs' kept parameters are likelier with a group than alone.
+        """Return the nats (n,) by which logs' kept parameters are likelier with a group than alone.
 
         With `inside`, the logs belong to the group and are compared with its other logs.
         """
@@ -170,7 +170,7 @@ class Grouping:
         row = self._row[i]
         alone = self._kept_given(row, nothing)
         kept = np.array([self._kept_given(row, group) + self._model.same - alone for group in self._groups])
-        # The hard irons are only compared where they can change the choice.
+        # Hard irons are compared only where they can change the choice.
         low, high = kept + np.log(1 - STAYED), kept + self._statistics.most_hard_iron[row]
         best = int(np.argmax(kept)) if len(kept) else -1
         if len(kept) and low[best] > max(0.0, float(np.delete(high, best).max(initial=0.0))):
@@ -206,7 +206,9 @@ class Grouping:
         return density
 
     def _iron_gain(self, row: int, group: Group) -> float:
-        """Return the nats by which a log's hard iron is likelier near those of a group than anywhere."""
+        """Return the nats by which a log's hard iron is likelier near those of a group than for an arbitrary
+        instrument.
+        """
         others = [self._row[i] for i in group.logs]
         iron, covariance = self._statistics.hard_iron, self._statistics.hard_iron_covariance
         both = covariance[others] + covariance[row] + np.eye(3) * self._model.hard_iron_scatter**2

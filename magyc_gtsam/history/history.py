@@ -26,8 +26,8 @@ from magyc_gtsam.storage.mapping import parse_json, parse_yaml
 from magyc_gtsam.storage.whole_file import write_text
 
 _FORMAT = "magyc-gtsam history 2"
-_FIRST_FORMAT = "magyc-gtsam history 1"  # without groups and filters, which are computed again
-_WORTH_KEEPING = 10  # logs; filtering fewer again takes no longer than reading the filter
+_FIRST_FORMAT = "magyc-gtsam history 1"  # without groups and filters, which are then computed again
+_WORTH_KEEPING = 10  # number of logs below which filtering again takes no longer than reading the filter
 _LIST = ",\n"
 
 
@@ -67,7 +67,7 @@ class History:
 
     @property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Return the indices of logs that can be of one instrument, the largest group first.
+        """The indices of logs that can be of one instrument, the largest group first.
 
         A log without a trusted calibration is in no group.
         """
@@ -75,7 +75,7 @@ class History:
 
     @cached_property
     def _instruments(self) -> tuple[Instrument, ...]:
-        """Return one instrument per group; logs without a calibration count as logs of the largest group."""
+        """One instrument per group; logs without a calibration count as logs of the largest group."""
         uncalibrated = [i for i, factor in enumerate(self.factors) if factor.mean is None]
         dated = all(factor.time is not None for factor in self.factors)
 
@@ -103,22 +103,24 @@ class History:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of the logs."""
+        """The names of the logs."""
         return tuple(factor.name for factor in self.factors)
 
     @property
     def hard_iron(self) -> Array:
-        """Return the hard iron (k, 3) T at each log, from all logs of its instrument; for a wrong log, without it."""
+        """Hard iron (k, 3) in T at each log, from all logs of its instrument; the estimate at a wrong log does not
+        use that log.
+        """
         return self._of(lambda instrument: instrument.posterior.hard_iron) * MICROTESLA
 
     @property
     def hard_iron_covariance(self) -> Array:
-        """Return the covariance (k, 3, 3) T² of `hard_iron`."""
+        """Covariance (k, 3, 3) of `hard_iron` in T²."""
         return self._of(lambda instrument: instrument.posterior.covariance) * MICROTESLA**2
 
     @property
     def jumps(self) -> list[tuple[int, Array, Array]]:
-        """Return (index of the first log after it, size (3,) T, sigma (3,) T) of each jump of the hard iron."""
+        """(index of the first log after it, size (3,) T, sigma (3,) T) of each jump of the hard iron."""
         jumps = []
         for instrument in self._instruments:
             size = np.diff(instrument.posterior.hard_iron, axis=0) * MICROTESLA
@@ -129,17 +131,17 @@ class History:
 
     @property
     def walk(self) -> float:
-        """Return the random walk of the largest group's hard iron, T per √day (per √log without dates)."""
+        """The random walk of the largest group's hard iron, T per √day (per √log without dates)."""
         return self._instruments[0].walk * MICROTESLA
 
     @cached_property
     def contradictions(self) -> tuple[Contradiction, ...]:
-        """Return the logs that contradict the others, and in which parameter."""
+        """The logs that contradict the others, and in which parameter."""
         return contradictions_of(self.factors, self.groups, self._instruments)
 
     @cached_property
     def calibrations(self) -> tuple[Calibration, ...]:
-        """Return one calibration per log from all logs of its instrument."""
+        """One calibration per log from all logs of its instrument."""
         result: dict[int, Calibration] = {}
         for instrument in self._instruments:
             for k, i in enumerate(instrument.order):
@@ -148,7 +150,7 @@ class History:
 
     @cached_property
     def next(self) -> Calibration:
-        """Return the calibration for the next log of the largest group; its covariance includes the walk until then."""
+        """The calibration for the next log of the largest group; its covariance includes the walk until then."""
         return next_calibration(self.factors, self._instruments[0], self.model)
 
     def add(self, recording: Recording, *, time: float | None = None) -> History:
@@ -174,7 +176,7 @@ class History:
 
     @property
     def _filters(self) -> tuple[Bank, ...]:
-        """Return the filters of all instruments, which `extend` and `load` continue."""
+        """The filters of all instruments, which `extend` and `load` continue."""
         return tuple(instrument.bank for instrument in self._instruments)
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Solve one instrument's logs: the forward pass (`forward`) labels them, then all logs are smoothed together.
+"""Solution of one instrument's logs: the forward pass (`forward`) labels them, then all logs are smoothed together.
 
-The posterior is averaged over the walk's deviation, so that its covariance includes the uncertainty of the walk, which
-is large in a history of few logs.
+The posterior is averaged over the deviation of the walk, so that its covariance includes the uncertainty of the walk,
+which is large in a history of few logs.
 """
 
 from __future__ import annotations
@@ -50,32 +50,32 @@ class Instrument:
 
     @property
     def order(self) -> tuple[int, ...]:
-        """Return the indices of the logs in the history."""
+        """The indices of the logs in the history."""
         return self.bank.order
 
     @property
     def label(self) -> np.ndarray:
-        """Return the likeliest label (k,) of each log: WALKED, JUMPED (before it) or WRONG."""
+        """The likeliest label (k,) of each log: WALKED, JUMPED (before it) or WRONG."""
         return np.asarray(self.bank.label[0])
 
     @property
     def walk(self) -> float:
-        """Return the posterior median of the walk, µT per √day."""
+        """The posterior median of the walk, µT per √day."""
         share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=1)
         return float(WALKS[np.searchsorted(np.cumsum(share), 0.5)])
 
     @property
     def scatter(self) -> float:
-        """Return the likeliest relative scatter of soft irons between logs beyond their sigmas."""
+        """The likeliest relative scatter of soft irons between logs beyond their sigmas."""
         share = self.bank.share.sum(axis=0).reshape(len(WALKS), len(SCATTERS)).sum(axis=0)
         return float(SCATTERS[np.argmax(share)])
 
     @cached_property
     def ahead(self) -> tuple[Array, Array]:
-        """Return mean (p + 3,) and covariance of what is shared and h, µT, one median interval on, without jump."""
+        """Mean (p + 3,) and covariance of the shared parameters and h, µT, after one median interval without jump."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
         interval = float(np.median(elapsed)) if len(elapsed) else 1.0
-        # A labelling without any log used has nothing to predict from.
+        # A labelling that uses no log gives no prediction.
         calibrated = np.array([log.mean is not None for log in self.logs])
         used = ((self.bank.label != WRONG) & calibrated).any(axis=1)
         share = self.bank.share * used[:, None]
@@ -94,7 +94,7 @@ class Instrument:
 
     @cached_property
     def posterior(self) -> HistoryPosterior:
-        """Return the posterior from all logs at the likeliest labelling and scatter, averaged over the walk."""
+        """The posterior from all logs at the likeliest labelling and scatter, averaged over the walk."""
         elapsed = elapsed_of(self.logs, self.bank.dated)
         observed = _observations(self.logs, elapsed, self.scatter, self.label != WRONG, self.model)
         weight = self.bank.weight[0][self.scatter == SCATTER_OF_CELL]
@@ -141,7 +141,7 @@ def elapsed_of(logs: Sequence[LogFactor], dated: bool) -> Array:
 
 
 def _shared(logs: Iterable[LogFactor]) -> int:
-    """Return the number of parameters that logs share, of which at least one has a calibration."""
+    """Return the number of parameters shared by logs, at least one of which has a calibration."""
     return next(len(log.mean[SHARED]) for log in logs if log.mean is not None)
 
 

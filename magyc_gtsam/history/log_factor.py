@@ -1,9 +1,9 @@
 """The information of one log on the instrument, compressed to one Gaussian factor.
 
-The factor is on (s, h, b): the soft iron's shape (`coordinates`), the hard iron in µT and the gyroscope bias in mrad/s;
-or on (s, g, h, b) where the scales g of the gyroscope's axes, in ‰, are estimated (`calibrate(gyroscope_scale=)`). What
-all logs of an instrument share comes first.
-The delay is nearly independent of them (it changes no sigma of soft or hard iron by more than 1 %) and is kept
+The factor is on (s, h, b): the soft iron's shape (`coordinates`), the hard iron in µT and the gyroscope bias in
+mrad/s; or on (s, g, h, b) where the scales g of the gyroscope's axes, in ‰, are estimated
+(`calibrate(gyroscope_scale=)`). The parameters that all logs of an instrument share come first. The delay is nearly
+independent of the factor's parameters (it changes no sigma of soft or hard iron by more than 1 %) and is kept
 separately. Noise levels, field directions and robust weights are eliminated, so that a log is never read again.
 """
 
@@ -26,8 +26,8 @@ from magyc_gtsam.history.coordinates import SHAPE, shape_of, shape_slope, soft_i
 from magyc_gtsam.recording import Array, Recording
 
 HARD_IRON, GYRO_BIAS = slice(-6, -3), slice(-3, None)
-SHARED, OBSERVED = slice(None, -6), slice(None, -3)  # s, or s and g; and these with h
-SCALE = slice(SHAPE, SHAPE + 3)  # g, where it is there
+SHARED, OBSERVED = slice(None, -6), slice(None, -3)  # indices of s, or of s and g; and of these with h
+SCALE = slice(SHAPE, SHAPE + 3)  # indices of g, where it is estimated
 SIZE, SIZE_WITH_SCALE = SHAPE + 6, SHAPE + 9
 MICROTESLA, MILLIRADIAN, PER_MILLE = 1e-6, 1e-3, 1e-3
 _SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
@@ -36,11 +36,9 @@ _SHAPES: dict[str, tuple[tuple[int, ...], ...]] = {
     "misalignment": ((3,),),
     "misalignment_covariance": ((3, 3),),
 }
-_WEAK = (
-    10.0  # deviation of the weak prior in those of the prior; what is left of a hundred logs counts as one prior
-)
+_WEAK = 10.0  # ratio of the weak prior's deviation to the prior's; the weak priors of a hundred logs count as one prior
 _UNKNOWN_BIAS = 1e3  # mrad/s, standard deviation of a bias that the method does not estimate
-_EPOCH = re.compile(r"time 0 is .*?(\d+\.\d{9}) s")  # as the readers write it into a recording's notes
+_EPOCH = re.compile(r"time 0 is .*?(\d+\.\d{9}) s")  # the format of the readers in the notes of a recording
 _CALENDAR = 1e8  # s since 1970; a clock below this does not show the date
 
 
@@ -106,7 +104,7 @@ class LogFactor:
 
 
 def factor_of(recording: Recording, time: float | None, options: dict[str, Any]) -> LogFactor:
-    """Calibrate a log and compress it; a log that cannot be calibrated keeps the reason.
+    """Calibrate a log and compress it; the factor of a log that cannot be calibrated states the reason.
 
     Args:
         recording: the log.
@@ -151,7 +149,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
         known[:12, 12:] = calibration.diagnostics["gyroscope_scale"]
         known[12:, :12] = known[:12, 12:].T
     covariance = slope @ known @ slope.T
-    prior = calibration.configuration.get("gyroscope_scale")  # None for a calibration that a history gave
+    prior = calibration.configuration.get("gyroscope_scale")  # None for a calibration from a history
     if scale is not None and prior is not None:
         mean, covariance = _with_weak_prior(mean, covariance, prior)
     if calibration.gyro_bias is None:
@@ -173,7 +171,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
 
 
 def _with_weak_prior(mean: Array, covariance: Array, deviation: float) -> tuple[Array, Array]:
-    """Return (s, g, h, b) with g held by a weak prior in place of the one that it was estimated with.
+    """Return (s, g, h, b) with the prior on g replaced by a weak one.
 
     The prior belongs to the instrument, which has it once, and not to each of its logs.
 

@@ -1,7 +1,7 @@
-"""The statistics by which logs are compared: of each log, and summed over the logs of a group.
+"""Statistics by which logs are compared: of each log, and summed over the logs of a group.
 
 An instrument keeps its soft iron, gyroscope scale, gyroscope bias and misalignment from log to log up to a scatter;
-these are the kept parameters, `KEPT_SIZE` in all. A log has no information on those that it does not estimate. Its
+these are the kept parameters, `KEPT_SIZE` in number. A log has no information on those that it does not estimate. Its
 hard iron is kept in a share `STAYED` of the logs.
 """
 
@@ -19,7 +19,7 @@ from magyc_gtsam.history.model import HistoryModel
 from magyc_gtsam.recording import Array
 
 KEPT_SIZE = SHAPE + 9  # soft iron, gyroscope scale, gyroscope bias, misalignment
-STAYED = 0.8  # share of an instrument's logs whose hard iron is that of another of its logs
+STAYED = 0.8  # share of an instrument's logs whose hard iron equals that of another of its logs
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +27,11 @@ class LogStatistics:
     """Statistics of logs, one row each.
 
     Attributes:
-        information, weighted: of the kept parameters, and information times mean.
+        information, weighted: information on the kept parameters, and information times mean.
         hard_iron, hard_iron_covariance: (k, 3) µT and (k, 3, 3).
         anywhere: (k,) log density of the hard iron among all instruments.
         most_hard_iron: (k,) nats, the largest gain that a comparison of hard irons can give.
-        log_volume: (k,) log determinant of the covariance; smaller is more certain.
+        log_volume: (k,) log determinant of the covariance; smaller means more certain.
     """
 
     information: Array
@@ -49,7 +49,7 @@ class LogStatistics:
         mean = np.array([factor.mean for factor in factors]).reshape(-1, size)
         covariance = np.array([factor.covariance for factor in factors]).reshape(-1, size, size)
         held = np.r_[: size - 6, size - 3 : size]  # the kept parameters that a `LogFactor.mean` holds
-        kept = np.r_[: size - 6, SHAPE + 3 : SHAPE + 6]  # and where they are among all
+        kept = np.r_[: size - 6, SHAPE + 3 : SHAPE + 6]  # their indices among all kept parameters
         scale_scatter = np.full(size - 6 - SHAPE, model.gyroscope_scale_scatter)
         scatter = np.diag(np.r_[np.full(SHAPE, model.scatter), scale_scatter, np.full(3, model.bias_scatter)] ** 2)
         misalignment, misalignment_information = _misalignments(factors, model)
@@ -90,7 +90,7 @@ class Group:
         self.weighted = np.zeros(KEPT_SIZE) if weighted is None else weighted
 
     def change(self, i: int, information: Array, weighted: Array, sign: int) -> None:
-        """Take log `i` in (sign 1) or out (−1)."""
+        """Add log `i` (sign 1) or remove it (−1)."""
         self.information = self.information + sign * information
         self.weighted = self.weighted + sign * weighted
         if sign > 0:

@@ -1,4 +1,4 @@
-"""Derive calibrations from a solved instrument, for each of its logs and for the next log."""
+"""Calibrations derived from a solved instrument, for each of its logs and for the next log."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _shared_and_iron(instrument: Instrument, k: int) -> tuple[Array, Array]:
 
 
 def _without_bias(mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return mean and covariance with zeros for the bias, which is yet to be filled in."""
+    """Return mean and covariance with zeros in place of the bias."""
     return np.pad(mean, (0, 3)), np.pad(covariance, (0, 3))
 
 

@@ -1,4 +1,4 @@
-"""Calibrate while the vehicle moves, in constant time and memory."""
+"""Online calibration while the vehicle moves, in constant time and memory."""
 
 from magyc_gtsam.online.calibrator import OnlineCalibrator
 from magyc_gtsam.online.engine import Change, Progress

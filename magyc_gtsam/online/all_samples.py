@@ -1,4 +1,4 @@
-"""Fit all samples kept, as the batch method does."""
+"""Fit of all samples kept, as the batch method does it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from magyc_gtsam.online.marginal import BIAS, ContinuedChain
 from magyc_gtsam.online.state import SmootherState
 from magyc_gtsam.recording import Array, Recording
 
-_NOISE_WINDOWS = 60  # least windows after a step from which noise levels are estimated
+_NOISE_WINDOWS = 60  # fewest windows after a step for which noise levels are estimated
 
 
 def fit_batch(
@@ -27,7 +27,7 @@ def fit_batch(
     """
     fit, rival = fit_field_chain(recording, start=start, **options)
     samples = preintegrate(recording, options["window"], options["turn"])
-    if len(samples.starts) != len(fit.chain.windows):  # which are shorter in disturbed stretches
+    if len(samples.starts) != len(fit.chain.windows):  # windows are shorter in disturbed stretches
         samples = preintegrate(recording, shortened(options["window"]), options["turn"])
     return fit, rival, samples
 

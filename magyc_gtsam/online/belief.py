@@ -1,4 +1,4 @@
-"""What the online smoother has estimated so far, and its form as arrays for the state file."""
+"""The estimates of the online smoother so far, and their form as arrays for the state file."""
 
 from __future__ import annotations
 

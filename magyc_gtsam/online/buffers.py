@@ -40,17 +40,17 @@ class SampleBuffer:
 
     @property
     def magnetometer(self) -> Samples:
-        """Return all magnetometer samples kept."""
+        """All magnetometer samples kept."""
         return Samples(self._magnetometer.rows[:, 0], self._magnetometer.rows[:, 1:])
 
     @property
     def gyroscope(self) -> Samples:
-        """Return all gyroscope samples kept."""
+        """All gyroscope samples kept."""
         return Samples(self._gyroscope.rows[:, 0], self._gyroscope.rows[:, 1:4])
 
     @property
     def numbers(self) -> Array:
-        """Return the ascending window numbers (m,) of the first m magnetometer samples; the last window may be open."""
+        """The ascending window numbers (m,) of the first m magnetometer samples; the last window may be open."""
         return self._numbers.rows[:, 0]
 
     def append(self, magnetometer: Samples, gyroscope: Samples) -> None:
@@ -138,7 +138,7 @@ class SampleBuffer:
         )
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state as named arrays, for `restore`."""
         return {
             "magnetometer": self._magnetometer.rows.copy(),
             "gyroscope": self._gyroscope.rows.copy(),
@@ -148,7 +148,7 @@ class SampleBuffer:
         }
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Continue from `state`."""
+        """Restore a state that `state` returned."""
         for rows, name in (
             (self._magnetometer, "magnetometer"),
             (self._gyroscope, "gyroscope"),
@@ -202,7 +202,7 @@ class SampleBuffer:
         after = np.minimum(np.searchsorted(time, when[:reached], side="right"), len(time) - 1)
         inside = (time[after] - time[after - 1] > self._hole) & (time[after - 1] < when[:reached])
         inside &= when[:reached] < time[after]
-        if inside.any():  # samples in a hole, whose attitude is unknown
+        if inside.any():  # samples in a hole have no known attitude
             kept = np.append(~inside, np.ones(len(when) - reached, dtype=bool))
             when = when[:reached][~inside]  # a copy, because `keep` moves the rows behind it
             reached = len(when)

@@ -1,4 +1,4 @@
-"""`OnlineCalibrator`: takes samples singly or in blocks, and gives a calibration at any time."""
+"""`OnlineCalibrator`: takes samples singly or in blocks and returns a calibration at any time."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _ENGINES = {  # method → "module:class"; the class takes the method's options 
     "magyc-ifg": "magyc_gtsam.online.magyc_ifg:IncrementalMagyc",
 }
 
-_TOGETHER = 16  # single samples that are taken together
+_TOGETHER = 16  # number of single samples that are processed together
 
 
 class OnlineCalibrator:
-    """Calibrate while the vehicle moves, with time per update and memory independent of the mission's length.
+    """Calibrates while the vehicle moves, with time per update and memory independent of the mission's length.
 
         online = OnlineCalibrator()
         online.update(time, magnetic_field, angular_rate)   # one sample or a block, again and again
@@ -111,39 +111,39 @@ class OnlineCalibrator:
     @property
     @one_thread
     def calibration(self) -> Calibration | None:
-        """Return the current estimate with covariance, `converged` and `message`; None before there is one."""
+        """The current estimate with covariance, `converged` and `message`; None before there is one."""
         self._catch_up()
         return with_left_out(self._engine.calibration(), self._faults, self._intake.duration)
 
     @property
     @one_thread
     def converged(self) -> bool:
-        """Return whether the estimate may be used: its covariance is within limits and it has stopped changing."""
+        """Whether the estimate may be used: its covariance is within limits and it has stopped changing."""
         self._catch_up()
         return self._engine.converged() and not refusal(self._faults)
 
     @property
     @one_thread
     def progress(self) -> Progress:
-        """Return the progress, the weak directions and the motion that helps."""
+        """The progress, the weak directions and the motion that helps."""
         self._catch_up()
         return with_faults(self._intake.counted(self._engine.progress()), self._faults)
 
     @property
     def field(self) -> Array:
-        """Return a copy of the magnetometer samples (n, 3) T that are kept, or of a part of them."""
+        """A copy of the magnetometer samples (n, 3) T that are kept, or of a part of them."""
         self._catch_up()
         return self._engine.field().copy()
 
     @property
     def changes(self) -> tuple[Change, ...]:
-        """Return the steps in hard iron found so far, oldest first."""
+        """The steps in hard iron found so far, oldest first."""
         self._catch_up()
         return self._engine.changes()
 
     @property
     def taken_until(self) -> tuple[float, float]:
-        """Return the stamps, s, of the last sample taken of magnetometer and gyroscope; −inf before the first.
+        """The stamps, s, of the last sample taken of magnetometer and gyroscope; −inf before the first.
 
         A saved run continues after these stamps.
         """

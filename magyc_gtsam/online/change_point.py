@@ -1,16 +1,16 @@
-"""Find steps in hard iron by a generalised likelihood ratio over all possible times of a step.
+"""Detection of steps in hard iron by a generalised likelihood ratio over all possible times of a step.
 
-The step Δ (3) is the hard iron of all windows from n on minus that before. Added as a parameter at the best fit without
-a step, it would lower the cost by λ(n)/2, with λ(n) = gᵀ S⁻¹ g, where g and S are the gradient and information of Δ
-after θ and all directions are eliminated (Willsky and Jones 1976, here on a smoother instead of a filter). All n share
-one factorisation. Without a step λ is χ² with 3 degrees of freedom.
+The step Δ (3) is the hard iron of all windows from n on minus that before. Added as a parameter at the best fit
+without a step, it would lower the cost by λ(n)/2, with λ(n) = gᵀ S⁻¹ g, where g and S are the gradient and information
+of Δ after θ and all directions are eliminated (Willsky and Jones 1976, here on a smoother instead of a filter). All n
+share one factorisation. Without a step λ is χ² with 3 degrees of freedom.
 
 If the field itself changes with the place, an offset that is fixed in the world explains the windows better than one
-that is fixed in the sensor. Only turning distinguishes the two; until the sensor has turned, a change counts as a step
-only if it is larger than changes of the field between places.
+that is fixed in the sensor. Only rotation distinguishes the two; until the sensor has turned, a change counts as a
+step only if it is larger than changes of the field between places.
 
 A disturbed stretch also gives a large λ. A candidate is therefore fitted: the step is subtracted from the windows, all
-windows are fitted, and the step is estimated again at that fit. The robust cost, in which a disturbed window counts no
+windows are fitted, and the step is estimated again at that fit. The robust cost, which counts a disturbed window no
 more than a rejected one, must fall by the same limit.
 
 The window that contains the step is left out of the fits before and after it.
@@ -31,19 +31,21 @@ from magyc_gtsam.factors.chain.vech import unvech
 from magyc_gtsam.online.likelihood_ratio import ChangeTime, change_time, step_profile
 from magyc_gtsam.online.marginal import HARD_IRON, ContinuedChain, Marginal
 
-LIMIT = 40.0  # least λ of a step; benchmarks/online.py counts the false alarms
-MARGIN = 20.0  # lead in λ that decides for a step in the sensor against one in the world
-ALIKE = 5.0  # lead in λ of the world up to which the step still counts as the sensor's, once it has turned by
-TURNED = 2.5  # rad since the step
-NO_PLACE = 0.5  # of the field strength; a larger change is not one of the place
+LIMIT = 40.0  # smallest λ of a step; benchmarks/online.py counts the false alarms
+MARGIN = 20.0  # lead in λ from which a step is fixed in the sensor rather than the world
+ALIKE = (
+    5.0  # lead of the world in λ up to which a step still counts as fixed in the sensor, after a turn by `TURNED`
+)
+TURNED = 2.5  # rad, rotation since the step
+NO_PLACE = 0.5  # share of the field strength; a larger change is not one of the field with the place
 SMALLEST = 1.5e-6  # T, smallest step worth a restart; the field within a room varies by as much
-_AFTER = 5  # least windows after a step
-_BEFORE = 3  # least windows before a step
-LARGE = 0.1  # of the field strength, from which a step is far from linear
-_CORRECTIONS = 6  # most times a large step is subtracted and estimated again, until it stands still
-_JUDGED, _JUDGED_LARGE = (1.0, 1.0, 1.0), (5.0, 1.0)  # times the noise by which robust weights judge, one by one
-_STILL = 1.0  # squared change of a step's size, in its covariance
-_NOTHING = 1e-6  # samples of a window whose field is left out
+_AFTER = 5  # fewest windows after a step
+_BEFORE = 3  # fewest windows before a step
+LARGE = 0.1  # share of the field strength from which the effect of a step is far from linear
+_CORRECTIONS = 6  # largest number of times a large step is subtracted and estimated again until it converges
+_JUDGED, _JUDGED_LARGE = (1.0, 1.0, 1.0), (5.0, 1.0)  # factors of the noise in the robust weights, pass by pass
+_STILL = 1.0  # squared change of a step's estimate, in its covariance, below which it has converged
+_NOTHING = 1e-6  # sample count given to a window whose field is left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +72,7 @@ class Step:
 
 
 class ChangeSearch(NamedTuple):
-    """The step found, or whether more windows are needed to decide about a possible one, and whether that is large."""
+    """The step found; or whether a possible step needs more windows for a decision, and whether it is large."""
 
     step: Step | None
     undecided: bool = False
@@ -125,9 +127,10 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Chan
 def _corrected(fit: Fit, found: ChangeTime, colour: float, strength: float) -> tuple[ChangeTime, Fit]:
     """Subtract a step, fit all windows, and estimate its time and size again at that fit.
 
-    The size of a large one is at first off by up to its tenth, and robust weights would reject the windows after it for
-    what is left of it. All windows count alike until it stands still; then the weights reject the windows in which a
-    hand moves what makes the step, and at the last what the noise does not explain.
+    The first estimate of a large step is off by up to a tenth of its size, and robust weights would reject the
+    windows after it because of this remainder. All windows therefore have equal weight until the step has converged.
+    The following passes apply robust weights, first at an increased noise level, which rejects the windows in which a
+    hand moves the source of the step, and finally at the true one.
     """
     chain, parameters = fit.chain, fit.state.parameters
     assert isinstance(chain, ContinuedChain)
@@ -184,7 +187,7 @@ def _fitted(fit: Fit, chain: ContinuedChain, parameters: Array) -> Fit:
 
 
 def _cost(fit: Fit) -> float:
-    """Return twice the robust cost, including that of the past."""
+    """Return twice the robust cost, including that of the past marginal."""
     assert isinstance(fit.chain, ContinuedChain)
     return misfit(fit, fit.chain.noise) + 2 * fit.chain.past_cost(fit.state)
 

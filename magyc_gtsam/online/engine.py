@@ -1,4 +1,4 @@
-"""What `OnlineCalibrator` asks of the engine of a method, what an engine reports, and what sensor faults add to it."""
+"""The interface between `OnlineCalibrator` and the engine of a method, and the sensor faults in an engine's reports."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Progress:
         weak: the weak directions, worst first, each with the motion that would determine it.
         coverage: share of the sphere of field directions (sensor frame) visited, 0 to 1.
         left_out: number of samples left out so far: repeated or late stamps, values that are not finite, zeros in place
-            of values, spikes, stuck axes, turns that were cut off.
+            of values, spikes, stuck axes, rotations beyond the full scale.
         stuck: axes that were or are stuck, the largest share first; their samples are not used.
-        clipped: what the gyroscope's full scale cut off so far; windows are not linked across it.
-        clipped_field: what the magnetometer's full scale cut off so far, if it is enough to do harm; the samples are
-            used, and the estimate is not converged.
+        clipped: rotations beyond the gyroscope's full scale so far; windows are not linked across them.
+        clipped_field: fields beyond the magnetometer's full scale so far, if there are enough to do harm; the samples
+            are used, and the estimate is not converged.
     """
 
     time: float | None
@@ -87,7 +87,7 @@ class Engine(Protocol):
         """Return whether the estimate may be used by its covariance and stability."""
 
     def progress(self) -> Progress:
-        """Return the progress and what is missing. Does not change the state."""
+        """Return the progress and the missing motion. Does not change the state."""
 
     def field(self) -> Array:
         """Return the magnetometer samples (n, 3) T that are kept, oldest first. Does not change the state."""
@@ -103,13 +103,13 @@ class Engine(Protocol):
 
 
 def refusal(faults: SensorFaults) -> str:
-    """Return why the remaining samples allow no calibration; empty if they do."""
+    """Return the reason why the remaining samples allow no calibration; empty if they do."""
     clipped = faults.clipped, faults.clipped_field
     return "; ".join(fault.sentence for fault in clipped if fault is not None and fault.too_often)
 
 
 def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
-    """Return the progress with the faults of the sensors."""
+    """Return the progress with the faults of the sensors added."""
     every, clipped, clipped_field = faults.stuck(progress.duration), faults.clipped, faults.clipped_field
     if not every and clipped is None and clipped_field is None and not faults.dropped:
         return progress
@@ -133,7 +133,7 @@ def with_faults(progress: Progress, faults: SensorFaults) -> Progress:
 
 
 def with_left_out(calibration: Calibration | None, faults: SensorFaults, duration: float) -> Calibration | None:
-    """Return the calibration after `duration` s with what was left out, as the batch methods report it."""
+    """Return the calibration after `duration` s with a note of the samples left out, as in the batch methods."""
     where = [
         fault.where
         for fault in (*faults.stuck(duration), *faults.single_samples, faults.clipped)

@@ -1,4 +1,4 @@
-"""Measure how much of the sphere of field directions the sensor has seen, and find the move that adds most to it."""
+"""The share of the sphere of field directions that the sensor has seen, and the move that adds most to it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.recording import Array, Mask
 
 BANDS, SECTORS = 6, 10  # cells of equal area: bands from −z to +z, sectors about z from −x on
-_MOST = 2000  # directions that are evaluated
+_MOST = 2000  # largest number of directions that are evaluated
 
 _TILTS = (0.0, 20.0, 45.0, 90.0)  # deg, in both directions; smaller tilts are hard to do by hand
 _STEP = 5.0  # deg between evaluated attitudes
 _EFFORT = 20.0  # deg of tilt that must gain one more cell
-_LEAST = 2  # least cells that a move must gain
+_LEAST = 2  # smallest number of cells that a move must gain
 _NAMES = {"x": "roll", "y": "pitch"}
 
 
@@ -57,7 +57,7 @@ class NextMove:
 
     @property
     def sentence(self) -> str:
-        """Return the move as an instruction."""
+        """The move as an instruction."""
         if not self.axis:
             return "turn once about z"
         sign = "+" if self.degrees > 0 else "−"

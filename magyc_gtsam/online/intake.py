@@ -1,4 +1,4 @@
-"""Check incoming rows and separate them into one clean stream per sensor: ascending, finite, without repeats."""
+"""Checks of incoming rows and their separation into one clean stream per sensor: ascending, finite, without repeats."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.stamps import check_seconds
 
 _LATE = 1.0  # s by which a late stamp is left out; a later one means that a clock was set back
-_LEAP = 3.0  # previous steps, and at least `_LATE`, by which a stamp may be ahead without confirmation
-_CONFIRMED_BY = 5  # later stamps that confirm a stamp which leaps ahead
+_LEAP = 3.0  # ratio to the previous step, and at least `_LATE`, by which a stamp may be ahead without confirmation
+_CONFIRMED_BY = 5  # number of later stamps that confirm a stamp which leaps ahead
 _FIELD_LIMIT = 3e-3  # T
 _RATE_LIMIT = 70.0  # rad/s
 _NAMES = ("magnetic_field", "angular_rate")
@@ -23,8 +23,7 @@ _WIDTH = (_FIELD_LIMIT, _RATE_LIMIT)
 
 
 class Intake:
-    """Separate rows of both sensors into two clean streams.
-
+    """Separates rows of both sensors into two clean streams.
     Attributes:
         repeated: (n,) s, stamps in the last rows taken at which the magnetometer repeated the sample before.
     """
@@ -88,13 +87,13 @@ class Intake:
 
     @property
     def until(self) -> tuple[float, float]:
-        """Return the stamps, s, of the last sample of magnetometer and gyroscope; −inf before the first."""
+        """The stamps, s, of the last sample of magnetometer and gyroscope; −inf before the first."""
         (magnetometer, _), (gyroscope, _) = (self._last[name] for name in _NAMES)
         return magnetometer, gyroscope
 
     @property
     def duration(self) -> float:
-        """Return the time from the first sample to the last, s."""
+        """The time from the first sample to the last, s."""
         last = max(self.until)
         return last - self._first if np.isfinite(last) else 0.0
 
@@ -105,7 +104,7 @@ class Intake:
         return replace(progress, time=time, duration=self.duration, left_out=self._left_out)
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state as named arrays, for `restore`."""
         return {
             "last": np.array([[time, *value] for time, value in self._last.values()]),
             "count": np.array([self._first, self._left_out]),
@@ -114,7 +113,7 @@ class Intake:
         }
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Continue from `state`."""
+        """Restore a state that `state` returned."""
         self._last = {
             name: (float(row[0]), row[1:].copy()) for name, row in zip(_NAMES, state["last"], strict=True)
         }
@@ -223,7 +222,7 @@ def _confirmed_first(rows: Array) -> tuple[Array, Array]:
 
 
 def _wait(waiting: list[int], time: Array, i: int) -> None:
-    """Add row i to the waiting rows, and drop those that it shows to be ahead of time."""
+    """Add row i to the waiting rows, and drop the waiting rows whose stamps are later than its own."""
     while waiting and time[waiting[-1]] >= time[i]:
         waiting.pop()
     waiting.append(i)

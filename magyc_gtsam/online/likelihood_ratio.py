@@ -1,4 +1,4 @@
-"""Compute the likelihood ratio of a step in hard iron for all times at once (see `online.change_point`)."""
+"""The likelihood ratio of a step in hard iron for all times at once (see `online.change_point`)."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.online.marginal import ContinuedChain
 
 _FINEST = 24  # parts into which a window is divided
-_UNLIKELY = 20.0  # λ below the largest from which a window is not divided
-_BEFORE, _AFTER = 3, 3  # least windows before and after the step
+_UNLIKELY = 20.0  # distance of λ from its maximum from which a window is not divided
+_BEFORE, _AFTER = 3, 3  # fewest windows before and after the step
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +81,7 @@ def step_profile(
     free = np.diag(reduced.information) > 0
     free[PARAMETERS:] = False  # the misalignment is held
     known = Fit(chain, state, weights, reduced, free).covariance
-    # Of a step before each window, and of none: Δ with the directions (n + 1, 3, 2n), times L⁻¹, and then Δ with θ.
+    # For a step before each window, and for none: Δ with the directions (n + 1, 3, 2n), times L⁻¹, and then Δ with θ.
     half = np.concatenate([half.reshape(2 * n, n, 3).transpose(1, 2, 0), np.zeros((1, 3, 2 * n))])
     cross = _from(np.einsum("pkn,kin->nip", reduced.on_parameters, column)) - half @ reduced.half[:, :-1]
     gradient = _from(np.einsum("kn,kin->ni", residual, column)) - half @ reduced.half[:, -1]
@@ -127,7 +127,7 @@ def change_time(chain: ContinuedChain, profile: StepProfile, colour: float) -> C
     likely_windows = possible[at_edges > at_edges.max() - _UNLIKELY * colour]
     parts = np.minimum(windows.count[likely_windows], _FINEST).astype(int)
     n, parts = np.repeat(likely_windows, parts), np.repeat(parts, parts)
-    number = np.arange(len(n)) - np.searchsorted(n, n)  # of the part in its window
+    number = np.arange(len(n)) - np.searchsorted(n, n)  # number of the part inside its window
     share = 1 - (number + 0.5) / parts
     ratio, step, covariance = profile.inside(n, share)
     begin, end = _edge(windows.time, windows.count, n), _edge(windows.time, windows.count, n + 1)

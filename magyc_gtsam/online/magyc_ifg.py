@@ -1,4 +1,4 @@
-"""MAGYC-IFG online: form windows of one second from incoming samples, and add each to the factor graph."""
+"""MAGYC-IFG online: windows of one second from incoming samples, each added to the factor graph."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from magyc_gtsam.runners.isam import Method
 
 _WAITING = 60.0  # s of samples of one sensor that are kept while the other is silent
 _VISITED = 512  # samples kept as representatives of the whole mission
-_STILL = 0.5  # of the limits, largest difference of a settled estimate from the mean of the last fifth
+_STILL = 0.5  # share of the limits by which a settled estimate may differ from the mean of the last fifth
 
 
 class IncrementalMagyc:

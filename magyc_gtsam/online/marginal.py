@@ -1,9 +1,9 @@
-"""Marginalise the past of a chain onto θ and the direction of its last window.
+"""Marginalisation of the past of a chain onto θ and the direction of its last window.
 
 A `Marginal` is a quadratic cost on θ (16, which always includes a misalignment, so that it can be estimated at any
-time) and the tangent (2) of the last window's direction. The direction is stored as that window's mean field direction
-in the sensor frame, M g, which does not depend on the world frame in which the gyroscope was integrated, so that the
-chain can continue in another frame.
+time) and the tangent (2) of the last window's direction. The direction is stored as that window's mean field
+direction in the sensor frame, M g, which does not depend on the world frame in which the gyroscope was integrated, so
+that the chain can continue in another frame.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, FieldChain, iron_matrix
 from magyc_gtsam.factors.chain.rotations import Array
 
-_UNMEASURED = 1e-3  # scale of the first window's field, which the marginal already contains
+_UNMEASURED = 1e-3  # scale of the weight of the first window's field, which the marginal already contains
 HARD_IRON = slice(6, 9)
 BIAS = slice(9, 12)
 
@@ -39,7 +39,7 @@ class Marginal(NamedTuple):
 
     @property
     def minimum(self) -> Array:
-        """Return θ of least cost at the present misalignment: (13,) if that is 0, otherwise (16,)."""
+        """The θ of least cost at the present misalignment: (13,) if that is 0, otherwise (16,)."""
         rows = np.r_[:PARAMETERS, WITH_SKEW : WITH_SKEW + 2]
         information = self.information[np.ix_(rows, rows)]
         scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -50,7 +50,7 @@ class Marginal(NamedTuple):
         return result if result[SKEW].any() else result[:PARAMETERS]
 
     def forget(self, rows: slice) -> Marginal:
-        """Return the marginal without any knowledge of these parameters, which are marginalised."""
+        """Return the marginal after these parameters are marginalised, without any information on them."""
         return self.widen(rows, np.inf)
 
     def widen(self, rows: slice, sigma: float) -> Marginal:
@@ -93,7 +93,7 @@ class ContinuedChain(FieldChain):
 
     @property
     def window_sigma(self) -> Array:
-        """Return the standard deviation (n,) T of each window's mean field, including the first."""
+        """The standard deviation (n,) T of each window's mean field, including the first."""
         sigma = 1 / self.window_scale
         if self.past is not None:
             sigma[0] *= _UNMEASURED

@@ -1,8 +1,9 @@
-"""Estimate hard iron and gyroscope bias that walk at random, by filtering the end of the chain block by block.
+"""Estimation of hard iron and gyroscope bias that walk at random, by filtering the end of the chain block by block.
 
 Within a block of some seconds the parameters are constant. A block begins with the marginal of all windows before,
 widened by the random walk since (`Marginal.widen`), and its fit is the present estimate: an information filter whose
-measurements are blocks of windows. Head and tail of the smoother are maintained beside it to look for steps.
+measurements are blocks of windows. Head and tail of the smoother are maintained in parallel for the detection of
+steps.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from magyc_gtsam.online.marginal import BIAS, HARD_IRON, ContinuedChain, Margina
 from magyc_gtsam.online.state import SmootherState
 
 _SHORTEST, _LONGEST = 2, 6  # windows of a block, in which the parameters are constant
-_PART = 0.4  # of its sigma that a parameter may walk in a block
+_PART = 0.4  # share of its sigma by which a parameter may walk within a block
 _SEGMENT = 20  # windows that share one hard iron when the noise levels are estimated
-_PASSES = 2  # passes over all windows kept, because a walk distorts the first estimate, of a fit without one
+_PASSES = 2  # passes over all windows kept: the walk distorts the first estimate, of a fit without a walk
 _NOISE_ROUNDS = 4
 
 

@@ -1,4 +1,4 @@
-"""Refit all windows kept as the batch method does, including noise levels and robust weights."""
+"""Refit of all windows kept, as in the batch method, including noise levels and robust weights."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from magyc_gtsam.online.restart import restart_after_change, restart_at_converge
 from magyc_gtsam.online.state import SmootherState, continued, observable
 from magyc_gtsam.recording import Array, Recording, Samples
 
-_MOVED = 3.0  # spread of the field over its short-term noise, below which nothing turned
+_MOVED = 3.0  # ratio of the field's spread to its short-term noise below which the sensor has not turned
 SHORTEST_TAIL = 24  # windows
 REFIT_GROWTH = 1.25  # growth of the windows between two refits
 _SEARCH = 1.5  # growth of the windows between two searches from several starts
-_STILL = 1.5  # sigmas of the refit before by which a parameter of a converged estimate may have moved
-_LEAST_STABLE = 80  # least windows for noise levels that are certain enough to look for steps and clock drift
-_MOST_LOOKED_BACK = 400  # most windows that are searched for steps when the estimate has converged
+_STILL = 1.5  # sigmas of the preceding refit by which a parameter of a converged estimate may have moved
+_LEAST_STABLE = 80  # fewest windows for noise levels that are certain enough to look for steps and clock drift
+_MOST_LOOKED_BACK = 400  # largest number of windows that are searched for steps when the estimate has converged
 
 
 def on_one_clock(online: SmootherState, magnetometer: Samples) -> Samples:
@@ -66,7 +66,7 @@ def drift_of(online: SmootherState, recording: Recording, fit: Fit, trusted: boo
 
 
 def nothing_turned(recording: Recording) -> str:
-    """Return why there is nothing to fit; empty if the field varied by more than its noise."""
+    """Return the reason why there is nothing to fit; empty if the field varied by more than its noise."""
     field = recording.magnetometer.value
     spread, noise = float(np.sqrt(field.var(axis=0).mean())), short_term_noise(recording).magnetometer
     return "" if spread > _MOVED * noise else "too little motion: nothing turned yet"
@@ -115,7 +115,7 @@ def refit(online: SmootherState) -> None:
 
 
 def _plan_next(online: SmootherState, count: int) -> bool:
-    """Set the windows at which the next refit and search are due; return whether this refit searches."""
+    """Set the windows at which the next refit and search are due; return whether the present refit searches."""
     belief = online.belief
     search = belief.past is None and (
         belief.estimate is None or (not belief.stable and count >= belief.next_search)
@@ -131,11 +131,11 @@ def _plan_next(online: SmootherState, count: int) -> bool:
 def _report(
     online: SmootherState, recording: Recording, fit: Fit, rival: Fit | None, count: int
 ) -> tuple[Estimate, Calibration]:
-    """Set what a reader is told: doubt, model error, clock drift and result; return the estimate and the result."""
+    """Store the results for the reader: doubt, model error, clock drift and calibration; return the estimate and it."""
     belief = online.belief
     estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
     belief.doubt = "" if fit.skew is None else fit.skew.doubt
-    if online.settings.walks:  # the residuals' correlation is that of the walk
+    if online.settings.walks:  # the residuals' correlation includes that of the walk
         estimate = estimate._replace(colour=1.0)
     else:
         unexplained = model_error(fit, recording)
@@ -186,10 +186,10 @@ def _walk(online: SmootherState) -> None:
 
 
 def _is_stable(online: SmootherState, fit: Fit) -> bool:
-    """Return whether no parameter moved by more than a few sigmas of the refit before and its random walk.
+    """Return whether no parameter moved by more than a few sigmas of the preceding refit and its random walk.
 
-    The comparison is at the misalignment of the refit before, since the effect of deciding it differently is in the
-    covariance of both.
+    The comparison is at the misalignment of the preceding refit, since the effect of a different decision about it is
+    in the covariance of both.
     """
     belief, estimate = online.belief, online.last
     if belief.refitted is None:

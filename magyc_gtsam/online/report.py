@@ -1,4 +1,4 @@
-"""Derive what the online smoother reports: calibration, convergence, progress and changes."""
+"""The reports of the online smoother: calibration, convergence, progress and changes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ _LEAST_CONVERGED = 120  # least windows of the last refit; noise levels from few
 def current_calibration(online: SmootherState, integrated: IntegratedWindows) -> Calibration | None:
     """Return the calibration from all samples so far, or in a long log that of the tail given all windows before.
 
-    While a large step is possible and not decided, it would mix the hard irons before and after it, and is not trusted.
+    While a large step is possible but not decided, the calibration would mix the hard irons before and after it and
+    is not trusted.
     """
     calibration = _of_samples_so_far(online, integrated)
     if calibration is None or not calibration.converged or not online.belief.waiting:

@@ -1,4 +1,4 @@
-"""Restart after a change of hard iron, with or without what was known before it."""
+"""Restart after a change of hard iron, with or without the estimates from before it."""
 
 from __future__ import annotations
 
@@ -38,17 +38,18 @@ def restart(online: SmootherState, numbers: Array, step: Step) -> None:
 
 
 def restart_at_convergence(online: SmootherState, fit: Fit, now: Calibration) -> None:
-    """Look for a step from before the estimate was accurate enough to show it, and restart after it.
+    """Look for a step from the time before the estimate was accurate enough to show it, and restart after it.
 
     Args:
-        fit, now: of all windows kept.
+        online: the state of the smoother.
+        fit, now: fit and calibration of all windows kept.
     """
     belief, numbers = online.belief, online.numbers()
     held = online.settings.free(fit.state.parameters)
     step, undecided, _ = find_step(replace(fit, chain=continued(fit), free=held), online.last.colour)
     earlier = None
     if belief.past is None and (undecided or (step and not observable(_before(online, numbers, step)))):
-        # A beginning too short to lower the robust cost by the limit, or to have a calibration of its own.
+        # The beginning is too short to lower the robust cost by the limit, or to have a calibration of its own.
         earlier = _change_before(online, fit)
     if earlier is not None and np.linalg.norm(earlier.step) > NO_PLACE * (now.field_strength or 0.0):
         _begin_after(online, earlier, now)
@@ -63,7 +64,8 @@ def _before(online: SmootherState, numbers: Array, step: Step) -> Calibration:
 
 
 def restart_after_change(online: SmootherState) -> bool:
-    """Restart where the log begins to fit, if its second half fits but not the whole; return whether it restarted.
+    """Restart where the log begins to fit, if its second half fits but the whole does not; return whether it
+    restarted.
 
     The windows before are dropped: they have another hard iron, which is recorded as a change, or another field.
     """
@@ -82,7 +84,7 @@ def restart_after_change(online: SmootherState) -> bool:
 
 
 def _change_before(online: SmootherState, fit: Fit) -> EarlierChange | None:
-    """Return the change before the windows, of all that are kept, that a fit explains; None if it explains all."""
+    """Return the change before the windows that a fit explains, of all windows kept; None if it explains all."""
     parameters = fit.state.parameters
     windows = online.buffer.windows(int(online.numbers()[0]), online.belief.done, parameters[DELAY])
     chain = ContinuedChain(windows.integrate(parameters[BIAS], parameters[DELAY]), fit.chain.noise)
@@ -90,7 +92,7 @@ def _change_before(online: SmootherState, fit: Fit) -> EarlierChange | None:
 
 
 def _begin_after(online: SmootherState, earlier: EarlierChange, now: Calibration) -> None:
-    """Drop the windows before a change; record it if it is one of the hard iron, which is that of `now` after it."""
+    """Drop the windows before a change; record the change if the hard iron changed, to that of `now`."""
     number = int(online.numbers()[earlier.window])
     if earlier.in_sensor:
         sigma = np.hypot(earlier.sigma, now.sigma["hard_iron"])

@@ -34,9 +34,9 @@ from magyc_gtsam.recording import Array, Samples
 
 _EVERY = 6  # windows between two fits of the tail
 _LONGEST_TAIL, _LONGEST_UNDECIDED = 56, 168  # windows
-_MOST_SAMPLES = 131072  # most samples kept per sensor, whatever the horizon
-_NO_WALK = 6.0  # sigmas of a random walk from which a change counts as a step
-_MOST_WALKED = 400  # most windows kept if parameters walk at random
+_MOST_SAMPLES = 131072  # largest number of samples kept per sensor, for any horizon
+_NO_WALK = 6.0  # sigmas of a random walk beyond which a change counts as a step
+_MOST_WALKED = 400  # largest number of windows kept if parameters walk at random
 
 
 class OnlineSmoother:
@@ -117,7 +117,7 @@ class OnlineSmoother:
         if belief.head is not None:
             self._follow()
         if not belief.settled:
-            # A fit of all windows knows one hard iron, so that it waits until a large possible step is decided.
+            # A fit of all windows has a single hard iron, so it waits until a possible large step is decided.
             if len(self._online.numbers()) >= belief.next_refit and not belief.waiting:
                 refit(self._online)
             self._give_up()
@@ -136,7 +136,7 @@ class OnlineSmoother:
         else:
             advance_filter(online)
         count = len(fit.chain.windows)
-        # A possible step stays in the tail until it is decided, or is taken for none.
+        # A possible step stays in the tail until it is confirmed or dismissed.
         if count > (_LONGEST_UNDECIDED if belief.undecided else _LONGEST_TAIL):
             belief.undecided = belief.waiting = False
             self._shorten(fit, count - SHORTEST_TAIL)

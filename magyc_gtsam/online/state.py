@@ -68,24 +68,24 @@ class OnlineOptions:
 
     @property
     def options(self) -> SmootherOptions:
-        """Return the options as those of the batch method, checked."""
+        """The options as those of the batch method, checked."""
         return SmootherOptions(
             **self.fit, field_strength=self.field_strength, clock_drift=self.clock_drift, **self.known
         )
 
     @property
     def fit(self) -> dict[str, Any]:
-        """Return the options that a fit of the batch method takes."""
+        """The options that a fit of the batch method takes."""
         return {name: getattr(self, name) for name in _OF_BATCH}
 
     @property
     def known(self) -> dict[str, Any]:
-        """Return the prior knowledge as options of the batch method."""
+        """The prior knowledge as options of the batch method."""
         return {} if self.prior is None else {"prior": self.prior, "hard_iron_walk": self.prior_walk}
 
     @property
     def reject(self) -> bool:
-        """Return whether disturbed windows are downweighted."""
+        """Whether disturbed windows are downweighted."""
         return self.robust is not False
 
     def free(self, parameters: Array) -> np.ndarray:
@@ -96,7 +96,7 @@ class OnlineOptions:
 
     @property
     def walks(self) -> tuple[tuple[slice, float], ...]:
-        """Return the parameters that walk at random, and by how much per √h."""
+        """The parameters that walk at random, and by how much per √h."""
         every = ((HARD_IRON, self.hard_iron_walk), (BIAS, self.gyro_bias_walk))
         return tuple((rows, walk) for rows, walk in every if walk)
 
@@ -112,19 +112,19 @@ class SmootherState:
 
     @property
     def last(self) -> Estimate:
-        """Return the last estimate, which must exist."""
+        """The last estimate, which must exist."""
         assert self.belief.estimate is not None
         return self.belief.estimate
 
     @property
     def delay(self) -> float:
-        """Return the magnetometer's lag as far as it is known, s."""
+        """The magnetometer's lag as far as it is known, s."""
         estimate = self.belief.estimate
         return float(self.settings.delay or 0.0) if estimate is None else float(estimate.parameters[DELAY])
 
     @property
     def known(self) -> dict[str, Any]:
-        """Return the prior knowledge as options of the batch method.
+        """The prior knowledge as options of the batch method.
 
         It is empty once the hard iron has changed, or once it is contained in the past.
         """
@@ -140,7 +140,7 @@ class SmootherState:
 
     @property
     def skew(self) -> tuple[SkewPrior | None, LinearFact | None]:
-        """Return the prior of a misalignment, and the fact of an earlier calibration about it; None for each if absent.
+        """The prior of a misalignment, and the fact of an earlier calibration about it; None for each if absent.
 
         The fact is omitted once it is contained in the past.
         """

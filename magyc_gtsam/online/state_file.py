@@ -1,4 +1,4 @@
-"""Write and read the state of an online calibration as one file of numbers and text."""
+"""Writing and reading of the state of an online calibration as one file of numbers and text."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def read(path: str | os.PathLike[str]) -> tuple[str, dict[str, Any], dict[str, A
 
 
 def _within_limits(path: Path) -> None:
-    """Refuse compressed arrays, which `write` never writes and which could expand to any size in memory."""
+    """Reject compressed arrays, which `write` never writes and which could expand to any size in memory."""
     with zipfile.ZipFile(path) as file:
         packed = [member.filename for member in file.infolist() if member.compress_type != zipfile.ZIP_STORED]
     if packed:

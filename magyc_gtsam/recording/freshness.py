@@ -1,4 +1,4 @@
-"""Which rows of a recording carry a sample of a sensor, and which only repeat an earlier one."""
+"""Masks of the rows of a recording that carry a new sample of a sensor, rather than repeat an earlier one."""
 
 from __future__ import annotations
 

@@ -60,12 +60,12 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """Return the share of the directions that were visited."""
+        """The share of the directions that were visited."""
         return float((self.seconds > 0).mean())
 
     @property
     def middle(self) -> int:
-        """Return 1 if the field pointed to the side of +z most of the time, otherwise −1."""
+        """1 if the field pointed to the side of +z most of the time, otherwise −1."""
         return 1 if (self.sine[:-1] + self.sine[1:]) @ self.seconds.sum(axis=1) > 0 else -1
 
 

@@ -42,7 +42,7 @@ class Figure:
 
     @property
     def data(self) -> Markup:
-        """Return the specification as JSON that is safe inside a script element."""
+        """The specification as JSON that is safe inside a script element."""
         return Markup(json.dumps(self.spec, ensure_ascii=False).replace("<", "\\u003c"))
 
 

@@ -42,19 +42,19 @@ class Verdict:
 
     @property
     def title(self) -> str:
-        """Return `called`, or the title of a verdict on a calibration."""
+        """`called`, or the title of a verdict on a calibration."""
         return self.called or ("Calibrated" if self.trusted else "Do not use this calibration")
 
     @property
     def reason(self) -> str:
-        """Return cause and action in one sentence, or `worth` for a trusted result."""
+        """Cause and action in one sentence, or `worth` for a trusted result."""
         if self.trusted:
             return self.worth
         return f"{self.cause}: {self.action}" if self.action else self.cause
 
     @property
     def sentence(self) -> str:
-        """Return the first line of every output."""
+        """The first line of every output."""
         return f"{'✔' if self.trusted else '✘'} {self.title}: {self.reason}"
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Runners: optimise any GTSAM graph in batch or incrementally; names are imported at first use."""
+"""Runners that optimise any GTSAM graph in batch or incrementally; names are imported at first use."""
 
 from __future__ import annotations
 

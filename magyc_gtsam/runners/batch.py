@@ -50,7 +50,7 @@ class BatchResult:
 
     @property
     def converged(self) -> bool:
-        """Return whether the stopping rule was met at a minimum that the data determine."""
+        """Whether the stopping rule was met at a minimum that the data determine."""
         return self.status is Status.CONVERGED
 
 

@@ -1,4 +1,4 @@
-"""Judge from the steps of an incremental optimisation whether it has converged."""
+"""Convergence test of an incremental optimisation, from its last steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from magyc_gtsam.runners.isam import Method
 from magyc_gtsam.runners.status import Status
 
 _GROWING = 4  # consecutive steps, each larger than the one before, that count as divergence
-_SHARE = 0.01  # of the error that a step may still promise where small changes are not relinearised
+_SHARE = 0.01  # share of the error by which a step may still lower it where small changes are not relinearised
 _WORTHLESS = 1e-6  # decrease of the error (half squared sigmas) that is not worth a step
 
 
@@ -37,7 +37,7 @@ class IncrementalResult:
 
     @property
     def updated(self) -> bool:
-        """Return whether the update took place."""
+        """Whether the update took place."""
         return self.status in (Status.CONVERGED, Status.MAX_ITERATIONS, Status.DIVERGED, Status.STALLED)
 
 

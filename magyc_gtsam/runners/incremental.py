@@ -68,19 +68,19 @@ class Incremental:
         self._slots: dict[int, int] = {}
         self._next_handle = 0
         self._convergence = Convergence(method, tolerance, relinearize_threshold)
-        self._since = 0  # updates since the whole estimate was read
+        self._since = 0  # number of updates since the whole estimate was read
         self._current = True
         self._robust: list[Any] = []
 
     @property
     def values(self) -> gtsam.Values:
-        """Return a copy of the estimate after the last update that took place."""
+        """A copy of the estimate after the last update that took place."""
         self._read_all()
         return gtsam.Values(self._values)
 
     @property
     def factors(self) -> Mapping[int, Any]:
-        """Return a copy of the factors in the graph by their handles."""
+        """A copy of the factors in the graph by their handles."""
         return dict(self._factors)
 
     def error(self) -> float:
@@ -161,7 +161,7 @@ class Incremental:
         self._current = False
         self._since += 1
         if removed:
-            for key in result.getUnusedKeys():  # variables that have lost their last factor
+            for key in result.getUnusedKeys():  # variables whose last factor was removed
                 if self._values.exists(key):
                     self._values.erase(key)
         if _REFRESH * self._since >= self._values.size():
@@ -194,7 +194,7 @@ class Incremental:
         return gtsam.Values() if initial is None else initial.extract(keys)
 
     def _step(self, result: gtsam.ISAM2Result, before: list[gtsam.Values], new: list[int], lost: bool) -> float:
-        """Read the variables that a step touched, and return by how much it moved one that existed before at most.
+        """Read the variables that a step touched, and return the largest change of a variable that existed before.
 
         Args:
             result: result of the step.
@@ -203,7 +203,9 @@ class Incremental:
             lost: whether factors were removed, so that variables may have gone.
         """
         marked = result.getMarkedKeys()
-        keys = list(itertools.islice(marked, len(marked)))  # its end is a C++ exception, dearer than the keys
+        keys = list(
+            itertools.islice(marked, len(marked))
+        )  # the end is a C++ exception, slower than reading the keys
         if lost:
             keys = [key for key in keys if self._isam.valueExists(key)]
         after, replaced = self._isam.calculateEstimate(keys), self._values.extract(keys)
@@ -226,7 +228,7 @@ class Incremental:
         return predicted_decrease(self._graph(), self._values), self.error()
 
     def _not_updated(self, problem: BaseException) -> IncrementalResult:
-        """Return the result of an update that raised; raise any error that is no numerical failure again."""
+        """Return the result of an update that raised; raise again any error that is not a numerical failure."""
         if isinstance(problem, KeyboardInterrupt):
             return IncrementalResult(Status.INTERRUPTED, "interrupted; nothing was updated")
         if isinstance(problem, NonFiniteError):
@@ -241,11 +243,7 @@ class Incremental:
         return _as_graph(self._factors.values())
 
     def _restore(self, before: list[gtsam.Values]) -> None:
-        """Restore the state before an update that did not take place, which may have left iSAM2 unusable.
-
-        Args:
-            before: the update's new variables, and the values that each of its steps replaced.
-        """
+        """Restore the state before an update that did not take place, which may have left iSAM2 unusable."""
         for replaced in reversed(before[1:]):
             self._values.update(replaced)
         for key in before[0].keys() if before else ():

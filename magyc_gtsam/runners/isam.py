@@ -1,4 +1,4 @@
-"""The parameters of GTSAM's `ISAM2`, checked."""
+"""The checked parameters of GTSAM's `ISAM2`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why an optimisation ended."""
+"""Status codes of an optimisation."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from enum import Enum
 
 
 class Status(str, Enum):
-    """Why an optimisation ended."""
+    """The reason why an optimisation ended."""
 
     CONVERGED = "converged"
     MAX_ITERATIONS = "max-iterations"
-    DIVERGED = "diverged"  # step after step is larger than the one before
-    STALLED = "stalled"  # no step lowers the error, yet it is no minimum
+    DIVERGED = "diverged"  # each step is larger than the one before
+    STALLED = "stalled"  # no step lowers the error, although it is not at a minimum
     INDETERMINATE = "indeterminate"  # a variable is not determined by the data
     FAILED = "failed"  # error, residual or Jacobian not finite
     INTERRUPTED = "interrupted"

@@ -34,7 +34,7 @@ class Environment:
 
     @property
     def depth(self) -> Array:
-        """Return the depth (n,), m."""
+        """The depth (n,), m."""
         return np.asarray(self.position[:, 2])
 
 

@@ -54,17 +54,17 @@ class Scene:
 
     @cached_property
     def environment(self) -> Environment:
-        """Return the surroundings that the channels measure."""
+        """The surroundings that the channels measure."""
         return surroundings(self.time, self.angular_rate[:, 2], self.seed)
 
     @property
     def step(self) -> float:
-        """Return the interval between grid points, s."""
+        """The interval between grid points, s."""
         return float(np.median(np.diff(self.time)))
 
     @property
     def row_time(self) -> Array:
-        """Return the times (rows,) of the logged rows, s."""
+        """The times (rows,) of the logged rows, s."""
         return self.time[self.rows]
 
 

@@ -21,7 +21,7 @@ class HeadingError(NamedTuple):
 
     @property
     def deviation(self) -> float:
-        """Return the standard deviation, deg."""
+        """The standard deviation, deg."""
         return float(self.error.std())
 
 

@@ -86,7 +86,7 @@ class KnownCase(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Return the name of its row."""
+        """The name of its row."""
         return f"{self.kind}-{self.motion}-{self.size:g}-{self.seed}"
 
 

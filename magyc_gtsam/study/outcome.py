@@ -56,7 +56,7 @@ class MethodOutcome:
 
     @property
     def interrupted(self) -> bool:
-        """Return whether an interrupt ended the method, which then keeps the values it had."""
+        """Whether an interrupt ended the method, which then keeps the values it had."""
         return self.calibration is not None and self.calibration.diagnostics.get("status") == str(
             Status.INTERRUPTED
         )
@@ -89,23 +89,23 @@ class Comparison:
 
     @property
     def interrupted(self) -> bool:
-        """Return whether Ctrl-C ended the comparison before all methods were done."""
+        """Whether Ctrl-C ended the comparison before all methods were done."""
         return bool(self.not_run) or any(o.interrupted for o in self.outcomes)
 
     @property
     def calibrated(self) -> tuple[MethodOutcome, ...]:
-        """Return the methods that gave parameters, trusted or not."""
+        """The methods that gave parameters, trusted or not."""
         return tuple(o for o in self.outcomes if o.calibration is not None)
 
     @property
     def reference(self) -> MethodOutcome | None:
-        """Return the outcome to compare the others with: the first trusted one of REFERENCES."""
+        """The outcome to compare the others with: the first trusted one of REFERENCES."""
         by_name = {o.method: o for o in self.trusted}
         return next((by_name[name] for name in REFERENCES if name in by_name), None)
 
     @property
     def recommended(self) -> MethodOutcome | None:
-        """Return the outcome to use: `reference`, otherwise the trusted one whose calibrated field varies least."""
+        """The outcome to use: `reference`, otherwise the trusted one whose calibrated field varies least."""
         if self.reference is not None:
             return self.reference
         return min(self.trusted, key=lambda o: o.inlier_spread or 0.0, default=None)
@@ -122,7 +122,7 @@ class Comparison:
 
     @property
     def by_trust(self) -> tuple[MethodOutcome, ...]:
-        """Return all outcomes, the recommended one first, then by status and spread of the calibrated field."""
+        """All outcomes, the recommended one first, then by status and spread of the calibrated field."""
         order = list(OutcomeStatus)
         return tuple(
             sorted(
@@ -133,5 +133,5 @@ class Comparison:
 
     @property
     def trusted(self) -> tuple[MethodOutcome, ...]:
-        """Return the methods with a trusted result."""
+        """The methods with a trusted result."""
         return tuple(o for o in self.outcomes if o.status is OutcomeStatus.TRUSTED)

@@ -41,7 +41,7 @@ class TrueMotion:
 
     @property
     def step(self) -> float:
-        """Return the interval between points of the fine grid, s."""
+        """The interval between points of the fine grid, s."""
         return float(self.time[1] - self.time[0])
 
 
