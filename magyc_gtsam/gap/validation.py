@@ -33,7 +33,7 @@ from magyc_gtsam.recording import Recording
 _BIAS = slice(9, 12)
 _STEPS = 6
 _SETTLED = 1e-3  # squared length of a step, in sigmas
-# Terms that belong to the time or place of one recording contain nothing about another.
+# Terms that belong to the time or place of one recording do not apply to another.
 _OF_ONE_RECORDING = ("hard-iron-step", "hard-iron-drift", "local-anomaly", "tone")
 
 
