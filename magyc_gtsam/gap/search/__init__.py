@@ -1,1 +1,1 @@
-"""Which effect is added next, what it cannot be told from, what speaks against it, and what the posterior changes."""
+"""The search: the next effect to add, its rivals, objections to it, and corrections by the posterior."""

@@ -1,4 +1,4 @@
-"""What speaks against the names given: what is left, what explains more, and what they lean on."""
+"""Objections to the named effects: remaining misfit, families that explain more, and terms that depend on a misfit."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _CHANGING = ("hard-iron-step", "local-anomaly", "hard-iron-drift", "temperature-
 
 
 def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str, ...]) -> bool:
-    """Whether a term keeps its evidence when the families that are still significant are in the model too.
+    """Return whether a term keeps its evidence when the families that are still significant are in the model, too.
 
-    A term that is right keeps what the families do not hold of what it explains; its own products are judged by
-    themselves. Of those that hold most of its signature, it must explain the most itself: what may lie along any of
-    so many values would hardly lie along the few of the term by chance.
+    A correct term keeps the part of its explanation that the families do not contain; its own products are tested
+    separately. Compared with families that contain most of its signature, it must explain the larger part itself: an
+    effect that may lie along any of so many values would hardly lie along the few of the term by chance.
     """
     twin = current.twin
     term = twin.model.terms[index]
@@ -32,10 +32,10 @@ def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str,
     pull = np.zeros(len(own)) if columns.pull is None else columns.pull
     value, _ = current.value_of(index)
     without = replace(twin, model=without_term(twin.model, index))
-    target = twin.residual().ravel() - value @ own  # as if the term were not there
+    target = twin.residual().ravel() - value @ own  # the residual without the term
 
     def explained(rows: Array, pulls: Array, beside: list[tuple[Array, Array]]) -> tuple[Array, Array]:
-        """What columns explain of it beside others (3n,), and their directions."""
+        """Return the part (3n,) of the residual that columns explain beside others, and their directions."""
         project = Projector(np.concatenate([b for b, _ in beside]), np.concatenate([p for _, p in beside]))
         result = variant(term.setting, rows, project, pulls)
         return result.score(project(target[None])[0]) @ result.unit, result.unit
@@ -65,26 +65,26 @@ def _squared(values: Array) -> float:
 
 
 def switched(found: Sequence[Found]) -> tuple[str, ...]:
-    """What changes with time, where that is so much that something else must switch or move it all."""
+    """Return the effects that change with time, if there are so many that an unknown cause must be changing."""
     changing = [f.name for f in found if f.name in _CHANGING]
     return tuple(dict.fromkeys(changing)) if len(changing) > RULES.changes else ()
 
 
 def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) -> tuple[str, ...]:
-    """What is still significant, less what the effects found may leave for not being quite of their form.
+    """Return the names that are still significant, beyond what the found effects leave by their approximate form.
 
-    To this belong generic families that explained the data clearly better than all names together.
+    They include generic families that explained the data clearly better than all names together.
     """
-    bent = weights(now.refit)  # found now, or in the calibration given
+    bent = weights(now.refit)  # of terms found in this search, or given
     explained = max([s.statistic for s in first.scores] + bent, default=0.0)
     named = any(f.name in TERMS for f in found)
     all_named = max(sum(f.statistic for f in found if f.name in TERMS), *bent, 0.0)
     if not named or any(f.name == "coloured-noise" for f in found):
-        all_named = np.inf  # nothing to compare with, or statistics that are those of the colour
+        all_named = np.inf  # no named effect to compare with, or statistics that are those of the colour
     result = ahead_of_names(first, found)
     for score in now.scores:
         excess = score.statistic - len(score.variant.unit)
-        # A family of many values hardly gains on held-out data; where it is more than all that was named, it counts.
+        # A family of many values hardly gains on held-out data; it counts if it explains more than all named effects.
         many = score.generic and len(score.variant.unit) > RULES.many
         more = many and excess > all_named
         if not score.significant or (now.gains.get(score.name, 0.0) <= 0 and not more):
@@ -106,7 +106,7 @@ def leftover(now: Look, first: Look, found: Sequence[Found], noted: set[str]) ->
 
 
 def ahead_of_names(first: Look, found: Sequence[Found]) -> list[str]:
-    """The generic families that explained the data clearly better than all names together."""
+    """Return the generic families that explained the data clearly better than all names together."""
     evidence = [f.evidence for f in found if f.name in TERMS]
     if not evidence:
         return []
