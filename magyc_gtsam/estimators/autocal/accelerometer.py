@@ -2,8 +2,8 @@
 
     acceleration = scale · true specific force + bias
 
-Held still in many attitudes an accelerometer measures gravity alone, samples on an ellipsoid; what motion adds
-are the outliers. The rotation of `scale` cannot be seen, so it is symmetric; its size follows from gravity.
+Held still in many attitudes, an accelerometer measures gravity alone, so that its samples lie on an ellipsoid; samples
+with motion are outliers. The rotation of `scale` is not observable, so it is symmetric; its size follows from gravity.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from magyc_gtsam.storage.whole_file import write_text
 STANDARD_GRAVITY = 9.80665  # m/s²
 _FORMAT = "magyc-gtsam accelerometer calibration 1"
 _UNIT_LIMITS = (0.3, 3.0)  # median norm over gravity
-_LEAST_TRUSTED = 0.3  # share of samples on the ellipsoid; while a vehicle moves most may be off it
+_LEAST_TRUSTED = 0.3  # share of samples on the ellipsoid; most may be off it while a vehicle moves
 _MOST_UNEXPLAINED = 0.1  # noise over gravity
-_LARGEST_SIGMA = 0.02  # of bias over gravity and of scale: about a degree of tilt
-_LARGEST = 0.3  # bias over gravity, and scale from 1, of any instrument that works
+_LARGEST_SIGMA = 0.02  # sigma of bias over gravity, and of scale: about a degree of tilt
+_LARGEST = 0.3  # bias over gravity, and deviation of the scale from 1, of a working instrument
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,14 +45,14 @@ class AccelerometerCalibration:
     Attributes:
         scale: (3, 3) symmetric: scale factors and cross-axis sensitivity.
         bias: (3,) m/s².
-        covariance: (9, 9) of vech(scale) row by row and bias; None where the samples do not determine them.
+        covariance: (9, 9) of vech(scale) row by row and bias; None if the samples do not determine them.
         gravity: m/s², the length of the calibrated acceleration at rest.
         noise: m/s² per sample and axis, motion included; samples beyond `limit` m/s² count as outliers.
-        limit: see `noise`.
+        limit: m/s², see `noise`.
         converged: whether the result can be trusted.
         message: why the method stopped, or why the result must not be trusted.
         method: "autocal".
-        diagnostics, configuration: numbers of the method, and the options it ran with.
+        diagnostics, configuration: numbers and options of the method.
     """
 
     scale: Array
@@ -68,7 +68,7 @@ class AccelerometerCalibration:
     configuration: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, acceleration: ArrayLike) -> Array:
-        """Calibrated scale⁻¹ (acceleration − bias): (N, 3) or (3,) m/s² in, the same shape out."""
+        """Return scale⁻¹ (acceleration − bias), of the shape (N, 3) or (3,) m/s² of the input."""
         result: Array = (np.asarray(acceleration, dtype=float) - self.bias) @ np.linalg.inv(self.scale).T
         return result
 
@@ -83,13 +83,13 @@ class AccelerometerCalibration:
         return {"scale": scale, "bias": deviation[6:]}
 
     def inliers(self, acceleration: ArrayLike) -> Mask:
-        """Which samples (N, 3) m/s² are gravity alone, (N,) bool."""
+        """Return (N,) bool: the samples (N, 3) m/s² that measure gravity alone."""
         samples = np.asarray(acceleration, dtype=float).T
         mask: Mask = np.abs(closest_points(self.gravity * self.scale, self.bias, samples).distance) <= self.limit
         return mask
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields as JSON types."""
+        """Return all fields as JSON types."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         plain = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
         return {"format": _FORMAT} | {k: dict(v) if isinstance(v, Mapping) else v for k, v in plain.items()}
@@ -100,10 +100,10 @@ class AccelerometerCalibration:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> AccelerometerCalibration:
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            MagycError: no such file, or not the calibration of an accelerometer.
+            MagycError: the file does not exist, or is not the calibration of an accelerometer.
         """
         data = load_mapping(path, "calibration of an accelerometer")
         if data.pop("format", None) != _FORMAT:
@@ -120,7 +120,7 @@ class AccelerometerCalibration:
 
 
 def accelerometer_samples(recording: Recording) -> Samples:
-    """The accelerometer's own samples: at the gyroscope's stamps, whose chip it shares, repeats left out.
+    """Return the accelerometer's own samples, at the stamps of the gyroscope on the same chip, without repeats.
 
     Raises:
         MagycError: the recording has no accelerometer.
@@ -143,7 +143,7 @@ def calibrate_accelerometer(
     kernel: str = "cauchy",
     progress: Callable[[float], None] | None = None,
 ) -> AccelerometerCalibration:
-    """Calibrate the accelerometer by gravity, robustly against motion.
+    """Calibrate the accelerometer with gravity, robustly against motion.
 
     Args:
         recording: with an accelerometer that was held, or turned slowly, in attitudes all over the sphere.
@@ -153,7 +153,7 @@ def calibrate_accelerometer(
         progress: called with the share done, 0 to 1.
 
     Raises:
-        MagycError: no accelerometer, too few samples, another unit, or samples on no ellipsoid.
+        MagycError: no accelerometer, too few samples, a wrong unit, or samples that do not lie on an ellipsoid.
     """
     report = progress or (lambda _: None)
     report(0.0)
@@ -223,7 +223,7 @@ def _check(samples: Array, gravity: float) -> None:
 
 
 def _reasons(fit: AutocalFit, known: Array | None, scale: Array, gravity: float, trusted: float) -> list[str]:
-    """Why the result must not be trusted; empty where it may be."""
+    """Return the reasons not to trust the result; empty if there are none."""
     remedy = "hold it still in six or more attitudes, or turn it slowly all over"
     reasons: list[str] = []
     if known is None:

@@ -1,7 +1,7 @@
-"""`autocal`: robust autocalibration of a magnetometer (Hong, Kang and Kim 2020), which bears disturbed samples.
+"""`autocal`: autocalibration of a magnetometer, robust against disturbed samples (Hong, Kang and Kim 2020).
 
-The two stages are in `autocal_fit`, the same problem as a GTSAM graph in `autocal_graph`. Here are the
-covariance, the verdict on each sample, and the method as the registry has it.
+The two stages are in `autocal.fit`, the same problem as a GTSAM graph in `autocal.graph`. This module has the
+covariance, the classification of samples, and the entry point of the registry.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from magyc_gtsam.recording import Array, Mask, Recording
 
 Solver = Literal["array", "graph"]
 
-OUTLIER = 5.0  # widths from which a sample counts as an outlier (Table III)
+OUTLIER = 5.0  # widths τ from which a sample counts as an outlier (Table III)
 _LEAST_TRUSTED = 0.5  # share of inliers below which the result must not be trusted
 
 
 def covariance(fit: AutocalFit, kernel_name: str, blocks: Blocks | None = None) -> Array | None:
-    """(9, 9) of vech(√(K Kᵀ)) and b of a fit with that kernel; None where the samples do not determine them.
+    """Return the covariance (9, 9) of vech(√(K Kᵀ)) and b of a fit; None if the samples do not determine them.
 
-    `blocks` as in `m_covariance`.
+    `kernel_name` is the kernel of the fit, and `blocks` is as in `m_covariance`.
     """
     rho, tuning = KERNELS[kernel_name], relative_width(kernel_name, fit.width / fit.sigma)
     e = np.abs(fit.distance) / fit.sigma
@@ -52,13 +52,13 @@ def covariance(fit: AutocalFit, kernel_name: str, blocks: Blocks | None = None) 
 
 
 def inliers(data: Recording | ArrayLike, calibration: Calibration, limit: float | None = None) -> Mask:
-    """Which samples lie on the ellipsoid of a calibration of any method, as Fig. 7 of the paper shows them.
+    """Return which samples lie on the ellipsoid of a calibration of any method, as in Fig. 7 of the paper.
 
     Args:
-        data: a recording, whose own magnetometer samples (`recording.magnetometer`) are judged, or (n, 3) T.
+        data: a recording, whose magnetometer samples (`recording.magnetometer`) are classified, or (n, 3) T.
         calibration: the ellipsoid soft_iron · field_strength · x̂ + hard_iron.
         limit: T, largest distance from the ellipsoid of an inlier; None takes 5 √3 times the noise per axis
-            (Table III of the paper), as `calibration.noise` states it, else as the samples' median distance does.
+            (Table III of the paper), from `calibration.noise` or else from the samples' median distance.
 
     Returns:
         (n,) bool, True for inliers.
@@ -70,7 +70,7 @@ def inliers(data: Recording | ArrayLike, calibration: Calibration, limit: float 
     distance = closest_points(strength * calibration.soft_iron, calibration.hard_iron, samples.T).distance
     if limit is None:
         noise = calibration.noise.get("magnetic_field", noise_of(distance))
-        limit = OUTLIER * WIDTH * max(noise, 1e-9 * strength)  # rounding is no disturbance
+        limit = OUTLIER * WIDTH * max(noise, 1e-9 * strength)  # rounding is not a disturbance
     mask: Mask = np.abs(distance) <= limit
     return mask
 
@@ -90,14 +90,14 @@ def calibrate_autocal(
     Args:
         recording: with a magnetometer.
         field_strength: T, strength of the true field; None: det soft iron = 1.
-        noise: (magnetometer T, anything) per sample; None estimates it.
+        noise: (magnetometer T, not used) per sample; None estimates it.
         kernel: "cauchy" (the paper's choice), "huber", "l1" or "geman-mcclure".
         width: T, τ of the kernel; None takes √3 times the noise, the paper's choice in its units.
-        solver: "array", or "graph": refined by GTSAM, minutes for thousands of samples (for checks).
+        solver: "array", or "graph" for a refinement by GTSAM (for checks; minutes for thousands of samples).
         progress: called with the share done, 0 to 1.
 
     Raises:
-        MagycError: too few samples, no spread in one of the axes, or samples on no ellipsoid.
+        MagycError: too few samples, no spread along an axis, or samples that do not lie on an ellipsoid.
     """
     report = progress or (lambda _: None)
     _check_options(noise, kernel, width, solver)

@@ -3,15 +3,14 @@
     m_j = K x̂_j + b + ε_j,  ‖x̂_j‖ = 1                                                                         (1)
     minimise Σ ρ(‖K x̂_j + b − m_j‖²) over K (upper triangular), b and all x̂_j                                  (8)
 
-starts from the L1 ellipsoid (and from an L1 sphere where that leads nowhere), with the kernels ρ of (9) to
-(12) in `factors.robust`. The directions are eliminated: given K and b the best x̂_j is the closest point of
-the ellipsoid, and what the Schur complement (33) with its 2×2 blocks leaves of a sample is the residual
-along the ellipsoid's normal n_j,
+The minimisation starts from the L1 ellipsoid (and from an L1 sphere if that fails), with the kernels ρ of (9) to (12)
+in `factors.robust`. The directions are eliminated: given K and b the best x̂_j is the closest point of the ellipsoid,
+and the Schur complement (33) with its 2×2 blocks reduces each sample to the residual along the ellipsoid's normal n_j,
 
     n_jᵀ r_j = −distance_j,   n_jᵀ ∂r_j/∂(k, b)   (1×9)
 
-because r_j's Jacobian on x̂_j spans the tangent plane there. A step costs some forty passes over the data
-and one 9×9 solve, linear in the number of samples.
+because the Jacobian of r_j with respect to x̂_j spans the tangent plane there. A step costs some forty passes over the
+data and one 9×9 solve, linear in the number of samples.
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ from magyc_gtsam.recording import Array
 WIDTH = float(np.sqrt(3))  # τ in units of the noise per axis: "up to 1 unit error per sensor axis" (section III-A)
 UPPER = np.triu_indices(3)
 ITERATIONS = 300  # as in section III-A
-_MAD = 1.4826  # σ of a normal distribution over its median absolute deviation
+_MAD = 1.4826  # ratio of σ to the median absolute deviation of a normal distribution
 _TRIMMED = 0.95456  # standard deviation of a unit normal distribution within ±2.5
 _TRIMS = 3
 _FIRST_DAMPING, _LARGEST_DAMPING = 0.1, 1e6
-_SETTLED = 1e-6  # promised gain of cost: a step of a thousandth of the parameters' standard deviations
-_ENDLESS = 20.0  # radius over the spread of the samples, from which they do not show the ellipsoid's size
-_STILL = 1e-2  # promised gain of a step too small to change the estimated noise
-_LEAST_NOISE = 1e-9  # of the samples' spread, so that noise-free samples are solvable too
+_SETTLED = 1e-6  # predicted gain in cost: a step of a thousandth of the parameters' standard deviations
+_ENDLESS = 20.0  # ratio of radius to spread of the samples above which they do not determine the ellipsoid's size
+_STILL = 1e-2  # predicted gain of a step that is too small to change the estimated noise
+_LEAST_NOISE = 1e-9  # share of the samples' spread, so that noise-free samples are solvable
 _SCALE_SETTLED = 0.02  # relative change of the estimated noise
-_SCALES = 10
-_LONGEST = 4.0  # longest over shortest axis of an ellipsoid that needs no second start
+_SCALES = 10  # most updates of the estimated noise
+_LONGEST = 4.0  # ratio of longest to shortest axis above which a second start is tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +52,12 @@ class AutocalFit:
     Attributes:
         matrix: (3, 3) K, upper triangular with a positive diagonal.
         offset: (3,) b.
-        distance, normal: (n,) of the samples from the ellipsoid, positive outside, and (3, n) along which.
+        distance: (n,) of the samples from the ellipsoid, positive outside; normal: (3, n) unit normals along it.
         direction: (3, n) x̂.
-        sigma: noise per axis, given or estimated; `width` (τ) was √3 of it unless it was given.
+        sigma: noise per axis, given or estimated; `width` (τ) is √3 times that unless given.
         width: τ.
         cost: Σ ρ of e_j = distance_j/σ, in the convention of `factors.robust`.
-        iterations: over all scales.
+        iterations: number over all noise scales.
         converged: whether the stopping rule was met.
         message: why it stopped.
     """
@@ -79,14 +78,14 @@ class AutocalFit:
 class _Step(NamedTuple):
     parameters: Array  # k 6, b 3
     points: ClosestPoints
-    promised: float  # what the quadratic model expected of it, in units of the cost
+    promised: float  # gain predicted by the quadratic model, in units of the cost
     damping: float
 
 
 def autocal(
     samples: Array, kernel_name: str = "cauchy", *, sigma: float | None = None, width: float | None = None
 ) -> AutocalFit:
-    """Both stages on samples (n, 3) of any unit.
+    """Run both stages on samples (n, 3) of any unit.
 
     Args:
         samples: of the sensor, more than nine.
@@ -95,14 +94,14 @@ def autocal(
         width: τ of (10) to (12), in the unit of the samples; None takes √3 σ.
 
     Raises:
-        MagycError: unknown kernel, or samples on no ellipsoid.
+        MagycError: unknown kernel, or samples that do not lie on an ellipsoid.
     """
     kernel(kernel_name)
     data = standardise(samples)
     start = l1_start(data)
     fit = None if start is None else _refine(data, *start, kernel_name, sigma, width)
     if fit is None or not fit.converged or np.linalg.cond(fit.matrix) > _LONGEST:
-        # Half of the samples outliers, all on one side: the L1 ellipsoid is hundreds of radii long.
+        # With half of the samples outliers on one side, the L1 ellipsoid is hundreds of radii long.
         sphere = l1_sphere(data)
         if sphere is not None:
             other = _refine(data, *sphere, kernel_name, sigma, width)
@@ -121,9 +120,9 @@ def _rank(fit: AutocalFit) -> tuple[bool, float]:
 def _refine(
     data: Standardised, matrix: Array, offset: Array, kernel_name: str, sigma: float | None, width: float | None
 ) -> AutocalFit:
-    """The second stage, section II-D and Algorithm 2, from K (upper triangular) and b.
+    """Run the second stage, section II-D and Algorithm 2, from K (upper triangular) and b.
 
-    A σ that is not given follows the distances until it settles, and with it τ.
+    If σ is not given, it (and with it τ) is re-estimated from the distances until it converges.
     """
     parameters = np.concatenate([matrix[UPPER], offset - data.centre])
     parameters /= data.unit
@@ -153,14 +152,14 @@ def _refine(
 
 
 def relative_width(kernel_name: str, width: float | None) -> float:
-    """τ/σ; l1 has no width but the rounding of its tip."""
+    """Return τ/σ; that of l1 is the rounding of its tip, as the kernel has no other width."""
     if kernel_name == "l1":
         return KERNELS["l1"].tuning[1]
     return WIDTH if width is None else width
 
 
 def noise_of(distance: Array) -> float:
-    """σ of the samples from their distances: of those within 2.5 σ, from the median on."""
+    """Return σ of the samples from distances: a trimmed estimate within 2.5 σ, started from the median."""
     square = distance * distance
     middle = len(square) // 2
     sigma = _MAD * float(np.sqrt(np.partition(square, middle)[middle]))
@@ -175,14 +174,14 @@ def _closest(parameters: Array, value: Array, start: Array | None = None) -> Clo
 
 
 def triangle(parameters: Array) -> Array:
-    """(3, 3) K of (9,) parameters."""
+    """Return K (3, 3) of (9,) parameters."""
     matrix = np.zeros((3, 3))
     matrix[UPPER] = parameters[:6]
     return matrix
 
 
 def _jacobian(points: ClosestPoints) -> Array:
-    """(9, n): n_jᵀ ∂r_j/∂(k, b) by (18) and (19), k the upper triangle of K row by row."""
+    """Return n_jᵀ ∂r_j/∂(k, b) (9, n) by (18) and (19), with k the upper triangle of K row by row."""
     normal, direction = points.normal, points.direction
     result = np.empty((UNKNOWNS, normal.shape[1]))
     np.multiply(normal[0], direction, out=result[:3])
@@ -201,11 +200,11 @@ def _step(
     tuning: float,
     damping: float,
 ) -> _Step | None:
-    """One step that lowers (8), with σ and τ/σ fixed; None where there is none.
+    """Return a step that lowers (8), with σ and τ/σ fixed; None if there is none.
 
     It solves (Σ c_j a_j a_jᵀ) Δ = Σ w_j distance_j a_j, a_j the columns of `_jacobian`. With c = ρ'' this is the
-    paper's (21), nearly Newton's; with c = w = ρ'/e it is iteratively reweighted least squares, slower and
-    safe. c = ρ'' + λ (w − ρ'') goes from one to the other, in place of the paper's λ I.
+    paper's (21), close to a Newton step; with c = w = ρ'/e it is iteratively reweighted least squares, slower and more
+    robust. c = ρ'' + λ (w − ρ'') interpolates between the two, in place of the paper's λ I.
     """
     jacobian = _jacobian(points)
     e = np.abs(points.distance) / sigma
@@ -235,12 +234,12 @@ def fitted(
     iterations: int,
     failure: str,
 ) -> AutocalFit:
-    """What `parameters` (k 6, b 3) of the standardised samples stand for, back in the unit of the samples.
+    """Convert `parameters` (k 6, b 3) of the standardised samples to a fit in the unit of the samples.
 
-    `failure` is why the method failed, empty where it converged.
+    `failure` is why the method failed, "" if it converged.
     """
     unit, matrix = data.unit, triangle(parameters)
-    signs = np.sign(np.diag(matrix))  # of the columns of K and of x̂ along with them
+    signs = np.sign(np.diag(matrix))  # applied to the columns of K and to x̂
     e = np.abs(points.distance) / sigma
     return AutocalFit(
         matrix=unit * matrix * signs,

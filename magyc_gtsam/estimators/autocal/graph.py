@@ -1,7 +1,7 @@
-"""Stage two of `autocal` as a GTSAM graph: one sphere factor per sample, robust noise, and a `Unit3` each.
+"""Stage two of `autocal` as a GTSAM graph: one sphere factor with robust noise, and one `Unit3`, per sample.
 
-The same minimum as the array code of `autocal`, for checks and as an example. Python factors see a copy of all
-values at every call, so the time grows with the square of the number of samples: a second for some
+It has the same minimum as the array code of `autocal`, and serves for checks and as an example. Python factors receive
+a copy of all values at every call, so the time grows with the square of the number of samples: a second for some
 hundred of them.
 """
 
@@ -27,7 +27,7 @@ _ROUNDS = 20
 def autocal_graph(
     value: Array, matrix: Array, offset: Array, kernel: str, sigma: float, tuning: float
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """(8) and a start of it.
+    """Return the graph of (8), and initial values.
 
     Args:
         value: (3, n), samples.
@@ -51,10 +51,10 @@ def autocal_graph(
 def refine_graph(
     samples: Array, matrix: Array, offset: Array, kernel: str, *, sigma: float, width: float
 ) -> autocal_fit.AutocalFit:
-    """As the second stage of `autocal_fit.autocal`, by GTSAM's Levenberg–Marquardt.
+    """Run the second stage of `autocal_fit.autocal` with GTSAM's Levenberg–Marquardt.
 
-    It stalls where the directions of outliers, far from the surface, are badly approximated. All directions
-    are then set to their closest points, and it goes on.
+    It stalls if the directions of outliers, far from the surface, are badly approximated. All directions are then set
+    to their closest points, and the optimisation continues.
 
     Args:
         samples: (n, 3), any unit.

@@ -1,1 +1,1 @@
-"""Methods that estimate the hard iron alone, from the turning of the sensor."""
+"""Methods that estimate the hard iron alone, from the rotation of the sensor."""

@@ -1,14 +1,14 @@
 """`magfactor3`: GTSAM's MagFactor3, m = s · bRw · f + h with known attitude; scale and hard iron unknown.
 
-One factor per sample in GTSAM (here `factors.scaled_magnetometer_factor`); but the model is linear in what is
-unknown, so the minimum of the whole graph is written down here. With u_k = R_kᵀ f, R_k the attitude
-(sensor→world), and means over the samples:
+GTSAM has one factor per sample (here `factors.scaled_magnetometer_factor`). The model is linear in the unknowns, so
+the minimum of the whole graph is computed here in closed form. With u_k = R_kᵀ f, R_k the attitude (sensor→world), and
+means over the samples:
 
-    s = Σ (u − ū)·(m − m̄) / Σ ‖u − ū‖²,   h = m̄ − s ū                              where f is known,
-    g = (I − MᵀM)⁻¹ (mean(R m) − Mᵀ m̄),   h = m̄ − M g,   M = mean(Rᵀ),   g = s f    where it is not.
+    s = Σ (u − ū)·(m − m̄) / Σ ‖u − ū‖²,   h = m̄ − s ū                              if f is known,
+    g = (I − MᵀM)⁻¹ (mean(R m) − Mᵀ m̄),   h = m̄ − M g,   M = mean(Rᵀ),   g = s f    if it is not.
 
-The second is this project's: attitudes from cameras or gyrocompasses have horizontal axes of their own, in which
-nobody knows the field; its three components are then estimated along, and only the scale needs its strength.
+The second form is this project's: attitudes from cameras or gyrocompasses have their own horizontal axes, in which the
+field is unknown. Its three components are then estimated too, and only the scale needs the field strength.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _CIRCULAR = (
     "the log's attitude is an estimate that this magnetometer took part in, so that its hard iron is in both and does "
     "not show: use smoother, or an attitude from elsewhere"
 )
-_STILL = 1e-9  # share of the full spread of directions below which nothing turned
+_STILL = 1e-9  # share of the full spread of directions below which the sensor did not turn
 
 
 def calibrate_magfactor3(
@@ -40,13 +40,13 @@ def calibrate_magfactor3(
     field: Sequence[float] | None = None,
     delay: float = 0.0,
 ) -> Calibration:
-    """Calibrate by MagFactor3's model: hard iron and one scale for all axes.
+    """Calibrate with the model of MagFactor3: hard iron and one scale for all axes.
 
     Args:
         recording: with attitude.
         progress: called with the share done.
-        field_strength: T; sets the scale in place of the length of `field`. None without `field`: det 1.
-        field: (3,) T, the field in the attitude's world axes; None estimates its direction along.
+        field_strength: T; sets the scale instead of the length of `field`. None without `field`: det 1.
+        field: (3,) T, the field in the attitude's world axes; None estimates its direction too.
         delay: s by which the magnetometer lags the attitude.
 
     Raises:
@@ -106,7 +106,7 @@ def calibrate_magfactor3(
 
 
 def _with_attitude(recording: Recording, delay: float) -> tuple[Array, Rotation]:
-    """The field (n, 3) T at the instants whose attitude is known, and that attitude."""
+    """Return the field (n, 3) T at the times with a known attitude, and that attitude."""
     if recording.attitude is None:
         raise MagycError(
             f"recording {recording.name!r} has no attitude, which magfactor3 needs; name its topic or columns "

@@ -1,15 +1,15 @@
-"""SAR-KF: the hard iron by a Kalman filter on a field that turns with the gyroscope.
+"""SAR-KF: the hard iron by a Kalman filter on a field that rotates with the gyroscope.
 
 G. Troni and L. L. Whitcomb, "Field sensor bias calibration with angular-rate sensors: theory and experimental
 evaluation with application to magnetometer calibration", IEEE/ASME Trans. Mechatronics 24(4), 2019, section
-IV-B: the state is field and hard iron, ṁ = −ω × (m − h) and ḣ = 0, and nothing is differentiated. The printed
-equations were not at hand; what follows is derived from that model.
+IV-B: the state is field and hard iron, with ṁ = −ω × (m − h) and ḣ = 0, and no signal is differentiated. The
+published equations were not available; the following is derived from that model.
 
-The state here is v = R_k (m − h), the field turned back to the first sample's axes by the gyroscope, and h. In it
-the model stands still, v' = v and h' = h, exactly and for any rotation between samples, and the measurement is
-m_k = R_kᵀ v + h. What the gyroscope gets wrong is the process noise of v. As all is linear, the last estimate is
-the best one and the start is forgotten; it depends on the ratio of the two noises only. The paper leaves that to
-be tuned; here it is the one under which the innovations are the likeliest.
+The state here is v = R_k (m − h), the field rotated back to the first sample's axes by the gyroscope, and h. In these
+coordinates the state is constant, v' = v and h' = h, exactly and for any rotation between samples, and the measurement
+is m_k = R_kᵀ v + h. The error of the gyroscope is the process noise of v. The model is linear, so the last estimate is
+the best one and does not depend on the start; it depends on the ratio of the two noise levels only. The paper leaves
+this ratio to be tuned; here it maximises the likelihood of the innovations.
 """
 
 from __future__ import annotations
@@ -25,18 +25,21 @@ from magyc_gtsam.estimators.hard_iron.turning import TurningField, to_calibratio
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
-_SENSOR = 0.01  # noise per sample that the filter takes, as a share of the field: its own unit
-_WIDE = 10.0  # deviation of the start, likewise in units of the field
-_TUNED_ON = 2000  # samples, evenly spaced, on which the noises' ratio is found
-_RATIOS = (-4.0, 3.0)  # its decimal logarithm, of field lost by turning in a second over noise of a sample
-_SETTLING = 6  # samples before which the innovations are those of the start
+_SENSOR = 0.01  # noise per sample assumed by the filter, as a share of the field strength; only the ratio matters
+_WIDE = 10.0  # standard deviation of the initial state, in units of the field strength
+_TUNED_ON = 2000  # evenly spaced samples used to find the ratio of the noise levels
+_RATIOS = (-4.0, 3.0)  # bounds of log10(process noise of v in a second / noise of a sample)
+_SETTLING = 6  # initial samples whose innovations depend on the start and do not count
 _REPORT = 2000  # samples between two calls of the progress callback
 
 
 class Filtered(NamedTuple):
-    """The last state v, h (6,) with its covariance (6, 6), and what the innovations were.
+    """The final state of the filter, and statistics of the innovations.
 
-    square: mean of νᵀ S⁻¹ ν per axis, 1 where the noises are right; log_determinant: mean of log |S| per axis.
+    Attributes:
+        state: (6,) v and h; covariance: (6, 6).
+        square: mean of νᵀ S⁻¹ ν per axis, 1 if the noise levels are right.
+        log_determinant: mean of log |S| per axis.
     """
 
     state: Array
@@ -53,15 +56,15 @@ def calibrate_sar_kf(
     noise: tuple[float, float] | None = None,
     drift: float = 0.0,
 ) -> Calibration:
-    """Calibrate by SAR-KF: hard iron only, soft iron a multiple of the identity, gyroscope without bias.
+    """Calibrate with SAR-KF: hard iron only, soft iron a multiple of the identity, gyroscope without bias.
 
     Args:
         recording: with a gyroscope.
         progress: called with the share done.
         field_strength: T, scales the soft iron; default det 1.
-        noise: (magnetometer T, gyroscope rad/s) per sample; None finds their ratio from the innovations.
-        drift: T/√s, random walk of the hard iron that the filter allows for; the last estimate then is that of
-            the recording's end.
+        noise: (magnetometer T, gyroscope rad/s) per sample; None estimates their ratio from the innovations.
+        drift: T/√s, random walk of the hard iron in the filter; the result is then the hard iron at the end of the
+            recording.
 
     Raises:
         MagycError: no gyroscope, too few samples, or noise levels that are not positive.
@@ -77,7 +80,7 @@ def calibrate_sar_kf(
         raise MagycError("sar-kf: the field never changed; turn the sensor")
     scaled = TurningField(turning.time, (turning.field - middle) / radius, turning.rotation)
     gyro_step = float(np.median(np.diff(recording.gyroscope.time)))
-    # White noise of the rate turns the field by noise · √step in a second.
+    # White noise of the rate rotates the field by noise · √step in a second.
     ratio = _likeliest(scaled) if noise is None else noise[1] * np.sqrt(gyro_step) * radius / noise[0]
     result = filter_field(scaled, ratio, drift / radius, progress)
     if progress:
@@ -88,7 +91,7 @@ def calibrate_sar_kf(
         recording,
         hard_iron,
         float(np.linalg.norm(turning.field - hard_iron, axis=1).mean()),
-        windows(turning).covariance(hard_iron),  # the filter's own knows nothing of what its model leaves out
+        windows(turning).covariance(hard_iron),  # the filter's own covariance does not include model errors
         method="sar-kf",
         field_strength=field_strength,
         diagnostics={
@@ -101,7 +104,7 @@ def calibrate_sar_kf(
 
 
 def _likeliest(turning: TurningField) -> float:
-    """The ratio of the noises that makes the innovations likeliest, whatever the noises' scale."""
+    """Return the ratio of the noise levels that maximises the likelihood of the innovations, for any scale of both."""
     thin = slice(None, None, -(-len(turning.time) // _TUNED_ON))
     some = TurningField(turning.time[thin], turning.field[thin], turning.rotation[thin])
 
@@ -115,12 +118,12 @@ def _likeliest(turning: TurningField) -> float:
 def filter_field(
     turning: TurningField, ratio: float, drift: float = 0.0, progress: Callable[[float], None] | None = None
 ) -> Filtered:
-    """The Kalman filter on a field of about unit strength about some origin.
+    """Run the Kalman filter on a field of about unit strength about some origin.
 
     Args:
         turning: the field in units of its strength.
-        ratio: of the deviation that v gains in a second to the noise of a sample.
-        drift: that h gains, in units of the field's strength per √s.
+        ratio: process noise of v in a second, relative to the noise of a sample.
+        drift: random walk of h, in units of the field strength per √s.
         progress: called with the share done.
     """
     time, field, rotation = turning
@@ -133,14 +136,14 @@ def filter_field(
     state, covariance = np.zeros(6), _WIDE**2 * np.eye(6)
     square, log_determinant, counted = 0.0, 0.0, 0
     for k, (matrix, sample) in enumerate(zip(measured, field, strict=True)):
-        covariance.flat[::7] += process[k]  # prediction: the state stands still
+        covariance.flat[::7] += process[k]  # prediction: the state is constant
         cross = covariance @ matrix.T
         expected = matrix @ cross + sensor
         root = np.linalg.cholesky(expected)  # S = L Lᵀ
         whitened = np.linalg.solve(root, np.column_stack([cross.T, sample - matrix @ state]))
         gain, innovation = whitened[:, :6], whitened[:, 6]  # K = gainᵀ L⁻¹
         state = state + innovation @ gain
-        covariance -= gain.T @ gain  # symmetric to the last bit, which the usual P − K H P is not
+        covariance -= gain.T @ gain  # exactly symmetric, unlike the usual P − K H P
         if k >= _SETTLING:
             square += float(innovation @ innovation)
             log_determinant += 2 * float(np.log(root.diagonal()).sum())

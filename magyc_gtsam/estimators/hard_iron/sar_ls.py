@@ -1,13 +1,13 @@
-"""SAR-LS: the hard iron by linear least squares on a field that turns with the gyroscope.
+"""SAR-LS: the hard iron by linear least squares on a field that rotates with the gyroscope.
 
 G. Troni and L. L. Whitcomb, "Field sensor bias calibration with angular-rate sensors: theory and experimental
 evaluation with application to magnetometer calibration", IEEE/ASME Trans. Mechatronics 24(4), 2019, section
-IV-A. Its model is ṁ = −ω × (m − h), its estimate the h of least Σ ‖ṁ + ω × (m − h)‖². The printed equations
-were not at hand; what follows is derived from that model.
+IV-A. The model is ṁ = −ω × (m − h), and the estimate is the h that minimises Σ ‖ṁ + ω × (m − h)‖². The published
+equations were not available; the following is derived from that model.
 
 Here the model is integrated over a short window instead of differentiated, ΔR (m' − h) = m − h with ΔR the
 gyroscope's rotation from the window's end to its start. To first order in the window this is the paper's
-residual times its length; it needs no numerical derivative of noisy samples, and no small angles.
+residual times the window's length; it needs no numerical derivative of noisy samples, and no small angles.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def calibrate_sar_ls(
     field_strength: float | None = None,
     window: float = 1.0,
 ) -> Calibration:
-    """Calibrate by SAR-LS: hard iron only, soft iron a multiple of the identity, gyroscope without bias.
+    """Calibrate with SAR-LS: hard iron only, soft iron a multiple of the identity, gyroscope without bias.
 
     Args:
         recording: with a gyroscope.

@@ -1,4 +1,4 @@
-"""What the methods without a soft iron share: the turning of the sensor, and the verdict on m = s u + h."""
+"""Common parts of the methods without soft iron: the rotation of the sensor, and the assessment of m = s u + h."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.observability import HARD_IRON_LIMIT, assess
 from magyc_gtsam.recording import Array, Recording
 
-_STRETCHES = 30  # of a recording, over which residuals are summed
+_STRETCHES = 30  # stretches of a recording over which scores are summed
 _LEAST_WINDOWS = 8
-_STILL = 1e-12  # mean square of the turns in a window about their smallest axis, rad²
+_STILL = 1e-12  # rad², mean square of a window's rotation about the axis of least rotation
 
 
 class TurningField(NamedTuple):
-    """Magnetometer samples and how the sensor had turned: time (n,) s, field (n, 3) T, rotation (n, 3, 3).
+    """Magnetometer samples and the orientation of the sensor: time (n,) s, field (n, 3) T, rotation (n, 3, 3).
 
-    `rotation` turns the sensor's axes at a sample into those at the first gyroscope sample.
+    `rotation` maps from the sensor's axes at a sample to those at the first gyroscope sample.
     """
 
     time: Array
@@ -31,10 +31,10 @@ class TurningField(NamedTuple):
 
 
 def turning_field(recording: Recording) -> TurningField:
-    """The magnetometer's own samples with the gyroscope, taken as free of bias, integrated up to each.
+    """Return the magnetometer's samples with the rotation up to each, by the gyroscope without bias correction.
 
     Raises:
-        MagycError: no gyroscope, or fewer than 4 magnetometer samples while it ran.
+        MagycError: no gyroscope, or fewer than 4 magnetometer samples within its time span.
     """
     time, field = recording.magnetometer
     gyro_time, rate = recording.gyroscope
@@ -50,28 +50,30 @@ def turning_field(recording: Recording) -> TurningField:
 
 
 class Windows(NamedTuple):
-    """(ΔR − I) h = ΔR m' − m over short windows: design (n, 3, 3) and change (n, 3) T of the hard iron h."""
+    """The equations (ΔR − I) h = ΔR m' − m of short windows: design (n, 3, 3) and change (n, 3) T."""
 
     design: Array
     change: Array
 
     @property
     def normal(self) -> Array:
-        """(3, 3) of the least-squares problem."""
+        """(3, 3) normal matrix of the least-squares problem."""
         normal: Array = np.einsum("nij,nik->jk", self.design, self.design)
         return normal
 
     def left(self, hard_iron: Array) -> Array:
-        """(n, 3) T that a hard iron leaves unexplained."""
+        """Return the residuals (n, 3) T of a hard iron."""
         return self.change - self.design @ hard_iron
 
     def covariance(self, hard_iron: Array) -> Array:
-        """(3, 3) T² of a hard iron, by what it leaves unexplained; see `clustered_covariance`."""
+        """Return the covariance (3, 3) T² of a hard iron, from its residuals; see `clustered_covariance`."""
         return clustered_covariance(self.normal, np.einsum("nij,ni->nj", self.design, self.left(hard_iron)))
 
 
 def windows(turning: TurningField, length: float = 1.0) -> Windows:
-    """Windows of `length` seconds, one from every sample on; ΔR turns the axes at their end to those at their start.
+    """Return the windows of `length` seconds, one starting at every sample.
+
+    ΔR maps from the axes at the end of a window to those at its start.
 
     Raises:
         MagycError: a length that is not positive, too few windows, or a sensor that hardly turned.
@@ -82,7 +84,7 @@ def windows(turning: TurningField, length: float = 1.0) -> Windows:
     last = np.searchsorted(time, time + length * (1 - 1e-6))
     first = np.flatnonzero(last < len(time))
     last = last[first]
-    whole = time[last] - time[first] < 1.5 * length + np.median(np.diff(time))  # no hole of the data inside
+    whole = time[last] - time[first] < 1.5 * length + np.median(np.diff(time))  # no gap in the data inside
     first, last = first[whole], last[whole]
     if len(first) < _LEAST_WINDOWS:
         raise MagycError(
@@ -99,10 +101,10 @@ def windows(turning: TurningField, length: float = 1.0) -> Windows:
 
 
 def clustered_covariance(normal: Array, scores: Array) -> Array:
-    """(p, p) covariance of a least-squares estimate whose residuals hang together for a while.
+    """Return the covariance (p, p) of a least-squares estimate with autocorrelated residuals.
 
     N⁻¹ (Σ_b s_b s_bᵀ) N⁻¹ with the scores Jᵀr summed over stretches b of the recording (Liang and Zeger 1986):
-    what the model leaves out, soft iron or a bias of the gyroscope, does not average out like noise.
+    unmodelled effects such as soft iron or a gyroscope bias do not average out like noise.
 
     Args:
         normal: (p, p) JᵀJ.
@@ -127,21 +129,21 @@ def to_calibration(
     configuration: Mapping[str, Any],
     problems: Sequence[str] = (),
 ) -> Calibration:
-    """The calibration m = s u + h, its scale fixed and its fit judged.
+    """Return the calibration m = s u + h, with its scale fixed and its fit assessed.
 
-    No covariance is reported: that of the method takes the soft iron to be a multiple of the identity and the
-    gyroscope or the attitude to be without error, and is not the estimate's spread where they are not. It only
-    serves to say what the motion left undetermined.
+    No covariance is reported: that of the method assumes that the soft iron is a multiple of the identity and the
+    gyroscope or the attitude has no error, and is not the estimate's spread otherwise. It only shows which parameters
+    the motion leaves undetermined.
 
     Args:
         recording: the data.
         hard_iron: (3,) T.
-        strength: T, of the field as the instrument sees it.
+        strength: T, of the field as measured by the instrument.
         covariance: (3, 3) T², of the hard iron as if the model were true.
         method: its name in `methods()`.
         field_strength: T, scales the soft iron; None: det 1.
         diagnostics, configuration: the method's own.
-        problems: for which the result must not be trusted, whatever its fit.
+        problems: reasons not to trust the result, whatever its fit.
     """
     shown, unit = recording.field_shown
     whole = np.zeros((9, 9))

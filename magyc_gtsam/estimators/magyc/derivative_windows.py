@@ -1,6 +1,6 @@
-"""Averages over windows and the field's differences inside them: what residual (7) of the MAGYC paper works on.
+"""Window averages, and differences of the field within windows, for residual (7) of the MAGYC paper.
 
-A window is used or not by its own samples alone, so that windows formed while data come in are those of a
+Whether a window is used depends on its own samples alone, so that windows formed online are the same as those of the
 whole recording.
 """
 
@@ -14,10 +14,10 @@ from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.factors.gyro_derivative import Samples as DerivativeSamples
 from magyc_gtsam.recording import Array, Recording, Samples
 
-GAUSS = 1e-4  # T; the unit inside, so that the paper's sigmas and tolerances mean what they meant there
-LEAST_WINDOWS = 4  # 12 unknowns, 3 equations each
-_LEAST_COVERED = 0.4  # share of a window between its first sample and its last
-_ON_THE_EDGE = 1e-6  # of a window: stamps that close to an edge belong to what follows
+GAUSS = 1e-4  # T; the internal unit, in which the paper's sigmas and tolerances are stated
+LEAST_WINDOWS = 4  # for 12 unknowns, with 3 equations each
+_LEAST_COVERED = 0.4  # least share of a window between its first and its last sample
+_ON_THE_EDGE = 1e-6  # share of a window; stamps this close before an edge belong to the next window
 
 
 class DerivativeWindows(NamedTuple):
@@ -29,12 +29,12 @@ class DerivativeWindows(NamedTuple):
     angular_rate: Array
 
     def in_gauss(self) -> DerivativeSamples:
-        """Field (n, 3) gauss, derivative (n, 3) gauss/s, rate (n, 3) rad/s."""
+        """Return field (n, 3) gauss, derivative (n, 3) gauss/s and rate (n, 3) rad/s."""
         return self.magnetic_field / GAUSS, self.derivative / GAUSS, self.angular_rate
 
 
 def derivative_windows(recording: Recording, length: float = 1.0) -> DerivativeWindows:
-    """The windows of a recording, each of `length` seconds, from where both sensors have begun.
+    """Return the windows of a recording, each of `length` seconds, from the time at which both sensors have started.
 
     Raises:
         MagycError: no gyroscope, or fewer than 4 windows.
@@ -55,21 +55,21 @@ def derivative_windows(recording: Recording, length: float = 1.0) -> DerivativeW
 
 
 def check_length(length: float) -> None:
-    """Refuse what cannot be a window's length in seconds."""
+    """Raise `MagycError` unless `length` can be a window's length in seconds."""
     if not (np.isfinite(length) and length > 0):
         raise MagycError(f"window of {length} s; it must be finite and above 0")
 
 
 def window_index(time: Array | float, start: float, length: float) -> Array:
-    """Which window stamps lie in, counted from `start`; as floats, for stamps may be far from it."""
+    """Return the index of the window of each stamp, counted from `start`; as floats, because it may be very large."""
     return np.floor((np.asarray(time) - start) / length + _ON_THE_EDGE)
 
 
 def form_windows(magnetometer: Samples, gyroscope: Samples, start: float, length: float) -> DerivativeWindows:
-    """All windows from `start` on that samples of both sensors cover.
+    """Return all windows from `start` on that samples of both sensors cover.
 
-    The mean of ṁ over a window is (last − first sample)/(their time). Windows between whose first sample and
-    last, of either sensor, lies less than 0.4 of its length are left out.
+    The mean of ṁ over a window is (last − first sample)/(their time difference). Windows in which the first and last
+    sample of either sensor are less than 0.4 of the length apart are left out.
     """
     mag_index = window_index(magnetometer.time, start, length)
     gyro_index = window_index(gyroscope.time, start, length)
@@ -93,7 +93,7 @@ def form_windows(magnetometer: Samples, gyroscope: Samples, start: float, length
 
 
 def _means(values: Array, first: np.ndarray, stop: np.ndarray) -> Array:
-    """Means of values[first:stop], each by its own sum, so that what lies outside does not touch its last bit."""
+    """Return the means of values[first:stop], each summed separately, so that other values do not affect rounding."""
     if not len(first):
         return np.empty((0, values.shape[1]))
     edges = np.stack([first, stop], axis=1).ravel()

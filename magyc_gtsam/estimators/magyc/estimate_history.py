@@ -1,4 +1,4 @@
-"""The mean over the last fifth of a growing series, as the MAGYC paper reports it, in constant memory."""
+"""The mean over the last fifth of a growing series, which the MAGYC paper reports, in constant memory."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from magyc_gtsam.recording import Array
 
 LAST_SHARE = 0.2
-_MOST = 1024  # running sums kept; exact up to so many estimates, then to a 500th of the series
+_MOST = 1024  # running sums kept; exact up to that many estimates, then to a 500th of the series
 
 
 class EstimateHistory:
-    """Running sums of estimates (width,), thinned as they become many.
+    """Running sums of estimates (width,), thinned as their number grows.
 
     Args:
-        width: numbers in an estimate.
+        width: number of elements of an estimate.
     """
 
     def __init__(self, width: int) -> None:
@@ -28,7 +28,7 @@ class EstimateHistory:
         return self._count
 
     def add(self, estimate: Array) -> None:
-        """Take the next estimate."""
+        """Add the next estimate."""
         self._count += 1
         self._sum = self._sum + estimate
         if self._count % self._every == 0:
@@ -40,14 +40,14 @@ class EstimateHistory:
             self._counts, self._sums = self._counts[kept], self._sums[kept]
 
     def mean(self) -> Array:
-        """(width,): the mean over the last fifth, at least the last estimate."""
+        """Return the mean (width,) over the last fifth, which includes at least the last estimate."""
         since = self._count - max(int(LAST_SHARE * self._count), 1)
         place = int(np.searchsorted(self._counts, since, side="right")) - 1
         result: Array = (self._sum - self._sums[place]) / (self._count - self._counts[place])
         return result
 
     def state(self) -> Mapping[str, Array]:
-        """For `restore`."""
+        """Return the state for `restore`."""
         return {
             "counts": self._counts,
             "sums": self._sums,

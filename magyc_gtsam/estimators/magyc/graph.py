@@ -1,8 +1,8 @@
-"""The factor graph of MAGYC-IFG (section III-C): windows come in one at a time, an estimate is there after each.
+"""The factor graph of MAGYC-IFG (section III-C), which adds one window at a time and updates the estimate after each.
 
-Two ways, one estimate. As published, iSAM2 keeps two factors per window on one and the same state, and so
-linearises all of them again at every update: time and memory grow. Compressed, one factor stands for all
-residuals (7) exactly and is replaced by its successor: both stay constant.
+There are two implementations with the same estimate. As published, iSAM2 keeps two factors per window on one state,
+and therefore relinearises all of them at every update: time and memory grow. Compressed, one factor represents all
+residuals (7) exactly and is replaced at every update: time and memory stay constant.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from magyc_gtsam.runners.incremental import Incremental
 from magyc_gtsam.runners.isam import Method
 from magyc_gtsam.runners.status import Status
 
-_RENEWED = 64  # windows after which iSAM2 begins anew at its estimate, so that its state is these windows at most
-_PARTS = [3, 6]  # of a window: field, derivative, rate
+_RENEWED = 64  # windows after which iSAM2 restarts at its estimate, which bounds the windows in its state
+_PARTS = [3, 6]  # where to split a window (9,) into field, derivative and rate
 
 
 class MagycGraph:
-    """The graph, its estimate, and the mean over the last fifth of the estimates that the paper reports.
+    """The graph, its estimate, and the mean over the last fifth of the estimates, which the paper reports.
 
     Args:
         compressed: replace one factor instead of keeping all; the estimates are the same.
@@ -38,10 +38,10 @@ class MagycGraph:
         prior: "norm" (9) or "determinant".
         residual_sigma: of (7), gauss/s.
         prior_sigma: of the prior, per window.
-        robust: name of a kernel that weighs each window; not with `compressed`.
+        robust: name of a kernel that weights each window; not with `compressed`.
 
     Raises:
-        MagycError: an option that is wrong.
+        MagycError: an invalid option.
     """
 
     def __init__(
@@ -59,12 +59,12 @@ class MagycGraph:
                 "robust: a compressed factor cannot weigh its windows any more; choose compressed=False, "
                 "or method 'smoother'"
             )
-        scale_prior(prior, prior_sigma)  # says now what is wrong with them
+        scale_prior(prior, prior_sigma)  # raises now if they are invalid
         self._compressed, self._optimizer, self._prior, self._robust = compressed, optimizer, prior, robust
         self._residual_sigma, self._prior_sigma = residual_sigma, prior_sigma
         self._held: tuple[int, ...] = ()  # handles of the compressed factor and its prior
-        self._waiting: list[Array] = []  # windows that are not in iSAM2 yet
-        self._windows: list[Array] = []  # (9,) each; where compressed only those since the renewal
+        self._waiting: list[Array] = []  # windows not yet in iSAM2
+        self._windows: list[Array] = []  # (9,) each; if compressed, only those since the restart
         self._residuals = CompressedGyroDerivative.empty()
         self._values = initial_values()
         self._history = EstimateHistory(12)
@@ -72,7 +72,7 @@ class MagycGraph:
         self._renew()
 
     def add(self, magnetic_field: Array, derivative: Array, angular_rate: Array) -> IncrementalResult:
-        """Take the next window, (3,) gauss, gauss/s and rad/s, and make a step."""
+        """Add the next window, (3,) gauss, gauss/s and rad/s, and update the estimate."""
         if self._since_renewal == _RENEWED:
             self._renew()
         window = np.concatenate([magnetic_field, derivative, angular_rate])
@@ -114,7 +114,7 @@ class MagycGraph:
         return result
 
     def _renew(self) -> None:
-        """Begin iSAM2 anew at its own estimate. All factors are linearised there at every step anyway."""
+        """Restart iSAM2 at its own estimate, where all factors are linearised at every step anyway."""
         self._runner = Incremental(self._optimizer, names=NAMES)
         self._held = ()
         if self._compressed:
@@ -128,7 +128,7 @@ class MagycGraph:
 
     @property
     def configuration(self) -> dict[str, Any]:
-        """The options it was made with."""
+        """The options of the constructor."""
         return {
             "optimizer": self._optimizer,
             "prior": self._prior,
@@ -140,12 +140,12 @@ class MagycGraph:
 
     @property
     def result(self) -> IncrementalResult:
-        """What the last update did."""
+        """The result of the last update."""
         return self._result
 
     @property
     def message(self) -> str:
-        """How far it is, in words."""
+        """The progress in words."""
         result = self._result
         last = f"the last moved the estimate by {result.step:.1g}" if result.updated else result.message
         return f"{len(self)} windows, {last}"
@@ -161,15 +161,15 @@ class MagycGraph:
         return MagycState.of(self._values)
 
     def current(self) -> Array | None:
-        """(12,) vech(soft iron) at determinant 1, hard iron T, gyroscope bias; None where C is no soft iron."""
+        """Return (12,) vech(soft iron) at determinant 1, hard iron T and gyroscope bias; None if C is not valid."""
         return _parameters(self.state) if len(self._history) else None
 
     def mean(self) -> Array | None:
-        """Likewise, the mean over the last 20 % of the estimates: what the paper reports."""
+        """Return the mean over the last 20 % of the estimates, which the paper reports; None without estimates."""
         return self._history.mean() if len(self._history) else None
 
     def saved(self) -> Mapping[str, Array]:
-        """Everything that decides the future, for `restore`."""
+        """Return the complete state, for `restore`."""
         residuals, values = self._at_renewal
         return {
             "windows": np.array(self._windows).reshape(-1, 9),
@@ -181,7 +181,7 @@ class MagycGraph:
         }
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Continue from `saved`, bit for bit; on a new graph with the same options."""
+        """Continue from `saved`, bit for bit, on a new graph with the same options."""
         windows = list(state["windows"])
         since = len(windows) - int(state["since_renewal"])
         self._windows = windows[:since]
@@ -198,7 +198,7 @@ class MagycGraph:
 
 
 def _parameters(state: MagycState) -> Array | None:
-    """(12,); None while the motion has not yet determined a soft iron."""
+    """Return the parameters (12,); None if the soft iron is singular or not positive definite."""
     try:
         parameters = state.parameters
     except MagycError:

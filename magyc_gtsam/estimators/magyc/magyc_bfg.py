@@ -41,32 +41,32 @@ def calibrate_magyc_bfg(
 ) -> Calibration:
     """Calibrate with MAGYC-BFG.
 
-    The paper gives no covariance, and none is reported: residual (7) has the noise in its regressors,
-    so that the estimate is biased and the graph's marginals are not its spread. They only serve to say
-    what the motion left undetermined (`observability`); such a result does not count as converged.
+    The paper gives no covariance, and none is reported: residual (7) has noise in its regressors, so that the
+    estimate is biased and the graph's marginals are not its spread. They only show which parameters the motion leaves
+    undetermined (`observability`); such a result does not count as converged.
 
     Args:
         recording: with a gyroscope.
-        progress: called with the share done, 0 to 1, after each iteration; how many it takes is a guess.
+        progress: called with the share done, 0 to 1, after each iteration; the number of iterations is a guess.
         field_strength: T, scales the soft iron; default det 1.
         optimizer: "dogleg" (the trust region of RISE, as in the paper), "lm" or "gauss-newton".
         prior: "norm" as in (9), or "determinant" as the authors' later package fixes it.
         window: s, over which samples are averaged.
-        compressed: fold all windows into one factor of 21 rows first; the same estimate, sooner.
+        compressed: whether to compress all windows into one factor of 21 rows first; same estimate, faster.
         residual_sigma: of (7), gauss/s.
         prior_sigma: of (9), per window.
         tolerance: relative and absolute, on the graph's error.
         max_iterations: limit.
 
     Raises:
-        MagycError: no gyroscope, an option that is wrong, or too few windows.
+        MagycError: no gyroscope, an invalid option, or too few windows.
     """
     report = progress or (lambda share: None)
     windows = derivative_windows(recording, window)
     samples = windows.in_gauss()
     residuals = CompressedGyroDerivative.from_samples(*samples)
 
-    # All windows' residuals (7) stand in one factor, and their equal priors (9) in one of sigma/√n.
+    # One factor holds the residuals (7) of all windows, and one of sigma/√n their equal priors (9).
     graph = gtsam.NonlinearFactorGraph()
     if compressed:
         graph.add(residuals.factor(*KEYS, residual_sigma))

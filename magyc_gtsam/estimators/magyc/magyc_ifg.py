@@ -1,7 +1,7 @@
 """MAGYC-IFG, the incremental method of the MAGYC paper (section III-C), run over a whole recording.
 
-Every window of one second adds residual (7) and the norm prior (9) to iSAM2, which makes one step. While the
-vehicle moves, the same runs in `OnlineCalibrator("magyc-ifg")`.
+Every window of one second adds residual (7) and the norm prior (9) to iSAM2, which then makes one step. The same
+method runs online in `OnlineCalibrator("magyc-ifg")`.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ def calibrate_magyc_ifg(
         recording: with a gyroscope.
         progress: called with the share done, 0 to 1.
         field_strength: T, scales the soft iron; default det 1.
-        robust: name of a kernel ("huber", "cauchy", "geman-mcclure", "l1") that weighs each window, with
-            `compressed=False` only. It counts in `residual_sigma`, which must then be the data's: √2 times the
-            magnetometer's noise over the window.
+        robust: name of a kernel ("huber", "cauchy", "geman-mcclure", "l1") that weights each window, with
+            `compressed=False` only. Its width is in units of `residual_sigma`, which must then be that of the data: √2
+            times the magnetometer's noise over the window.
         optimizer: "dogleg" (RISE, as in the paper) or "gauss-newton".
         prior: "norm" as in (9), or "determinant" as the authors' later package fixes it.
         window: s, over which samples are averaged.
-        compressed: replace one exact factor at each update, in constant time; False keeps all factors in
+        compressed: whether to replace one exact factor at each update, in constant time; False keeps all factors in
             iSAM2 as published. The estimates are the same.
         estimate: "mean" of the last 20 % of the estimates, as in the paper, or the "current" one.
         residual_sigma: of (7), gauss/s.
         prior_sigma: of (9), per window.
 
     Raises:
-        MagycError: no gyroscope, an option that is wrong, too few windows, or no estimate by the end.
-        KeyboardInterrupt: interrupted before there was an estimate; later it ends with the one that there is.
+        MagycError: no gyroscope, an invalid option, too few windows, or no estimate at the end.
+        KeyboardInterrupt: interrupted before the first estimate; a later interrupt ends with the current estimate.
     """
     check_estimate(estimate)
     report = progress or (lambda share: None)
@@ -105,13 +105,13 @@ def calibrate_magyc_ifg(
 
 
 def check_estimate(estimate: str) -> None:
-    """Refuse what is neither the mean nor the current estimate."""
+    """Raise `MagycError` unless `estimate` is "mean" or "current"."""
     if estimate not in ("mean", "current"):
         raise MagycError(f"estimate {estimate!r} unknown; there are mean, current")
 
 
 def settled_after(estimates: list[Array | None], recording: Recording) -> float:
-    """Share of the updates after which the current estimate never again left the last one by more than the limits.
+    """Return the share of the updates after which the estimate stayed within the limits about the last one.
 
     The limits are those of `observability`: 5 % of the field for the hard iron, 5 % for the soft iron,
     15 mrad/s for the bias.

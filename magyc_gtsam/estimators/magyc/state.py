@@ -1,4 +1,4 @@
-"""The state of the MAGYC paper, (C, d, b), and what it says: soft iron, hard iron, gyroscope bias, weaknesses.
+"""The state of the MAGYC paper, (C, d, b), and its conversion to soft iron, hard iron, bias and a calibration.
 
 C is the inverse soft iron as l = vech(C), d = C · hard iron in gauss, b the gyroscope bias in rad/s.
 """
@@ -28,14 +28,14 @@ INVERSE_SOFT_IRON, PSEUDO_HARD_IRON, GYRO_BIAS = KEYS = (
 )
 NAMES = dict(zip(KEYS, ("the soft iron", "the hard iron", "the gyroscope bias"), strict=True))
 
-_MOST_UNEXPLAINED = 0.1  # spread of the calibrated field's strength over its mean
+_MOST_UNEXPLAINED = 0.1  # largest standard deviation of the calibrated field's strength, relative to its mean
 
 Prior = Literal["norm", "determinant"]
 _PRIORS = {"norm": norm_prior, "determinant": determinant_prior}
 
 
 def initial_values() -> gtsam.Values:
-    """C = I, d = 0, b = 0: both sensors taken as calibrated (section V)."""
+    """Return C = I, d = 0, b = 0, which takes both sensors as calibrated (section V)."""
     values = gtsam.Values()
     values.insert(INVERSE_SOFT_IRON, vech(np.eye(3)))
     values.insert(PSEUDO_HARD_IRON, np.zeros(3))
@@ -44,10 +44,10 @@ def initial_values() -> gtsam.Values:
 
 
 def scale_prior(kind: Prior, sigma: float, windows: int = 1) -> gtsam.CustomFactor:
-    """Prior (9) on C, "norm", or the authors' later "determinant"; `windows` equal ones in one.
+    """Return prior (9) on C, "norm", or the authors' later "determinant", combined for `windows` equal priors.
 
     Raises:
-        MagycError: there is no such prior.
+        MagycError: unknown prior.
     """
     if kind not in _PRIORS:
         raise MagycError(f"prior {kind!r} unknown; there are {', '.join(_PRIORS)}")
@@ -64,12 +64,12 @@ class MagycState:
 
     @classmethod
     def of(cls, values: gtsam.Values) -> MagycState:
-        """From a graph's values."""
+        """Read the state from a graph's values."""
         return cls(*(values.atVector(key) for key in KEYS))
 
     @property
     def soft_iron(self) -> Array:
-        """(3, 3), of determinant 1; (−C, −d) solves (7) as well, and gives the same.
+        """(3, 3), of determinant 1; (−C, −d) solves (7) too and gives the same matrix.
 
         Raises:
             MagycError: C is singular.
@@ -96,11 +96,11 @@ class MagycState:
         return np.concatenate([vech(self.soft_iron), self.hard_iron, self.b])
 
     def covariance(self, residuals: CompressedGyroDerivative) -> Array:
-        """Of vech(A) at det A = 1, h in T and b, as if only the residuals (7) were noisy: (12, 12)."""
+        """Return the covariance (12, 12) of vech(A) at det A = 1, h in T and b, as if only residual (7) were noisy."""
         residual, jacobians = residuals.error(self.l, self.d, self.b, want_jacobians=True)
         jacobian = np.hstack(jacobians)
         variance = residual @ residual / max(3 * residuals.samples - 12, 1)
-        scale = np.concatenate([self.l, self.d, np.zeros(3)])  # what (7) leaves free: determined exactly
+        scale = np.concatenate([self.l, self.d, np.zeros(3)])  # the direction that (7) leaves free is fixed
         scale *= np.linalg.norm(jacobian) / (scale @ scale)
         graph = np.linalg.inv(jacobian.T @ jacobian + np.outer(scale, scale)) * variance
 
@@ -130,18 +130,18 @@ def calibration_of(
     diagnostics: Mapping[str, Any],
     configuration: Mapping[str, Any],
 ) -> Calibration:
-    """The result of a MAGYC method.
+    """Return the calibration of a MAGYC method.
 
-    The paper gives no covariance, and none is reported: residual (7) has the noise in its regressors, so that
-    the estimate is biased and the graph's marginals are not its spread. They only serve to say what the
-    motion left undetermined; such a result does not count as converged.
+    The paper gives no covariance, and none is reported: residual (7) has noise in its regressors, so that the
+    estimate is biased and the graph's marginals are not its spread. They only show which parameters the motion leaves
+    undetermined; such a result does not count as converged.
 
     Args:
         parameters: (12,) vech(soft iron) at determinant 1, hard iron T, gyroscope bias rad/s.
-        covariance: (12, 12) of them, as `MagycState.covariance` gives it; None where there is no minimum.
-        recording: the data; sets the field's strength.
+        covariance: (12, 12) of them, by `MagycState.covariance`; None if there is no minimum.
+        recording: the data, which determine the field's strength.
         method, message, diagnostics, configuration: as in `Calibration`.
-        converged: what the optimiser says.
+        converged: whether the optimiser converged.
         field_strength: T, scales the soft iron; None leaves its determinant at 1.
     """
     soft_iron, hard_iron, gyro_bias = unvech(parameters[:6]), parameters[6:9], parameters[9:]
