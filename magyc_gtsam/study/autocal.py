@@ -1,4 +1,4 @@
-"""Reproduce the simulations of the Autocal paper (section III-B): Figs 5 and 6, and one-sided data.
+"""The simulations of the Autocal paper (section III-B): Figs 5 and 6, and one-sided data.
 
 One unit of the paper's sensor is a microtesla here. `synthetic` draws (35) to (38) as printed. One-sided data, to which
 the paper attributes the failures on real tracks (section III-C3), are of two kinds: directions on one half of the

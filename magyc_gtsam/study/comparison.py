@@ -1,4 +1,4 @@
-"""Run every method on one recording, and record its result, its run time or why it cannot run."""
+"""Run of every method on one recording, with its result, its run time or the reason why it cannot run."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 Progress = Callable[[str, float], None]
 
-MOST_SAMPLES = 50_000  # for the methods that ignore the order of samples; more cost time and gain almost nothing
-_NEEDS = {  # what a method may need: a test whether a recording has it, and its name in messages
+MOST_SAMPLES = 50_000  # limit for methods that ignore the order of samples; more cost time and gain little
+_NEEDS = {  # a requirement of methods: the test whether a recording meets it, and its name in messages
     "angular_rate": (lambda r: r.angular_rate is not None, "a gyroscope"),
     "attitude": (lambda r: r.attitude is not None and bool(np.isfinite(r.attitude).any()), "a reference attitude"),
     "acceleration": (lambda r: r.acceleration is not None, "an accelerometer"),

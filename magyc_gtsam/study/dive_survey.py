@@ -1,9 +1,9 @@
-"""Simulate Fig. 3b of the MAGYC paper: calibrate on a dive and judge the heading on a survey, and vice versa.
+"""Simulation of Fig. 3b of the MAGYC paper: calibration on a dive with the heading judged on a survey, and vice versa.
 
 The pair of seed 0 at noise 1 is that of `datasets/`. A survey hardly tilts. At the published noise the minimum of the
-paper's cost (7) with (9) on a survey is wrong, since its regressors are noisy: the field is placed along the axis of
-the turns, where a turn changes nothing. `magyc-ifg` ends in this minimum, `magyc-bfg` in a higher one nearer to its
-start (column `cost`). The paper's own instrument has a tenth of the noise.
+paper's cost (7) with (9) on a survey is wrong, since its regressors are noisy: the estimated field lies along the axis
+of the turns, where a turn does not change it. `magyc-ifg` converges to this minimum, `magyc-bfg` to a higher one
+nearer to its start (column `cost`). The paper's own instrument has a tenth of the noise.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from magyc_gtsam.study.drawing import Panel, draw_panels
 from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 METHODS = ("magyc-bfg", "magyc-ifg", "magfactor3", "ellipsoid", "twostep", "sar-ls", "sar-kf", "smoother")
-NOISES = (1.0, 0.3, 0.1)  # times 10 mG and 5 mrad/s; the paper's instrument has about 0.1 of it
+NOISES = (1.0, 0.3, 0.1)  # factors of 10 mG and 5 mrad/s; the paper's instrument has about 0.1 of it
 SAID = (
     "calibrated on the dive magyc-bfg and magyc-ifg are best on the survey; calibrated on the survey they and "
     "magfactor3 improve the heading, which is best with the former, and no other method gives a result (degrees lost)"
@@ -53,7 +53,9 @@ def units(runs: int) -> list[DivePair]:
 def dive_survey_rows(
     chosen: Sequence[DivePair], running: Running = HERE, methods: Sequence[str] = METHODS
 ) -> list[Row]:
-    """Return one row per pair, method and direction; "raw" is no calibration, "truth" shows the noise alone."""
+    """Return one row per pair, method and direction; "raw" means no calibration, "truth" shows the effect of the noise
+    alone.
+    """
     return study_rows("dive-survey", partial(worked, methods=methods), chosen, running)
 
 
@@ -74,7 +76,7 @@ def pair(unit: DivePair) -> tuple[Simulation, Simulation]:
 
 
 def worked(unit: DivePair, methods: Sequence[str] = METHODS) -> Row:
-    """Return the heading deviations, deg, on the other recording."""
+    """Return the heading deviations, deg, of calibrations on one recording of a pair, judged on the other one."""
     dive, survey = pair(unit)
     columns: dict[str, list[object]] = {name: [] for name in ("method", "way", "heading", "trusted", "cost")}
     for way, fitted, judge in (("dive to survey", dive, survey), ("survey to dive", survey, dive)):
@@ -107,7 +109,9 @@ def _heading(calibration: Calibration, judge: Simulation) -> float:
 
 
 def cost(calibration: Calibration, fitted: Simulation) -> float:
-    """Return the cost (7) at a calibration, with C scaled to (9), over that at the truth; NaN without a bias."""
+    """Return the ratio of the cost (7) at a calibration, with C scaled to (9), to that at the truth; NaN without a
+    bias.
+    """
 
     def squares(each: Calibration) -> float:
         assert each.gyro_bias is not None

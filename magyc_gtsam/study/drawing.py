@@ -1,4 +1,4 @@
-"""Draw lines over a condition in panels side by side, as the papers do."""
+"""Figures of lines over a condition, in panels side by side as in the papers."""
 
 from __future__ import annotations
 

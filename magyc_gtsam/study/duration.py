@@ -1,7 +1,7 @@
-"""Study the accuracy of a calibration by its duration and the size of the motion.
+"""Study of the accuracy of a calibration by its duration and the size of the motion.
 
-Simulated motions like the paper's, with several amplitudes of pitch and heading, are calibrated after several times.
-The result is the heading error over a level turn.
+Simulated motions like the paper's, with several amplitudes of pitch and heading, are calibrated after several
+durations. The result is the heading error over a level turn.
 """
 
 from __future__ import annotations

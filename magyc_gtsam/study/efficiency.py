@@ -1,4 +1,4 @@
-"""Measure how close a method comes to the Cramér–Rao bound, and whether its covariance is consistent."""
+"""Comparison of a method's errors with the Cramér–Rao bound, and a test of the consistency of its covariance."""
 
 from __future__ import annotations
 

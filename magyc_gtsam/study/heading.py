@@ -1,4 +1,4 @@
-"""Compare the magnetic heading of a calibrated field with a reference attitude."""
+"""Comparison of the magnetic heading of a calibrated field with a reference attitude."""
 
 from __future__ import annotations
 

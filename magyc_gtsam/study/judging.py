@@ -1,4 +1,4 @@
-"""Judge the outcomes of methods by the spread of the field, the heading error, and each other."""
+"""Assessment of the outcomes of methods by the spread of the field, the heading error, and each other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from magyc_gtsam.study.outcome import Comparison, MethodOutcome, OutcomeStatus
 
 ROBUST = ("autocal", "smoother")  # methods that detect disturbed samples
 _MANY = 6.0  # joint sigmas from which two methods contradict each other
-_MATTERS = {"hard_iron": 0.01, "gyro_bias": 1e-3}  # of the field, and rad/s: smaller differences do no harm
+_MATTERS = {"hard_iron": 0.01, "gyro_bias": 1e-3}  # share of the field, and rad/s; smaller differences do no harm
 _WORSE = 1.05  # ratio of the spreads after and before from which a calibration made it worse
 UNCALIBRATED = Calibration(np.eye(3), np.zeros(3), method="raw")
 

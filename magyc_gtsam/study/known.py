@@ -1,10 +1,10 @@
-"""Study the gain from prior knowledge: misalignment, an earlier calibration, and the place.
+"""Study of the gain from prior knowledge: misalignment, an earlier calibration, and the place.
 
 Skews: chips that are misaligned by 0 to 1.5° in a random direction, with the misalignment estimated if the data show
-one, always, and never. Boards: the same with misalignments drawn as `calibrate` believes them to be, over which, and
-not at each size, the NEES of an honest covariance is its number of degrees of freedom. Facts: vehicles that hardly
-tilt, with the operator's knowledge added step by step, batch and online. Matrices: an earlier calibration whose matrix
-is off by some percent, and whether that is noticed.
+one, always, and never. Boards: the same with misalignments drawn from the prior of `calibrate`; averaged over this
+prior, but not at each size, the NEES of a consistent covariance equals its number of degrees of freedom. Facts:
+vehicles that hardly tilt, with the operator's knowledge added step by step, batch and online. Matrices: an earlier
+calibration whose matrix is wrong by some percent, and whether that is noticed.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ class SkewCell:
     Attributes:
         heading: root-mean-square heading error over a level turn, deg.
         hard_iron: root-mean-square hard iron error per axis, T.
-        nees, of_sensors: mean NEES of `FREEDOMS` degrees of freedom, by the stated covariance and by that without what
-            else an instrument may do, which these do not.
-        decided, refused: shares of runs in which a misalignment was corrected, and which were not trusted.
+        nees, of_sensors: mean NEES of `FREEDOMS` degrees of freedom, by the stated covariance, and by that without the
+            model error, which the simulated instruments do not have.
+        decided, refused: shares of runs in which a misalignment was corrected, and of runs whose result was not
+            trusted.
     """
 
     heading: float
@@ -61,9 +62,9 @@ class FactCell:
 
     Attributes:
         error, stated: root mean squares of hard iron error and stated sigma per axis, T.
-        bound: the same of the Cramér–Rao bound with that knowledge, as if it were right, T.
-        ratio, of_sensors: squared error in units of the stated covariance, and of that without what else an instrument
-            may do, per degree of freedom.
+        bound: root mean square of the Cramér–Rao bound per axis with that knowledge, as if it were right, T.
+        ratio, of_sensors: squared error relative to the stated covariance, and to that without the model error, per
+            degree of freedom.
         refused: share of the runs that are not trusted.
     """
 
@@ -76,8 +77,10 @@ class FactCell:
 
 
 class KnownCase(NamedTuple):
-    """One recording of the study: kind "skew" (size in degrees), "board" (no size), "fact" (duration in s) or "matrix"
-    (percent)."""
+    """One recording of the study.
+
+    `kind` is "skew" (size in degrees), "board" (no size), "fact" (duration in s) or "matrix" (percent).
+    """
 
     kind: str
     motion: str
@@ -103,7 +106,7 @@ def _turn(degrees: float, seed: int) -> Array:
 
 
 def believed(seed: int) -> float:
-    """Return the misalignment, deg, of a board as `calibrate` believes them to be, up to the largest believed."""
+    """Return the misalignment, deg, of a board drawn from the prior of `calibrate`, up to the largest admitted."""
     random = np.random.default_rng([seed, 29])
     while True:
         deviation = random.choice(AUTOMATIC.deviations, p=AUTOMATIC.weights)
@@ -141,7 +144,7 @@ def units(seeds: Iterable[int], kinds: Iterable[str] = ("skew", "board", "fact",
 def known_rows(
     chosen: Sequence[KnownCase], folder: Path | None = None, workers: int = 1, progress: Progress | None = None
 ) -> dict[KnownCase, Row]:
-    """Return the rows of all units. With a folder they are written to `known.parquet`, and a stopped run continues.
+    """Return the rows of all units. With a folder, write them to `known.parquet` and continue an interrupted run.
 
     Raises:
         MagycError: a folder is given and the extra `parquet` is not installed.
@@ -187,7 +190,7 @@ def _skew_row(unit: KnownCase) -> dict[str, Row]:
 
 
 def skew_cells(motion: str, degrees: float | None, rows: Mapping[KnownCase, Row]) -> dict[str, SkewCell]:
-    """Return {way of `WAYS`: result} of one misalignment, or with None of boards as they are believed to be."""
+    """Return {way of `WAYS`: result} of one misalignment, or with None of boards drawn from the prior."""
     mean = _means(rows, "board", motion, 0.0) if degrees is None else _means(rows, "skew", motion, degrees)
     return {
         way: SkewCell(

@@ -1,4 +1,4 @@
-"""The part of the study of prior knowledge on an earlier calibration and the place: one recording at a time."""
+"""One recording of the study of prior knowledge: an earlier calibration and the place."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Placed(NamedTuple):
     """A simulation with the operator's knowledge of the place.
 
     Attributes:
-        simulation: it, without errors of the accelerometer.
-        recording: the recording, with them.
+        simulation: the simulation, without errors of the accelerometer.
+        recording: its recording, with errors of the accelerometer.
         truth: the true calibration.
         dip: true dip, rad.
-        field: (strength, dip) for `calibrate`, with errors of the world model's sigmas.
+        field: (strength, dip) for `calibrate`, with errors drawn from the world model's sigmas.
     """
 
     simulation: Simulation
@@ -67,7 +67,7 @@ def _earlier(seed: int) -> Calibration:
 
 
 def fact_row(motion: str, duration: float, seed: int) -> dict[str, Row]:
-    """Return a row for each way of `FACTS`, of one recording of that many seconds."""
+    """Return a row for each way of `FACTS`, of one recording of `duration` s."""
     run = placed(motion, duration, seed)
     recording = replace(run.recording, attitude=None)
     matrix: dict[str, Any] = {"prior": _earlier(seed), "misalignment": 0}
@@ -101,8 +101,9 @@ def _bound(run: Placed, recording: Recording, options: Mapping[str, Any]) -> flo
 
 
 def matrix_row(motion: str, percent: float, seed: int) -> dict[str, Row]:
-    """Return a row of the way "wrong": with an earlier matrix that is off by a stretch in a random direction, and a
-    known place."""
+    """Return a row of the way "wrong": a known place, and an earlier matrix stretched by `percent` in a random
+    direction.
+    """
     run = placed(motion, 60.0 if motion == "tiny" else 600.0, seed)
     shape = np.random.default_rng([seed, 23]).normal(size=(3, 3))
     shape = shape + shape.T - np.trace(shape + shape.T) / 3 * np.eye(3)

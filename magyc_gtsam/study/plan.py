@@ -1,8 +1,8 @@
-"""Plan the motion and duration for a wanted heading accuracy, with and without prior knowledge.
+"""Plan of the motion and duration for a required heading accuracy, with and without prior knowledge.
 
 Each motion is simulated with the sensors' noise, and the information of its field chain is taken at the minimum after
 several durations. Prior knowledge is added to it. A plan thus costs one fit per motion and duration, and gives the
-Cramér–Rao bound with an unknown misalignment as boards have it.
+Cramér–Rao bound with an unknown misalignment of typical boards.
 """
 
 from __future__ import annotations

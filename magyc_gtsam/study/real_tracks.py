@@ -1,7 +1,7 @@
-"""Reproduce the papers' studies on real recordings: Fig. 6 of the review, and Tables IV and V of Autocal.
+"""The papers' studies on real recordings: Fig. 6 of the review, and Tables IV and V of Autocal.
 
-The first recording is the reference, M1 of the Autocal paper: one without outliers of the same unit as the others.
-They need no truth. An accelerometer is calibrated like a magnetometer, with gravity in place of the field (section
+The first recording is the reference, M1 of the Autocal paper: one without outliers from the same unit as the others.
+No truth is needed. An accelerometer is calibrated like a magnetometer, with gravity in place of the field (section
 III-C1 of that paper).
 """
 
@@ -34,8 +34,8 @@ from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 Sensor = Literal["magnetometer", "accelerometer"]
 METHODS = {**{name: (name, {}) for name in REVIEWED}, **VARIANTS}
-_GRAVITY = 50e-6 / 9.80665  # T per m/s², to treat an accelerometer's readings as those of a magnetometer
-_THIN = 5000  # samples of a track; the papers' have 300 to 600
+_GRAVITY = 50e-6 / 9.80665  # T per m/s², to process an accelerometer's readings as those of a magnetometer
+_THIN = 5000  # number of samples of a track; the papers' have 300 to 600
 
 # Autocal, Tables IV and V: deviation (40) and error (41) in % of the paper's unit of 100, without outliers (M2, A2) and
 # the worst of the tracks with outliers.

@@ -1,26 +1,26 @@
-"""Reproduce Table 2 and Figs 2 to 5 of the review (Papafotis, Nikitas and Sotiriadis, Sensors 2021, 21, 5288).
+"""Table 2 and Figs 2 to 5 of the review (Papafotis, Nikitas and Sotiriadis, Sensors 2021, 21, 5288).
 
-The cost J (74) is read with squared norms, without which no method can reach the printed accuracies (1/ρ of
-about 365 at best), and "bound" is one over the mean of J at the Cramér–Rao bound, 2.42e5. δ of (76) is not
+The cost J (74) is computed with squared norms, without which no method can reach the printed accuracies (1/ρ of
+about 365 at best); "bound" is the reciprocal of the mean of J at the Cramér–Rao bound, 2.42e5. δ of (76) is not
 printed; robustness is given for δ = 1, "better than no calibration", and for a strict one.
 
-Ours are at the bound but for the filter (2.51e5 to 2.54e5 over 250 runs, whose mean varies by 3 %; 2.46e5 over
-1500). The printed 2.26e5 to 2.32e5 are at it too, two such deviations below. Where the printed figures are lower
-still, this is what was measured over the same 250 runs:
+The methods of this package are at the bound, except for the filter (2.51e5 to 2.54e5 over 250 runs, whose mean varies
+by 3 %; 2.46e5 over 1500). The printed 2.26e5 to 2.32e5 are also consistent with it, two such deviations below. Where
+the printed figures are lower still, the following was measured over the same 250 runs:
 
-- twostep, 35.3 and 91.6 %: for fields of equal strength the centred estimate (8) is c = 0, E = −I whatever the
+- twostep, 35.3 and 91.6 %: for fields of equal strength the centred estimate (8) is c = 0, E = −I for any
   data, and (10a) then divides rounding errors by rounding errors. One iteration from there gives 1/ρ = 43, three
   give 2.5e5. (14b) is the bias of another model than (2), which leaves 2.2e4; taking (13) for a singular value
-  decomposition, which drops the signs of S, leaves 1.4e3 to 1.6e3, in 40 % of the runs where U stands for V. The
+  decomposition, which drops the signs of S, leaves 1.4e3 to 1.6e3, in 40 % of the runs where V is replaced by U. The
   printed pair of figures is not among these.
-- crassidis, 3.31e3: a matter of the filter's start and noise, which are not printed. With σ = 0.005 as simulated
+- crassidis, 3.31e3: depends on the filter's start and noise, which are not printed. With σ = 0.005 as simulated
   1/ρ is 6.9e4 in 77 % of the runs, and (22) for h, as (14b), gives 2.0e4.
 - wu-shi, 87.2 %: starting at T = chol(A), as (57) prints it, instead of chol(A)⁻¹ succeeds in 85.2 %.
 - vasconcelos, 99.6 %: (40) to (44) as printed do not give the ellipsoid's matrix and centre.
-- ali-pso, 98.8 %: the swarm of w = 1, c1 = c2 = 2 explodes, and (45) is zero for an infinite ellipsoid.
+- ali-pso, 98.8 %: the swarm of w = 1, c1 = c2 = 2 diverges, and (45) is zero for an infinite ellipsoid.
 
-The figures move one of γ, β, K and σ from there. `calibrate` centres the samples first, so that γ changes nothing;
-"as drawn" fits the samples about the origin that they have, as the review seems to.
+The figures vary one of γ, β, K and σ from this baseline. `calibrate` centres the samples first, so that γ has no
+effect; "as drawn" fits the samples about their own origin, as the review appears to do.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ FITS = {
     "wu-shi": wu_shi,
     "magical": magical,
 }
-STRICT = 0.01  # δ: a tenth of the error without calibration, the cost being squared
+STRICT = 0.01  # δ: a tenth of the error without calibration, since the cost is squared
 STRENGTH = 50e-6  # T per unit of the review's field
 RATE = 10.0  # Hz; the methods do not use the time
 
@@ -114,8 +114,8 @@ class ReviewCase(NamedTuple):
 class MethodScore:
     """One method over all runs of a condition.
 
-    scores: at δ = 1; strict: at δ = STRICT; refused: runs that failed or that the method did not trust; bound: 1/ρ at
-    the Cramér–Rao bound.
+    scores: at δ = 1; strict: at δ = STRICT; refused: runs that failed or whose result the method did not trust; bound:
+    1/ρ at the Cramér–Rao bound.
     """
 
     method: str
@@ -149,7 +149,11 @@ def draw(
 ) -> Sample:
     """Draw a data set by Algorithm 8 with (68); the defaults are the baseline (80).
 
-    beta, gamma: half-widths of the distributions of the matrix's and the offset's elements.
+    Args:
+        seed: seed of the random numbers.
+        samples: number of samples.
+        beta, gamma: half widths of the distributions of the matrix's and the offset's elements.
+        noise: standard deviation of a sample.
     """
     random = np.random.default_rng(seed)
     field = fibonacci_sphere(samples)
@@ -160,7 +164,7 @@ def draw(
 
 
 def bound(sample: Sample) -> float:
-    """Return the mean of J² (74) that no unbiased method can beat, the trace of the Cramér–Rao bound.
+    """Return the smallest mean of J² (74) of an unbiased method, the trace of the Cramér–Rao bound.
 
     Three of T's nine elements are the free rotation, which the pseudo-inverse leaves out, as (72) does.
     """
@@ -176,7 +180,7 @@ def units(runs: int, conditions: Sequence[Condition]) -> list[ReviewCase]:
 
 
 def review_rows(chosen: Sequence[ReviewCase], running: Running = HERE) -> list[Row]:
-    """Return one row per data set, method, and way of using the samples."""
+    """Return one row per data set, method, and treatment of the samples (centred or as drawn)."""
     return study_rows("review", worked, chosen, running)
 
 
@@ -251,7 +255,7 @@ def _calibrated(recording: Recording, method: str, data: Sample) -> tuple[float,
 
 
 def _as_drawn(method: str, data: Sample) -> tuple[float, float, bool]:
-    """Return the same for the method alone, on samples that are not centred."""
+    """Return the results of `_calibrated` for the method alone, on samples that are not centred."""
     start = time.process_time()
     try:
         if method == "crassidis":

@@ -1,4 +1,4 @@
-"""Run a study's units of work through the engine, and collect the rows."""
+"""Execution of a study's units of work through the engine, and collection of the rows."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _NOT_IN_NAMES = re.compile(r"[^\w.=@+-]+")  # characters not used in file names
 
 
 def study_rows(name: str, work: Callable[[Any], Row], units: Iterable[Any], running: Running = HERE) -> list[Row]:
-    """Return all rows of a study. With a folder they are written to `<name>.parquet`, and a stopped run continues.
+    """Return all rows of a study. With a folder, write them to `<name>.parquet` and continue an interrupted run.
 
-    A unit on which a process died twice gives a warning instead of rows.
+    A unit whose process died twice gives a warning instead of rows.
 
     Args:
         name: name of the study.

@@ -1,4 +1,4 @@
-"""Simulate a season of dives of one instrument, to test histories.
+"""Simulation of a season of dives of one instrument, to test histories.
 
 Each dive is a compressed factor. Its covariance is that of a calibrated simulation of its motion, and its mean is the
 truth with noise of that covariance, which matches `calibrate` by the efficiency study. A hundred seasons thus take

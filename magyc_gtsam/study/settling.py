@@ -1,4 +1,4 @@
-"""Study after which share of the data MAGYC-IFG settles; the number is missing from the paper's printed text."""
+"""Study of the share of the data after which MAGYC-IFG settles; the number is missing from the paper's printed text."""
 
 from __future__ import annotations
 

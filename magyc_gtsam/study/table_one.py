@@ -1,13 +1,13 @@
-"""Reproduce Table I of the MAGYC paper: calibrate on one motion, judge heading and field on another, wide one.
+"""Table I of the MAGYC paper: calibration on one motion, with heading and field judged on a separate, wide one.
 
 MagFactor3 takes the attitude as known. The authors' package gives it the true roll and pitch, but the heading of the
 raw, uncalibrated field (`MAGNETIC_HEADING`). This reproduces its printed rows; with the true heading it is twice as
-good. There, both and TWOSTEP were given a field stronger than the truth by a factor that is lost; here they get the
-true one.
+accurate. In the package, both MagFactor3 and TWOSTEP were given a field stronger than the truth by a factor that is
+not preserved; here they get the true one.
 
-`CONVENTIONS` are this project's and the authors': their simulator gives the mean rate since the sample before, which
-they read as the rate at the sample; their notebook smooths field and rates, gives MagFactor3 an attitude and both it
-and TWOSTEP a field that are off by 5 % (one factor a run), and judges the mean of all runs' parameters.
+`CONVENTIONS` are this project's and the authors'. The authors' simulator gives the mean rate since the preceding
+sample, which they read as the rate at the sample. Their notebook smooths field and rates, gives MagFactor3 an attitude
+and both it and TWOSTEP a field that are wrong by 5 % (one factor per run), and judges the mean of all runs' parameters.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from magyc_gtsam.study.drawing import Panel, draw_panels
 from magyc_gtsam.study.rows import HERE, Running, study_rows
 
 MAGNETIC_HEADING = "magfactor3, magnetic heading"
-# Mean heading RMSE in degrees and standard deviation of the field's norm in mG, as printed; None: "N/A".
-# The text's "low", whose ranges are lost, "retained the roll range while reducing the pitch and heading ranges": that
-# is "tiny" here and in the authors' simulator, whose own "low" keeps the pitch. Both are held against it.
+# Mean heading RMSE in degrees and standard deviation of the field's norm in mG, as printed; None: "N/A". The text's
+# "low", whose ranges are not preserved, "retained the roll range while reducing the pitch and heading ranges": that is
+# "tiny" here and in the authors' simulator, whose own "low" keeps the pitch. Both are compared with it.
 PUBLISHED: dict[str, dict[str, tuple[float | None, float | None]]] = {
     method: {"wide": wide, "moderate": moderate, "low": low, "tiny": low}
     for method, (wide, moderate, low) in {
@@ -129,7 +129,7 @@ def worked(unit: TableOneCase, methods: Sequence[str], samples: int) -> Row:
         try:
             estimate = _estimate(name, simulation, unit)
             soft_iron = estimate.soft_iron
-            if (np.linalg.eigvalsh(soft_iron) > 0).all():  # as the authors leave out what is no ellipsoid
+            if (np.linalg.eigvalsh(soft_iron) > 0).all():  # the authors also omit what is not an ellipsoid
                 values = (*_score(estimate, *judges), soft_iron.ravel().tolist(), estimate.hard_iron.tolist())
         except MagycError:  # the row shows the failure by missing parameters
             pass

@@ -1,5 +1,5 @@
-"""How often a method is wrong and trusted when sensors, clocks, surroundings or motion are at fault.
+"""The study of how often a method is wrong and trusted when sensors, clocks, surroundings or motion are at fault.
 
-How a fault is made shares no code with how it is found: `signals`, `magnetometer`, `gyroscope`, `surroundings` and
+The simulation of a fault shares no code with its detection: `signals`, `magnetometer`, `gyroscope`, `surroundings` and
 `catalogue` import neither estimators nor detectors.
 """

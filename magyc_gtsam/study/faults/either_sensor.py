@@ -12,7 +12,7 @@ Random = np.random.Generator
 
 
 def spikes(size: float) -> Change:
-    """In a share of the samples something of about `size` adds, in any direction."""
+    """Return a fault that adds a normally distributed error of deviation `size` per axis to a share of the samples."""
 
     def change(value: Array, scene: TrueMotion, share: float, random: Random) -> Array:
         hit = random.random(len(value)) < share
@@ -22,19 +22,19 @@ def spikes(size: float) -> Change:
 
 
 def zero_rows(value: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """A share of the rows reads zero on all axes."""
+    """Set a share of the rows to zero on all axes."""
     return np.where((random.random(len(value)) < share)[:, None], 0.0, value)
 
 
 def stuck_axis(value: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis keeps its value for a share of the log."""
+    """Hold the value of one axis for a share of the log."""
     value, part, axis = value.copy(), one_stretch(len(value), share, random), random.integers(3)
     value[part, axis] = value[part.start, axis]
     return value
 
 
 def flickering_axis(bit: float) -> Change:
-    """One axis keeps its value for a share of the log, but for its last bit."""
+    """Return a fault that holds the value of one axis for a share of the log, except for its last bit."""
 
     def change(value: Array, scene: TrueMotion, share: float, random: Random) -> Array:
         value = np.round(value / bit) * bit
@@ -46,22 +46,22 @@ def flickering_axis(bit: float) -> Change:
 
 
 def flipped_axis(value: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One axis has the wrong sign for a share of the log."""
+    """Reverse the sign of one axis for a share of the log."""
     value, part = value.copy(), one_stretch(len(value), share, random)
     value[part, random.integers(3)] *= -1
     return value
 
 
 def held(value: Array, scene: TrueMotion, rows: float, random: Random) -> Array:
-    """Every value is repeated for so many rows."""
+    """Repeat every value for `rows` rows."""
     return value[np.arange(len(value)) // int(rows) * int(rows)]
 
 
 def low_pass(value: Array, scene: TrueMotion, constant: float, random: Random) -> Array:
-    """A filter of the first order, with such a time constant in s."""
+    """Apply a first-order filter with a time constant in s."""
     return lagged(value, scene.step, constant)
 
 
 def coarse(value: Array, scene: TrueMotion, step: float, random: Random) -> Array:
-    """In steps."""
+    """Round to multiples of `step`."""
     return np.round(value / step) * step

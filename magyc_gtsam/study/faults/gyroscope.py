@@ -13,28 +13,28 @@ _SPIKE = 2.0  # rad/s
 
 
 def turned_axes(turn: Array, scene: TrueMotion, angle: float, random: Random) -> Array:
-    """The axes are turned against those of the magnetometer, by deg."""
+    """Rotate the axes against those of the magnetometer by `angle` deg."""
     return Rotation.from_rotvec(np.deg2rad(angle) * direction(random)).apply(turn)
 
 
 def scale(turn: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """All gains are off by a share."""
+    """Change all gains by a share."""
     return turn * (1 + share)
 
 
 def scale_of_one_axis(turn: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """One gain is off by a share."""
+    """Change the gain of one axis by a share."""
     return turn * (1 + share * np.eye(3)[random.integers(3)])
 
 
 def one_sided_spikes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """In a share of the samples something of up to 2 rad/s adds, always in one direction."""
+    """Add up to 2 rad/s to a share of the samples, always in one direction."""
     hit = random.random(len(rate)) < share
     return rate + _SPIKE * np.outer(hit * random.random(len(rate)), direction(random))
 
 
 def bias_steps(rate: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """The bias was another one for the middle third."""
+    """Change the bias for the middle third of the log."""
     part = slice(len(rate) // 3, 2 * len(rate) // 3)
     rate = rate.copy()
     rate[part] += amount * direction(random)
@@ -42,76 +42,76 @@ def bias_steps(rate: Array, scene: TrueMotion, amount: float, random: Random) ->
 
 
 def bias_drift(rate: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """The bias moves evenly by so much, and ends at the true one."""
+    """Change the bias linearly by `amount`, ending at the true one."""
     return rate + amount * np.outer(np.linspace(-1, 0, len(rate)), direction(random))
 
 
 def bias_wander(turn: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """The bias wanders over minutes with such a deviation."""
+    """Let the bias wander over minutes with the standard deviation `amount`."""
     return turn + amount * np.outer(slow(scene, random, 60.0), direction(random))
 
 
 def full_scale(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """The full scale is a share of the largest rate."""
+    """Limit the rate to a full scale that is a share of the largest rate."""
     level = share * np.abs(rate).max()
     return np.clip(rate, -level, level)
 
 
 def wrapping_full_scale(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """The same, and what is beyond comes back from the other side."""
+    """Wrap rates beyond a full scale, a share of the largest rate, to the opposite end of the range."""
     level = share * np.abs(rate).max()
     return (rate + level) % (2 * level) - level
 
 
 def dead(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """All axes read zero for a share of the log."""
+    """Set all axes to zero for a share of the log."""
     rate = rate.copy()
     rate[one_stretch(len(rate), share, random)] = 0.0
     return rate
 
 
 def dead_band(rate: Array, scene: TrueMotion, width: float, random: Random) -> Array:
-    """What is smaller than `width` rad/s on an axis reads zero."""
+    """Set rates smaller than `width` rad/s on an axis to zero."""
     return np.where(np.abs(rate) < width, 0.0, rate)
 
 
 def cubic(turn: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """Bent by a share of the largest rate, with its cube."""
+    """Add a cubic response, a share of the largest rate at that rate."""
     return turn + share * turn**3 / np.abs(turn).max() ** 2
 
 
 def gravity(turn: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """The bias depends on gravity, by so much per g."""
+    """Add a bias that depends on gravity, by `amount` per g."""
     down = scene.attitude.inv().apply([0.0, 0.0, 1.0])
     return turn + amount * np.outer(down @ direction(random), direction(random))
 
 
 def swapped_axes(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """Two axes are exchanged for a share of the log, which mirrors the gyroscope's frame."""
+    """Exchange two axes for a share of the log, which reflects the gyroscope's frame."""
     rate, part, kept = rate.copy(), one_stretch(len(rate), share, random), random.integers(3)
     rate[part] = rate[part][:, (2 * kept - np.arange(3)) % 3]
     return rate
 
 
 def cycled_axes(turn: Array, scene: TrueMotion, places: float, random: Random) -> Array:
-    """All three axes have each other's names, so many places on: another frame, turned by 120°."""
+    """Permute the names of all three axes cyclically by `places`, which rotates the frame by 120° per place."""
     return np.roll(turn, int(places), axis=1)
 
 
 def wrong_unit(rate: Array, scene: TrueMotion, factor: float, random: Random) -> Array:
-    """Multiplied with a wrong factor."""
+    """Multiply the rates by a wrong factor."""
     return rate * factor
 
 
 def vibration(turn: Array, scene: TrueMotion, amplitude: float, random: Random) -> Array:
-    """Turns to and fro at 31.7 Hz about two axes, a quarter of a period apart, sampled far too slowly."""
+    """Add an oscillation at 31.7 Hz about two axes, a quarter of a period apart, far above the sampling rate."""
     phase = 2 * np.pi * 31.7 * scene.time
     first, second = direction(random), direction(random)
     return turn + amplitude * (np.outer(np.sin(phase), first) + np.outer(np.cos(phase), second))
 
 
 def noise_bursts(rate: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """For a share of the log the noise is 0.2 rad/s."""
+    """Add noise of 0.2 rad/s for a share of the log."""
     rate, part = rate.copy(), one_stretch(len(rate), share, random)
     rate[part] += 0.2 * random.standard_normal(rate[part].shape)
     return rate

@@ -12,38 +12,38 @@ _SPIKE = 30e-6  # T
 
 
 def one_sided_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """In a share of the samples something of 15 to 45 µT adds, always in one direction."""
+    """Add 15 to 45 µT to a share of the samples, always in one direction."""
     hit = random.random(len(field)) < share
     return field + np.where(hit, random.uniform(0.5, 1.5, len(field)), 0)[:, None] * _SPIKE * direction(random)
 
 
 def one_axis_spikes(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """In a share of the samples something of 30 µT on average adds to one axis, with one sign."""
+    """Add 30 µT on average to one axis in a share of the samples, always with one sign."""
     hit = random.random(len(field)) < share
     return field + np.outer(hit * random.exponential(_SPIKE, len(field)), np.eye(3)[random.integers(3)])
 
 
 def frozen(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """All axes keep their values for a share of the log."""
+    """Hold the values of all axes for a share of the log."""
     field, part = field.copy(), one_stretch(len(field), share, random)
     field[part] = field[part.start]
     return field
 
 
 def full_scale(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """A share of the samples is beyond the full scale."""
+    """Limit the field to a full scale that a share of the samples exceeds."""
     level = np.quantile(np.abs(field).max(axis=1), 1 - share)
     return np.clip(field, -level, level)
 
 
 def wrapping_full_scale(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """The same, and what is beyond comes back from the other side."""
+    """Wrap fields beyond a full scale, which a share of the samples exceeds, to the opposite end of the range."""
     level = np.quantile(np.abs(field).max(axis=1), 1 - share)
     return (field + level) % (2 * level) - level
 
 
 def moving_mean(iron: Array, scene: TrueMotion, window: float, random: Random) -> Array:
-    """The mean of the last so many s."""
+    """Replace each reading by the mean of the last `window` s."""
     from scipy.ndimage import uniform_filter1d
 
     width = round(window / scene.step)
@@ -51,31 +51,31 @@ def moving_mean(iron: Array, scene: TrueMotion, window: float, random: Random) -
 
 
 def noise_bursts(field: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """For a share of the log the noise is 10 µT."""
+    """Add noise of 10 µT for a share of the log."""
     loud = stretches(len(field), share, 100, random)
     return field + 1e-5 * loud[:, None] * random.standard_normal(field.shape)
 
 
 def late_axis(iron: Array, scene: TrueMotion, delay: float, random: Random) -> Array:
-    """One axis is read later than the others, by s."""
+    """Delay one axis by `delay` s against the others."""
     iron, axis = iron.copy(), random.integers(3)
     iron[:, axis] = np.interp(scene.time - delay, scene.time, iron[:, axis])
     return iron
 
 
 def cubic(iron: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """Bent by a share of the largest reading, with its cube."""
+    """Add a cubic response, a share of the largest reading at that reading."""
     largest = np.abs(iron).max()
     return iron + share * iron**3 / largest**2
 
 
 def dead_zone(iron: Array, scene: TrueMotion, width: float, random: Random) -> Array:
-    """What is smaller than `width` T on an axis reads zero."""
+    """Reduce the magnitude on each axis by `width` T, and to zero where it is smaller."""
     return np.sign(iron) * np.maximum(np.abs(iron) - width, 0)
 
 
 def hysteresis(iron: Array, scene: TrueMotion, width: float, random: Random) -> Array:
-    """A play of `width` T: the reading follows once the field has moved by that."""
+    """Apply a play of `width` T: the reading follows only once the field has moved by that much."""
     low, high = iron - width, iron + width
     result, value = np.empty_like(iron), iron[0]
     for i in range(len(iron)):  # each value depends on the one before
@@ -85,44 +85,44 @@ def hysteresis(iron: Array, scene: TrueMotion, width: float, random: Random) -> 
 
 
 def offset_drift(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """The offset moves evenly by so much, and ends at the true hard iron."""
+    """Change the offset linearly by `amount`, ending at the true hard iron."""
     return iron + amount * np.outer(scene.time / scene.time[-1] - 1, direction(random))
 
 
 def offset_walk(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """The offset walks at random, by so much over the log, and ends at the true hard iron."""
+    """Let the offset walk at random, by `amount` over the log, ending at the true hard iron."""
     walk = np.cumsum(random.standard_normal(iron.shape), axis=0) / np.sqrt(len(iron))
     return iron + amount * (walk - walk[-1])
 
 
 def iron_step(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """The hard iron was another one until some time in the middle."""
+    """Change the hard iron before a time in the middle of the log."""
     before = scene.time < scene.time[-1] * random.uniform(0.3, 0.7)
     return iron + amount * np.outer(before, direction(random))
 
 
 def iron_steps(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """Two steps, the last one at some 70 % of the log."""
+    """Add two steps in hard iron, the last one at some 70 % of the log."""
     share = scene.time / scene.time[-1]
     parts = (share < random.uniform(0.2, 0.4), share < random.uniform(0.6, 0.8))
     return iron + amount * sum(np.outer(part, direction(random)) for part in parts)
 
 
 def scale_drift(iron: Array, scene: TrueMotion, share: float, random: Random) -> Array:
-    """The gain of one axis moves by a share, and ends at the true one."""
+    """Change the gain of one axis linearly by a share, ending at the true one."""
     gain = np.ones_like(iron)
     gain[:, random.integers(3)] += share * (scene.time / scene.time[-1] - 1)
     return iron * gain
 
 
 def reset_flips(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """A set/reset that fails: the offset jumps between two values every 20 s or so, and ends at the true one."""
+    """Switch the offset between two values about every 20 s, as a failing set/reset does, ending at the true one."""
     state = np.repeat(random.integers(0, 2, 1 + int(scene.time[-1] / 20)), round(20 / scene.step))
     state = np.resize(state, len(iron))
     return iron + amount * np.outer(state - state[-1], direction(random))
 
 
 def hum(iron: Array, scene: TrueMotion, amount: float, random: Random) -> Array:
-    """A mains field of 50.3 Hz, sampled far too slowly."""
+    """Add a mains field of 50.3 Hz, far above the sampling rate."""
     phase = 2 * np.pi * 50.3 * scene.time + random.uniform(0, 2 * np.pi)
     return iron + amount * np.outer(np.sin(phase), direction(random))

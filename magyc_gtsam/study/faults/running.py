@@ -1,4 +1,4 @@
-"""Run the study of faults through the engine, one file per row, so that an interrupted study continues."""
+"""Execution of the study of faults through the engine, one file per row, so that an interrupted study continues."""
 
 from __future__ import annotations
 
@@ -32,14 +32,18 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Of its file."""
+        """Name of its file."""
         return f"{self.fault}-{self.strength}-{self.motion}-{self.seed}"
 
 
 @dataclass(frozen=True)
 class OutcomeCounts:
-    """All seeds of one fault at one strength, on one motion, by one method: how many came to each outcome, and the
-    median errors of those that were trusted and wrong (T and deg)."""
+    """The outcomes of all seeds of one fault at one strength, on one motion, by one method.
+
+    Attributes:
+        counts: {outcome: number of seeds}.
+        hard_iron, heading: median errors of the wrong and trusted results, T and deg.
+    """
 
     fault: str
     strength: str
@@ -87,10 +91,10 @@ def run(
     """Return one row per case and method and write them to `folder`; rows that exist are not computed again.
 
     Args:
-        folder: of `faults.parquet`, and of a part for each row.
-        every: what to record.
+        folder: folder of `faults.parquet`, and of a part for each row.
+        every: the recordings of the study.
         methods: {name: recording → calibration}, functions that worker processes can import.
-        workers: processes.
+        workers: number of processes.
         progress: called with the share done.
 
     Raises:
@@ -115,11 +119,11 @@ class CaseByMethod:
 
     @property
     def name(self) -> str:
-        """Of its part."""
+        """Name of its part."""
         return f"{self.case.name}-{self.method_name}"
 
     def row(self, result: FaultScore) -> Row:
-        """What was made and what came of it; None for what is not finite."""
+        """Return the description of the case and the result as a row; None for values that are not finite."""
         fault = FAULTS[self.case.fault]
         made = {"size": getattr(fault, self.case.strength), "unit": fault.unit, "shows": fault.shows}
         row = {**vars(self.case), **made, "method": self.method_name, **result.row()}
@@ -141,7 +145,7 @@ def work(job: CaseByMethod) -> Row:
 
 
 def _calibrated(job: CaseByMethod, log: LoggedSamples) -> tuple[Calibration | None, str]:
-    """By the job's method; None, and why, where it refuses the log."""
+    """Calibrate by the job's method; return None and the reason where it refuses the log."""
     try:
         return job.method(log.recording(job.case.name)), ""
     except MagycError as problem:
@@ -149,7 +153,7 @@ def _calibrated(job: CaseByMethod, log: LoggedSamples) -> tuple[Calibration | No
 
 
 def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
-    """Return cells by fault, strength, motion and method, the worst first."""
+    """Return the outcomes by fault, strength, motion and method, the worst first."""
     groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["fault"], row["strength"], row["motion"], row["method"]), []).append(row)
@@ -166,7 +170,10 @@ def cells(rows: Iterable[Mapping[str, Any]]) -> list[OutcomeCounts]:
 
 
 def covered(rows: Iterable[Mapping[str, Any]]) -> SigmaCoverage | None:
-    """Of faults that no data show, where there are any; trusted or not, since the sigma is what must hold there."""
+    """Return the coverage over faults that no data show; None without any.
+
+    Untrusted results count as well, since the stated sigma must cover such faults.
+    """
     names = ("hard_iron_sigmas", "heading_sigmas")
     hidden = [row for row in rows if not row["shows"] and all(row[name] is not None for name in names)]
     if not hidden:

@@ -1,4 +1,4 @@
-"""Classify a result by the truth as right, wrong or refused."""
+"""Classification of a result as right, wrong or refused, by comparison with the truth."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ SIGMAS = 3.0  # stated sigmas beyond which a result is wrong
 HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the horizontal field is 28 µT
 HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
-# Terms of what happens or has happened: the true readings at rest have no loop and no tone to take out.
+# Terms that depend on a change: the true readings at rest contain no loop and no tone to correct.
 _HAPPENING = ("timing", "hysteresis", "tone")
-_APART = 1e-3  # s between readings at rest, in which nothing happens
-_LEAST = 1e-9  # of a term's value, by which its slope is found where it has no sigma
+_APART = 1e-3  # s between readings at rest, during which nothing changes
+_LEAST = 1e-9  # step relative to a term's value for its numerical derivative where it has no sigma
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
 
 
@@ -28,10 +28,10 @@ class FaultScore:
     """The outcome of one method on one recording.
 
     Attributes:
-        outcome: of OUTCOMES.
+        outcome: one of OUTCOMES.
         hard_iron, heading: largest error in T and deg (over a level turn); NaN without a calibration.
-        hard_iron_sigmas, heading_sigmas: the largest in stated sigmas.
-        message: the result's own words.
+        hard_iron_sigmas, heading_sigmas: largest errors in stated sigmas.
+        message: the message of the result.
     """
 
     outcome: str
@@ -63,9 +63,9 @@ def score(
 
     Args:
         calibration: the result.
-        message: why there is none.
+        message: the reason why there is no result.
         body_R_sensor: (3, 3) from the sensor's axes to the body's, in which the field is given and the heading judged.
-        end: s, when the log ends.
+        end: end of the log, s.
     """
     if calibration is None or calibration.covariance is None:
         return refused(message or "no calibration with a covariance")
@@ -97,13 +97,13 @@ def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
 
 
 def _left(calibration: Calibration, end: float) -> Array:
-    """(3,) T, what is left of the true hard iron: its error, and that of terms which then add to it, such as a step."""
+    """Return the error (3,) in T of the hard iron, including terms such as a step that add to it at the end."""
     left: Array = calibration.soft_iron @ _standing(calibration, np.stack([HARD_IRON, HARD_IRON]), end)[-1]
     return left
 
 
 def _of_terms(calibration: Calibration, end: float) -> Array:
-    """(3, 3) T², covariance of `_left` by that of the terms, which adds to the hard iron's."""
+    """Return the covariance (3, 3) in T² of `_left` due to the terms, to be added to that of the hard iron."""
     covariance, left = np.zeros((3, 3)), _left(calibration, end)
     for i, term in enumerate(calibration.terms):
         if term.side != "magnetometer":
@@ -121,11 +121,11 @@ def _heading(calibration: Calibration, covariance: Array, body_R_sensor: Array, 
     """Return the error (n,) deg of the calibrated heading over a level turn, and its stated sigma."""
     heading = np.arange(0.0, 360.0, 10.0)
     angle = np.deg2rad(heading)
-    north, east, down = FIELD  # level: a turn about the body's z
+    north, east, down = FIELD  # level turn about the body's z axis
     forward, right = north * np.cos(angle) + east * np.sin(angle), -north * np.sin(angle) + east * np.cos(angle)
     body = np.column_stack([forward, right, np.full_like(angle, down)])
     field = _standing(calibration, body @ body_R_sensor @ SOFT_IRON.T + HARD_IRON, end)
-    angle = np.arctan2(body[:, 1], body[:, 0])  # of the horizontal field in body axes
+    angle = np.arctan2(body[:, 1], body[:, 0])  # angle of the horizontal field in body axes
     error = np.arctan2(field[:, 1], field[:, 0]) - angle
     error = np.abs(np.rad2deg(np.angle(np.exp(1j * error))))
     scale, dip = (

@@ -1,6 +1,6 @@
-"""The way of a sample from the world's field to the log, and the places at which a fault can change it.
+"""The path of a sample from the world's field to the log, and the places at which a fault can change it.
 
-Nothing here may import how faults are found (`estimators`, `sensor_faults`, `gap`, `online`).
+This module must not import code that detects faults (`estimators`, `sensor_faults`, `gap`, `online`).
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ NOISE = (1e-6, 5e-3)  # T and rad/s per sample
 
 @dataclass(frozen=True, eq=False)
 class TrueMotion:
-    """What the vehicle did, on the fine grid.
+    """The true motion of the vehicle, on the fine grid.
 
     Attributes:
-        time: (n,) s; rows: index of the logged rows on it.
+        time: (n,) s.
+        rows: indices of the logged rows on the grid.
         angles: (n, 3) rad, roll, pitch, heading.
-        attitude: n rotations sensor→world; rate: (n, 3) rad/s, sensor frame.
+        attitude: n rotations sensor→world.
+        rate: (n, 3) rad/s, sensor frame.
     """
 
     time: Array
@@ -47,7 +49,7 @@ class TrueMotion:
 
 @dataclass(frozen=True, eq=False)
 class LoggedSamples:
-    """What was logged: stamps (n,) s and values (n, 3) of both sensors, T and rad/s.
+    """The logged samples: stamps (n,) s and values (n, 3) of both sensors, T and rad/s.
 
     `body_R_sensor` (3, 3) turns the magnetometer's axes into the body's, which are those of the gyroscope.
     """
@@ -59,7 +61,7 @@ class LoggedSamples:
     body_R_sensor: Array = attribute(default_factory=lambda: np.eye(3))
 
     def recording(self, name: str) -> Recording:
-        """Return the log as a reader would."""
+        """Return the log as a reader would return it."""
         if len(self.field_time) == len(self.rate_time) and (self.field_time == self.rate_time).all():
             return Recording(self.field_time, self.field, self.rate, name=name)
         return Recording.from_streams((self.field_time, self.field), (self.rate_time, self.rate), name=name)
@@ -70,7 +72,7 @@ Change = Callable[[Any, TrueMotion, float, np.random.Generator], Any]
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault.
+    """A fault that changes a signal at one place of its path.
 
     Attributes:
         place: where it acts: "angles" ((n, 3) rad and its derivative, on the fine grid), "world" and "body" ((n, 3) T,
@@ -80,8 +82,8 @@ class Fault:
         change: (value, motion, strength, random) → the changed value.
         weak, strong: strengths, in `unit`.
         shows: whether data without the cause's own channel can show it.
-        rate: Hz, of the log.
-        turns: whether it turns the axes of the gyroscope, which are the body's.
+        rate: rate of the log, Hz.
+        turns: whether it rotates the axes of the gyroscope, which are the body's.
     """
 
     place: str
@@ -160,5 +162,5 @@ def one_stretch(count: int, share: float, random: np.random.Generator) -> slice:
 
 
 def kept(log: LoggedSamples, rows: np.ndarray) -> LoggedSamples:
-    """A log of some rows, of both sensors."""
+    """Return the log reduced to some rows of both sensors."""
     return LoggedSamples(log.field_time[rows], log.field[rows], log.rate_time[rows], log.rate[rows])

@@ -1,1 +1,1 @@
-"""The leaderboard: calibrate by every method on a public recording, and judge it on others of the same unit."""
+"""The leaderboard: calibration by every method on a public recording, judged on other recordings of the same unit."""

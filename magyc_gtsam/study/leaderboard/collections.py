@@ -44,7 +44,7 @@ class Collection:
         citation: citation of the paper.
         address: address of the folder with the recordings.
         files: names under which the recordings are kept.
-        walks: whether each file is put together from those that `phones.parts_of` names at the address.
+        walks: whether each file is assembled from the files of `phones.parts_of` at the address.
     """
 
     name: str

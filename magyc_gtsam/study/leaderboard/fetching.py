@@ -1,4 +1,4 @@
-"""Find the recordings of the leaderboard in a folder, or fetch them once and check them afterwards."""
+"""Search for the recordings of the leaderboard in a folder, or a single download with checksums for later runs."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def fetch(folder: Path | None = None, address: str | None = None, progress: Prog
     """Return all recordings of the collections, fetching the missing ones.
 
     The checksums of a mirror are in its `registry.txt`. The published originals have none: their addresses name a
-    commit, and the checksum of the first fetch is written down and held against all later ones.
+    commit, and the checksum of the first download is stored and compared with all later ones.
 
     Args:
         folder: folder to store them in; None for the user's cache.
@@ -48,7 +48,7 @@ def fetch(folder: Path | None = None, address: str | None = None, progress: Prog
         progress: called with the share done.
 
     Raises:
-        MagycError: the extra `leaderboard` is missing, an address does not answer, or a file is not what it was.
+        MagycError: the extra `leaderboard` is missing, an address does not answer, or a file has changed.
     """
     pooch = _pooch()
     kept = folder if folder is not None else Path(pooch.os_cache("magyc-gtsam"))
@@ -83,14 +83,14 @@ def _pooch() -> Any:
 
 
 def _recording(base: str, name: str, known: str | None, folder: Path) -> Path:
-    """Fetch a recording that is one file at the address."""
+    """Fetch a recording that is a single file at the address."""
     if Path(name).name != name or Path(name).suffix not in FORMS:
         raise MagycError(f"{base}{CHECKSUMS}: {name!r} is not the name of a recording ({', '.join(FORMS)})")
     return _retrieved(base, name, known, folder)
 
 
 def _walk(base: str, name: str, known: str | None, folder: Path) -> Path:
-    """Fetch the files of a walk, and keep them as one of arrays."""
+    """Fetch the files of a walk, and store them as one file of arrays."""
     kept = folder / name
     if kept.exists() and known == sha256(kept):
         return kept

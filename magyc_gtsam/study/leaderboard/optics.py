@@ -1,4 +1,4 @@
-"""Calibrate a recording by its optical attitude, as a reference."""
+"""Calibration of a recording by its optical attitude, as a reference."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ class OpticsLimits:
     """Constants of the fit.
 
     Attributes:
-        turning: rad/s, least rate of the rows used: BROAD rests in one attitude for a quarter to a half of a trial, and
-            turns at 0.3 to 16 rad/s in between.
+        turning: rad/s, smallest rate of the rows used: BROAD rests in one attitude for a quarter to a half of a trial,
+            and turns at 0.3 to 16 rad/s in between.
         interval: s, over which the rate is measured; the cameras' noise of 0.5° is 0.02 rad/s over it.
-        rows: most rows used of a recording, evenly spaced; 6,000 keep the third digit of the hard iron.
-        fewest: least samples for a fit.
-        latest: s, largest delay of the magnetometer relative to the cameras, on both sides; phones have at most 0.06.
+        rows: largest number of rows used of a recording, evenly spaced; 6,000 keep the third digit of the hard iron.
+        fewest: fewest samples for a fit.
+        latest: s, largest delay of the magnetometer relative to the cameras, in both directions; phones have at most
+            0.06.
         hole: s, longest gap of the reference that is interpolated.
         block: s, distance within which residuals count as one draw, because the room's field varies along the path.
     """
@@ -38,7 +39,7 @@ class OpticsLimits:
 
 
 LIMITS = OpticsLimits()
-_PASSES = 4  # Gauss–Newton steps; the start is off by a hundredth of a radian
+_PASSES = 4  # Gauss–Newton steps; the initial error is a hundredth of a radian
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +64,9 @@ class Reference:
 def reference_of(recording: Recording) -> Reference:
     """Fit matrix, hard iron and delay to the optical attitude.
 
-    With z = R (C m − c) and f its mean, the share of z that does not stand still is 1 − ‖f‖² / mean ‖z‖². Its minimum
-    over (C, c) is linear: with G = R [mᵀ ⊗ I, −I] it is the largest eigenvalue of E[G] E[GᵀG]⁻¹ E[G]ᵀ, (3, 3). The
-    delay makes it smallest; then m = A Rᵀ f + h by least squares.
+    With z = R (C m − c) and f its mean, the share of z that is not constant is 1 − ‖f‖² / mean ‖z‖². Its minimum over
+    (C, c) is linear: with G = R [mᵀ ⊗ I, −I] it is one minus the largest eigenvalue of E[G] E[GᵀG]⁻¹ E[G]ᵀ, (3, 3).
+    The delay minimises this share; then m = A Rᵀ f + h is fitted by least squares.
 
     Raises:
         MagycError: no reference attitude, or one that hardly turns.
@@ -92,7 +93,7 @@ def reference_of(recording: Recording) -> Reference:
 
 
 def _forward(rotation: Array, direction: Array, field: Array, block: Array) -> tuple[Array, Array, Array]:
-    """Fit m = A Rᵀ f + h by least squares over A, h and the direction f from a start of f; return also cov(h)."""
+    """Fit m = A Rᵀ f + h by least squares over A, h and the direction f from an initial f; return also cov(h)."""
     count = len(field)
     for _ in range(_PASSES):
         body = np.einsum("nji,j->ni", rotation, direction)
@@ -116,10 +117,10 @@ def _forward(rotation: Array, direction: Array, field: Array, block: Array) -> t
 
 
 def _turning(recording: Recording) -> tuple[Slerp, Array, Array]:
-    """The reference, and time and field of the magnetometer's samples while it turns.
+    """Return the reference, and time and field of the magnetometer's samples while it turns.
 
-    The reference is what is interpolated: a field between two samples has less noise than on them, and a delay would
-    be drawn there.
+    The reference is interpolated, not the field: an interpolated field has less noise between samples than at them,
+    which would bias a delay towards the former.
     """
     attitude = recording.attitude
     if attitude is None:

@@ -1,4 +1,4 @@
-"""The phone recordings of Michel et al. as they were published: a text file for each sensor, the optics from Qualisys.
+"""The phone recordings of Michel et al. as published: a text file for each sensor, the optical attitude from Qualisys.
 
 A walk is `android/NAME/` or `ios/NAME/` with its sensors, and `qualisys/NAME.mat` with the attitude.
 """
@@ -21,7 +21,7 @@ from magyc_gtsam.recording.time_base import interpolated
 _PERSONS = ("Guillaume", "Jakob", "Thibaud")
 _PHONES = ("Nexus5", "iPhone4S", "iPhone5")
 _MOTIONS = ("AR", "BackPocket", "FrontPocket", "Phoning", "Swinging", "Texting")
-_RUNNING = ("RunningHand", "RunningPocket")  # undisturbed only
+_RUNNING = ("RunningHand", "RunningPocket")  # only the undisturbed ones
 WALKS = tuple(
     f"{person}_{phone}_{disturbed}_{motion}"
     for person in _PERSONS
@@ -29,7 +29,7 @@ WALKS = tuple(
     for disturbed, motions in (("Dist", _MOTIONS), ("NoDist", _MOTIONS + _RUNNING))
     for motion in motions
 )
-# s of the cameras' time in which their attitude is wrong, as the authors state it
+# Intervals, in s of the cameras' time, in which their attitude is wrong, as the authors state.
 _WRONG_OPTICS = {
     "Guillaume_iPhone4S_NoDist_BackPocket": ((21.1, 21.5), (23.6, 24.0)),
     "Guillaume_iPhone5_Dist_FrontPocket": ((65.6, 67.2), (100.4, 102.0)),
@@ -55,8 +55,8 @@ _WRONG_OPTICS = {
     "Thibaud_Nexus5_NoDist_Swinging": ((36.8, 37.2),),
 }  # fmt: skip
 MICROTESLA = 1e-6
-_GRID = 0.01  # s, of the rates by which phone and cameras are aligned
-_LATEST = 8.0  # s between the starts of phone and cameras, at most; the published ones reach 4 s
+_GRID = 0.01  # s, sampling interval of the rates by which phone and cameras are aligned
+_LATEST = 8.0  # s, largest difference between the starts of phone and cameras; the published ones reach 4 s
 
 
 def parts_of(walk: str) -> tuple[str, ...]:
@@ -113,17 +113,18 @@ def _optics(file: Path) -> tuple[Array, Array]:
     capture = next(value for name, value in content.items() if not name.startswith("__"))[0, 0]
     rate = float(capture["FrameRate"][0, 0])
     rotations = np.asarray(capture["RigidBodies"][0, 0]["Rotations"], dtype=np.float64)
-    columns = rotations.reshape((9, -1), order="F")  # (9, n), a column of the rotation after the other
+    columns = rotations.reshape((9, -1), order="F")  # (9, n), the rotation's columns one after the other
     seen = np.isfinite(columns).all(axis=0)
     matrices = columns[:, seen].reshape((3, 3, -1), order="F").transpose(2, 0, 1)
     return np.flatnonzero(seen) / rate, Rotation.from_matrix(matrices).as_quat()
 
 
 def _later(time: Array, quaternion: Array, rate_time: Array, angular_rate: Array) -> float:
-    """Return by how much the phone's clock is ahead of the cameras', s.
+    """Return the offset, in s, by which the phone's clock is ahead of the cameras'.
 
-    It is where the rates of turn of both differ least in the squares, up to the gyroscope's bias and a constant
-    rotation between the frames: |ω₁|² + |ω₂|² − 2 Σσ, σ the singular values of Σ ω₁ ω₂ᵀ, of rates without their means.
+    It minimises the squared difference of the rates of turn of both, up to the gyroscope's bias and a constant
+    rotation between the frames: |ω₁|² + |ω₂|² − 2 Σσ, with σ the singular values of Σ ω₁ ω₂ᵀ, of rates less their
+    means.
     """
     turn = Rotation.from_quat(quaternion)
     step = np.diff(time)

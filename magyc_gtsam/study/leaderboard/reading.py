@@ -1,4 +1,4 @@
-"""Read recordings of the public collections in their published formats."""
+"""Readers of the recordings of the public collections in their published formats."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _NEEDED = {".npz": ("tm", "m", "w"), ".mat": ("imu_gyr", "imu_acc", "imu_mag", "
 
 
 def read_public(path: Path, reader: Reader) -> tuple[Recording, Array]:
-    """A recording with its optical attitude, and the hard iron (3,) T that the device itself had; zero for none.
+    """Return a recording with its optical attitude, and the device's own hard iron (3,) in T; zero for none.
 
     Args:
         path: arrays (.npz: tm, m, tg, w, ta, a, tq, q (x, y, z, w; sensor to world), dev in SI units; where tg and ta
             are missing they equal tm), a trial of BROAD (.mat) or a log (.mcap).
-        reader: of logs, as `mg.read`.
+        reader: reader of logs, as `mg.read`.
 
     Raises:
-        MagycError: not of these forms, or what is needed is missing.
+        MagycError: another form of file, or required data are missing.
     """
     if path.suffix == ".mcap":
         return reader(path), np.zeros(3)

@@ -1,4 +1,4 @@
-"""Run every method on every recording, and judge the calibration on the unit's other recordings."""
+"""Run of every method on every recording, with the calibration judged on the unit's other recordings."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ class LeaderboardLog:
 
 @dataclass(frozen=True)
 class MethodOnLog:
-    """A unit of work: calibrate `log` by `method` and judge on `others`; `same` of the unit give the reference."""
+    """A unit of work: calibrate `log` by `method` and judge on `others`; the logs `same` of the unit give the
+    reference.
+    """
 
     log: LeaderboardLog
     method: str
@@ -72,9 +74,9 @@ def logs_of(files: Sequence[Path]) -> tuple[list[LeaderboardLog], list[Path]]:
 
 
 def tasks_of(logs: Sequence[LeaderboardLog], names: Sequence[str], reader: Reader) -> dict[str, MethodOnLog]:
-    """{name of its row: task}, of every recording that another of its unit can judge.
+    """Return {name of its row: task} for every recording that another one of its unit can judge.
 
-    A row's name holds the checksum of its recording, so that a run into an old folder takes no row of other data.
+    A row's name contains the checksum of its recording, so that a run into an old folder uses no row of other data.
     """
     tasks = {}
     for log in logs:
@@ -96,7 +98,7 @@ def leaderboard_rows(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[Row]:
-    """One row a task; with a folder in `leaderboard.parquet` there, and a run that was stopped goes on.
+    """Return one row per task. With a folder, write them to its `leaderboard.parquet` and continue an interrupted run.
 
     Raises:
         MagycError: as `run_many`.
@@ -137,7 +139,7 @@ def worked(task: MethodOnLog) -> Row:
         )
     if task.method == OPTICS:
         return _judged(task, None, str(OutcomeStatus.TRUSTED), "each judged by its own optics", None)
-    blind = replace(recording, attitude=None)  # the reference is hidden from the method
+    blind = replace(recording, attitude=None)  # the method must not see the reference
     outcome = run_methods(blind, [task.method])[0]
     if outcome.calibration is None:
         return {"status": str(outcome.status), "reason": outcome.reason, "seconds": outcome.seconds}
@@ -148,7 +150,7 @@ def worked(task: MethodOnLog) -> Row:
 def _judged(
     task: MethodOnLog, calibration: Calibration | None, status: str, reason: str, seconds: float | None
 ) -> Row:
-    """`calibration` None: of each judge by itself."""
+    """Judge a calibration on the other recordings; None judges each of these by its own optical calibration."""
     scores = []
     for other in task.others:
         recording, _ = _read(other.file, task.reader)
@@ -166,7 +168,9 @@ def _judged(
 
 
 def score(recording: Recording, reference: Reference, calibration: Calibration) -> HeadingScore:
-    """Return how constant the calibrated field is in the world of the optics, with the same delay for all methods."""
+    """Return the deviation of the calibrated field from a constant in the optical world frame, equally delayed for all
+    methods.
+    """
     time, field = recording.magnetometer
     rows = np.searchsorted(time, reference.time)
     with warnings.catch_warnings():  # bad calibrations are expected here
@@ -182,7 +186,7 @@ def score(recording: Recording, reference: Reference, calibration: Calibration) 
 
 
 def _coverage(task: MethodOnLog, calibration: Calibration) -> Row:
-    """Return the components of the hard iron within 1.96 joint sigmas of the optics', and its squared error."""
+    """Return the number of hard iron components within 1.96 joint sigmas of the optical ones, and the squared error."""
     if calibration.covariance is None:
         return {}
     truth, covariance = _truth(task)
@@ -197,8 +201,10 @@ def _coverage(task: MethodOnLog, calibration: Calibration) -> Row:
 
 
 def _truth(task: MethodOnLog) -> tuple[Array, Array]:
-    """Hard iron (3,) T and covariance, by optics: the recording's own if it may judge, else the mean of those that
-    may, with their scatter."""
+    """Return the optical hard iron (3,) in T and its covariance.
+
+    They are the recording's own if it may judge, otherwise the mean of those that may, including their scatter.
+    """
     if task.log.judges:
         own = _reference(task.log.file, task.reader)
         return own.calibration.hard_iron, own.covariance
@@ -221,10 +227,10 @@ def _reference(file: Path, reader: Reader) -> Reference:
 
 
 def checked_names(names: Sequence[str] | None) -> tuple[str, ...]:
-    """Of methods; None gives all that do not need the attitude that judges.
+    """Return the names of methods to run; None gives all that do not need the attitude that judges.
 
     Raises:
-        MagycError: an unknown method.
+        MagycError: a method is unknown.
     """
     known = methods()
     for name in names or ():

@@ -1,4 +1,4 @@
-"""The table of the leaderboard: the result that a user of each method gets, with losses and wins."""
+"""The table of the leaderboard: the result for a user of each method, with losses and wins."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from magyc_gtsam.study.leaderboard.running import DELIVERED, OPTICS
 from magyc_gtsam.study.outcome import OutcomeStatus
 
 MARGIN = (
-    0.02  # of the heading's error: closer counts as equal, a hundredth of BROAD's 3.3° is its scatter by blocks
+    0.02  # share of the heading error below which results count as equal; BROAD's 3.3° vary by 0.01 between blocks
 )
 
 
@@ -22,16 +22,17 @@ class Standing:
 
     Attributes:
         method: its name.
-        calibrations, trusted: recordings, and on how many the method trusts its result.
-        heading, direction: deg, medians over the pairs of what a user gets: the calibrated reading where it is trusted,
-            else the reading as delivered.
-        worst: deg, of heading, over the pairs that were trusted; None for none.
-        best: pairs in which no other method has a heading better by more than `MARGIN`.
-        better, worse: trusted pairs whose heading is better, or worse, than as delivered by more than `MARGIN`.
-        pairs: of all.
+        calibrations, trusted: number of recordings, and of those on which the method trusts its result.
+        heading, direction: deg, medians over the pairs of the errors for a user: those of the calibrated reading where
+            it is trusted, otherwise those of the reading as delivered.
+        worst: deg, largest heading error over the trusted pairs; None for none.
+        best: number of pairs in which no other method has a heading better by more than `MARGIN`.
+        better, worse: number of trusted pairs whose heading is better, or worse, than as delivered by more than
+            `MARGIN`.
+        pairs: number of all pairs.
         covered: share of the stated hard iron's components within 1.96 sigmas; None where none is stated.
-        nees: median of the squared error per freedom; likewise.
-        seconds: median of a calibration.
+        nees: median of the squared error per degree of freedom; None where none is stated.
+        seconds: median run time of a calibration.
     """
 
     method: str
@@ -119,8 +120,10 @@ def _standing(
 
 
 def losses(rows: Sequence[Row], method: str) -> list[tuple[Pair, float]]:
-    """Pairs in which a method's user is worse off than another's, or than as delivered, and by which factor of the
-    heading's error; the worst first."""
+    """Return the pairs in which a user of the method has a worse heading than with another method or as delivered.
+
+    Each pair comes with the factor of its heading error over the best one, the largest factor first.
+    """
     pairs = [pair for pair in pairs_of(rows) if pair.method != OPTICS]
     least = _least(pairs)
     ratios = [(p, p.heading / least[p.calibrated_on, p.judged_on]) for p in pairs if p.method == method]
