@@ -21,7 +21,7 @@ FORBIDDEN = ("magyc_gtsam.blindtest", "magyc_gtsam.simulation")
 
 
 class Blindfold:
-    """An import hook that refuses the packages which hold the answers."""
+    """An import hook that rejects the packages which contain the answers."""
 
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
@@ -33,7 +33,7 @@ class Blindfold:
 
 
 def blindfold(sealed: Path) -> None:
-    """Prevent from now on any file under `sealed` from being opened and any of `FORBIDDEN` from being imported."""
+    """Prevent any file under `sealed` from being opened and any of `FORBIDDEN` from being imported from now on."""
     loaded = [name for name in sys.modules if name.startswith(FORBIDDEN)]
     if loaded:
         raise ImportError(f"the diagnosing process has already imported {loaded[0]}")

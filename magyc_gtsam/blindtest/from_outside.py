@@ -3,10 +3,10 @@
 The effects that a diagnosis must call unknown can thus come from somebody who knows neither its rules nor the
 simulator's effects. A function is called as `effect(arrays, factor, random)`:
 
-- arrays: of a recording without any effect, by name: "time" (N,) s, "magnetic_field" (N, 3) T, "angular_rate" (N, 3)
-  rad/s, "acceleration" (N, 3) m/s², "attitude" (N, 4) quaternion x, y, z, w sensor → world, and channels as
-  "channel temperature" (N,) and so on. They are copies and may be changed.
-- factor: factor on the function's functions strength; 1, 2, 0.5 and 0.25 are tried.
+- arrays: the arrays of a recording without any effect, by name: "time" (N,) s, "magnetic_field" (N, 3) T,
+  "angular_rate" (N, 3) rad/s, "acceleration" (N, 3) m/s², "attitude" (N, 4) quaternion x, y, z, w sensor → world, and
+  channels as "channel temperature" (N,) and so on. They are copies and may be changed.
+- factor: factor on the function's own strength; 1, 2, 0.5 and 0.25 are used.
 - random: a `numpy.random.Generator` with the recording's seed.
 
 It returns a dictionary of the arrays that it changes, which must not be time or attitude. Each function of the file

@@ -1,4 +1,4 @@
-"""The gates: limits that the workflow must keep, fixed before they were measured."""
+"""The gates: limits that the workflow must meet, fixed before they were measured."""
 
 from __future__ import annotations
 

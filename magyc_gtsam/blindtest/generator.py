@@ -1,4 +1,4 @@
-"""Generate recordings with hidden effects, and the truth about them."""
+"""Generation of recordings with hidden effects, and of the truth about them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Judge the heading on the same motion and effects without noise, against the true attitude."""
+"""Assessment of the heading on the same motion and effects without noise, against the true attitude."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Draw confusion matrices."""
+"""Drawings of confusion matrices."""
 
 from __future__ import annotations
 

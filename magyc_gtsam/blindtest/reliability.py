@@ -1,4 +1,4 @@
-"""Judge stated probabilities by how often statements of each probability are true, and by scoring rules.
+"""Assessment of stated probabilities by the share of true statements at each probability, and by scoring rules.
 
 Each name, "unknown" and "nothing" is a statement about a recording. The log score is the mean of −ln P of the true
 statements; the Brier score is the mean square of P minus the truth (0 or 1), summed over the statements of a recording
@@ -17,7 +17,13 @@ from magyc_gtsam.blindtest.gates import interval
 from magyc_gtsam.blindtest.scoring import Outcome
 
 RELIABILITY_HEADER = ("stated", "statements", "mean stated", "true", "95 %", "")
-_EDGES = (0.5, 0.8, 0.95, 0.98, 1.0)  # the last two are near the most that is stated of a name, 0.985
+_EDGES = (
+    0.5,
+    0.8,
+    0.95,
+    0.98,
+    1.0,
+)  # the last two are near the largest probability that is stated of a name, 0.985
 _LEAST = 1e-6  # smallest probability in the log score
 _SETS = (
     "none",

@@ -1,4 +1,4 @@
-"""Run a blind test: seal the scenarios, then diagnose in processes that see the recordings only."""
+"""Run of a blind test: seal the scenarios, then diagnose in processes that see the recordings only."""
 
 from __future__ import annotations
 

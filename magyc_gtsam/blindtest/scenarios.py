@@ -35,8 +35,8 @@ _ALSO_IN = {"depth": ("position",)}
 _WHOLE = ("axis-order",)
 # Effects that can be injected into real recordings: they need no attitude and are not present already.
 _INJECTED = tuple(n for n in NAMED if not EFFECTS[n].attitude and n != "sample-hold")
-# Diagnoses of a real recording as it is, all but the first of a cut of it, because a second more or less changes which
-# of its small effects are significant.
+# Number of diagnoses of a real recording as it is, all but the first on a cut of it, because a second more or less
+# changes which of its small effects are significant.
 _LOOKS = 5
 
 

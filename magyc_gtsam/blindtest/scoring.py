@@ -1,4 +1,4 @@
-"""Score a blind test: open the sealed truth, judge every diagnosis, and count the confusions."""
+"""Scoring of a blind test: open the sealed truth, judge every diagnosis, and count the confusions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ RIGHT, IN_SET, PARTIAL, EXTRA, WRONG, UNKNOWN, SILENT, REFUSED, CRASHED = OUTCOM
     "crashed",
 )
 SEVERAL = "several names"
-# Without a thermometer a warming magnet is a slow drift.
+# Without a thermometer a warming magnet is equivalent to a slow drift.
 _FAIR_WITHOUT_CHANNEL = {"temperature-hard-iron": ("hard-iron-drift",)}
 # Consequences that may be named in addition: the readings of a free-running magnetometer are half a log period old on
 # average, and the ripple of a motor controller's current, which the current sensor does not follow, is a tone.

@@ -1,7 +1,8 @@
-"""Seal the truth: write and hash it before any diagnosis, and open it for the scorer only.
+"""Sealing of the truth: it is written and hashed before any diagnosis, and opened for the scorer only.
 
-The folder of a blind test holds `recordings/<number>.npz` for the diagnosis, `sealed/<number>.json` with the truth, and
-`manifest.json` with the sha256 of each. The scenarios are numbered in random order, so that a number reveals nothing.
+The folder of a blind test holds `recordings/<number>.npz` for the diagnosis, `sealed/<number>.json` with the truth,
+and `manifest.json` with the sha256 of each. The scenarios are numbered in random order, so that a number reveals
+nothing.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ def opened(folder: Path, number: str, manifest: Mapping[str, Any]) -> dict[str, 
     """Return the truth of one recording.
 
     Raises:
-        MagycError: truth or recording differ from what was sealed.
+        MagycError: truth or recording differ from the sealed ones.
     """
     files = {
         "truth": folder / SEALED / f"{number}.json",

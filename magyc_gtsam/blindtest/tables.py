@@ -1,4 +1,4 @@
-"""Format outcomes as tables: one row per effect and strength, gates, and a Markdown page with both."""
+"""Tables of outcomes: one row per effect and strength, gates, and a Markdown page with both."""
 
 from __future__ import annotations
 

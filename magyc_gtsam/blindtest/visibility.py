@@ -1,4 +1,4 @@
-"""Compute how far each effect at its published strength stands out of the noise."""
+"""The visibility of each effect at its published strength above the noise."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _SAMPLES = 6000  # samples of a simulated recording
 _QUIET = {"magnetometer_noise": 1e-3 * _NOISE[0], "gyroscope_noise": 1e-3 * _NOISE[1]}
 # Effects on single samples, which stand out of the noise of single samples.
 OF_SAMPLES = ("coloured-noise", "spikes", "tone", "quantisation")
-_ROUNDS = 6  # most factors that are tried
-_NEAR = 1.1  # ratio to the wanted visibility that is near enough
+_ROUNDS = 6  # largest number of factors that are tried
+_NEAR = 1.1  # ratio to the required visibility that is near enough
 _LARGEST = 8.0  # largest factor
 
 
 def visibility(name: str, motion: str, seed: int = 0) -> float:
-    """Return the root of the misfit that the twelve parameters leave, in sigmas; NaN if the axes do not agree.
+    """Return the root of the misfit of the twelve parameters, in sigmas; NaN if the axes do not agree.
 
     The recording is free of noise and judged at 10 mG and 5 mrad/s over 600 s at 10 Hz. Effects that vary from sample
     to sample (tone, spikes) stand out more than this, since windows average them.
@@ -38,7 +38,7 @@ def visibility(name: str, motion: str, seed: int = 0) -> float:
 
 
 def misfit(recording: Recording, noise: tuple[float, float]) -> float:
-    """Return the root of the misfit that the twelve parameters leave, in sigmas; NaN if nothing fits.
+    """Return the root of the misfit of the twelve parameters, in sigmas; NaN if nothing fits.
 
     Args:
         recording: a recording with effects but without noise.
@@ -97,7 +97,7 @@ def factor_in(recording: Recording, calibration: Calibration, name: str, seed: i
         return float(np.sqrt(max(2 * (fit.reduced.cost - base.reduced.cost) / base.colour, 0.0)))
 
     factor, wanted = 1.0, _median(name, "wide", 4)
-    tried: dict[float, float] = {}  # {factor: how far off}
+    tried: dict[float, float] = {}  # {factor: logarithmic distance from the required visibility}
     while factor not in tried and len(tried) < _ROUNDS:
         share = wanted / max(stands_out(factor), 0.2 * wanted)
         tried[factor] = abs(np.log(max(share, 1e-9)))

@@ -1,4 +1,4 @@
-"""Compute the numbers that the report's figures show from a recording and its calibration."""
+"""Computation of the numbers in the report's figures, from a recording and its calibration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from magyc_gtsam.recording.time_base import interpolated
 
 DISTURBED_WEIGHT = 0.5  # a window with a robust weight below this counts as disturbed
 _MOST_ROWS = 200_000  # samples per page, half an hour at 100 Hz; a longer log is thinned to every k-th sample
-_CELLS = (24, 12)  # of the coverage map: longitude × latitude, all of the same area
+_CELLS = (24, 12)  # number of cells of the coverage map: longitude × latitude, all of the same area
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def field_history(recording: Recording, calibration: Calibration) -> FieldHistor
     if strength is None:
         strength = float(np.median(np.linalg.norm(calibrated, axis=1)))
     aligned = calibrated
-    if calibration.delay:  # the field at an instant is what the magnetometer says `delay` later
+    if calibration.delay:  # the magnetometer reads the field at an instant `delay` later
         later = time + calibration.delay
         aligned = interpolated(later, time, calibrated)
     attitude = None if recording.attitude is None else recording.attitude[fresh]

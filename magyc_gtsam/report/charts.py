@@ -1,6 +1,6 @@
 """Figures as data for the browser, which draws charts with uPlot and a sphere that can be turned.
 
-Arrays travel as base64 of little-endian 32-bit floats, thinned to what a screen can show.
+Arrays are encoded as base64 of little-endian 32-bit floats, thinned to the resolution of a screen.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from markupsafe import Markup
 from magyc_gtsam.recording import Array, Recording
 from magyc_gtsam.report.analysis import Coverage, spread, summary
 
-MOST_BINS = 800  # per series of a chart over time
-MOST_POINTS = 2500  # per cloud of a sphere
+MOST_BINS = 800  # largest number of bins per series of a chart over time
+MOST_POINTS = 2500  # largest number of points per cloud of a sphere
 _LONG = 1200.0  # s, duration above which a chart shows minutes
 _UNIX = 1e6  # s; times beyond this are from a clock that does not start with the log
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure with its title, caption and what the browser needs to draw it.
+    """A figure with its title, caption and the data from which the browser draws it.
 
     Attributes:
         title, caption: text above and below the figure.

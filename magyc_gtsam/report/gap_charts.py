@@ -17,14 +17,14 @@ from magyc_gtsam.report.charts import MOST_BINS, Figure, Frame, Series, chart, c
 
 _MICRO = 1e6
 _SECTORS = 36
-_SCALE = 1.05  # upper limit of the common scale, in largest values
+_SCALE = 1.05  # ratio of the upper limit of the common scale to the largest value
 
 
 def shrinking(recording: Recording, gap: Gap) -> list[Figure]:
     """Draw the prediction error in µT over time and over heading, before and after, on one scale."""
     before, after = gap.before.open_loop, gap.after.open_loop
     if not len(before.time):
-        return []  # shorter than the horizon
+        return []  # the recording is shorter than the horizon
     caption = (
         f"Length of the difference between the measured field and its prediction {before.horizon:.0f} s ahead by the "
         "gyroscope alone. Grey: expected from noise alone."
@@ -55,7 +55,7 @@ def heading_shrinking(recording: Recording, gap: Gap) -> list[Figure]:
             error = np.degrees(heading_error(calibration.apply(recording), recording.attitude))
         except (
             MagycError
-        ):  # the calibration has a term that needs a channel which this recording lacks: no curve of it
+        ):  # the calibration has a term that needs a channel which this recording lacks, so there is no curve
             continue
         middle, mean, low, high = summary(time, error, MOST_BINS)
         series.append(Series(label, colour, mean, low, high))

@@ -69,7 +69,7 @@ def render_gap(
 def _advice(gap: Gap, verdict: Verdict) -> list[str]:
     if not verdict.trusted:
         lines = [f"Do not use this calibration: {verdict.action}."]
-        if gap.verdict in ("none", "closed") and verdict.called:  # refused because of another recording
+        if gap.verdict in ("none", "closed") and verdict.called:  # rejected because of another recording
             lines.append("Use the correction only after it holds on another log.")
         elif gap.verdict == "unknown":
             lines.append("The calibration was not changed. The evidence below shows what the misfit depends on.")

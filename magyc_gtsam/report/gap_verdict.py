@@ -14,12 +14,12 @@ from magyc_gtsam.gap.outcome.doubt import with_doubt
 from magyc_gtsam.gap.result import Doubt, Effect, Gap, Moved
 from magyc_gtsam.report.verdict import Verdict, said
 
-_WORSE = 0.005  # nats per window that the correction may lose on the other recording
+_WORSE = 0.005  # loss in nats per window that the correction may cause on the other recording
 _BETTER = 0.98  # ratio of prediction errors with and without correction, below which the correction helps there
-_NOISIER = 1.25  # ratio of the noise levels from which they differ
-_FOREIGN = 0.1  # of the field; a larger prediction error means another instrument, not a missing effect
-_SWEPT = 0.5  # of the field; smallest sweep of a recording that can validate
-MOST_EFFECTS = 3  # named singly in the verdict
+_NOISIER = 1.25  # ratio of the noise levels from which they count as different
+_FOREIGN = 0.1  # share of the field; a larger prediction error means another instrument, not a missing effect
+_SWEPT = 0.5  # share of the field; smallest sweep of a recording that can validate
+MOST_EFFECTS = 3  # largest number of effects named singly in the verdict
 _TITLES = {
     "none": "Nothing was found missing",
     "closed": "Gap found and closed",
@@ -36,7 +36,7 @@ class Validation:
     Attributes:
         name: name of the recording.
         swept: sweep of its field, T.
-        before, after: how well the twelve parameters alone, and the model with the effects found, agree with it.
+        before, after: agreement with it of the twelve parameters alone, and of the model with the effects found.
         differences: the parameters that differ significantly when the recording is fitted by itself.
     """
 
@@ -48,12 +48,14 @@ class Validation:
 
 
 def closed(gap: Gap) -> bool:
-    """Return whether nothing was missing, or every missing effect is in the model now."""
+    """Return whether nothing was missing, or every missing effect is now in the model."""
     return gap.verdict in ("none", "closed")
 
 
 def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | None:
-    """Return why the result does not hold on the other recording: (title, doubt, explanation); None if it holds."""
+    """Return the reason why the result does not hold on the other recording: (title, doubt, explanation); None if it
+    holds.
+    """
     loop, strength = validation.after.open_loop, gap.calibration.field_strength
     assert strength is not None
     name = validation.name
@@ -104,7 +106,7 @@ def contradicted(gap: Gap, validation: Validation) -> tuple[str, Doubt, str] | N
 
 
 def noise_there(validation: Validation) -> str:
-    """Return a sentence where the noise level of the other recording differs, otherwise ""."""
+    """Return a sentence if the noise level of the other recording differs; otherwise ""."""
     over_time = next((m for m in validation.after.maps if m.over == "time"), None)
     if over_time is None or not over_time.share.sum() > 0:
         return ""
@@ -172,7 +174,7 @@ def _details(sentences: Sequence[str], *shown: str) -> tuple[str, ...]:
 
 
 def as_judged(gap: Gap, verdict: Verdict) -> Gap:
-    """Return the gap with the verdict's doubt on its calibration, so that every output refuses it alike."""
+    """Return the gap with the verdict's doubt on its calibration, so that every output rejects it alike."""
     if verdict.trusted or gap.doubt is not None:
         return gap
     title = f"{verdict.title[:1].lower()}{verdict.title[1:]}"

@@ -14,7 +14,7 @@ from magyc_gtsam.report.words import Number, uncertain
 
 _MICRO = 1e6
 HYPOTHESES = ("hypothesis", "status", "evidence", "threshold", "held-out gain", "expected")
-_LEAST_PROBABILITY, _MOST_PROBABILITIES = 0.01, 6  # that the sentence names
+_LEAST_PROBABILITY, _MOST_PROBABILITIES = 0.01, 6  # smallest probability in a sentence, and number of them
 METRICS = ("", "before", "after")
 MOVED = ("parameter", "before", "after", "change (σ)")
 DIFFERS = ("parameter that differs", "this log", "other log", "difference (σ)")

@@ -1,4 +1,4 @@
-"""Render the templates of all pages, which extend base.html."""
+"""Rendering of the templates of all pages, which extend base.html."""
 
 from __future__ import annotations
 

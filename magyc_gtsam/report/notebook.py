@@ -1,4 +1,4 @@
-"""Show calibrations, gaps and comparisons in a notebook: figures by matplotlib and short HTML."""
+"""Display of calibrations, gaps and comparisons in a notebook: figures by matplotlib and short HTML."""
 
 from __future__ import annotations
 

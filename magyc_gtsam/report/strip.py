@@ -1,4 +1,4 @@
-"""Summarise a log for display: strength of the raw field and turn rate over time, in few steps."""
+"""Summary of a log for display: strength of the raw field and turn rate over time, in few steps."""
 
 from __future__ import annotations
 

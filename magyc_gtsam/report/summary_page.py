@@ -46,7 +46,7 @@ def summary_page(title: str, headline: str, good: bool, lead: Sequence[str], sec
 
 
 def by_log(names: Sequence[str], hard_iron: Array, sigma: Array) -> list[Figure]:
-    """Draw the hard iron of each log by itself, one figure per axis.
+    """Draw the separate estimate of each log's hard iron, one figure per axis.
 
     Args:
         names: (k,) names of the logs.

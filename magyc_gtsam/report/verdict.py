@@ -119,7 +119,7 @@ def _worth(calibration: Calibration, heading: HeadingUncertainty) -> str:
 
 
 def _cause(calibration: Calibration, recording: Recording | None) -> tuple[str, str]:
-    """Return why the calibration is not trusted, and the remedy."""
+    """Return the reason why the calibration is not trusted, and the remedy."""
     if recording is not None and recording.magnetic_field_unit != "counts":
         jumps = field_jumps(recording)
         if jumps:

@@ -30,7 +30,7 @@ _LONG = 12  # longer lists among the options are summarised
 
 @dataclass(frozen=True)
 class Number:
-    """A number that a page shows first: what it is, its value as text, and what it means."""
+    """A number that a page shows first: its name, its value as text, and its meaning."""
 
     what: str
     value: str
@@ -38,7 +38,7 @@ class Number:
 
 
 def cautions(history: FieldHistory) -> list[str]:
-    """Return warnings that hold even where the verdict is good."""
+    """Return warnings that apply even where the verdict is good."""
     sentences = []
     if _spread(history.calibrated) > _spread(history.raw):
         sentences.append("The strength of the calibrated field varies more than that of the raw field.")
@@ -113,7 +113,7 @@ def _has_row(term: Term) -> bool:
 
 
 def other_terms(calibration: Calibration) -> list[str]:
-    """Return the terms that are no row of the parameters, with their values in SI units."""
+    """Return the terms without a row among the parameters, with their values in SI units."""
     terms = [term for term in calibration.terms if not _has_row(term)]
     return [f"{term.name} (SI units): {', '.join(map(str, term.value.tolist()))}" for term in terms]
 
@@ -159,7 +159,7 @@ def stretch(seconds: tuple[float, float]) -> str:
 
 
 def advice(recording: Recording, calibration: Calibration, disturbed: Sequence[tuple[float, float]]) -> list[str]:
-    """Return what to do next, most urgent first."""
+    """Return the next steps, most urgent first."""
     lines = []
     if calibration.observability is not None:
         remedies: dict[str, list[str]] = {}

@@ -1,6 +1,6 @@
-"""Simulate recordings with their truth, including effects beyond the sensor model.
+"""Simulation of recordings with their truth, including effects beyond the sensor model.
 
-The diagnosing code (`magyc_gtsam.gap`) must not import this package, which holds the truth it is tested against.
+The diagnosing code (`magyc_gtsam.gap`) must not import this package, which contains the truth it is tested against.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Add disturbed stretches to a recording, for tests of robustness."""
+"""Disturbed stretches in a recording, for tests of robustness."""
 
 from __future__ import annotations
 

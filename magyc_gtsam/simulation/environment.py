@@ -1,4 +1,4 @@
-"""Simulate the surroundings of the sensors: thruster current, temperature, depth, position, acceleration."""
+"""The simulated surroundings of the sensors: thruster current, temperature, depth, position, acceleration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inject effects of known strength into a real recording."""
+"""Injection of effects of known strength into a real recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from magyc_gtsam.simulation.effects import chosen
 from magyc_gtsam.simulation.environment import CHANNELS, measured
 from magyc_gtsam.simulation.scene import Applied, Chain, Scene, Stage
 
-_FINER = 2  # grid points between two samples of the faster sensor
+_FINER = 2  # number of grid points between two samples of the faster sensor
 
 
 def inject(

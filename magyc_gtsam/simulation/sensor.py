@@ -1,4 +1,4 @@
-"""Simulate the field and sensors of the MAGYC paper (section V) on a moving vehicle, with additional effects.
+"""Simulation of the field and sensors of the MAGYC paper (section V) on a moving vehicle, with additional effects.
 
 All values are exact at their time stamps: the body rates come from the analytic derivative of the Euler angles, not
 from differences.

@@ -27,7 +27,7 @@ def chosen(effects: Sequence[str | tuple[str, float]], seed: int) -> list[Chosen
     """Return the requested effects with their sizes.
 
     Raises:
-        MagycError: a name that is not known, twice the same, or a factor that is not more than 0.
+        MagycError: an unknown name, a name given twice, or a factor that is not positive.
     """
     result: list[Chosen] = []
     for item in effects:

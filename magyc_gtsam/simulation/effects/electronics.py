@@ -15,7 +15,7 @@ _LARGE = 500 * MILLIGAUSS
 
 
 def _timing(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A two-pole anti-alias filter; `size` is its delay at low frequencies."""
+    """Apply a two-pole anti-alias filter; `size` is its delay at low frequencies."""
     return lagged(lagged(field, scene.step, size / 2), scene.step, size / 2), {}
 
 

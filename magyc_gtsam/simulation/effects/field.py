@@ -1,4 +1,4 @@
-"""Effects on the field before the sensor: the place, passed objects, plates, and the mounting."""
+"""Effects on the field before the sensor: the place, objects passed, plates, and the mounting."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ Result = tuple[Array, dict[str, Any]]
 
 
 def _servo(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A camera's magnet that pans against the heading between end stops at ±50°, and sweeps on its own."""
+    """Add the magnet of a camera that pans against the heading between end stops at ±50°, with a sweep of its own."""
     assert scene.attitude is not None
     heading = scene.attitude.as_euler("ZYX")[:, 0]
     middle = random.uniform(-np.pi, np.pi)
@@ -24,7 +24,7 @@ def _servo(field: Array, scene: Scene, size: float, random: np.random.Generator)
 
 
 def _loose(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A battery that slides to the lower side, once the roll has passed a threshold."""
+    """Add a battery that slides to the lower side once the roll has passed a threshold."""
     assert scene.attitude is not None
     roll = scene.attitude.as_euler("ZYX")[:, 2]
     tilt = (roll - np.median(roll)) / max(float(np.ptp(roll)), 1e-9)
@@ -35,20 +35,20 @@ def _loose(field: Array, scene: Scene, size: float, random: np.random.Generator)
 
 
 def _product(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Each axis feels the product of the two others."""
+    """Add to each axis a share of the product of the two other axes."""
     share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
     part = field / (500 * MILLIGAUSS)
     return field + size * share * np.roll(part, 1, axis=1) * np.roll(part, 2, axis=1), {"share": share}
 
 
 def _rate_product(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Each axis feels the product of the rates about the two others."""
+    """Add to each axis a share of the product of the rates about the two other axes."""
     share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
     return rate + size * share * np.roll(rate, 1, axis=1) * np.roll(rate, 2, axis=1), {"share": share}
 
 
 def _deadband(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Magnetisation that lags in one direction, in the faster half of the turns only."""
+    """Add magnetisation that lags in one direction, during the faster half of the turns only."""
     speed = np.linalg.norm(scene.angular_rate, axis=1)
     band = np.quantile(speed, 0.5)
     fast = np.clip(1 - band / np.maximum(speed, 1e-9), 0, None)
@@ -58,14 +58,14 @@ def _deadband(field: Array, scene: Scene, size: float, random: np.random.Generat
 
 
 def _vibration(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Vibration of the thrusters, with the current's square, is rectified into a bias."""
+    """Add a bias that follows the square of the thrusters' current, as rectified vibration does."""
     way = direction(random)
     shaken = standardised(lagged(scene.environment.current**2, scene.step, 0.4))
     return rate + size * shaken[:, None] * way, {"direction": way}
 
 
 def _sensitivity(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Each axis gains or loses sensitivity with temperature."""
+    """Let the sensitivity of each axis change with temperature."""
     share = random.uniform(0.5, 1.0, 3) * random.choice([-1.0, 1.0], 3)
     warm = standardised(lagged(scene.environment.temperature, scene.step, 15.0))
     return field * (1 + size * warm[:, None] * share), {"share": share}

@@ -14,7 +14,7 @@ Result = tuple[Array, dict[str, Any]]
 
 
 def _scale(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Scale errors, and axes that are not square to each other by half as much; no rotation."""
+    """Add scale errors, and half as large non-orthogonalities of the axes, without rotation."""
     matrix = random.standard_normal((3, 3)) * (0.5 + 0.5 * np.eye(3))
     matrix = matrix + matrix.T
     matrix *= size * np.sqrt(3) / np.linalg.norm(matrix)
@@ -22,20 +22,20 @@ def _scale(rate: Array, scene: Scene, size: float, random: np.random.Generator) 
 
 
 def _quadratic(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A scale error that grows with the rate's magnitude on each axis, less and less."""
+    """Add a scale error that grows with the rate's magnitude on each axis and levels off."""
     share = random.uniform(0.6, 1.0, 3) * random.choice([-1.0, 1.0], 3)
     return rate + size * share * rate * np.abs(rate) / (1 + 0.3 * np.abs(rate)), {"share": share}
 
 
 def _temperature(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A bias that follows the chip's own temperature, 8 s behind the thermometer."""
+    """Add a bias that follows the chip's own temperature, with a lag of 8 s behind the thermometer."""
     way = direction(random)
     warm = standardised(lagged(scene.environment.temperature, scene.step, 8.0))
     return rate + size * warm[:, None] * way, {"direction": way}
 
 
 def _acceleration(rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Specific force bends the proof mass."""
+    """Add a bias proportional to the specific force, which bends the proof mass."""
     matrix = random.standard_normal((3, 3))
     matrix *= size * np.sqrt(3) / np.linalg.norm(matrix)
     assert scene.attitude is not None

@@ -14,14 +14,14 @@ Result = tuple[Array, dict[str, Any]]
 
 
 def _motor_current(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """The field of the supply's cable; shields and housing delay it by 60 ms."""
+    """Add the field of the supply's cable, delayed by 60 ms by shields and housing."""
     way = direction(random)
     current = lagged(scene.environment.current, scene.step, 0.06)
     return field + size * standardised(current)[:, None] * way, {"direction": way}
 
 
 def _temperature(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A magnet that weakens as it warms, 25 s behind the thermometer, a little more than in proportion."""
+    """Add a magnet that changes with temperature, 25 s behind the thermometer and slightly more than in proportion."""
     way = direction(random)
     warm = standardised(lagged(scene.environment.temperature, scene.step, 25.0))
     return field + size * (warm + 0.06 * warm**2)[:, None] * way, {"direction": way}
@@ -36,7 +36,7 @@ def _step(field: Array, scene: Scene, size: float, random: np.random.Generator) 
 
 
 def _drift(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """A random walk of knots every 20 s, smooth in between."""
+    """Add a random walk of knots every 20 s, interpolated smoothly."""
     knots = np.arange(scene.time[0], scene.time[-1] + 40.0, 20.0)
     walk = np.cumsum(random.standard_normal((len(knots), 3)), axis=0)
     drift = PchipInterpolator(knots, walk)(scene.time)
@@ -46,7 +46,9 @@ def _drift(field: Array, scene: Scene, size: float, random: np.random.Generator)
 
 
 def _hysteresis(field: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Prandtl and Ishlinskii: a bar of steel is a sum of play operators, each with its own coercive field."""
+    """Add the hysteresis of a bar of steel by Prandtl and Ishlinskii: a sum of play operators with different coercive
+    fields.
+    """
     bar = direction(random)
     way = bar + 0.3 * direction(random)
     way /= np.linalg.norm(way)

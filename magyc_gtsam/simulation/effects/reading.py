@@ -15,7 +15,7 @@ Result = tuple[Array, dict[str, Any]]
 
 
 def _coloured(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """AR(2): a damped resonance at 0.05 to 0.2 Hz, as of a swinging mount."""
+    """Add AR(2) noise: a damped resonance at 0.05 to 0.2 Hz, as of a swinging mount."""
     step = float(np.median(np.diff(scene.row_time)))
     frequency, decay = random.uniform(0.05, 0.2), random.uniform(1.5, 4.0)
     radius = np.exp(-step / decay)
@@ -26,7 +26,9 @@ def _coloured(reading: Array, scene: Scene, size: float, random: np.random.Gener
 
 
 def _spikes(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """One sample in a hundred is off by a field of random direction; every third time the next one as well."""
+    """Add a spike in a random direction to one sample in a hundred; after three in ten of them also to the next
+    sample.
+    """
     hit = random.random(len(reading)) < 0.0077
     hit[1:] |= hit[:-1] & (random.random(len(reading) - 1) < 0.3)
     height = size * random.gamma(4.0, 0.25, len(reading)) * hit
@@ -36,7 +38,7 @@ def _spikes(reading: Array, scene: Scene, size: float, random: np.random.Generat
 
 
 def _tone(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Mains folded by the sampling: an ellipse at a frequency that wanders as the grid's does."""
+    """Add aliased mains hum: an ellipse at a frequency that wanders like that of the grid."""
     step = float(np.median(np.diff(scene.row_time)))
     frequency = random.uniform(0.08, 0.42) / step
     phase = 2 * np.pi * frequency * (scene.row_time - scene.row_time[0])
@@ -48,13 +50,13 @@ def _tone(reading: Array, scene: Scene, size: float, random: np.random.Generator
 
 
 def _quantised(reading: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """Counts, from an origin that is not quite zero."""
+    """Round to counts, with an origin that is not exactly zero."""
     origin = random.uniform(-0.5, 0.5, 3) * size
     return np.round((reading - origin) / size) * size + origin, {}
 
 
 def _held(shown: np.ndarray, scene: Scene, size: float, random: np.random.Generator) -> tuple[np.ndarray, dict]:
-    """The magnetometer measures every 1 + size log periods on a clock of its own; rows show the last value."""
+    """Let the magnetometer measure every 1 + size log periods on its own clock; rows repeat the last value."""
     step = float(np.median(np.diff(scene.row_time)))
     own = (1 + size) * step
     start = scene.row_time[0] - random.uniform(0, own)
@@ -64,7 +66,7 @@ def _held(shown: np.ndarray, scene: Scene, size: float, random: np.random.Genera
 
 
 def _axes(angular_rate: Array, scene: Scene, size: float, random: np.random.Generator) -> Result:
-    """The gyroscope's axes are named otherwise: one of the 47 signed permutations that are not the identity."""
+    """Permute and reverse the gyroscope's axes by one of the 47 signed permutations other than the identity."""
     choices = [(order, sign) for order in permutations(range(3)) for sign in product((1.0, -1.0), repeat=3)][1:]
     order, sign = choices[int(random.integers(len(choices)))]
     return angular_rate[:, list(order)] * sign, {"order": list(order), "sign": list(sign)}

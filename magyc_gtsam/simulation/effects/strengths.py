@@ -1,11 +1,10 @@
 """The published strength (factor 1) of each effect, and its reason.
 
-`sigma` is the smallest size that shows at one standard deviation in 600 s at 10 Hz with a magnetometer of
-10 mG and a gyroscope of 5 mrad/s, at pitch ±45° and ±5°, None where it has not been derived. The strengths
-aim at some sixteen of these on the wide motion, so that a quarter is at the edge of what can be seen; where
-pitch ±5° sees an effect far worse, at twelve there, unless no sensor is as bad as that. How far each stands
-out of the noise after the twelve parameters have absorbed what they can is measured:
-`magyc-gtsam study gap-strengths`.
+`sigma` is the smallest size that is visible at one standard deviation in 600 s at 10 Hz with a magnetometer of 10 mG
+and a gyroscope of 5 mrad/s, at pitch ±45° and ±5°; None where it has not been derived. The strengths are about sixteen
+of these on the wide motion, so that a quarter of a strength is at the limit of visibility; where an effect is far less
+visible at pitch ±5°, they are twelve of these there, unless no sensor has an error that large. The visibility of each
+effect after the twelve parameters have absorbed their part is measured by `magyc-gtsam study gap-strengths`.
 """
 
 from __future__ import annotations
