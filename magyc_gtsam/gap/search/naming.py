@@ -1,4 +1,4 @@
-"""What is named next, and what it cannot be told from."""
+"""The next effect to name, and its rivals."""
 
 from __future__ import annotations
 
@@ -21,18 +21,25 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.score import Score
 from magyc_gtsam.recording import Recording
 
-_OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # with time alone
-_IN_TIME = "time:sensor"  # the families of any change with time of the hard iron
+_OF_TIME = ("hard-iron-step", "hard-iron-drift", "local-anomaly")  # functions of time alone
+_IN_TIME = "time:sensor"  # families of any change of the hard iron with time
 NOISE_LIMIT = float(np.log(len(NAMES) / RULES.family_wise))
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """An effect that was added: its evidence when it was, its rivals, and of which score it is a term.
+    """An effect that was added.
 
-    Two steps that are terms of one score have half its evidence each, as long as there are two. What is `unsure` may
-    as well be what a channel would have shown that is missing: to correct it may make the heading worse. What is
-    `improbable` is so by the posterior of all sets of effects.
+    Two steps that are terms of one score have half its evidence each, as long as there are two.
+
+    Attributes:
+        name: of the catalogue.
+        statistic, threshold, evidence: of its test when it was added.
+        rivals: names that this motion cannot distinguish from it.
+        noise: its test, if it is an effect on the noise.
+        of: the score of which it is a term.
+        unsure: True if a missing channel may be the cause instead; to correct it could increase the heading error.
+        improbable: True if it is improbable by the posterior of all sets of effects.
     """
 
     name: str
@@ -46,25 +53,25 @@ class Found:
     improbable: bool = False
 
     def times(self, factor: float) -> Found:
-        """With so much of the evidence."""
+        """Return it with its evidence multiplied by a factor."""
         numbers = {name: factor * getattr(self, name) for name in ("statistic", "threshold", "evidence")}
         return replace(self, **numbers)
 
 
 def as_found(score: NoiseScore) -> Found:
-    """A noise effect that was found."""
+    """Return a noise effect as an effect that was found."""
     return Found(score.name, score.statistic, score.threshold, score.evidence, noise=score)
 
 
 def term_places(found: Sequence[Found], model: Model) -> dict[int, int]:
-    """{place in `found`: place among the model's terms}, in order; a model given has its own terms before them."""
+    """Return {place in `found`: place among the model's terms}, in order; terms of a given model come before them."""
     of_terms = [place for place, f in enumerate(found) if f.name in TERMS]
     given = len(model.terms) - len(of_terms)
     return {place: given + index for index, place in enumerate(of_terms)}
 
 
 def less(found: Sequence[Found], places: Container[int]) -> tuple[Found, ...]:
-    """What was found without some of it; where two steps were found together the one that is left is all of it."""
+    """Return the effects without those at some places; one step that remains of two gets the evidence of both."""
     kept = [f for place, f in enumerate(found) if place not in places]
 
     def whole(one: Found) -> Found:
@@ -76,10 +83,9 @@ def less(found: Sequence[Found], places: Container[int]) -> tuple[Found, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One look at a model: all scores, strongest first, with the held-out gains of those that matter.
+    """The score tests of a model, strongest first, with the held-out gains of the relevant ones.
 
-    A gain of 0 is that of a channel which explains no more than it would at other times. Single samples are looked at
-    when they are asked for.
+    A gain of 0 marks a channel that fails the circular-shift test. Tests of single samples are computed on demand.
     """
 
     recording: Recording
@@ -91,17 +97,17 @@ class Look:
 
     @cached_property
     def fine(self) -> Fine:
-        """The innovations sample by sample."""
+        """Return the innovations sample by sample."""
         return fine_innovations(self.recording, self.refit.model)
 
     @cached_property
     def noise(self) -> list[NoiseScore]:
-        """Scores of the effects on single samples."""
+        """Return the scores of the effects on single samples."""
         return noise_scores(self.recording, self.fine, NOISE_LIMIT)
 
 
 def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | None:
-    """The strongest significant effect on the noise, of the names that may be given and were not noted before."""
+    """Return the strongest significant effect on the noise among `names` that was not noted before."""
     options = [
         n
         for n in now.noise
@@ -111,9 +117,10 @@ def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | 
 
 
 def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
-    """The strongest significant name that held-out data confirm, and those that are as good as it.
+    """Return the strongest significant effect that held-out data confirm, and equal alternatives.
 
-    Not those that add nothing beside a stronger one which is no more than what an effect found earlier leaves.
+    An effect is left out if it adds nothing to a stronger one that is only the deviation of an earlier effect from its
+    form.
     """
     terms, shadow = now.refit.model.terms, _shadow(now, found)
     options: list[Score] = []
@@ -136,7 +143,7 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     if not options:
         return []
     delay = next((o.statistic for o in options if o.name == "timing"), 0.0)
-    # Any matrix holds the plain delay, which explains most of it where it is the truth.
+    # Every full matrix contains the plain delay, which explains most of its statistic if it is the cause.
     options = [o for o in options if not o.variant.setting.get("full") or delay <= RULES.most_of * o.statistic]
     behind = max(RULES.tie[0], RULES.tie[1] * options[0].evidence)
     tied = [o for o in options if (1 + TERMS[o.name].between) * o.evidence > options[0].evidence - behind]
@@ -144,15 +151,16 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
 
 
 def faint(score: Score, found: Sequence[Found]) -> bool:
-    """Whether a name hardly passes beside noise that hangs together: its threshold is by a model of the colour."""
+    """Return whether an effect hardly passes beside coloured noise, where its threshold depends on a colour model."""
     coloured = any(f.name == "coloured-noise" for f in found)
     return coloured and (1 + TERMS[score.name].between) * score.statistic < RULES.beside_colour * score.threshold
 
 
 def _shadow(now: Look, found: Sequence[Found]) -> float:
-    """Nats that a change with time may leave, where a channel is missing that it may have followed: not of any form.
+    """Return the nats that a change with time may leave if a channel is missing that it may have followed.
 
-    A step in the place of a motor's current leaves what is not a step, and that is still in time.
+    Such a change has no form of the catalogue: a step in the place of a motor's current leaves a remainder, also a
+    function of time.
     """
     twin = now.refit.twin
     if not any(set(_untested(f.name, twin)) & set(f.rivals) for f in found):
@@ -162,10 +170,10 @@ def _shadow(now: Look, found: Sequence[Found]) -> float:
 
 
 def any_change(sharp: Score, now: Look) -> bool:
-    """Whether a channel is missing that an effect may have followed, and other changes with time explain as much.
+    """Return whether a channel that an effect may have followed is missing, and other changes explain as much.
 
-    What follows a depth or a temperature that nobody recorded may be something that was passed where it is large, or
-    a drift on level turns. Changes in the sensor's axes are what steps and drifts themselves are.
+    An effect that follows an unrecorded depth or temperature may resemble a passed object where the channel is large,
+    or a drift on level turns. For steps and drifts, changes in the sensor's axes do not count: they are such changes.
     """
     if not _untested(sharp.name, now.refit.twin):
         return False
@@ -181,7 +189,7 @@ def any_change(sharp: Score, now: Look) -> bool:
 
 
 def _of_the_model(noise: NoiseScore, now: Look) -> bool:
-    """Whether noise is the model's own: a slow tone of which a family holds some, colour of a bent reading."""
+    """Return whether noise is part of the misfit: a slow tone beside a significant family, or colour of a bent term."""
     if noise.name == "coloured-noise":
         return noise.statistic < RULES.shape * max(weights(now.refit), default=0.0)
     if noise.name != "tone" or noise.setting["frequency"] > RULES.slow:
@@ -190,7 +198,7 @@ def _of_the_model(noise: NoiseScore, now: Look) -> bool:
 
 
 def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
-    """Whether a score is no more than what an effect found earlier leaves for not being quite of its form."""
+    """Return whether a score is only the deviation of an effect found earlier from its form."""
     at = score.variant.setting
     for term in current.model.terms:
         near = score.name == term.name == "local-anomaly"
@@ -205,14 +213,14 @@ def shape_of(score: Score, current: Refit, found: Sequence[Found]) -> bool:
         if not related(one.name, score.name) and one.name != score.name:
             continue
         if at.get("uneven") and not rough:
-            continue  # no filter of all axes alike leaves something else on each
+            continue  # a filter common to all axes leaves no different remainder on each
         if score.statistic < RULES.left * max(one.statistic, current.weight_of(index) if rough else 0.0):
             return True
     return False
 
 
 def with_forms(found: tuple[Found, ...], now: Look) -> tuple[Found, ...]:
-    """With the names of what is left of each effect in its set, where that is no more than its form may leave."""
+    """Add to the rivals of each effect the names that are only its deviation from its form."""
     result = list(found)
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
@@ -227,26 +235,26 @@ def with_forms(found: tuple[Found, ...], now: Look) -> tuple[Found, ...]:
 
 
 def related(one: str, other: str) -> bool:
-    """Whether the catalogue says that one named effect is confused with another."""
+    """Return whether two named effects are confused with each other according to the catalogue."""
     return other in TERMS[one].rivals or one in TERMS[other].rivals
 
 
 def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
-    """Names that this motion cannot tell from the chosen one.
+    """Return the names that this motion cannot distinguish from the chosen one.
 
-    Those beside which it adds nothing, those it is known to be confused with that explain as much (nearly as much,
-    where one has many shapes), for what changes with time those whose channel is missing, and for what drifts
-    those that are too slow for this recording.
+    These are effects beside which it adds nothing; effects with which it is known to be confused and that explain as
+    much (nearly as much if one of them has many shapes); for a change with time, effects whose channel is missing; and
+    for a drift, effects that are too slow for this recording.
     """
     result = []
     for rival in now.scores:
         if rival.generic or rival.name == choice.name:
             continue
         behind = choice.evidence - rival.evidence
-        # What has many shapes, as a drift or what comes and goes, may have had another than those tried.
+        # An effect of many shapes, such as a drift or a step that ends, may have another one than those of the grid.
         shapes = any(TERMS[s.name].many_shapes or "until" in s.variant.setting for s in (choice, rival))
         close = behind < min(RULES.ahead + RULES.shape * choice.evidence, RULES.close_rival * choice.evidence)
-        # A family that holds the chosen one among much else is no rival: it pays for what it does not need.
+        # A family that contains the chosen effect among much else is not a rival: its rank is higher than needed.
         alike = rival.significant and behind < RULES.ahead and not _adds_beyond(choice.variant, rival.variant, now)
         tied = rival.significant and behind < max(RULES.tie[0], RULES.tie[1] * choice.evidence)
         if alike or (related(choice.name, rival.name) and (tied or (shapes and close))):
@@ -255,14 +263,14 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
 
 
 def _untested(name: str, twin: Twin) -> list[str]:
-    """What else might have changed something with time, were its channel there to tell."""
+    """Return the effects whose missing channel might explain a change with time."""
     if name not in _OF_TIME:
         return []
     return [other for other, term in TERMS.items() if term.missing(twin) and "acceleration" not in term.channels]
 
 
 def _too_slow(name: str, now: Look) -> list[str]:
-    """What else something of many shapes may be, of what is tested, were the recording long enough to tell."""
+    """Return the rivals of an effect of many shapes that are too slow to be distinguished in this recording."""
     if not TERMS[name].many_shapes:
         return []
     time = now.refit.twin.time
@@ -275,7 +283,7 @@ def _too_slow(name: str, now: Look) -> list[str]:
 
 
 def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
-    """Whether a candidate still gains when another is in the model."""
+    """Return whether a candidate is still significant when another is in the model."""
     rest = now.innovation - other.unit.T @ other.score(now.innovation)
     columns = one.unit - (one.unit @ other.unit.T) @ other.unit
     value, vector = np.linalg.eigh(columns @ columns.T)
@@ -285,6 +293,6 @@ def _adds_beyond(one: Variant, other: Variant, now: Look) -> bool:
 
 
 def weights(current: Refit) -> list[float]:
-    """What each term explains that bends the reading: the iron had followed it, so that a first look saw little."""
+    """Return the Wald statistic of each non-linear term; the iron followed it, so that its first score was small."""
     terms = current.model.terms
     return [current.weight_of(terms.index(term)) for term in current.model.bends]

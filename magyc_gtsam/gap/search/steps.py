@@ -1,4 +1,4 @@
-"""The steps of a search: what the choice of one effect does to the data, the model and the names found."""
+"""Steps of a search: the change of data, model and found effects by the addition of one effect."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from magyc_gtsam.gap.search.naming import Found, Look, any_change, as_found, les
 from magyc_gtsam.recording import Recording
 
 Prepare = Callable[[Recording], Problem]
-_PASSES = 2  # of the model, from readings with steps to one without
+_PASSES = 2  # estimates of the model, the first from readings with steps
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """How far a search is.
+    """The state of a search.
 
     Attributes:
-        recording, problem: the data, without what was found to be wrong samples, and without tones.
+        recording, problem: the data, without wrong samples and tones.
         current: the model at its minimum.
-        found: the names, in the order of adding; see `naming.term_places`.
+        found: the effects, in the order in which they were added; see `naming.term_places`.
         short_term: noise of the sensors between neighbouring samples.
     """
 
@@ -45,7 +45,7 @@ class State:
     short_term: SensorNoise
 
     def refitted(self, model: Model) -> Refit | None:
-        """Another model at its minimum; None where the data do not determine its terms beside the rest."""
+        """Return another model at its minimum; None if the data do not determine its terms."""
         try:
             ahead = refit(self.problem, model, self.short_term, self.current.twin)
         except MagycError:
@@ -54,7 +54,7 @@ class State:
 
 
 def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
-    """With an effect on the noise named; tones and steps are taken out of the readings, wrong samples left out."""
+    """Add an effect on the noise; remove tones and rounding errors from the readings, and leave out wrong samples."""
     recording = state.recording
     if choice.name == "tone":
         line = heard(recording, state.current.model, choice.setting["frequency"])
@@ -68,7 +68,7 @@ def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) ->
 
 
 def _with_steps(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
-    """With coarse steps named and what they add on average taken out, by a model that is then a better one."""
+    """Add coarse steps, and remove their mean rounding error by means of a model that improves with each pass."""
     result = replace(state, found=(*state.found, as_found(choice)))
     for _ in range(_PASSES):
         smooth = unrounded(
@@ -87,7 +87,7 @@ def _with_recording(state: State, recording: Recording, prepare: Prepare) -> Sta
 
 
 def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State | None:
-    """With an effect added as it is sharpest, and what has become superfluous taken out; None: not determined."""
+    """Add an effect at its refined setting, and remove terms that became superfluous; None if it is not determined."""
     added = terms_of(choice.name, state.current, sharp.variant.setting)
     model = state.current.model
     for term in added:
@@ -110,7 +110,7 @@ def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State |
 
 
 def _taken_over(before: State, after: State, sharp: Score) -> State:
-    """With the evidence of rivals that an effect has made superfluous added to its own: it explains that too."""
+    """Add the evidence of rivals that an effect has made superfluous to its own, because it explains that, too."""
     own = sum(f.of is sharp for f in after.found)
     statistic, evidence = (_of_rivals(before.found, sharp) - _of_rivals(after.found, sharp)) / max(own, 1)
 
@@ -121,13 +121,13 @@ def _taken_over(before: State, after: State, sharp: Score) -> State:
 
 
 def _of_rivals(found: Sequence[Found], sharp: Score) -> Array:
-    """(2,) statistic and evidence of all that are confused with an effect."""
+    """Return the sums (2,) of statistic and evidence of all effects that are confused with an effect."""
     rivals = [(f.statistic, f.evidence) for f in found if f.of is not None and related(f.name, sharp.name)]
     return np.sum([(0.0, 0.0), *rivals], axis=0)
 
 
 def with_more_modes(state: State, now: Look) -> State | None:
-    """With more modes of a drift that is in the model; None where they are not wanted."""
+    """Return the state with more modes of a drift in the model; None if they are not significant."""
     model = now.refit.model
     for index, term in enumerate(model.terms):
         if term.setting.get("order", 0) < 1:
@@ -149,14 +149,15 @@ def with_more_modes(state: State, now: Look) -> State | None:
 
 
 def _stronger(found: Found, more: Score) -> Found:
-    """An effect of which more was found."""
+    """Return an effect with the evidence of a further score added."""
     return replace(found, statistic=found.statistic + more.statistic, evidence=found.evidence + more.evidence)
 
 
 def terms_of(name: str, current: Refit, setting: Setting) -> list[Active]:
-    """The term of a setting; of a thing attached and taken off, the two steps; of the gyroscope's matrix all of it.
+    """Return the terms of a setting.
 
-    A part of the matrix may be all that the motion shows, yet the rest of it is no better known: its prior holds it.
+    An object that is attached and taken off again is two steps. A part of the gyroscope's matrix adds all of it:
+    although the motion shows only this part, the rest is no better known, and is constrained by its prior.
     """
     settings: list[Setting] = [{} if name == "gyro-scale" else dict(setting)]
     if "until" in setting:
@@ -165,7 +166,7 @@ def terms_of(name: str, current: Refit, setting: Setting) -> list[Active]:
 
 
 def _backwards(state: State) -> State:
-    """Take out terms whose value has become insignificant beside the others, or what a rival leaves of its form."""
+    """Remove terms that became insignificant beside the others, or no larger than a rival's deviation from its form."""
     current, found = state.current, state.found
     while len(current.model.terms) > 1:
         weakest, least = -1, 1.0
@@ -184,7 +185,7 @@ def _backwards(state: State) -> State:
 
 
 def _asked(current: Refit, index: int, found: Iterable[int]) -> float:
-    """What a term must explain lest it be no more than the form of its strongest rival among `found` (indices)."""
+    """Return the statistic below which a term may be the deviation of a rival among `found` (indices) from its form."""
     own, most = current.model.terms[index], 0.0
     for other in found:
         rival = current.model.terms[other]
@@ -192,14 +193,14 @@ def _asked(current: Refit, index: int, found: Iterable[int]) -> float:
         if not related(rival.name, own.name):
             continue
         if not rough and (own.setting.get("uneven") or rival.setting.get("uneven")):
-            continue  # no filter of all axes alike leaves something else on each
+            continue  # a filter common to all axes leaves no different remainder on each
         asked = RULES.left * current.weight_of(other)
         most = max(most, asked if rough else min(asked, 2 * RULES.weak))
     return most
 
 
 def _without(recording: Recording, fine: Fine, spikes: NoiseScore) -> Recording:
-    """The recording without its wrong samples."""
+    """Return the recording without its wrong samples."""
     assert spikes.rows is not None
     wrong = np.isin(recording.time, fine.time[spikes.rows])
     return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong)
