@@ -1,4 +1,4 @@
-"""Beside the grid: the setting that explains most, and the neighbours that explain as much there."""
+"""Refinement of the grid search: the setting that explains most, and neighbours that explain as much there."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from magyc_gtsam.gap.scores.null import surprises
 from magyc_gtsam.gap.scores.score import Score
 from magyc_gtsam.gap.search.naming import Look
 
-_FEW = 20  # settings up to which a neighbour is tried at all of them
+_FEW = 20  # settings up to which a neighbour is tested at all of them
 
 
 def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
-    """What an effect does not explain the data clearly better than: narrow parts of generic families, neighbours.
+    """Return the parts of generic families and the neighbours that explain the data as well as an effect.
 
-    Where it is a toss-up, another effect beside it may hide which it is: each is then judged with the one that
-    explains most together with it.
+    If neither is clearly better, another effect may hide the difference. Each is then compared together with the other
+    effect with which it explains most.
     """
     name, best = sharp.name, sharp.variant
     twin, term = now.refit.twin, TERMS[name]
@@ -32,11 +32,11 @@ def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
     closest: dict[str, Variant] = {}
     for setting in settings:
         if len(twin.columns(name, setting).window) != len(best.columns):
-            continue  # another kind of the same effect
+            continue  # a different form of the same effect
         for family in neighbours(twin, name, setting):
             columns = family.columns(twin)
             if len(columns.window) != len(best.columns):
-                continue  # it could hold whatever else is missing
+                continue  # its rank is higher, so that it could contain any other missing effect
             tried = variant(setting, twin.whiten(columns), now.projector, columns.pull)
             known = closest.setdefault(family.name, tried)
             if surprise(tried, now.innovation) > surprise(known, now.innovation):
@@ -65,13 +65,13 @@ def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
 
 
 def _same(one: Variant, other: Variant, innovation: Array) -> bool:
-    """Whether what two variants explain is one thing to this recording: a gain of a hard iron is a hard iron."""
+    """Return whether two variants explain the same part of the data in this recording."""
     first, second = (v.unit.T @ v.score(innovation) for v in (one, other))
     return float(first @ second) ** 2 > RULES.same * float(first @ first) * float(second @ second)
 
 
 def _paired(name: str, tried: Variant, now: Look) -> float:
-    """Nats of a variant of an effect with the other named effect, no rival of it, with which they are most."""
+    """Return the largest nats of a variant together with another significant effect that is not its rival."""
     twin = now.refit.twin
     base, pull, residual = twin.base_columns, twin.base_pull, twin.residual().ravel()
     most = surprise(tried, now.innovation)
@@ -94,7 +94,7 @@ def surprise(tried: Variant, innovation: Array) -> float:
 
 
 def _sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Projector) -> Variant:
-    """The setting beside the grid's best that explains most."""
+    """Return the setting near the best grid point that explains most."""
     best = choice.variant
     for _ in range(2):
         near = TERMS[choice.name].refined(refitted.twin, best.setting)
@@ -106,9 +106,9 @@ def _sharpest(choice: Score, refitted: Refit, innovation: Array, projector: Proj
 
 
 def sharpened(score: Score, refitted: Refit, innovation: Array, projector: Projector) -> Score:
-    """A score at the best setting beside its grid."""
+    """Return a score at the best setting near its grid point."""
     if not score.statistic:
-        return score  # the motion determines nothing of it
+        return score  # the motion does not determine it
     best = _sharpest(score, refitted, innovation, projector)
     pull = best.score(innovation)
     gain = float(pull @ pull) / score.statistic

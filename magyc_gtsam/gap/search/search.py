@@ -1,8 +1,9 @@
-"""Naming: which effect is added next, what it cannot be told from, and when the search ends.
+"""The search: which effect is added next, its rivals, and the end of the search.
 
-Forward by the penalised score (evidence: −ln p against the white twin), decided by the twin with the data's own
-colour, vetoed where held-out blocks gain nothing; everything is refitted jointly after each addition, and what has
-become superfluous is taken out again. Names that are as good as each other are all tried (`gap.alternatives`).
+Forward selection by the penalised score (evidence: −ln p for white innovations), decided by the significance for
+innovations with the colour of the data, and vetoed if there is no gain on held-out blocks. After each addition
+everything is refitted jointly, and terms that became superfluous are removed. Equal alternatives are all tried
+(`gap.search.alternatives`).
 """
 
 from __future__ import annotations
@@ -38,24 +39,24 @@ from magyc_gtsam.gap.search.refined import sharpened
 from magyc_gtsam.gap.search.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
-_TURNS = RULES.most_terms + 8  # of looking, effects on the noise, what cannot be fitted and exchanges included
+_TURNS = RULES.most_terms + 8  # looks, including effects on the noise, effects that cannot be fitted, and exchanges
 _ON_AND_OFF = (
     "hard-iron-step",
     "local-anomaly",
-)  # at a time of their own; alike, on grids too coarse to say which
+)  # at a time of their own; hard to distinguish on the coarse grids
 
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What a search found.
+    """The result of a search.
 
     Attributes:
-        recording, problem: the data, without what was found to be wrong samples, and without tones.
+        recording, problem: the data, without wrong samples and tones.
         first, last: looks at the base model and at the final one.
-        found: effects in the order of adding; see `naming.term_places`.
-        leftover: names of what is significant in the last look, was not added and counts, what is still wanted
-            though no value of it is possible, colour for which what is missing may pass, and clocks that drift apart.
-        slight: names of what would explain the data, and is too small and weak to be named.
+        found: effects in the order in which they were added; see `naming.term_places`.
+        leftover: names that remain significant in the last look and were not added; effects that are significant
+            without a possible value; colour that may be part of a misfit; and drifting clocks.
+        slight: names of effects that would explain the data, but are too small and too weak to be named.
     """
 
     recording: Recording
@@ -68,7 +69,7 @@ class Search:
 
 
 def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: np.random.Generator) -> Look:
-    """Score everything against a model."""
+    """Test all candidates against a model."""
     scores, innovation, projector = scan(refitted.twin, names, random)
     if any(s.significant and "until" in s.variant.setting for s in scores):
         scores = [
@@ -86,10 +87,10 @@ def look(recording: Recording, refitted: Refit, names: tuple[str, ...], random: 
 
 
 def _confirmation(refitted: Refit, innovation: Array) -> Callable[[Score], float]:
-    """The held-out gain of scores.
+    """Return a function that gives the held-out gain of scores.
 
-    What the model has at a time of its own is fitted to all of the recording: of an object passed in one block the
-    other half knows nothing.
+    Terms of the model at a time of their own are fitted to the whole recording: if an object was passed in one block,
+    the other half contains nothing about it.
     """
     twin = refitted.twin
     names = [t.name for t in twin.model.estimated for _ in t.value]
@@ -123,7 +124,7 @@ def search(
         return look(state.recording, state.current, allowed, random)
 
     def widest(state: State) -> tuple[State, Look]:
-        """A state with as many modes of its drift as are wanted, and a look at it."""
+        """Return a state with all significant modes of its drift, and a look at it."""
         now = seen(state)
         wider = with_more_modes(state, now)
         return (state, now) if wider is None else (wider, seen(wider))
@@ -141,7 +142,7 @@ def search(
         if noise is not None and (not options or noise.evidence >= options[0].evidence):
             noted.add(noise.name)
             if noise.name == "quantisation":
-                noted.add("coloured-noise")  # the error of a coarse step hangs together as the reading does
+                noted.add("coloured-noise")  # the error of a coarse step is autocorrelated, as the reading is
             state, now = widest(with_noise(state, now, noise, prepare))
             continue
         if not options or len(state.current.model.terms) >= RULES.most_terms:
@@ -161,11 +162,11 @@ def search(
                 try:
                     ahead.append((way.sharp.evidence, *widest(way.state)))
                 except MagycError:
-                    failed.add(way.sharp.name)  # a model under which the data cannot be looked at
+                    failed.add(way.sharp.name)  # its model cannot be evaluated on the data
         if ahead:
             _, state, now = _best(ahead)
-            failed = set()  # beside another effect it may fit
-    # It is in no model, so that what is real of it is still there; of the rest another effect made it seem.
+            failed = set()  # beside another effect they may fit
+    # Coloured noise is in no model, so that it is still significant if it is real and not part of another effect.
     loud = {noise.name for noise in now.noise if noise.significant}
     state = replace(state, found=tuple(f for f in state.found if f.name != "coloured-noise" or f.name in loud))
     left = tuple(dict.fromkeys((*instead, *switched(state.found), *leftover(now, first, state.found, noted))))
@@ -185,9 +186,9 @@ def search(
 
 
 def _best(ahead: Sequence[tuple[float, State, Look]]) -> tuple[float, State, Look]:
-    """Of names as good as each other, with their evidence, the one that leaves least to be said.
+    """Return the best of several alternatives, with their evidence: the one that leaves the smallest misfit.
 
-    Where each leaves more than all explain, that is something else, and tells nothing of them.
+    If the misfit of each exceeds the evidence of all, it has another cause and does not distinguish them.
     """
     left = [rest(now) for _, _, now in ahead]
     if min(left) > max(evidence for evidence, _, _ in ahead):
@@ -196,9 +197,9 @@ def _best(ahead: Sequence[tuple[float, State, Look]]) -> tuple[float, State, Loo
 
 
 def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
-    """Without the terms that lean on what is missing."""
+    """Return the state without the terms that depend on the remaining misfit."""
     current, found = state.current, state.found
-    # A line at the motion's frequencies that is stronger than a name is what the name was mistaken for.
+    # A line at the frequencies of the motion that is stronger than a named effect is the cause of that effect.
     line = max((n.evidence for n in first.noise if n.name == "tone" and not n.significant), default=0.0)
     loose = {
         place
@@ -208,12 +209,12 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
         or not stands(current, index, found[place], now, left)
     }
     firm = _without(state, loose)
-    # What is missing would pass for colour.
+    # A remaining misfit would be taken for colour.
     return replace(firm, found=tuple(f for f in firm.found if f.name != "coloured-noise"))
 
 
 def _without(state: State, places: Container[int]) -> State:
-    """Without the terms found at these places."""
+    """Return the state without the terms found at these places."""
     indices = [index for place, index in term_places(state.found, state.current.model).items() if place in places]
     if not indices:
         return state
@@ -225,7 +226,7 @@ def _without(state: State, places: Container[int]) -> State:
 
 
 def _again(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
-    """Whether a term is wanted oftener than it may be had, and nearly as much: steps in a row are no step."""
+    """Return whether a further term of this effect is wanted, nearly as strong: a sequence of steps is not a step."""
     name = current.model.terms[index].name
     more = max((s.statistic for s in now.scores if s.name == name), default=np.inf)
     return name in left and more > RULES.left * current.weight_of(index)
