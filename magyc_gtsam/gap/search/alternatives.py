@@ -1,7 +1,7 @@
-"""Names that are as good as each other: where each leads, and which is exchanged once more is known.
+"""Equal alternatives: the result of adding each, and the exchange of an effect for a rival once more is known.
 
-The strongest name is not always the right one while something else is missing too: a drift explains as much as a step
-does, until what hid the step is in the model.
+The strongest effect is not always the right one while another effect is missing: a drift explains as much as a step,
+until the effect that hid the step is in the model.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from magyc_gtsam.gap.search.steps import State, terms_of, with_effect
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Where it leads to add an effect: a state, or None and what is said instead (nothing: it cannot be fitted)."""
+    """The result of adding an effect: a state, or None and the names that remain instead (none: it has no fit)."""
 
     sharp: Score
     state: State | None
@@ -29,12 +29,12 @@ class Way:
 
 
 def at_sharpest(score: Score, now: Look) -> Score:
-    """A score of a look at the setting that explains most."""
+    """Return a score of a look at the refined setting that explains most."""
     return sharpened(score, now.refit, now.innovation, now.projector)
 
 
 def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
-    """Add an effect as it is sharpest."""
+    """Add an effect at its refined setting."""
     instead = nearer(sharp, now)
     if instead:
         return Way(sharp, None, instead)
@@ -45,24 +45,25 @@ def tried(state: State, now: Look, choice: Score, sharp: Score) -> Way:
     if ahead is None or not _newcomers(ahead, state):
         return Way(sharp, None)
     if not possible(ahead.current, -1):
-        return Way(sharp, None)  # something else looks like it
+        return Way(sharp, None)  # another effect resembles it
     return Way(sharp, ahead)
 
 
 def rest(now: Look) -> float:
-    """Nats of what explains most of what is left, significant or not, and predicts something."""
+    """Return the evidence, nats, of the strongest candidate with a held-out gain, significant or not."""
     return max((s.evidence for s in now.scores if now.gains.get(s.name, 0.0) > 0), default=0.0)
 
 
 def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -> State | None:
-    """With a name exchanged for a rival that explains more beside all others, or a matrix for the delay in it.
-
-    None: there is none.
+    """Exchange an effect for a rival that explains more beside all others, or a matrix for the delay that it contains.
 
     Args:
-        state: at its end.
-        seen: gives a look at a state.
-        done: names that were exchanged before, which are not again; the one exchanged is added.
+        state: at the end of the search.
+        seen: function that returns a look at a state.
+        done: names that were exchanged before, which are skipped; the exchanged name is added.
+
+    Returns:
+        None if there is no such effect.
     """
     for place, index in list(term_places(state.found, state.current.model).items())[:-1]:
         name = state.found[place].name
@@ -71,7 +72,7 @@ def with_exchange(state: State, seen: Callable[[State], Look], done: set[str]) -
         try:
             ahead = _exchanged(state, seen, place, index)
         except MagycError:
-            continue  # without it nothing fits
+            continue  # the model does not fit without it
         if ahead is not None:
             done.add(name)
             return ahead
@@ -87,9 +88,9 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
     now = seen(without)
     own = at_sharpest(next(score for score in now.scores if score.name == one.name), now)
     if own.variant.setting.get("order", 0) < term.setting.get("order", 0):
-        return None  # it has more modes than are tried before it is in the model
+            return None  # the model has more modes than a first test tries
     options = choices(now, without.found, set())
-    # A matrix of eddy currents that is no choice any more may be no more than the delay.
+    # A matrix of eddy currents that is no longer significant may be only the delay.
     matrix = bool(term.setting.get("full")) and all(option.name != one.name for option in options)
     rivals = [(at_sharpest(option, now), option) for option in options if related(one.name, option.name)]
     for sharp, rival in sorted(rivals, key=lambda pair: -pair[0].evidence):
@@ -98,12 +99,12 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
             continue
         added = terms_of(rival.name, current, sharp.variant.setting)
         if len(added) > 1 or len(added[0].value) > len(term.value):
-            continue  # of more values, and so explains more whatever it is
+            continue  # it has more values, and explains more for that reason alone
         ahead = tried(without, now, rival, sharp).state
         if ahead is None or (delay and _wanted(one.name, seen(ahead), ahead)):
-            continue  # it cannot be fitted, or there are plates beside the delay
+            continue  # it cannot be fitted, or plates remain significant beside the delay
         (newcomer,) = _newcomers(ahead, without)
-        # It explains what the other did, and more; what a delay leaves of a matrix was nothing.
+        # It explains what the other effect did, and more; the remainder of a matrix beside a delay is not real.
         statistic = one.statistic + max(newcomer.statistic - own.statistic, 0.0)
         evidence = one.evidence + max(newcomer.evidence - own.evidence, 0.0)
         stronger = replace(newcomer, statistic=statistic, evidence=evidence)

@@ -39,7 +39,7 @@ from magyc_gtsam.gap.search.refined import sharpened
 from magyc_gtsam.gap.search.steps import Prepare, State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
-_TURNS = RULES.most_terms + 8  # looks, including effects on the noise, effects that cannot be fitted, and exchanges
+_TURNS = RULES.most_terms + 8  # looks; 8 more for effects on the noise, failed fits and exchanges
 _ON_AND_OFF = (
     "hard-iron-step",
     "local-anomaly",

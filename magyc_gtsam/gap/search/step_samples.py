@@ -1,7 +1,7 @@
-"""Samples next to a step of the hard iron, which are not wrong: a step is known to a window, not to a sample.
+"""Samples next to a step of the hard iron, which are not wrong: the time of a step is resolved to a window.
 
-Those between the step and the window's edge that stands for it are off by all of it. Left out they do no harm, but they
-are no evidence of wrong samples.
+Samples between the step and the edge of the window that represents it have an error of the whole step. To leave them
+out does no harm, but they are no evidence of wrong samples.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from magyc_gtsam.gap.search.naming import less
 from magyc_gtsam.gap.search.search import Search
 from magyc_gtsam.recording import Recording
 
-_WINDOW = 1.5  # s, the longest
+_WINDOW = 1.5  # s, on each side of a step: more than the longest window
 
 
 def without_samples_of_steps(recording: Recording, result: Search, said: Answer) -> tuple[Search, Answer]:
-    """What was found in a recording, and its posterior, without spikes that are a step's own samples."""
+    """Return a search and its posterior without spikes that are samples of a step."""
     model = result.last.refit.model
     if not _has_spikes(recording, result.recording, model):
         found = {place for place, one in enumerate(result.found) if one.name == "spikes"}
@@ -37,7 +37,7 @@ def without_samples_of_steps(recording: Recording, result: Search, said: Answer)
 
 
 def _has_spikes(before: Recording, after: Recording, model: Model) -> bool:
-    """Whether wrong samples are significant away from steps; True if none next to a step was left out."""
+    """Return whether wrong samples are significant away from steps; True if none next to a step was left out."""
     terms = [term for term in model.terms if term.name == "hard-iron-step"]
     times = np.array([term.setting[end] for term in terms for end in ("time", "until") if end in term.setting])
     left_out = before.magnetic_field_fresh & ~after.magnetic_field_fresh

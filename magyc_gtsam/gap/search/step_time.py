@@ -1,4 +1,4 @@
-"""When a step happened, and how well that is known: the profile of the likelihood over its time."""
+"""The time of a step and its standard deviation, from the profile likelihood."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from magyc_gtsam.gap.model.field_variation import field_variation
 from magyc_gtsam.gap.model.refit import Refit, without_term
 from magyc_gtsam.gap.model.variants import Projector, variant
 
-_REACH = 60.0  # s to both sides
-_FEWEST = 12  # windows to both sides
+_REACH = 60.0  # s on each side
+_FEWEST = 12  # windows on each side
 
 
 def step_time_sigma(refitted: Refit, index: int) -> float:
-    """s, standard deviation of the time of the model's step `index`, everything else at its best for each time."""
+    """Return the standard deviation of the time of the model's step `index`, s, profiled over all other parameters."""
     twin = refitted.twin
     term = twin.model.terms[index]
     value, _ = refitted.value_of(index)
     variation = field_variation(twin)
 
     def whitened(rows: Array) -> Array:
-        """Beside a field that varies what changed at a time is less certain."""
+        """Whiten for the variation of the field, which makes the time of a change less certain."""
         return variation.whiten(rows) if variation.evident else rows
 
     own = twin.whiten(twin.columns(term.name, term.setting))
     without = replace(twin, model=without_term(twin.model, index))
     project = Projector(whitened(without.base_columns), without.base_pull)
-    target = project(whitened((twin.residual().ravel() - value @ own)[None]))[0]  # as if the step were not there
+    target = project(whitened((twin.residual().ravel() - value @ own)[None]))[0]  # the residual without the step
     edges = 0.5 * (twin.time[1:] + twin.time[:-1])
     at = int(np.argmin(np.abs(edges - term.setting["time"])))
     window = float(np.median(np.diff(twin.time)))
@@ -43,4 +43,4 @@ def step_time_sigma(refitted: Refit, index: int) -> float:
     weight = np.exp(0.5 * (np.array(profile) - max(profile)))
     weight /= weight.sum()
     spread = float(weight @ (times - weight @ times) ** 2)
-    return float(np.sqrt(spread + window**2 / 12))  # a step inside a window is not placed in it
+    return float(np.sqrt(spread + window**2 / 12))  # the position of a step within a window is unknown

@@ -1,10 +1,10 @@
-"""The names that score tests gave, as the posterior of all sets of effects sees them.
+"""The named effects of the score tests, checked against the posterior of all sets of effects.
 
-Score tests ask whether an effect explains more than noise would by chance. In a room the field varies, and much is
-explained by anything that is smooth. The posterior holds the field of the place in every set, so that it says which
-names are there beside it. A name that it holds for improbable is not corrected; where it is sure of the field's
-variation and of all names, and of nothing that has none, what is left to the score tests is that variation; where it is
-sure of something unknown, that is left.
+Score tests compare an effect with noise. In a room the field varies, and any smooth function explains much of it. The
+posterior includes the field variation of the place in every set, and gives the probability of each effect beside it.
+An improbable effect is not corrected. If the posterior is sure of the field's variation, contains all probable effects
+and no unknown one, the remaining misfit of the score tests is this variation. If it is sure of an unknown effect, that
+remains.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from magyc_gtsam.gap.scores.neighbours import product_of
 from magyc_gtsam.gap.search.naming import Found, less, term_places
 from magyc_gtsam.gap.search.search import Search
 
-_OF_NOISE = (COLOUR, "tone")  # names for what a varying field leaves as well
+_OF_NOISE = (COLOUR, "tone")  # effects that a varying field may resemble
 
 
 def weighed(result: Search, said: Answer, short_term: SensorNoise) -> Search:
-    """What a search found, without what is improbable, or with a mark on it.
+    """Remove or mark the improbable effects of a search.
 
     Args:
         result: of the search.
@@ -53,7 +53,7 @@ def weighed(result: Search, said: Answer, short_term: SensorNoise) -> Search:
 
 
 def _marked(result: Search, doubtful: Container[int]) -> Search:
-    """A search whose doubtful names are marked; what looks like noise and is none is something that is left."""
+    """Mark improbable effects; improbable effects on the noise become part of the remaining misfit."""
     found = tuple(replace(one, improbable=place in doubtful) for place, one in enumerate(result.found))
     other = {place: one.name for place, one in enumerate(found) if one.improbable and one.name in _OF_NOISE}
     left = dict.fromkeys((*result.leftover, *other.values()))
@@ -61,7 +61,7 @@ def _marked(result: Search, doubtful: Container[int]) -> Search:
 
 
 def _with_unknown(result: Search, said: Answer, probability: float) -> Search:
-    """A search that leaves something, where that there is something unknown is as good as sure."""
+    """Add the most probable generic family to the remaining misfit, if an unknown effect is nearly certain."""
     if result.leftover or probability < PRIOR.sure:
         return result
     best = said.tree.best
@@ -71,7 +71,7 @@ def _with_unknown(result: Search, said: Answer, probability: float) -> Search:
 
 
 def _improbable(one: Found, posterior: Mapping[Set, float]) -> bool:
-    """Whether neither a name nor what it may be instead is likely to be there."""
+    """Return whether an effect and its rivals together are improbable."""
     if one.name not in TERMS and one.name not in _OF_NOISE:
         return False
     names = {one.name, *one.rivals}
@@ -79,7 +79,7 @@ def _improbable(one: Found, posterior: Mapping[Set, float]) -> bool:
 
 
 def _of_the_place(result: Search, stated: Mapping[str, float], doubtful: Container[int]) -> bool:
-    """Whether the field's variation is sure, and with it and what was named all is said."""
+    """Return whether the field's variation is nearly certain, and no other effect is missing."""
     named = {name for i, one in enumerate(result.found) if i not in doubtful for name in (one.name, *one.rivals)}
     missing = [name for name in TERMS if stated.get(name, 0.0) > PRIOR.likely and name not in named]
     sure = stated.get(FIELD_VARIATION, 0.0) > PRIOR.sure and stated[UNKNOWN] < 1 - PRIOR.sure
@@ -87,7 +87,7 @@ def _of_the_place(result: Search, stated: Mapping[str, float], doubtful: Contain
 
 
 def _without(result: Search, places: Container[int], short_term: SensorNoise) -> Search:
-    """A search without what it found at some places."""
+    """Return the search without the effects at some places."""
     indices = [i for place, i in term_places(result.found, result.last.refit.model).items() if place in places]
     found = less(result.found, places)
     if not indices:
@@ -100,7 +100,7 @@ def _without(result: Search, places: Container[int], short_term: SensorNoise) ->
 
 
 def _score(variation: FieldVariation) -> NoiseScore:
-    """How much the field of the place varies, as an effect that changes no reading."""
+    """Return the variation of the field as an effect that changes no reading."""
     size = float(np.hypot(variation.along, variation.attitude))
     return NoiseScore(
         FIELD_VARIATION,
@@ -109,6 +109,6 @@ def _score(variation: FieldVariation) -> NoiseScore:
         variation.gain,
         True,
         np.array([size]),
-        np.array([0.5 * size]),  # amplitudes are octaves
+        np.array([0.5 * size]),  # the grid of amplitudes has octaves
         {"period": variation.period, "attitude": variation.attitude},
     )
