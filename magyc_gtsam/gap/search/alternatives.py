@@ -88,7 +88,7 @@ def _exchanged(state: State, seen: Callable[[State], Look], place: int, index: i
     now = seen(without)
     own = at_sharpest(next(score for score in now.scores if score.name == one.name), now)
     if own.variant.setting.get("order", 0) < term.setting.get("order", 0):
-            return None  # the model has more modes than a first test tries
+        return None  # the model has more modes than a first test tries
     options = choices(now, without.found, set())
     # A matrix of eddy currents that is no longer significant may be only the delay.
     matrix = bool(term.setting.get("full")) and all(option.name != one.name for option in options)
