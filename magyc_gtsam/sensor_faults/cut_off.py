@@ -11,8 +11,10 @@ from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.largest_value import LargestValue
 
 MOST = 0.5  # largest share of the recording that may be left out
-_HOLE = 12  # median steps, and
-_HOLE_DURATION = 0.6  # s, that are left out after each sample: enough to count as a gap (`Recording.gaps`)
+# The longer of `_HOLE` median steps and `_HOLE_DURATION` s is left out after each sample that was cut off; it is long
+# enough to count as a gap (`Recording.gaps`).
+_HOLE = 12
+_HOLE_DURATION = 0.6
 _STAMPS = 33  # samples needed for the median step; nothing is decided before
 _LONGEST_RUN = 100  # samples at the largest value that are held back; a longer run is left to `stuck`
 
@@ -37,7 +39,7 @@ class Clipped:
 
     @property
     def where(self) -> str:
-        """Return which axes were cut off, at which rate, and when first."""
+        """The axes that were cut off, the rate, the number of samples and the first time, as text."""
         axes = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
         return (
             f"angular_rate: {axes} of the gyroscope cut off at {self.level:.3g} rad/s in {self.count} samples, "
@@ -46,12 +48,12 @@ class Clipped:
 
     @property
     def too_often(self) -> bool:
-        """Return whether too little of the recording is left for a calibration."""
+        """Whether too little of the recording is left for a calibration."""
         return self.share > MOST
 
     @property
     def sentence(self) -> str:
-        """Return `where`, the limit and the remedy."""
+        """The message: `where`, the limit and the remedy."""
         return (
             f"{self.where}: at most {MOST:.0%} can be left out; raise the gyroscope's full scale, turn more "
             "slowly, or choose an interval without it (--start, --end)"
@@ -161,7 +163,7 @@ class CutOff:
         return inside(self._rejected, time)
 
     def finding(self, share: float) -> Clipped | None:
-        """Return what was cut off so far, or None; `share` is the share of the recording left out for it."""
+        """Return the samples cut off so far, or None; `share` is the share of the recording left out for them."""
         levels = [side.full_scale for side in self._sides]
         if np.isnan(levels).all():
             return None
@@ -172,7 +174,7 @@ class CutOff:
 
     @property
     def now(self) -> bool:
-        """Return whether the last sample is in a hole."""
+        """Whether the last sample is in a hole."""
         return len(self._rejected) > 0 and bool(self._latest <= self._rejected[-1, 1])
 
     def state(self) -> Mapping[str, Array]:

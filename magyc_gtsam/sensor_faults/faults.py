@@ -40,7 +40,8 @@ class SensorFaults:
         self.magnetometer = StuckAxes()
         self.gyroscope = StuckAxes(self._field_turned, *([np.inf] if self._whole else []))
         self._zero_gates = SampleGate(self.zeros), SampleGate(self.zero_rates)
-        # Where many neighbours are spikes, the first detector leaves some, which stand out once the others are gone.
+        # If many neighbours are spikes, the first detector misses some, which the second finds once the others are
+        # removed.
         self._spike_gates = tuple(SampleGate(each) for each in self.spikes)
         # A long turn at full scale looks like a stuck axis, so it is rejected first.
         self._cut_off_gate = SampleGate(self.cut_off)
@@ -81,24 +82,24 @@ class SensorFaults:
 
     @property
     def dropped(self) -> int:
-        """Return the number of samples that were dropped."""
+        """The number of samples that were dropped."""
         gates = (*self._zero_gates, *self._spike_gates, self._cut_off_gate, *self._gates)
         return sum(gate.dropped for gate in gates)
 
     @property
     def single_samples(self) -> tuple[FaultySamples, ...]:
-        """Return what was found of single faulty samples."""
+        """The findings on single faulty samples."""
         findings = self.zeros.finding(), self.zero_rates.finding(), found_in_turn(self.spikes)
         return tuple(finding for finding in findings if finding is not None)
 
     @property
     def clipped(self) -> Clipped | None:
-        """Return what the gyroscope's full scale cut off, or None."""
+        """The samples that the gyroscope's full scale cut off, or None."""
         return self.cut_off.finding(self._cut_off_gate.dropped / max(self._cut_off_gate.taken, 1))
 
     @property
     def clipped_field(self) -> ClippedField | None:
-        """Return what the magnetometer's full scale cut off, if it is enough to do harm; otherwise None."""
+        """The samples that the magnetometer's full scale cut off; None if too few to do harm."""
         return self.full_scale.finding(*self._shown)
 
     def stuck(self, duration: float, now: bool = False) -> tuple[Stuck, ...]:
@@ -120,7 +121,7 @@ class SensorFaults:
         return tuple(s for s in every if not _at_full_scale(s, levels))
 
     def _field_turned(self, rows: Array) -> bool | None:
-        """Return whether the field turned during the gyroscope's stuck rows (n, 4); None while that is not known."""
+        """Return whether the field turned during the gyroscope's stuck rows (n, 4); None while unknown."""
         field, last = self._field.rows, rows[-1, 0]
         if not self._whole and (not len(field) or field[-1, 0] < last):
             return None if self._latest - last < _WAITING else False

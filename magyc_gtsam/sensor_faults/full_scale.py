@@ -1,9 +1,9 @@
-"""Detect a field beyond the magnetometer's full scale: an axis that reads its own extreme again and again.
+"""Detect a field beyond the magnetometer's full scale: an axis that reads its own extreme value repeatedly.
 
 Unlike turns beyond the gyroscope's full scale, these rows cannot be left out, because that would select rows by their
 noise. Without them the hard iron was off by 1 to 17 sigmas; without 0.6 s around them it was still off by 2 sigmas
-(5 in an hour) where an axis stays near the level, as on a vehicle that does not tilt. The rows therefore stay in,
-where the gap's saturation term can model them, and no calibration from them is trusted.
+(5 in an hour) if an axis stays near the level, as on a vehicle that does not tilt. The rows are therefore kept, so that
+the gap's saturation term can model them, and no calibration from them is trusted.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from magyc_gtsam.recording import Array
 from magyc_gtsam.sensor_faults.noise import resolution
 
-MOST = 0.005  # share of the samples that does no harm: it moved the hard iron by up to half a sigma in an hour
+MOST = 0.005  # harmless share of the samples: it moved the hard iron by up to half a sigma in an hour
 LEAST = 20  # samples at the extreme; fewer occur by chance
 _RUNS = 5  # separate runs at the extreme; a stuck axis has one
 _NOISY = (0.5, 1.0)  # noise in steps of the sensor, on this axis and another; less noise repeats values at rest
@@ -45,7 +45,7 @@ class ClippedField:
 
     @property
     def where(self) -> str:
-        """Return which axes were cut off, at which reading, and how often."""
+        """The axes that were cut off, the reading and the number of samples, as text."""
         axes = f"axis {self.axes}" if len(self.axes) == 1 else f"axes {', '.join(self.axes)}"
         return (
             f"magnetic_field: {axes} of the magnetometer cut off at {self.shown} in {self.count} samples "
@@ -54,12 +54,12 @@ class ClippedField:
 
     @property
     def too_often(self) -> bool:
-        """Return whether the samples are enough to harm a calibration."""
+        """Whether the samples are enough to harm a calibration."""
         return self.share > MOST
 
     @property
     def sentence(self) -> str:
-        """Return `where`, the limit and the remedy."""
+        """The message: `where`, the limit and the remedy."""
         return (
             f"{self.where}: at most {MOST:.1%} do no harm; choose a larger full scale, move what is magnetic away from "
             "the sensor, or take the calibration of `magyc-gtsam gap`, where that can model it"
@@ -69,7 +69,7 @@ class ClippedField:
 class FullScale:
     """Find the levels at which a magnetometer's axes are cut off, and count the samples there.
 
-    Every `every` samples the last `latest` are examined. A level remains valid until a sample exceeds it.
+    After every `every` samples the last `latest` are examined. A level remains valid until a sample exceeds it.
 
     Args:
         every, latest: numbers of samples; a batch passes the number of all its samples.
@@ -100,12 +100,12 @@ class FullScale:
         levels = np.where(np.isnan(levels), clipped_levels(rows), levels)
         if np.array_equal(levels, self._levels, equal_nan=True):
             return
-        # Of the samples no longer kept only the count is known, and it holds only while no level was given up.
+        # For samples that are no longer kept only their count is known, which is valid unless a level was exceeded.
         known = 0 if beyond.any() else self._count - int(at_level(rows, self._levels).sum())
         self._count, self._levels = known + int(at_level(rows, levels).sum()), levels
 
     def finding(self, shown: float = 1e6, unit: str = "µT") -> ClippedField | None:
-        """Return what was cut off so far, if it is enough to do harm; messages show a field times `shown` in `unit`."""
+        """Return the samples cut off so far, or None if too few to do harm; `shown` scales a field to `unit`."""
         known = np.isfinite(self._levels)
         if not known.any() or not self._count > MOST * self._taken:
             return None
@@ -131,7 +131,7 @@ def at_level(value: Array, levels: Array) -> np.ndarray:
 
 
 def clipped_levels(value: Array) -> Array:
-    """Return the levels (3, 2), lowest and highest, at which samples (n, 3) were cut off; NaN where they were not."""
+    """Return the levels (3, 2), lowest and highest, at which samples (n, 3) were cut off; NaN if they were not."""
     levels = np.full((3, 2), np.nan)
     step = resolution(value)
     for axis, column in enumerate(value.T):
@@ -145,7 +145,7 @@ def clipped_levels(value: Array) -> Array:
 def _cut_off(side: Array, others: Array, step: float) -> bool:
     """Return whether a full scale cut off the values beyond the largest value of an axis.
 
-    A full scale gathers at one value the samples that noise and turns would spread beyond it.
+    A full scale maps all samples beyond it to one value, which noise and motion would otherwise spread.
     """
     away = side.max() - side
     top = away == 0

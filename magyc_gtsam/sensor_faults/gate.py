@@ -1,4 +1,4 @@
-"""A gate between sensor and estimator, which holds samples back while a detector is undecided about them."""
+"""A gate between sensor and estimator that holds samples back while a detector is undecided about them."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from magyc_gtsam.recording import Array
 
 _BAND = 30  # steps of the sensor below the largest value that count as near it
 LEAST = 5  # samples at exactly the largest value, some of them consecutive
-_STEEP = 3.0  # steps of the sensor between the largest value and a neighbour: steeper than a turn that levels off
+_STEEP = 3.0  # steps of the sensor between the largest value and a neighbour; a turn that levels off is less steep
 _CHANCE = 1e-7  # probability of so many samples at the largest value if all values of the band are equally likely
-_EVEN = 0.9  # share of repeats from which the whole recording turns at constant rates, as a simulation may
+_EVEN = 0.9  # share of repeats from which the whole recording is taken to turn at constant rates (a simulation)
 _REMEMBERED = 256  # stamps kept of samples at the largest value, before it is known to be a full scale
 
 
@@ -74,7 +74,7 @@ class LargestValue:
         self._stamps = np.empty(0)
 
     def is_far(self, most: float, step: float) -> bool:
-        """Return whether samples up to `most` stay below the band and the last one was not at the largest value."""
+        """Return whether samples up to `most` are below the band and the last one was not at the largest value."""
         return not self._at and most < self._level - _BAND * step
 
     def pass_by(self, count: int, repeats: int) -> None:
@@ -91,7 +91,7 @@ class LargestValue:
         step_before: float,
         allowed: np.ndarray,
     ) -> SideOfBlock | None:
-        """Take samples (n,) of this side; return None where none is near the largest value."""
+        """Take samples (n,) of this side; return None if none is near the largest value."""
         if self.is_far(float(x.max()), step_before):
             self.pass_by(len(x), int((change == 0).sum()))
             return None
@@ -135,7 +135,7 @@ class LargestValue:
     def _count_earlier(
         self, x: Array, step: Array, levels: _Levels, counts: np.ndarray, possible: np.ndarray
     ) -> None:
-        """Add to `counts` the samples near a level from before it was reached, where they are needed."""
+        """Add to `counts` the samples near a level from before it was reached, for levels that may be a full scale."""
         rows = levels.begin[possible & (levels.number > 0)]
         for row in np.unique(np.append(rows, levels.begin[-1]) if levels.number[-1] else rows):
             low = levels.level[row] - _BAND * step[row]
@@ -143,7 +143,7 @@ class LargestValue:
             counts[4, levels.begin == row] += before
 
     def _side(self, time: Array, levels: _Levels, known: np.ndarray) -> SideOfBlock:
-        """Return what is known of each sample of a block."""
+        """Return the classification of the samples of a block."""
         became = known & (levels.rises | ~np.concatenate([[self._known], known[:-1]]))
         full_scale = np.isin(levels.number, levels.number[known])
         stamps = time[levels.at & full_scale]
@@ -182,7 +182,7 @@ class LargestValue:
 
 
 def _may_be_full_scale(levels: _Levels, counts: np.ndarray, away: np.ndarray) -> np.ndarray:
-    """Return (n,) bool: samples from which on a level has the form of a full scale, whatever its probability."""
+    """Return (n,) bool: samples at which the level has the form of a full scale, before the test of probability."""
     count, pairs, edges, steep, _ = counts
     others, repeats = away
     possible = (levels.at | levels.was) & (count >= LEAST) & (pairs > 0) & (edges > 0) & (2 * steep >= edges)

@@ -11,8 +11,8 @@ from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.sensor_faults.stuck import LEAST_DURATION, LEAST_SAMPLES, Stretch
 
-_LONGER = 10.0  # mean intervals of its samples; a sensor polled faster than it measures repeats for less
-_TURNED = 0.3  # rad about the median rate; more than the drift of a gyroscope at rest
+_LONGER = 10.0  # mean sampling intervals; a sensor polled faster than it measures repeats for less
+_TURNED = 0.3  # rad of rotation relative to the median rate; more than the drift of a gyroscope at rest
 _LATEST = 120.0  # s of gyroscope samples that are examined
 _REMEMBERED = 50  # latest stretches kept
 
@@ -46,12 +46,12 @@ class Repeats:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Return the stretches in which the magnetometer was stuck, including `now`."""
+        """The stretches in which the magnetometer was stuck, including `now`."""
         return (*(_stretch(row) for row in self._found), *self.now)
 
     @property
     def now(self) -> tuple[Stretch, ...]:
-        """Return the stretch that is not over, if there is one."""
+        """The stretch that is not over, if there is one."""
         since, until = float(self._last[0]), self._until
         if not self._long(since, until, self._count, self._samples) or not self._turned(since, until):
             return ()

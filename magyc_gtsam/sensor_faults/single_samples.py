@@ -1,4 +1,4 @@
-"""What the detectors of single faulty samples share: which were found, their number and their share."""
+"""Common parts of the detectors of single faulty samples: the stamps found, their number and their share."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from magyc_gtsam.recording import Array
 
 @dataclass(frozen=True)
 class FaultySamples:
-    """Single faulty samples of `sensor`: what they do, their number, and their share of all samples."""
+    """The single faulty samples of a sensor.
+
+    Attributes:
+        sensor: "magnetic_field" or "angular_rate".
+        what: what the samples do, a predicate.
+        count: their number.
+        share: their share of all samples.
+    """
 
     sensor: str
     what: str
@@ -21,7 +28,7 @@ class FaultySamples:
 
     @property
     def where(self) -> str:
-        """Return how many there are."""
+        """The number of samples, as text."""
         return f"{self.sensor}: {self.count} samples {self.what} ({self.share:.1%} of its samples)"
 
 
@@ -40,7 +47,7 @@ class SingleSamples:
         self._taken = self._count = 0
 
     def found(self, stamps: Array, taken: int) -> None:
-        """Note the stamps (n,) s of the faulty samples that a block of `taken` samples decided."""
+        """Record the stamps (n,) s of the faulty samples found with a block of `taken` samples."""
         self._latest = stamps
         self._taken += taken
         self._count += len(stamps)
@@ -50,7 +57,7 @@ class SingleSamples:
         return np.isin(time, self._latest) if len(self._latest) else np.zeros(len(time), dtype=bool)
 
     def finding(self) -> FaultySamples | None:
-        """Return what was found so far, or None."""
+        """Return the samples found so far, or None."""
         if not self._count:
             return None
         return FaultySamples(self._sensor, self._what, self._count, self._count / self._taken)
@@ -66,7 +73,7 @@ class SingleSamples:
 
 
 def found_in_turn(detectors: Sequence[SingleSamples]) -> FaultySamples | None:
-    """Return what detectors of one fault found, each in what the one before left; None if the first found none."""
+    """Combine the findings of detectors of one fault that run in series; None if the first found nothing."""
     first, *others = (detector.finding() for detector in detectors)
     for other in others:
         if first is not None and other is not None:

@@ -1,7 +1,8 @@
-"""Detect spikes of the gyroscope: single samples that stand out of all motion about them.
+"""Detect spikes of the gyroscope: single samples that the motion around them does not explain.
 
-A median filter with a threshold (Hampel 1974, doi:10.1080/01621459.1974.10482962) whose scale is the larger of two:
-the spread of the neighbours, which holds the motion up to the edge of the band, and the sensor's noise just before.
+The detector is a median filter with a threshold (Hampel 1974, doi:10.1080/01621459.1974.10482962). A spike must exceed
+a multiple of the neighbours' spread, which includes motion up to the Nyquist frequency, and a multiple of the sensor's
+noise just before.
 """
 
 from __future__ import annotations
@@ -14,25 +15,27 @@ from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.single_samples import SingleSamples
 
 _BESIDE = 6  # neighbours on either side
-# Of the twelve, the rank of the distance from their median that is their spread. Up to three may be spikes themselves.
-# With it an oscillation of any frequency, however sampled, stands out by at most 3.3 spreads; with rank 8 a sinusoid of
-# three samples a period has no spread.
+# The spread is the distance of this rank among the twelve neighbours' distances from their median; up to three may be
+# spikes themselves. With rank 9 an oscillation of any frequency and sampling exceeds at most 3.3 spreads; with rank 8 a
+# sinusoid of three samples per period has no spread.
 _RANK = 9
-# Spreads, and standard deviations of noise, from which a sample is a spike. Real logs, whole and thinned to 50, 25 and
-# 10 Hz, reach 13.5 and 27 in the half on which this was chosen (docs/fault_study.md).
+# Spreads, and standard deviations of noise, from which a sample is a spike. Real logs, complete and thinned to 50, 25
+# and 10 Hz, reach 13.5 and 27 in the half on which the thresholds were chosen (docs/fault_study.md).
 _SPREADS, _NOISES = 15.0, 30.0
-_BLOCK = 64  # samples from which the noise of the next block is taken
-_QUARTILE = 0.3186 * np.sqrt(6)  # of the second differences' size, for normal noise of unit deviation
+_BLOCK = 64  # samples from which the noise for the next block is estimated
+_QUARTILE = 0.3186 * np.sqrt(
+    6
+)  # lower quartile of absolute second differences of normal noise with unit deviation
 
 
 class Spikes(SingleSamples):
-    """Find the spikes of the gyroscope, from its 65th sample on; a sample that jumps waits for six more."""
+    """Find the spikes of the gyroscope, from its 65th sample on; a sample that jumps is undecided for six more."""
 
     def __init__(self) -> None:
         super().__init__("angular_rate", "are spikes of the gyroscope, beyond all motion about them")
         self._rows = np.empty((0, 4))  # time and value, from the block before the undecided samples on
         self._noise = np.empty((0, 3))  # rad/s, of the full blocks of these rows
-        self._undecided = 0  # the first of them in these rows
+        self._undecided = 0  # index of the first undecided sample in these rows
 
     def observe(self, block: Samples) -> None:
         """Take the next samples."""
@@ -66,7 +69,7 @@ def has_spikes(value: Array) -> bool:
 def _spikes(value: Array, noise: Array, first: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of value (n, 3) from `first` on that are spikes, and those with too few rows after them.
 
-    `noise` (b, 3) is that of the full blocks. What jumps by less from the sample before is not looked at.
+    `noise` (b, 3) is that of the full blocks. Samples with a smaller change from the sample before are skipped.
     """
     first = max(first, _BLOCK)
     before = np.arange(first, len(value)) // _BLOCK - 1
@@ -82,8 +85,8 @@ def _spikes(value: Array, noise: Array, first: int) -> tuple[np.ndarray, np.ndar
 def _noise_of_blocks(value: Array) -> Array:
     """Return the noise (b, 3) of the full blocks of value (n, 3), at least the smallest change in each.
 
-    The lower quartile: spikes in 20 % of the samples reach half of the second differences. Those that are zero are of
-    samples that are held or cut off, and say nothing of the noise.
+    The estimate is a lower quartile, because spikes in 20 % of the samples affect half of the second differences. Zero
+    differences, from samples that are held or cut off, carry no information on the noise and are excluded.
     """
     blocks = value[: len(value) // _BLOCK * _BLOCK].reshape(-1, _BLOCK, value.shape[1])
     change = np.diff(blocks, axis=1)
@@ -97,7 +100,7 @@ def _noise_of_blocks(value: Array) -> Array:
 
 
 def _stand_out(value: Array, rows: np.ndarray, noise: Array) -> np.ndarray:
-    """Return (k,) bool: which of the rows (k,) of value (n, 3) stand out of their neighbours, and of noise (k, 3)."""
+    """Return (k,) bool: which rows (k,) of value (n, 3) exceed the thresholds by neighbours and by noise (k, 3)."""
     beside = np.concatenate([np.arange(-_BESIDE, 0), np.arange(1, _BESIDE + 1)])
     neighbours = value[rows[:, None] + beside]
     median = np.median(neighbours, axis=1)

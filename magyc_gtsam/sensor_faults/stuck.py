@@ -1,10 +1,10 @@
-"""Detect stuck axes: readings that stay constant where a working sensor's cannot.
+"""Detect stuck axes: readings that remain constant when those of a working sensor would not.
 
-Causes are a broken chip, a frozen bus or a column that was never filled in. A repeated value alone is no fault: a
+Causes are a broken chip, a frozen bus or a column that was never filled in. A repeated value alone is not a fault: a
 coarse sensor at rest repeats for minutes, and a simulation without noise may turn about one axis only. An axis counts
 as stuck if another axis of the same sensor shows noise of 1.5 steps or more meanwhile. A whole gyroscope counts as
 stuck if the field turned meanwhile, unless it reads a constant nonzero rate and the magnetometer shows no noise either,
-as in a simulated even turn. A magnetometer that repeats on all axes is found by `repeats`.
+as in a simulated turn at constant rate. A magnetometer that repeats on all axes is found by `repeats`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ import numpy as np
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.noise import white_noise
 
-LEAST_SAMPLES = 100  # consecutive; with noise of half a step a working axis repeats this often once in 10¹⁵
+LEAST_SAMPLES = (
+    100  # consecutive samples; with noise of half a step a working axis repeats this often once in 10¹⁵
+)
 LEAST_DURATION = 2.0  # s
 _SUSPECT = 6  # consecutive equal values from which samples are held back
 _LONGEST = 30.0  # s, longest time that a gyroscope stuck on all axes is held back while the field does not turn
@@ -220,12 +222,12 @@ class StuckAxes:
 
     @property
     def stretches(self) -> tuple[Stretch, ...]:
-        """Return the stretches in which axes were stuck."""
+        """The stretches in which axes were stuck."""
         return tuple(self._stretches)
 
     @property
     def now(self) -> tuple[Stretch, ...]:
-        """Return the stretch that is not over, if there is one."""
+        """The stretch that is not over, if there is one."""
         return tuple(self._stretches[-1:]) if self._stuck.any() else ()
 
     def state(self) -> Mapping[str, Array]:

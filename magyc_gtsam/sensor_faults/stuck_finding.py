@@ -1,4 +1,4 @@
-"""What is reported of stuck axes: which, when, at what value, with the limit and the remedy."""
+"""The finding on stuck axes: which axes, when, and at what value, with the limit and the remedy."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from magyc_gtsam.sensor_faults.stuck import Stretch
 
-MOST = 0.5  # share of the recording above which no calibration is tried
+MOST = 0.5  # share of the recording above which no calibration is attempted
 SMALL = 0.005  # share up to which no method is harmed
 _NAMES = {"magnetic_field": "magnetometer", "angular_rate": "gyroscope"}
 
@@ -32,7 +32,7 @@ class Stuck:
 
     @property
     def where(self) -> str:
-        """Return which axes are stuck, when, and by what evidence."""
+        """The stuck axes, the times and the evidence, as text."""
         start, end = self.stretches[0]
         more = f" and {len(self.stretches) - 1} more times" if len(self.stretches) > 1 else ""
         one = f"axis {self.axes} of the {_NAMES[self.sensor]} is"
@@ -46,7 +46,7 @@ class Stuck:
 
     @property
     def sentence(self) -> str:
-        """Return `where`, the limit and the remedy."""
+        """The message: `where`, the limit and the remedy."""
         spare = ""
         if self.sensor == "angular_rate":
             spare = "; methods that need the magnetometer alone (--method autocal) do without it"

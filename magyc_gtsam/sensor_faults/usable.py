@@ -25,8 +25,8 @@ class Usable:
         recording: the rows without faults.
         stuck: axes that were stuck for more than a share of `SMALL`, the largest share first.
         single: single faulty samples: placeholders (zero on all axes) of each sensor, spikes of the gyroscope.
-        cut_off: what the gyroscope's full scale cut off; None if nothing.
-        clipped: what the magnetometer's full scale cut off, which stays in the rows; None if nothing.
+        cut_off: samples that the gyroscope's full scale cut off; None if there are none.
+        clipped: samples that the magnetometer's full scale cut off, which remain in the rows; None if there are none.
     """
 
     recording: Recording
@@ -37,7 +37,7 @@ class Usable:
 
     @property
     def left_out(self) -> list[str]:
-        """Return a message per fault that was left out."""
+        """One message per fault whose rows were left out."""
         return [fault.where for fault in (*self.stuck, *self.single, self.cut_off) if fault is not None]
 
 

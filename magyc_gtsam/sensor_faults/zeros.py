@@ -1,7 +1,7 @@
-"""Detect rows that are zero on all axes where no measurement is: placeholders of a driver or a bus.
+"""Detect rows that are zero on all axes in place of a measurement: placeholders of a driver or a bus.
 
-No measured field is exactly zero on three axes. A rate may be, where a gyroscope rests. It is not where the readings
-before and after lie on the same side of zero by many steps of the sensor.
+No measured field is exactly zero on three axes. A rate can be, if the gyroscope is at rest, but not if the readings
+before and after are on the same side of zero, many steps of the sensor away from it.
 """
 
 from __future__ import annotations
@@ -13,15 +13,14 @@ import numpy as np
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.single_samples import SingleSamples
 
-# Consecutive zeros of a gyroscope. A vehicle of a simulation without noise may stop for longer; what is longer by far
-# is left to `stuck`.
+# Consecutive zeros of a gyroscope. In a simulation without noise a vehicle may stop for longer; much longer runs are
+# left to `stuck`.
 _LONGEST_RUN = 5
-# Steps of the gyroscope between zero and the readings about a placeholder. A gyroscope at rest has such zeros in 1 of
-# 10⁵ samples at the most, with noise of ten steps (normal noise, each axis on its own).
+# Steps of the gyroscope between zero and the readings around a placeholder. A gyroscope at rest has such zeros in at
+# most 1 of 10⁵ samples, with noise of ten steps (normal noise, independent axes).
 _BESIDE = 10.0
-_ROUNDING = (
-    1e-6  # of the largest reading: what changes by less is no step of a sensor, but rounding in its conversion
-)
+# Share of the largest reading below which a change is not a step of the sensor but rounding by a unit conversion.
+_ROUNDING = 1e-6
 
 
 class Zeros(SingleSamples):

@@ -21,8 +21,8 @@ from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
 )
 from magyc_gtsam.recording import Array, Recording
 
-_WIDTH = (0.3, 0.15)  # deviations of the first swarm about h = 0 and T = I
-_BOUND = 5.0  # of an element: an infinite ellipsoid, seen as a plane, makes (45) zero
+_WIDTH = (0.3, 0.15)  # standard deviations of the initial swarm about h = 0 and T = I
+_BOUND = 5.0  # bound of an element, because (45) is zero for an infinite ellipsoid (a plane)
 _REPORTS = 50  # calls of progress
 _UPPER = np.triu_indices(3)
 
@@ -80,17 +80,17 @@ def ali_pso(
     max_iterations: int = 2000,
     progress: Callable[[float], None] | None = None,
 ) -> Ellipsoid:
-    """The ellipsoid through samples (n, 3) without units; all particles move at once.
+    """Fit the ellipsoid to samples (n, 3) without units; all particles are updated simultaneously.
 
     Args:
         y: samples (n, 3).
         seed: of the random numbers; the same seed gives the same result.
         particles: S of (47), 20 to 65 in the paper.
-        inertia: w of (47), of Clerc and Kennedy (2002). With the review's w = 1, c1 = c2 = 2 the swarm's extent
-            grows without limit (measured: 1e82 after 2000 iterations).
-        acceleration: c1, c2 of (47), of Clerc and Kennedy too.
-        tolerance: of the swarm's extent, below which it has gathered.
-        max_iterations: at most so many.
+        inertia: w of (47), by Clerc and Kennedy (2002). With the review's w = 1, c1 = c2 = 2 the swarm's extent
+            diverges (measured: 1e82 after 2000 iterations).
+        acceleration: c1, c2 of (47), by Clerc and Kennedy.
+        tolerance: extent of the swarm below which it has converged.
+        max_iterations: largest number of iterations.
         progress: called with the share done.
     """
     check_positive(particles=particles, tolerance=tolerance, max_iterations=max_iterations)
@@ -128,7 +128,7 @@ def ali_pso(
 
 
 def _moments(y: Array) -> Array:
-    """Triangular root (10, 10) of the samples' fourth moments: all that (45) needs of them.
+    """Return the triangular root (10, 10) of the samples' fourth moments, which determine (45).
 
     ‖T⁻¹(y − h)‖² − 1 is linear in the elements of y yᵀ, y and 1.
     """
@@ -137,7 +137,7 @@ def _moments(y: Array) -> Array:
 
 
 def _fitness(x: Array, root: Array) -> Array:
-    """(45) of particles x (S, 12), with the field ‖T⁻¹(y − h)‖ for ‖y‖, which the review leaves out: (S,)."""
+    """Return (45) of particles x (S, 12) as (S,), with ‖T⁻¹(y − h)‖ in place of the review's ‖y‖."""
     h, T = x[:, :3], x[:, 3:].reshape(-1, 3, 3)
     inverse = np.linalg.inv(T)
     Q = np.swapaxes(inverse, 1, 2) @ inverse

@@ -1,8 +1,7 @@
 """`crassidis`: Crassidis, Lai and Harman, "Real-time attitude-independent three-axis magnetometer calibration", 2005.
 
-An extended Kalman filter on TWOSTEP's model, one sample at a time: `CrassidisFilter` for use on board, and a
-pass over a whole recording. Equation numbers are those of section 4 of the review (Papafotis, Nikitas,
-Sotiriadis, Sensors 2021, 21, 5288).
+An extended Kalman filter on the model of TWOSTEP: `CrassidisFilter` for onboard use, and a pass over a whole recording.
+Equation numbers are those of section 4 of the review (Papafotis, Nikitas, Sotiriadis, Sensors 2021, 21, 5288).
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ from magyc_gtsam.estimators.ellipsoid.twostep import ORDER, UNITS
 from magyc_gtsam.factors.chain.vech import vech
 from magyc_gtsam.recording import Array, Recording
 
-# Of the field strength: four times the review's nominal (80). A filter that is too sure at its start does not come
-# back; one that is not sure enough loses little.
+# Share of the field strength, four times the review's nominal value (80). A filter that is overconfident at its start
+# does not recover, whereas an underconfident one loses little.
 NOISE = 0.02
-OFFSET_SIGMA, SHAPE_SIGMA = 0.1, 0.15  # of the start h = 0, D = 0, in field strengths and relative
+OFFSET_SIGMA, SHAPE_SIGMA = 0.1, 0.15  # sigmas of the start h = 0, D = 0, in field strengths and relative
 _REPORTS = 50  # calls of progress over a recording
 
 
 class CrassidisFilter:
-    """The filter itself: y = T m + h, ‖m‖ = 1, learnt from one sample after the other.
+    """The extended Kalman filter for y = T m + h, ‖m‖ = 1, updated sample by sample.
 
     >>> filter = CrassidisFilter()
     >>> for sample in ((1.1, 0.0, 0.1), (0.1, 0.9, 0.0), (0.0, 0.1, 1.0)):
@@ -53,26 +52,26 @@ class CrassidisFilter:
         offset_sigma: float = OFFSET_SIGMA,
         shape_sigma: float = SHAPE_SIGMA,
     ) -> None:
-        """Start at no distortion.
+        """Initialise the filter without distortion.
 
         Args:
-            noise: σ of a sample, in field strengths, as the samples themselves.
-            offset_sigma, shape_sigma: standard deviations of b and D at the start.
+            noise: σ of a sample, in field strengths, like the samples.
+            offset_sigma, shape_sigma: standard deviations of the initial b and D.
         """
         check_positive(noise=noise, offset_sigma=offset_sigma, shape_sigma=shape_sigma)
         self.theta = np.zeros(9)
         self.covariance = np.diag(np.repeat([offset_sigma**2, shape_sigma**2], [3, 6]))
         self._mean = -3 * noise**2  # (5a)
-        # (5b): (I + D) y − b is the field, of length 1, but for the noise
+        # (5b): (I + D) y − b is the field, of length 1 apart from noise
         self._variance = 4 * noise**2 + 6 * noise**4
 
     def update(self, sample: ArrayLike) -> None:
-        """Take one sample y (3,), in field strengths."""
+        """Process one sample y (3,), in field strengths."""
         y = np.asarray(sample, dtype=np.float64)
         b, D = self.theta[:3], self.theta[3:][ORDER]
         m = y + D @ y - b
         slope = np.hstack([-np.eye(3), (UNITS @ y).T])  # ∂m/∂θ; m is linear in θ
-        H = -2 * m @ slope  # (19); −S F + 2 J of (20), (21) is this, written out
+        H = -2 * m @ slope  # (19); the same as −S F + 2 J of (20), (21)
         # z − φ(θ) of (4) and (17) is ‖m‖² − 1.
         innovation = m @ m - 1 - self._mean
         PH = self.covariance @ H
@@ -87,12 +86,12 @@ class CrassidisFilter:
 
     @property
     def offset(self) -> Array:
-        """(3,) h of y = T m + h. Not (22), which gives b: the filter's model is y = T (m + b)."""
+        """(3,) h of y = T m + h, unlike (22), which gives b of the filter's model y = T (m + b)."""
         return self.matrix @ self.theta[:3]
 
     @property
     def calibration_covariance(self) -> Array:
-        """(9, 9) of vech(T) and h."""
+        """(9, 9) covariance of vech(T) and h."""
         T, b = self.matrix, self.theta[:3]
         dT = -T @ UNITS @ T
         jacobian = np.zeros((9, 9))
@@ -112,13 +111,13 @@ def calibrate_crassidis(
     shape_sigma: float = SHAPE_SIGMA,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Calibrate by one pass of the filter over the recording, in its order.
+    """Calibrate by one pass of the filter over the recording, in order of time.
 
     Args:
         recording: with magnetometer.
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        noise: (magnetometer T, not used) per sample; None takes NOISE, and scales the covariance to the residuals.
-        offset_sigma, shape_sigma: deviations of the start, relative to the field.
+        noise: (magnetometer T, not used) per sample; None takes NOISE, and scales the covariance by the residuals.
+        offset_sigma, shape_sigma: standard deviations of the start, relative to the field.
         progress: called with the share done, 0 to 1.
 
     Raises:

@@ -33,8 +33,8 @@ def calibrate_dorveaux(
     Args:
         recording: with magnetometer.
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: of J_stop (29), the size of the last step.
-        max_iterations: at most so many steps.
+        tolerance: on J_stop (29), the size of the last step.
+        max_iterations: largest number of steps.
         progress: called with the share done, 0 to 1.
 
     Raises:
@@ -52,7 +52,7 @@ def calibrate_dorveaux(
 
 
 def dorveaux(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 2000) -> Ellipsoid:
-    """The ellipsoid through samples (n, 3) without units."""
+    """Fit the ellipsoid to samples (n, 3) without units."""
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     m = y  # (24)
     A_total, B_total = np.eye(3), np.zeros(3)
@@ -60,7 +60,7 @@ def dorveaux(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 2000) -
     while j_stop > tolerance and iterations < max_iterations:
         design = np.hstack([m, np.ones((len(m), 1))])
         sphere = m / np.linalg.norm(m, axis=1, keepdims=True)
-        # (25), least squares, for the step away from the identity, which keeps its digits as it shrinks
+        # (25), least squares, for the difference to the identity, which keeps its relative precision as it shrinks
         step = np.linalg.solve(design.T @ design, design.T @ (sphere - m)).T
         A, B = np.eye(3) + step[:, :3], step[:, 3]
         m = m + design @ step.T  # (26)

@@ -1,12 +1,12 @@
-"""`ellipsoid`: the algebraic L2 ellipsoid fit (Foster and Elkaim 2008), and what all algebraic fits share.
+"""`ellipsoid`: the algebraic L2 ellipsoid fit (Foster and Elkaim 2008), and common parts of all algebraic fits.
 
 Equation numbers are those of the Autocal paper (Hong et al. 2020). Samples of the sensor model (1) lie on
 
     g_j = mᵀ C m + 2 dᵀ m + e = 0                                                                          (3), (5)
 
-which is linear in the unknowns (C, d, e), and homogeneous: a fit needs a normalisation. Here it is the
-Frobenius norm 1 of the 4×4 matrix [[C, d], [dᵀ, e]], so that the least squares are solved by a singular
-vector, as section III-A of the paper says, and do not depend on how the axes are turned.
+which is linear and homogeneous in the unknowns (C, d, e), so that a fit needs a normalisation. Here it is the
+Frobenius norm 1 of the 4×4 matrix [[C, d], [dᵀ, e]]: the least-squares solution is then a singular vector, as in
+section III-A of the paper, and does not depend on the orientation of the axes.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.estimators.ellipsoid.magnetometer_only import Ellipsoid, normalised_field, to_calibration
 from magyc_gtsam.recording import Array, Recording
 
-_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # of C: the diagonal first
+_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])  # elements of C, the diagonal first
 _NOT_AN_ELLIPSOID = "the quadric that fits the samples best is not an ellipsoid"
 
 
 class Standardised(NamedTuple):
-    """Samples as section II-B takes them: measured = centre + unit · value, value (3, n)."""
+    """Standardised samples of section II-B: measured = centre + unit · value, value (3, n)."""
 
     value: Array
     centre: Array
@@ -33,7 +33,7 @@ class Standardised(NamedTuple):
 
 
 class Quadric(NamedTuple):
-    """(5) up to scale: C (3, 3) symmetric, d (3,), e."""
+    """The quadric (5) up to scale: C (3, 3) symmetric, d (3,), e."""
 
     shape: Array
     linear: Array
@@ -41,7 +41,9 @@ class Quadric(NamedTuple):
 
 
 def standardise(samples: Array) -> Standardised:
-    """Section II-B: less the median, over the standard deviation; one for all axes, so that spheres stay spheres.
+    """Subtract the median and divide by the standard deviation (section II-B).
+
+    One standard deviation is used for all axes, so that spheres remain spheres.
 
     Args:
         samples: (n, 3), any unit.
@@ -54,7 +56,7 @@ def standardise(samples: Array) -> Standardised:
 
 
 def monomials(value: Array) -> Array:
-    """(10, n): what multiplies C11, C22, C33, C12, C13, C23, d1, d2, d3 and e in (5), each once, for (3, n)."""
+    """Return the factors (10, n) of C11, C22, C33, C12, C13, C23, d1, d2, d3 and e in (5), for samples (3, n)."""
     x, y, z = value
     result = np.empty((10, value.shape[1]))
     np.multiply(value, value, out=result[:3])
@@ -68,16 +70,16 @@ def monomials(value: Array) -> Array:
 
 
 def quadric(unknowns: Array) -> Quadric:
-    """The quadric of (10,) unknowns, in the order of `monomials`."""
+    """Return the quadric of (10,) unknowns, in the order of `monomials`."""
     shape = np.empty((3, 3))
     shape[_ROWS, _COLUMNS] = shape[_COLUMNS, _ROWS] = unknowns[:6]
     return Quadric(shape, unknowns[6:9], float(unknowns[9]))
 
 
 def sensor_model(fit: Quadric, data: Standardised) -> tuple[Array, Array] | None:
-    """Lines 2 to 4 of Algorithm 1: K (3, 3) upper triangular and b (3,) in the unit of the samples.
+    """Return K (3, 3), upper triangular, and b (3,) in the unit of the samples, by lines 2 to 4 of Algorithm 1.
 
-    None where the quadric is no ellipsoid.
+    The result is None if the quadric is not an ellipsoid.
     """
     eigenvalues = np.linalg.eigvalsh(fit.shape)
     sign = np.sign(eigenvalues[1])
@@ -93,15 +95,13 @@ def sensor_model(fit: Quadric, data: Standardised) -> tuple[Array, Array] | None
 
 
 def fit_ellipsoid(samples: Array) -> tuple[Array, Array] | None:
-    """K and b of the L2 fit to samples (n, 3) of any unit; None where the quadric is no ellipsoid.
+    """Return K and b of the L2 fit to samples (n, 3) of any unit; None if the quadric is not an ellipsoid.
 
-    One outlier can spoil it.
-
-    min Σ g_j² with Frobenius norm 1: the last right singular vector of the (n, 10) design, by QR and the
-    triangle's singular value decomposition.
+    The fit is not robust: one outlier can spoil it. The minimum of Σ g_j² with Frobenius norm 1 is the last right
+    singular vector of the (n, 10) design, computed by QR and the singular value decomposition of the triangle.
     """
     data = standardise(samples)
-    scale = np.array([1, 1, 1, *[np.sqrt(0.5)] * 6, 1])  # off-diagonal unknowns stand twice in the 4×4 matrix
+    scale = np.array([1, 1, 1, *[np.sqrt(0.5)] * 6, 1])  # off-diagonal unknowns occur twice in the 4×4 matrix
     triangle = np.linalg.qr((monomials(data.value) * scale[:, None]).T, mode="r")
     return sensor_model(quadric(np.linalg.svd(triangle)[2][-1] * scale), data)
 
@@ -111,12 +111,12 @@ def algebraic(
     fit: Callable[[Array], tuple[Array, Array] | None],
     covariance: Callable[[Array, Array, Array], Array | None] | None = None,
 ) -> Callable[..., Calibration]:
-    """The entry point of an algebraic method.
+    """Return the entry point of an algebraic method.
 
     Args:
-        method: its name in the registry.
-        fit: samples (n, 3) → K and b, or None where they lie on no ellipsoid.
-        covariance: samples, K and b → (9, 9); None is that of least squares.
+        method: name in the registry.
+        fit: samples (n, 3) → K and b, or None if they do not lie on an ellipsoid.
+        covariance: samples, K and b → (9, 9); None takes that of least squares.
     """
 
     def calibrate(
@@ -133,7 +133,7 @@ def algebraic(
             progress: called with the share done, 0 to 1.
 
         Raises:
-            MagycError: too few samples, no spread in one of the axes, or a fit that is not an ellipsoid.
+            MagycError: too few samples, no spread along an axis, or a fit that is not an ellipsoid.
         """
         samples = normalised_field(recording)
         found = fit(samples.value)

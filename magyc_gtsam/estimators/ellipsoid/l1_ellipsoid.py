@@ -2,7 +2,7 @@
 
     minimise Σ γ_j   subject to   −γ_j ≤ g_j(C, d, e) ≤ γ_j,  trace C = 1,  C ⪰ 0                                  (6)
 
-The paper writes trace C = 1 "for enforcing C ≻ 0", which it does not; the cone is part of the program here.
+The paper uses trace C = 1 "for enforcing C ≻ 0", which it does not enforce; here the cone is part of the program.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from magyc_gtsam.estimators.ellipsoid.m_estimate import distance_jacobian, l1_cu
 from magyc_gtsam.recording import Array
 
 _PASSES = 30
-_SETTLED = 1e-2  # relative change of Σ|g| at which a start is good enough
-_ROUNDED = 1e-2  # |g| below this share of its mean counts as that
+_SETTLED = 1e-2  # relative change of Σ|g| at which a start is accurate enough
+_ROUNDED = 1e-2  # lower bound of |g| in the weights, as a share of its mean
 
 
 def fit_l1_ellipsoid(samples: Array) -> tuple[Array, Array] | None:
-    """K and b of (6) for samples (n, 3) of any unit; None where the best ellipsoid is flat or infinite.
+    """Return K and b of (6) for samples (n, 3) of any unit; None if the best ellipsoid is flat or infinite.
 
-    It bears outliers, but makes no error in tesla small.
+    The fit is robust against outliers, but does not minimise an error in tesla.
     """
     data = standardise(samples)
     return _program(data, monomials(data.value))
 
 
 def _program(data: Standardised, phi: Array) -> tuple[Array, Array] | None:
-    """(6) itself, by Clarabel; the unknowns are (C, d, e) and γ (n,)."""
+    """Solve (6) with Clarabel; the unknowns are (C, d, e) and γ (n,)."""
     n = phi.shape[1]
     minus_one = -sparse.identity(n, format="csc")
     g = sparse.csc_matrix(phi.T)
@@ -49,7 +49,7 @@ def _program(data: Standardised, phi: Array) -> tuple[Array, Array] | None:
         [
             sparse.hstack([fixed, sparse.csc_matrix((fixed.shape[0], n))]),
             sparse.hstack([g, minus_one]),  # g − γ ≤ 0
-            sparse.hstack([-g, minus_one]),  # −g − γ ≤ 0; both together hold γ ≥ 0
+            sparse.hstack([-g, minus_one]),  # −g − γ ≤ 0; both together imply γ ≥ 0
         ],
         format="csc",
     )
@@ -65,10 +65,10 @@ def _program(data: Standardised, phi: Array) -> tuple[Array, Array] | None:
 
 
 def l1_start(data: Standardised) -> tuple[Array, Array] | None:
-    """K and b of (6), to a few percent of its cost, and many times faster than the program.
+    """Return K and b of (6), to a few percent of its cost, many times faster than the semidefinite program.
 
-    Without the cone (6) is a linear L1 fit. Where its minimum is an ellipsoid the cone changes nothing; where
-    it is not, the program ends at the cone's edge, on an ellipsoid without end: None.
+    Without the cone (6) is a linear L1 fit. If its minimum is an ellipsoid, the cone is inactive. Otherwise the
+    program's solution is on the boundary of the cone, an infinite ellipsoid, and the result is None.
     """
     phi = monomials(data.value)
     reduced = phi[[0, 1, 3, 4, 5, 6, 7, 8, 9]]
@@ -81,7 +81,7 @@ def l1_start(data: Standardised) -> tuple[Array, Array] | None:
 
 
 def l1_sphere(data: Standardised) -> tuple[Array, Array] | None:
-    """Likewise with C = I/3: a sphere, which data on one side can stretch less; None without a real radius."""
+    """Return K and b of the L1 sphere, C = I/3, which one-sided data distort less; None without a real radius."""
     linear = np.concatenate([2 * data.value, np.ones((1, data.value.shape[1]))])
     solution = _linear_l1(linear, np.einsum("in,in->n", data.value, data.value))
     if solution is None:
@@ -90,7 +90,7 @@ def l1_sphere(data: Standardised) -> tuple[Array, Array] | None:
 
 
 def _linear_l1(linear: Array, constant: Array) -> Array | None:
-    """min Σ |constant + θ · linear| over θ, by iteratively reweighted least squares; None where singular."""
+    """Return θ that minimises Σ |constant + θ · linear|, by iteratively reweighted least squares; None if singular."""
     weight = np.ones(linear.shape[1])
     before = np.inf
     for _ in range(_PASSES):
@@ -109,7 +109,10 @@ def _linear_l1(linear: Array, constant: Array) -> Array | None:
 
 
 def covariance_of_l1(samples: Array, matrix: Array, offset: Array) -> Array | None:
-    """(9, 9) of vech(√(K Kᵀ)) and b of (6); g is the distance times the slope of ‖K⁻¹(m − b)‖²."""
+    """Return the covariance (9, 9) of vech(√(K Kᵀ)) and b of (6).
+
+    The residual g is the distance times the slope of ‖K⁻¹(m − b)‖².
+    """
     points = closest_points(matrix, offset, samples.T)
     slope = np.linalg.norm(np.linalg.solve(matrix.T, points.direction), axis=0)
     g = slope * points.distance

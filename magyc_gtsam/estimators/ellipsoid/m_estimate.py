@@ -1,4 +1,4 @@
-"""Covariance of robust ellipsoid fits: that of an M-estimate, whatever the distribution of the residuals."""
+"""The covariance of robust ellipsoid fits as M-estimates, for any distribution of the residuals."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from magyc_gtsam.recording import Array
 
 Blocks = NDArray[np.int_]
 
-_SINGULAR = 1e-12  # smallest over largest eigenvalue of the information
-_BLOCK, _LEAST_BLOCKS = 1.0, 60  # s, and how many blocks make a covariance
+_SINGULAR = 1e-12  # ratio of smallest to largest eigenvalue of the information matrix below which it is singular
+_BLOCK, _LEAST_BLOCKS = 1.0, 60  # s, longest block; least number of blocks for a covariance
 
 
 def distance_jacobian(matrix: Array, direction: Array, normal: Array) -> Array:
-    """(9, n): −∂distance/∂(vech √(K Kᵀ), b), from K (3, 3), x̂ and the normals, both (3, n)."""
+    """Return −∂distance/∂(vech √(K Kᵀ), b) (9, n), from K (3, 3), x̂ and the normals, both (3, n)."""
     x, n = np.linalg.solve(symmetric_root(matrix), matrix @ direction), normal
     mixed = [n[0] * x[1] + n[1] * x[0], n[0] * x[2] + n[2] * x[0], n[1] * x[1], n[1] * x[2] + n[2] * x[1]]
     return np.array([n[0] * x[0], *mixed, n[2] * x[2], *n])
 
 
 def l1_curvature(residual: Array, sigma: float) -> Array:
-    """(n,) in place of ρ'' where ρ = σ |r|, which has none: the density of the residuals at zero (Powell 1984)."""
+    """Return a substitute (n,) for ρ'' of ρ = σ |r|, by the density of the residuals at zero (Powell 1984)."""
     band = len(residual) ** -0.2
     return np.asarray((np.abs(residual) < band * sigma) / band)
 
@@ -30,16 +30,16 @@ def l1_curvature(residual: Array, sigma: float) -> Array:
 def m_covariance(
     jacobian: Array, influence: Array, curvature: Array, blocks: Blocks | None = None
 ) -> Array | None:
-    """H⁻¹ (Σ ψ² a aᵀ) H⁻¹ with H = Σ ρ'' a aᵀ (Huber 1981).
+    """Return H⁻¹ (Σ ψ² a aᵀ) H⁻¹ with H = Σ ρ'' a aᵀ (Huber 1981).
 
     Args:
         jacobian: (9, n) a.
         influence, curvature: (n,) ψ = ρ' and ρ''.
-        blocks: (n,) ascending; samples of one block may err together, and are summed before they are squared
-            (Liang and Zeger 1986). None takes all samples as independent.
+        blocks: (n,) ascending block numbers; samples of one block may have correlated errors, and their scores are
+            summed before squaring (Liang and Zeger 1986). None assumes independent samples.
 
     Returns:
-        (9, 9); None where the samples do not determine the parameters.
+        (9, 9); None if the samples do not determine the parameters.
     """
     information = (jacobian * curvature) @ jacobian.T
     eigenvalues = np.linalg.eigvalsh(information)
@@ -55,9 +55,9 @@ def m_covariance(
 
 
 def time_blocks(time: Array) -> Blocks | None:
-    """Blocks for `m_covariance`, because disturbances last; None for too few samples.
+    """Return blocks for `m_covariance`, because disturbances are correlated in time; None for too few samples.
 
-    Blocks of a second, or shorter where the recording would not give enough of them.
+    A block lasts a second, or less if the recording would otherwise have too few blocks.
     """
     if len(time) < 2 * _LEAST_BLOCKS:
         return None

@@ -28,14 +28,14 @@ def calibrate_magical(
     max_iterations: int = 5000,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Calibrate by MAG.I.C.AL.
+    """Calibrate with MAG.I.C.AL.
 
     Args:
         recording: with magnetometer.
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: of the change of T and h from one iteration to the next. The paper stops at a small cost (65),
-            which noise keeps above any threshold that would mean convergence.
-        max_iterations: at most so many iterations.
+        tolerance: on the change of T and h between iterations. The paper stops at a small cost (65), but with noise
+            the cost stays above any threshold that indicates convergence.
+        max_iterations: largest number of iterations.
         progress: called with the share done, 0 to 1.
 
     Raises:
@@ -53,7 +53,7 @@ def calibrate_magical(
 
 
 def magical(y: Array, *, tolerance: float = 1e-9, max_iterations: int = 5000) -> Ellipsoid:
-    """The ellipsoid through samples (n, 3) without units."""
+    """Fit the ellipsoid to samples (n, 3) without units."""
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     Y = y.T
     m = _unit(Y)  # (59)

@@ -1,7 +1,7 @@
-"""What the magnetometer-only methods share: normalised samples in, a `Calibration` out.
+"""Common parts of the magnetometer-only methods: normalisation of samples, and conversion to a `Calibration`.
 
-Each of them fits the ellipsoid y = K m + h, ‖m‖ = 1, to samples without units, and leaves the rest here:
-the rotation of K that no magnetometer can see, the scale, the covariance and the verdict. A method is
+Each method fits the ellipsoid y = K m + h, ‖m‖ = 1, to samples without units. This module removes the rotation of K,
+which no magnetometer can observe, and adds the scale, the covariance and the assessment. A method has the form
 
     samples = normalised_field(recording)
     with fitting("twostep"):
@@ -30,10 +30,10 @@ UNKNOWNS = 9  # six of the ellipsoid's shape, three of its centre
 REMEDY = (
     "turn the sensor about more axes, leave disturbed stretches out (--start, --end), or choose another method"
 )
-_FLATTEST = 1e-3  # thickness of the cloud of samples over its width, below which it is a plane
-_SINGULAR = 1e-12  # smallest over largest eigenvalue of the scaled information
-_MOST_STRETCHED = 3.0  # longest over shortest axis of the ellipsoid
-_MOST_UNEXPLAINED = 0.1  # share of the field strength left unexplained
+_FLATTEST = 1e-3  # ratio of thickness to width of the samples below which they lie in a plane
+_SINGULAR = 1e-12  # ratio of smallest to largest eigenvalue of the scaled information matrix
+_MOST_STRETCHED = 3.0  # largest ratio of longest to shortest axis of the ellipsoid
+_MOST_UNEXPLAINED = 0.1  # largest share of the field strength left unexplained
 
 
 class Normalised(NamedTuple):
@@ -49,15 +49,15 @@ class Ellipsoid:
     """The ellipsoid y = matrix · m + offset, ‖m‖ = 1, that a method fitted to `Normalised.value`.
 
     Attributes:
-        matrix: (3, 3) K, any rotation of m included.
+        matrix: (3, 3) K, up to a rotation of m.
         offset: (3,) h.
-        converged: whether the method's own stopping rule was met.
+        converged: whether the method's stopping rule was met.
         message: why it stopped.
-        covariance: (9, 9) of vech(√(K Kᵀ)) and h, where the method has its own; None lets
-            `to_calibration` take that of the weighted least squares below.
+        covariance: (9, 9) of vech(√(K Kᵀ)) and h, if the method has its own; None lets `to_calibration` compute that
+            of the weighted least squares.
         weights: (n,) in [0, 1], the method's robust weight of each sample; None for 1.
-        radial: what the method squares: ‖m‖ − 1, as most do, or else the distance of y from the ellipsoid.
-        diagnostics: the method's own numbers, JSON types only.
+        radial: whether the residual of the method is ‖m‖ − 1, as in most, or the distance of y from the ellipsoid.
+        diagnostics: values of the method, JSON types only.
     """
 
     matrix: Array
@@ -71,11 +71,11 @@ class Ellipsoid:
 
 
 def normalised_field(recording: Recording) -> Normalised:
-    """The magnetometer's own samples, centred and scaled.
+    """Return the magnetometer's own samples, centred and scaled.
 
-    The review scales its data too (section 10.1.1: "trivial, and common"); y = K m + h holds about any
-    origin, and starts such as m = y / ‖y‖ need one inside the ellipsoid. The centre is the middle of the
-    central 98 % of each axis, which neither time at rest nor single spikes move far.
+    The review scales its data too (section 10.1.1: "trivial, and common"). y = K m + h holds about any origin, and
+    starts such as m = y / ‖y‖ need one inside the ellipsoid. The centre is the midpoint of the central 98 % of each
+    axis, which neither time at rest nor single spikes affect much.
 
     Raises:
         MagycError: too few samples, or all of them in a plane, on a line or at a point.
@@ -102,7 +102,7 @@ def normalised_field(recording: Recording) -> Normalised:
 
 @contextmanager
 def fitting(method: str) -> Iterator[None]:
-    """Says in a MagycError what broke a method's arithmetic: division by zero, overflow, a singular matrix."""
+    """Convert arithmetic failures of a method (division by zero, overflow, a singular matrix) to a MagycError."""
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):
             yield
@@ -111,7 +111,7 @@ def fitting(method: str) -> Iterator[None]:
 
 
 def check_positive(**options: float) -> None:
-    """Options that must be numbers above zero.
+    """Check that options are numbers above zero.
 
     Raises:
         MagycError: one is not.
@@ -123,7 +123,7 @@ def check_positive(**options: float) -> None:
 
 
 def symmetric_root(matrix: Array) -> Array:
-    """A = √(K Kᵀ), symmetric positive definite: K without the rotation or mirror that precedes it."""
+    """Return A = √(K Kᵀ), symmetric positive definite: K without the rotation or reflection on its right."""
     left, stretch, _ = np.linalg.svd(matrix)
     root: Array = (left * stretch) @ left.T
     return root
@@ -137,7 +137,7 @@ def calibrate_by(
     progress: Callable[[float], None] | None,
     **options: float,
 ) -> Calibration:
-    """The calibration of a method that takes all samples at once: `fit(samples (n, 3), **options)`."""
+    """Return the calibration of a method that fits all samples at once: `fit(samples (n, 3), **options)`."""
     samples = normalised_field(recording)
     with fitting(method):
         ellipsoid = fit(samples.value, **options)
@@ -157,21 +157,21 @@ def to_calibration(
     field_strength: float | None = None,
     configuration: Mapping[str, Any] | None = None,
 ) -> Calibration:
-    """The calibration that an ellipsoid stands for, in tesla, with covariance (9, 9) and verdict.
+    """Return the calibration of an ellipsoid, in tesla, with covariance (9, 9) and assessment.
 
     Args:
-        recording, samples: the data, and what `normalised_field` made of them.
+        recording, samples: the data, and the result of `normalised_field`.
         ellipsoid: the method's fit to `samples.value`.
         method: its name in `magyc_gtsam.methods()`.
         field_strength: T; None gives the soft iron determinant 1.
-        configuration: the options that the method ran with.
+        configuration: the options of the method.
 
     Returns:
-        converged is False, with the reasons in `message`, where the method did not converge, the directions
-        do not determine the ellipsoid, it does not fit, or noise biases the method.
+        The calibration; converged is False, with the reasons in `message`, if the method did not converge, the
+        directions do not determine the ellipsoid, it does not fit, or noise biases the method.
 
     Raises:
-        MagycError: the fit is no ellipsoid (infinite, not a number, or flat).
+        MagycError: the fit is not an ellipsoid (infinite, not a number, or flat).
     """
     matrix, offset = np.asarray(ellipsoid.matrix), np.asarray(ellipsoid.offset)
     if not np.isfinite(matrix).all() or not np.isfinite(offset).all() or _flat(matrix):
@@ -212,7 +212,15 @@ def to_calibration(
 
 
 def _misfits(recording: Recording, unit: float, root: Array, sigma: float, off: float) -> list[str]:
-    """Why an ellipsoid of the shape `root` must not be trusted that leaves σ and is off by so much."""
+    """Return the reasons not to trust an ellipsoid.
+
+    Args:
+        recording: determines the unit of the messages.
+        unit: T per unit of the other arguments.
+        root: (3, 3) shape of the ellipsoid.
+        sigma: standard deviation of the residuals.
+        off: distance of the centre from the maximum-likelihood centre.
+    """
     reasons = []
     factor, name = recording.field_shown
     shown = factor * unit
@@ -247,12 +255,12 @@ def _flat(matrix: Array) -> bool:
 def _assessed(
     samples: Array, root: Array, offset: Array, ellipsoid: Ellipsoid
 ) -> tuple[float, Array | None, float]:
-    """The noise of a sample, the covariance (9, 9) of vech(A) and h, and how far h is from the likeliest.
+    """Return the noise of a sample, the covariance (9, 9) of vech(A) and h, and the bias of h.
 
     An estimate that solves Σ w r dr = 0 has the covariance H⁻¹ (Σ w² r² dr drᵀ) H⁻¹ with H = Σ w dr drᵀ (White
-    1980), whatever the distribution of the residuals; r is ‖A⁻¹(y − h)‖ − 1 or the distance from the ellipsoid.
-    None where H is singular. Distances are what is likeliest under equal noise of all axes: one Gauss–Newton step
-    on them measures the bias of a method that makes something else small.
+    1980), for any distribution of the residuals; r is ‖A⁻¹(y − h)‖ − 1 or the distance from the ellipsoid. The
+    covariance is None if H is singular. Least squares of the distances is the maximum likelihood for equal noise on all
+    axes, so one Gauss–Newton step on them measures the bias of a method that minimises another criterion.
     """
     points = closest_points(root, offset, samples.T)
     foot, normal, distance = points.direction.T, points.normal.T, points.distance
@@ -282,7 +290,7 @@ def _assessed(
 
 
 def _information(slope: Array, weight: Array) -> Array | None:
-    """Σ w s sᵀ; None where it is singular but for the units of the parameters."""
+    """Return Σ w s sᵀ; None if it is singular after scaling the parameters."""
     information: Array = (slope * weight[:, None]).T @ slope
     scale = np.sqrt(np.diag(information))
     eigenvalues = np.linalg.eigvalsh(information / np.outer(scale, scale))

@@ -1,7 +1,7 @@
 """`twostep`: Alonso and Shuster, "Complete linear attitude-independent magnetometer calibration", 2002.
 
 Equation numbers are those of section 3 of the review (Papafotis, Nikitas, Sotiriadis, Sensors 2021, 21, 5288).
-The samples enter through sums only, so that the cost of an iteration does not depend on their number.
+The samples enter only through sums, so the cost of an iteration does not depend on their number.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from magyc_gtsam.factors.chain.vech import SYMMETRIC_UNITS, vech
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
-ORDER = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # of a symmetric matrix's elements in (11) and (16)
+ORDER = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # order of a symmetric matrix's elements in (11) and (16)
 UNITS = SYMMETRIC_UNITS[[0, 3, 5, 1, 2, 4]]  # the six symmetric unit matrices in that order
-_ROUNDING = 1e-9  # of the field, the least noise there is
+_ROUNDING = 1e-9  # share of the field, least noise that is assumed
 
 
 def calibrate_twostep(
@@ -38,14 +38,14 @@ def calibrate_twostep(
     max_iterations: int = 100,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Calibrate by TWOSTEP.
+    """Calibrate with TWOSTEP.
 
     Args:
         recording: with magnetometer.
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
         noise: (magnetometer T, not used) per sample; None estimates it from the residuals.
-        tolerance: of η (12), the squared step in units of the estimate's own deviation.
-        max_iterations: of the second step.
+        tolerance: on η (12), the squared step in units of the estimate's standard deviation.
+        max_iterations: largest number of iterations of the second step.
         progress: called with the share done, 0 to 1.
 
     Raises:
@@ -68,9 +68,9 @@ def calibrate_twostep(
 def twostep(
     y: Array, noise: float | None = None, *, tolerance: float = 1e-10, max_iterations: int = 100
 ) -> Ellipsoid:
-    """The ellipsoid through samples (n, 3) without units; `noise` is σ of a sample, None estimates it.
+    """Fit the ellipsoid to samples (n, 3) without units; `noise` is σ of a sample, None estimates it.
 
-    Without σ the first pass takes its limit 0, in which only μ (5a) differs, and its residuals give σ.
+    If σ is unknown, a first pass in the limit σ → 0, which affects only μ (5a), gives σ from its residuals.
     """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     if noise is not None:
@@ -81,11 +81,11 @@ def twostep(
 
 
 def _twostep(y: Array, noise: float, tolerance: float, max_iterations: int) -> tuple[Ellipsoid, float]:
-    """The estimate with the given σ, and the σ of its residuals."""
+    """Return the estimate with the given σ, and the σ of its residuals."""
     z = (y**2).sum(axis=1) - 1  # (4), ‖m‖ = 1
     L = np.hstack([2 * y, -squares(y)])  # (6)
     mu = -3 * noise**2  # (5a)
-    # (5b): (I + D) y − h is the field, of length 1, but for the noise. In the limit σ → 0 any variance will do.
+    # (5b): (I + D) y − h is the field, of length 1 apart from noise. In the limit σ → 0 any variance can be used.
     variance = 4 * noise**2 + 6 * noise**4 if noise else 1.0
 
     # (7), with equal weights
@@ -93,8 +93,8 @@ def _twostep(y: Array, noise: float, tolerance: float, max_iterations: int) -> t
     z_mean, L_mean = z.mean(), L.mean(axis=0)
     z_centred, L_centred = z - z_mean, L - L_mean
     mean_variance = variance / n
-    # (8) for c alone, E = 0: TWOSTEP for the bias. All ‖m_k‖ being equal, z_k + 1 is the sum of the squares in L_k,
-    # so that (8) for c and E has the exact and useless solution c = 0, E = −I.
+    # (8) for c alone with E = 0, as TWOSTEP for the bias. All ‖m_k‖ are equal, so z_k + 1 is the sum of the squares in
+    # L_k, and (8) for c and E has the exact but trivial solution c = 0, E = −I.
     information = L_centred.T @ L_centred / variance
     target = L_centred.T @ z_centred / variance
     centred = np.zeros(9)
@@ -125,7 +125,7 @@ def _twostep(y: Array, noise: float, tolerance: float, max_iterations: int) -> t
         )
     D = (U * (np.sqrt(1 + s) - 1)) @ U.T
     T = np.linalg.inv(np.eye(3) + D)  # (15)
-    # Not (14b): (I + D)⁻¹ c is the bias of Alonso and Shuster's own model y = T (m + h); that of (2) is T times it.
+    # Unlike (14b): (I + D)⁻¹ c is the bias of Alonso and Shuster's model y = T (m + h); that of (2) is T times it.
     h = np.linalg.solve(np.eye(3) + E, c)
     residual = z - L @ theta + c @ h - mu
     ellipsoid = Ellipsoid(
@@ -140,12 +140,12 @@ def _twostep(y: Array, noise: float, tolerance: float, max_iterations: int) -> t
 
 
 def squares(y: Array) -> Array:
-    """(6a): S (n, 6) of y (n, 3), so that yᵀ E y = S · (E11, E22, E33, E12, E13, E23)."""
+    """Return (6a), S (n, 6) of y (n, 3), so that yᵀ E y = S · (E11, E22, E33, E12, E13, E23)."""
     return np.einsum("ni,jik,nk->nj", y, UNITS, y)
 
 
 def _covariance(theta: Array, T: Array, h: Array) -> Array:
-    """Of vech(T) and h (9, 9) from that of θ' = (c, E): T² (I + E) = I and (I + E) h = c."""
+    """Return the covariance (9, 9) of vech(T) and h from that of (c, E), by T² (I + E) = I and (I + E) h = c."""
     squared = T @ T
     t, U = np.linalg.eigh(T)
     dT = -U @ (U.T @ squared @ UNITS @ squared @ U / (t[:, None] + t)) @ U.T  # T dT + dT T = −T² dE T²

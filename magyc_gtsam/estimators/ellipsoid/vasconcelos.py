@@ -21,7 +21,7 @@ from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
-_FREE = 1e-8  # curvature over the largest, below which a direction is the free rotation of T̂
+_FREE = 1e-8  # curvature relative to the largest below which a direction is a free rotation of T̂
 _ROUNDING = 1e-12
 
 
@@ -38,8 +38,8 @@ def calibrate_vasconcelos(
     Args:
         recording: with magnetometer.
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: of the last Newton step's length.
-        max_iterations: at most so many steps.
+        tolerance: on the length of the last Newton step.
+        max_iterations: largest number of steps.
         progress: called with the share done, 0 to 1.
 
     Raises:
@@ -57,11 +57,11 @@ def calibrate_vasconcelos(
 
 
 def vasconcelos(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 100) -> Ellipsoid:
-    """The ellipsoid through samples (n, 3) without units.
+    """Fit the ellipsoid to samples (n, 3) without units.
 
-    All σ_k are equal, so they cancel. Newton's step (35) is taken along the directions that (33) depends on
-    (the three rotations of T̂ leave it alone), downhill where the Hessian is not positive, and halved until
-    the cost falls.
+    All σ_k are equal, so they cancel. Newton's step (35) is restricted to the directions that (33) depends on (it is
+    invariant to the three rotations of T̂), uses the absolute eigenvalues of the Hessian, and is halved until the cost
+    falls.
     """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     T_hat, h = initial_estimate(y)
@@ -90,9 +90,9 @@ def vasconcelos(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 100
 
 
 def initial_estimate(y: Array) -> tuple[Array, Array]:
-    """T̂(0) (3, 3), lower triangular, and h(0) (3,): the algebraic ellipsoid of Foster and Elkaim.
+    """Return T̂(0) (3, 3), lower triangular, and h(0) (3,), the algebraic ellipsoid of Foster and Elkaim.
 
-    (40) to (44) write the factor and the centre of this quadric out, in the review with misprints (tan ρ of (42)
+    The explicit formulas (40) to (44) for factor and centre of this quadric have misprints in the review (tan ρ of (42)
     and β2 of (43) do not reproduce noise-free data), so both are computed from its matrix.
     """
     x1, x2, x3 = y.T
@@ -109,13 +109,13 @@ def initial_estimate(y: Array) -> tuple[Array, Array]:
 
 
 def cost(x: Array, y: Array) -> float:
-    """(33) with σ = 1 at x (12,) = (vec T̂, h)."""
+    """Return (33) with σ = 1 at x (12,) = (vec T̂, h)."""
     T_hat, h = x[:9].reshape(3, 3, order="F"), x[9:]
     return float(np.sum((np.linalg.norm((y - h) @ T_hat.T, axis=1) - 1) ** 2))
 
 
 def derivatives(x: Array, y: Array) -> tuple[Array, Array]:
-    """Gradient (12,) and Hessian (12, 12) of `cost`, appendix A.1."""
+    """Return gradient (12,) and Hessian (12, 12) of `cost`, by appendix A.1."""
     T_hat, h = x[:9].reshape(3, 3, order="F"), x[9:]
     u = y - h
     Tu = u @ T_hat.T

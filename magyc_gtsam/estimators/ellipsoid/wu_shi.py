@@ -1,9 +1,9 @@
 """`wu-shi`: Wu and Shi, "On calibration of three-axis magnetometer", 2015.
 
-Maximum likelihood of the ellipsoid and every field direction at once, on the Lagrangian. Equation numbers are
-those of section 8 and appendix A.2 of the review (Papafotis, Nikitas, Sotiriadis, Sensors 2021, 21, 5288). Its
-Hessian (A5) is an arrow: the 4 × 4 blocks of (m_k, λ_k) meet each other only through T and h, so that they are
-eliminated one by one and an iteration's cost is linear in the samples.
+Joint maximum likelihood of the ellipsoid and all field directions, with Lagrange multipliers. Equation numbers are
+those of section 8 and appendix A.2 of the review (Papafotis, Nikitas, Sotiriadis, Sensors 2021, 21, 5288). The
+Hessian (A5) has arrowhead form: the 4 × 4 blocks of (m_k, λ_k) are coupled only through T and h, so that they are
+eliminated one by one and the cost of an iteration is linear in the number of samples.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from magyc_gtsam.estimators.ellipsoid.magnetometer_only import (
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
-_UPPER = np.array([0, 3, 4, 6, 7, 8])  # of vec(T), column by column: the elements of an upper triangle
+_UPPER = np.array([0, 3, 4, 6, 7, 8])  # indices of the upper triangle in vec(T), column by column
 _ROUNDING = 1e-12
-_BLOCK = 20_000  # samples whose blocks of the Hessian are held at once
+_BLOCK = 20_000  # samples whose blocks of the Hessian are held in memory at once
 
 
 def calibrate_wu_shi(
@@ -41,8 +41,8 @@ def calibrate_wu_shi(
     Args:
         recording: with magnetometer.
         field_strength: T, strength of the true field; sets the scale of the soft iron. None: det = 1.
-        tolerance: of the last step in T and h.
-        max_iterations: at most so many steps.
+        tolerance: on the length of the last step in T and h.
+        max_iterations: largest number of steps.
         progress: called with the share done, 0 to 1.
 
     Raises:
@@ -60,11 +60,11 @@ def calibrate_wu_shi(
 
 
 def wu_shi(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 50) -> Ellipsoid:
-    """The ellipsoid through samples (n, 3) without units.
+    """Fit the ellipsoid to samples (n, 3) without units.
 
-    After each step (54) in T and h the directions and multipliers are set to their own optimum for these, where
-    the review takes their linearised steps; the step is halved until the cost falls. Newton's method alone finds
-    the minimum from near by only.
+    After each step (54) in T and h, the directions and multipliers are set to their optimum for the new T and h,
+    whereas the review takes their linearised steps; the step is halved until the cost falls. Newton's method alone
+    converges only from a start close to the minimum.
     """
     check_positive(tolerance=tolerance, max_iterations=max_iterations)
     T, h = initial_estimate(y)
@@ -91,19 +91,19 @@ def wu_shi(y: Array, *, tolerance: float = 1e-10, max_iterations: int = 50) -> E
 
 
 def _eliminated(y: Array, T: Array, h: Array) -> tuple[Array, Array, float]:
-    """The directions m (n, 3) and multipliers λ (n,) that are stationary in (52) for T and h, and its value."""
+    """Return the directions m (n, 3) and multipliers λ (n,) that make (52) stationary for T and h, and its value."""
     m = closest_points(T, h, y.T).direction.T
     multiplier = np.sum(((y - h - m @ T.T) @ T) * m, axis=1)
     return m, multiplier, lagrangian(y, T, h, m, multiplier)
 
 
 def initial_estimate(y: Array) -> tuple[Array, Array]:
-    """T̂(0) (3, 3), upper triangular, and h(0) (3,), (55) to (57).
+    """Return T̂(0) (3, 3), upper triangular, and h(0) (3,), by (55) to (57).
 
-    (57) prints chol(A) for R⁻¹; A = Rᵀ R with R = chol(A), so T̂ = R⁻¹.
+    (57) has chol(A) in place of R⁻¹, a misprint: A = Rᵀ R with R = chol(A), so T̂ = R⁻¹.
     """
     Y = np.hstack([np.einsum("ni,nj->nij", y, y).reshape(-1, 9), y, np.ones((len(y), 1))])  # (55)
-    # The products of two axes stand twice in Y; the smallest right singular vector must not be their difference.
+    # The products of two axes occur twice in Y; their difference must not be the smallest right singular vector.
     symmetric = np.hstack([Y[:, [0, 4, 8]], 2 * Y[:, [1, 2, 5]], Y[:, 9:]])
     z = np.linalg.svd(symmetric, full_matrices=False)[2][-1]  # (56)
     A = z[[0, 3, 4, 3, 1, 5, 4, 5, 2]].reshape(3, 3)
@@ -117,12 +117,12 @@ def initial_estimate(y: Array) -> tuple[Array, Array]:
 
 
 def lagrangian(y: Array, T: Array, h: Array, m: Array, multiplier: Array) -> float:
-    """(52)."""
+    """Return the Lagrangian (52)."""
     return float(np.sum((y - h - m @ T.T) ** 2) + multiplier @ (np.sum(m**2, axis=1) - 1))
 
 
 def newton_step(y: Array, T: Array, h: Array, m: Array, multiplier: Array) -> tuple[Array, Array]:
-    """Step (54) in T (3, 3) and h (3,): (A4) to (A7) with the blocks of (m_k, λ_k) eliminated."""
+    """Return step (54) in T (3, 3) and h (3,), by (A4) to (A7) with the blocks of (m_k, λ_k) eliminated."""
     schur, gradient = np.zeros((9, 9)), np.zeros(9)
     for first in range(0, len(y), _BLOCK):
         part = slice(first, first + _BLOCK)
@@ -131,7 +131,7 @@ def newton_step(y: Array, T: Array, h: Array, m: Array, multiplier: Array) -> tu
         ):
             total += share
     curvature, axes = np.linalg.eigh(schur)
-    curvature = np.maximum(np.abs(curvature), _ROUNDING * np.abs(curvature).max())  # downhill, come what may
+    curvature = np.maximum(np.abs(curvature), _ROUNDING * np.abs(curvature).max())  # always a descent
     step = -axes @ ((axes.T @ gradient) / curvature)
     dT = np.zeros(9)
     dT[_UPPER] = step[:6]
@@ -139,7 +139,10 @@ def newton_step(y: Array, T: Array, h: Array, m: Array, multiplier: Array) -> tu
 
 
 def _eliminate(y: Array, T: Array, h: Array, m: Array, multiplier: Array) -> tuple[Array, Array]:
-    """What some samples add to the Hessian (9, 9) and the gradient (9,) of T and h, their own unknowns eliminated."""
+    """Return the contribution of some samples to the Hessian (9, 9) and gradient (9,) of T and h.
+
+    The samples' own unknowns are eliminated.
+    """
     n, eye = len(y), np.eye(3)
     residual = y - h - m @ T.T  # u_k − T m_k
     # (A6)
@@ -156,7 +159,7 @@ def _eliminate(y: Array, T: Array, h: Array, m: Array, multiplier: Array) -> tup
     own = np.zeros((n, 4, 4))  # H_mm, H_mλ
     own[:, :3, :3] = 2 * T.T @ T + 2 * multiplier[:, None, None] * eye
     own[:, :3, 3] = own[:, 3, :3] = 2 * m
-    border = np.zeros((n, 9, 4))  # H_Tm, H_hm, and none with λ
+    border = np.zeros((n, 9, 4))  # H_Tm, H_hm; zero for λ
     border[:, :6, :3] = H_Tm[:, _UPPER]
     border[:, 6:, :3] = 2 * T
     shared = np.block([[H_TT, H_Th], [H_Th.T, 2 * n * eye]])
