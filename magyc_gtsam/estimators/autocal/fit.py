@@ -38,7 +38,7 @@ _TRIMS = 3
 _FIRST_DAMPING, _LARGEST_DAMPING = 0.1, 1e6
 _SETTLED = 1e-6  # predicted gain in cost: a step of a thousandth of the parameters' standard deviations
 _ENDLESS = 20.0  # ratio of radius to spread of the samples above which they do not determine the ellipsoid's size
-_STILL = 1e-2  # predicted gain of a step that is too small to change the estimated noise
+_NOISE_UNCHANGED = 1e-2  # predicted gain of a step that is too small to change the estimated noise
 _LEAST_NOISE = 1e-9  # share of the samples' spread, so that noise-free samples are solvable
 _SCALE_SETTLED = 0.02  # relative change of the estimated noise
 _SCALES = 10  # most updates of the estimated noise
@@ -78,7 +78,7 @@ class AutocalFit:
 class _Step(NamedTuple):
     parameters: Array  # k 6, b 3
     points: ClosestPoints
-    promised: float  # gain predicted by the quadratic model, in units of the cost
+    predicted: float  # gain predicted by the quadratic model, in units of the cost
     damping: float
 
 
@@ -136,16 +136,16 @@ def _refine(
         if step is None:
             failure = "no step lowers the cost"
             break
-        parameters, points, promised, damping = step
+        parameters, points, predicted, damping = step
         if np.abs(parameters[:6]).max() > _ENDLESS:
             failure = f"the ellipsoid grew to over {_ENDLESS:.0f} times the spread of the samples"
             break
-        follows = given is None and scales < _SCALES and promised > _STILL
+        follows = given is None and scales < _SCALES and predicted > _NOISE_UNCHANGED
         scale = max(noise_of(points.distance), _LEAST_NOISE) if follows else noise
         if abs(scale / noise - 1) > _SCALE_SETTLED:
             noise = scale
             scales += 1
-        elif promised < _SETTLED:
+        elif predicted < _SETTLED:
             failure = ""
             break
     return fitted(data, parameters, points, kernel_name, noise, tuning, iteration, failure)
@@ -215,11 +215,11 @@ def _step(
         information = (jacobian * (curvature + damping * (weight - curvature))) @ jacobian.T
         _, step, not_positive = dposv(information, gradient)
         if not not_positive:
-            promised = float(step @ gradient) / sigma**2
+            predicted = float(step @ gradient) / sigma**2
             trial = _closest(parameters + step, value, points.multiplier)
             lowered = cost - float(rho.loss(np.abs(trial.distance) / sigma, tuning).sum())
-            if lowered > 0 or promised < _SETTLED:
-                return _Step(parameters + step, trial, promised, 0.1 * damping)
+            if lowered > 0 or predicted < _SETTLED:
+                return _Step(parameters + step, trial, predicted, 0.1 * damping)
         damping = max(10 * damping, 1.0)
     return None
 

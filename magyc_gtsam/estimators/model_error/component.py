@@ -16,7 +16,7 @@ from magyc_gtsam.estimators.model_error.principal import Principal, principal
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts, New
 from magyc_gtsam.factors.chain.rotations import Array
 
-_SAYS = 1.0  # gain in nats below which the columns of a family need no check for noise
+_LEAST_GAIN = 1.0  # gain in nats below which the columns of a family need no check for noise
 # Largest share of the gyroscope's noise in the information of a column: it is at most 0.02 on the four motions of the
 # papers, and 0.03 to 0.6 on vehicles that hardly tilt or turn at 0.03 rad/s, where scores are off by 3 to 17 nats.
 _NOISE_SHARE = 0.03
@@ -109,7 +109,7 @@ def _informative(beside: ColumnProducts, motion: WindowMotion, tested: Tested) -
     are returned unchanged.
     """
     family, more = tested.family, _beside_terms(tested.new)
-    if tested.gain < _SAYS or (more.all() and not (family.from_rate or family.mixed)):
+    if tested.gain < _LEAST_GAIN or (more.all() and not (family.from_rate or family.mixed)):
         return tested
     if more.all() and family.mixed:
         return _without_noisy_mixtures(beside, motion, tested)

@@ -22,10 +22,10 @@ from scipy.linalg import cho_factor, cho_solve
 from magyc_gtsam.estimators.model_error.principal import Principal, principal
 from magyc_gtsam.factors.chain.rotations import Array
 
-_TRIED = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
+_VARIANCE_GRID = np.geomspace(1e-8, 1, 48)  # variances on the search grid, relative to the largest
 _SWEEPS = 3  # most sweeps over the groups
-_STILL = 0.1  # relative change of a variance below which it has converged
-_ASKED = 3.0  # gain in log-likelihood that a group must have beside the others
+_CONVERGED = 0.1  # relative change of a variance below which it has converged
+_LEAST_GAIN = 3.0  # gain in log-likelihood that a group must have beside the others
 
 
 class Likeliest(NamedTuple):
@@ -49,7 +49,7 @@ def likeliest_of_each(
     sizes = [len(group.value) for group in groups]
     value, pull = (np.concatenate(each) for each in ([g.value for g in groups], [g.pull for g in groups]))
     first = np.cumsum([0, *sizes[:-1]])
-    variance = np.array(most)[:, None] * _TRIED
+    variance = np.array(most)[:, None] * _VARIANCE_GRID
     spread = 1 + np.repeat(variance, sizes, axis=0) * value[:, None]  # every axis of every group, (K, variances)
     explained = np.add.reduceat(pull[:, None] ** 2 / spread, first)
     left = np.maximum(square - variance * explained, 1e-9 * square)
@@ -97,10 +97,10 @@ def fit_components(
             found = likeliest(
                 normal[own, own] - known, score[own] - pulled, held.left, freedom, most[i] ** 2 / level
             )
-            variance[i] = found.variance if found.gain > _ASKED else 0.0
+            variance[i] = found.variance if found.gain > _LEAST_GAIN else 0.0
             prior[own] = variance[i]
         second, level, mean = _posterior(normal, score, prior, square, freedom)
-        if np.allclose(before, variance, rtol=_STILL, atol=0.0):
+        if np.allclose(before, variance, rtol=_CONVERGED, atol=0.0):
             break
     return Components(np.sqrt(variance * level), level, second, mean, prior)
 

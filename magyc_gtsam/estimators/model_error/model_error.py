@@ -24,13 +24,13 @@ from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.preparation import Streams
 from magyc_gtsam.factors.chain.rotations import Array
 
-_SIGNIFICANT = (
-    7.0  # gain in log-likelihood from which a family counts; any of 15 reaches it by chance in 1 of 600 logs
-)
+# Gain in log-likelihood from which a family counts; any of 15 reaches it by chance in 1 of 600 logs.
+_SIGNIFICANT = 7.0
 _SUSPECT = 3.0  # gain of any family in the first test from which all other families are tested
 _LEAST_WINDOWS = 30
 _HARD_IRON = slice(6, 9)
-_PROBABLE, _TOLD = 0.8, 1.0  # probability and gain in nats above which an averaged effect is reported as present
+_REPORTED_SHARE = 0.8  # probability above which an averaged effect is reported as present,
+_REPORTED_GAIN = 1.0  # and gain in nats above which it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def _of_windows(fit: Fit, step: float) -> ModelError:
         every += tested(beside, motion, [family for family in families if not family.first])
         found = sorted((each for each in every if each.gain > _SIGNIFICANT), key=lambda each: -each.gain)
     shown = shown_by(beside, motion, found)
-    weighed = not_excluded(beside, motion, every, shown)
-    told = tuple(c for c in weighed if c.share > _PROBABLE and c.gain > _TOLD)
-    covariance = shown.covariance + sum((c.covariance for c in weighed), np.zeros_like(shown.covariance))
-    return ModelError(covariance, shown.components + told, tuple(c for c in weighed if c not in told))
+    averaged = not_excluded(beside, motion, every, shown)
+    reported = tuple(c for c in averaged if c.share > _REPORTED_SHARE and c.gain > _REPORTED_GAIN)
+    covariance = shown.covariance + sum((c.covariance for c in averaged), np.zeros_like(shown.covariance))
+    return ModelError(covariance, shown.components + reported, tuple(c for c in averaged if c not in reported))

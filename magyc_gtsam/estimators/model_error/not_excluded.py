@@ -19,8 +19,8 @@ from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.model_error.shown import Shown
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
 
-_FARTHEST = 50.0  # nats, bound of a log-likelihood ratio
-_LITTLE = 0.03  # upper bound of the posterior odds below which a family is skipped
+_LOG_RATIO_BOUND = 50.0  # nats, bound of a log-likelihood ratio
+_LEAST_ODDS = 0.03  # upper bound of the posterior odds below which a family is skipped
 
 
 def not_excluded(
@@ -36,21 +36,23 @@ def not_excluded(
     for each in every:
         # A bound for the family by itself (beside others its gain may differ): no mean over amplitudes exceeds the
         # maximum of the likelihood.
-        unlikely = each.family.prior * _likelihood(each.gain) < _LITTLE
+        unlikely = each.family.prior * _likelihood(each.gain) < _LEAST_ODDS
         if not unlikely and each.family not in there and each.family.likely(motion) > 0:
             open_ones.append(each)
     largest = [each.family.likely(motion) for each in open_ones]
     if shown.variance.any():
         shown_ones = Held.of(shown.normal, shown.score, shown.variance, beside.square)
         rivals = _rivals(beside, shown)
-        likeliest_ways = [
-            max(_ways(beside, each, shown, shown_ones, rivals, most), key=lambda way: way[0])
+        likeliest_hypotheses = [
+            max(_hypotheses(beside, each, shown, shown_ones, rivals, most), key=lambda hypothesis: hypothesis[0])
             for each, most in zip(open_ones, largest, strict=True)
         ]
     else:
-        likeliest_ways = _alone(beside, open_ones, largest)
+        likeliest_hypotheses = _without_others(beside, open_ones, largest)
     components = []
-    for each, move, (odds, known) in zip(open_ones, moves(beside, motion, open_ones), likeliest_ways, strict=True):
+    for each, move, (odds, known) in zip(
+        open_ones, moves(beside, motion, open_ones), likeliest_hypotheses, strict=True
+    ):
         share = odds / (1 + odds)
         covariance = share * (move @ known.second @ move.T)
         size = each.family.size(known.amplitude, motion)
@@ -59,10 +61,10 @@ def not_excluded(
     return components
 
 
-def _alone(
+def _without_others(
     beside: ColumnProducts, families: Sequence[Tested], largest: Sequence[float]
 ) -> list[tuple[float, Averaged]]:
-    """Return the odds and posterior of each family if no other family is shown; see `_ways`."""
+    """Return the odds and posterior of each family if no other family is shown; see `_hypotheses`."""
     octaves = [each.family.octaves for each in families]
     every = averaged_of_each(
         [each.principal for each in families], beside.square, beside.freedom, largest, octaves
@@ -88,7 +90,7 @@ def _rivals(beside: ColumnProducts, shown: Shown) -> list[tuple[float, Held, flo
     return result
 
 
-def _ways(
+def _hypotheses(
     beside: ColumnProducts,
     each: Tested,
     shown: Shown,
@@ -112,4 +114,4 @@ def _ways(
 
 
 def _likelihood(nats: float) -> float:
-    return exp(min(max(nats, -_FARTHEST), _FARTHEST))
+    return exp(min(max(nats, -_LOG_RATIO_BOUND), _LOG_RATIO_BOUND))

@@ -143,15 +143,15 @@ def _by_delay(motion: WindowMotion) -> float:
 
     A first-order filter with the delay τ has τ²/2, a moving average τ²/6 and a pure delay none; the largest is assumed.
     """
-    return _if_felt(0.5 * max(motion.delay, 0.0) ** 2)
+    return _unless_negligible(0.5 * max(motion.delay, 0.0) ** 2)
 
 
 def _by_lead(motion: WindowMotion) -> float:
     """Return the largest second-order term, in s², of the gyroscope's filter and of the trapezoidal rule (step²/12)."""
-    return _if_felt(max(0.5 * max(-motion.delay, 0.0) ** 2, motion.gyroscope_step**2 / 12))
+    return _unless_negligible(max(0.5 * max(-motion.delay, 0.0) ** 2, motion.gyroscope_step**2 / 12))
 
 
-def _if_felt(amplitude: float) -> float:
+def _unless_negligible(amplitude: float) -> float:
     return amplitude if amplitude > _LEAST_FILTER else 0.0
 
 

@@ -19,7 +19,7 @@ _HARD_IRON = slice(6, 9)
 _BLOCKS = (slice(0, 6), _HARD_IRON, slice(9, 12))
 # Second-order share of a parameter error; the first order missed 0.1 to 0.2 of it on 5 % scale errors, dead zones and
 # cubics.
-_MISSED = 0.15
+_SECOND_ORDER = 0.15
 
 
 class Shown(NamedTuple):
@@ -81,5 +81,5 @@ def _to_second_order(covariance: Array) -> Array:
     result = covariance.copy()
     for rows in _BLOCKS if len(covariance) == PARAMETERS else (*_BLOCKS, SKEW):
         size = float(np.trace(covariance[rows, rows]))
-        result[rows, rows] += _MISSED**2 * size * np.eye(rows.stop - rows.start)
+        result[rows, rows] += _SECOND_ORDER**2 * size * np.eye(rows.stop - rows.start)
     return result

@@ -13,7 +13,7 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.observability import Observability
 
 _MOST = 2.0  # multiple of the observability limits that noise and model error together may reach
-_WORTH_WORDS = 0.5  # model error, as a share of the sigma by the sensors' noise, from which it is mentioned
+_MENTIONED = 0.5  # model error, as a share of the sigma by the sensors' noise, from which it is mentioned
 _NAMED = 2  # most components in a sentence
 _ROWS = {"hard": slice(6, 9), "soft": slice(0, 6), "gyroscope": slice(9, 12)}
 
@@ -52,8 +52,8 @@ def remark(error: ModelError, noise: Array, whole: Array) -> str:
     own, total = (float(np.linalg.eigvalsh(matrix[6:9, 6:9])[-1]) for matrix in (noise, whole))
     rest = np.sqrt(max(total - own, 0.0))
     parts = []
-    if rest > _WORTH_WORDS * np.sqrt(own):
-        place = _said(error.worst(_ROWS["hard"])[0], error)
+    if rest > _MENTIONED * np.sqrt(own):
+        place = _sentence(error.worst(_ROWS["hard"])[0], error)
         parts.append(
             f"hard iron ±{1e6 * np.sqrt(total):.2g} µT: sensor noise {1e6 * np.sqrt(own):.2g} µT, what the model does "
             f"not explain {1e6 * rest:.2g} µT ({place})"
@@ -70,7 +70,7 @@ def variation(error: ModelError) -> str:
     return f"the field of the place varies by {1e6 * size:.2g} µT an axis{within}"
 
 
-def _said(component: Component, error: ModelError) -> str:
+def _sentence(component: Component, error: ModelError) -> str:
     found = component in error.components
     return component.sentence if found else f"it cannot be excluded that {component.sentence}"
 

@@ -24,8 +24,8 @@ from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
 
-_SPEAKS = 6.0  # sigmas of a significant drift; 280 clean logs reach 3.3, the recordings of real instruments 4.8
-_HARMS = 0.5  # sigmas by which a drift may move a parameter
+_SIGNIFICANT = 6.0  # sigmas of a significant drift; 280 clean logs reach 3.3, real instruments 4.8
+_LARGEST_SHIFT = 0.5  # sigmas by which a drift may move a parameter
 _ROUNDS = 6
 _NOISY = (
     1.5  # ratio of the fitted noise to the magnetometer's short-term noise above which the fit is not explained
@@ -55,7 +55,7 @@ class Drift(NamedTuple):
     @property
     def harms(self) -> bool:
         """Whether the calibration without the drift must not be trusted."""
-        return self.moved > _HARMS
+        return self.moved > _LARGEST_SHIFT
 
     @property
     def sentence(self) -> str:
@@ -66,7 +66,7 @@ class Drift(NamedTuple):
         what = f"the magnetometer's {what} on the gyroscope's"
         delay = f"its delay goes from {first} to {last} ms"
         if not self.harms:
-            return f"{what}: {delay}, which moves no parameter by more than {_HARMS:g} sigma"
+            return f"{what}: {delay}, which moves no parameter by more than {_LARGEST_SHIFT:g} sigma"
         taken_out = self.rate + self.known - self.rate * self.known
         remedy = f"correct the stamps, or have them corrected (--option clock_drift={taken_out:.4g})"
         return f"{what}: {remedy}; {delay}, which moves a parameter by {self.moved:.2g} sigma"
@@ -103,7 +103,7 @@ def slowed(time: Array, start: float, drift: float) -> Array:
 
 def speaks(fit: Fit) -> bool:
     """Return whether the score test at a minimum without drift is significant."""
-    return abs(_score(fit).ratio) > _SPEAKS
+    return abs(_score(fit).ratio) > _SIGNIFICANT
 
 
 def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near: float = 0.0) -> Drift | None:
@@ -133,7 +133,7 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
     else:
         return None
     sigma = _score(corrected).sigma
-    if abs(rate) < _SPEAKS * sigma:
+    if abs(rate) < _SIGNIFICANT * sigma:
         return None
     deviation = np.sqrt(np.diag(fit.covariance)[:DELAY] * fit.colour * fit.widening)
     moved = np.abs(corrected.state.parameters[:DELAY] - fit.state.parameters[:DELAY]) / deviation
@@ -166,7 +166,7 @@ def _measure_from_part(recording: Recording, refit: Refit) -> tuple[float, Fit, 
     """
     part = recording.between(*(share * recording.duration for share in _PART))
     rate, fit, _ = _measure(part, *refit(part, None), refit)
-    if abs(rate) < _SPEAKS * _score(fit).sigma:
+    if abs(rate) < _SIGNIFICANT * _score(fit).sigma:
         return rate, fit, lambda: False
     parameters = fit.state.parameters.copy()
     parameters[DELAY] -= rate * (part.time[0] - recording.time[0])

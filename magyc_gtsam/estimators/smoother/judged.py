@@ -101,7 +101,7 @@ def judge(
         replace(observability, heading_sigma=whole.heading_sigma),
         tuple(filter(None, reasons)),
         remark(unexplained, of_sensors, reported),
-        {"model_error": diagnostics(unexplained)} | _said_of(skew, askew),
+        {"model_error": diagnostics(unexplained)} | _skew_diagnostics(skew, askew),
     )
 
 
@@ -119,7 +119,7 @@ def _askew(skew: Skew | None, strength: float, unexplained: Array) -> Askew | No
     return Askew(covariance, cross)
 
 
-def _said_of(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
+def _skew_diagnostics(skew: Skew | None, askew: Askew | None) -> dict[str, Any]:
     """Return the misalignment's entry in the diagnostics, as JSON types."""
     if skew is None or askew is None:
         return {}

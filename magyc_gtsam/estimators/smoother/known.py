@@ -57,7 +57,7 @@ def known_of(options: SmootherOptions) -> Known:
     shape = vech(prior.soft_iron) / scale
     onto = np.eye(9)
     onto[:6, :6] = (np.eye(6) - np.outer(shape, slope)) / scale
-    root = _root(onto @ covariance @ onto.T + _walked(shape, options))
+    root = _root(onto @ covariance @ onto.T + _change_covariance(shape, options))
     facts: list[Fact] = [IronFact(shape, np.array(prior.hard_iron), root)]
     note = ""
     place = options.place
@@ -98,7 +98,7 @@ def _covariance(prior: Calibration, options: SmootherOptions) -> Array:
     return np.zeros((9, 9))
 
 
-def _walked(shape: Array, options: SmootherOptions) -> Array:
+def _change_covariance(shape: Array, options: SmootherOptions) -> Array:
     """Return the covariance (9, 9) of changes since, of the soft iron of determinant 1 and the hard iron."""
     sigma = np.hypot(_FLOOR, np.r_[np.full(6, options.soft_iron_walk), np.full(3, options.hard_iron_walk)])
     _, slope = field_strength(shape)
@@ -151,7 +151,9 @@ def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
         return []
     known, ratio = np.sqrt(np.diag(before)), np.abs(away) / np.sqrt(np.diag(total))
     worst = [int(k) for k in np.argsort(-ratio)[:3] if ratio[k] > 0.5 * ratio.max()]
-    named = "; ".join(f"{_said(k, float(away[k]), float(known[k]))} ({ratio[k]:.1f} sigmas)" for k in worst)
+    named = "; ".join(
+        f"{_difference_text(k, float(away[k]), float(known[k]))} ({ratio[k]:.1f} sigmas)" for k in worst
+    )
     walks = sorted({"soft_iron_walk" if k < 6 else "hard_iron_walk" for k in worst})
     if alone.trusted:
         remedy = "believe the data, which need no prior to be enough: leave it away, or allow for a change"
@@ -162,7 +164,7 @@ def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
     return [f"the data contradict the earlier calibration: {named}; {remedy} ({' and '.join(walks)})"]
 
 
-def _said(k: int, away: float, sigma: float) -> str:
+def _difference_text(k: int, away: float, sigma: float) -> str:
     if k < 6:
         return f"soft iron {_NAMES[k]} by {100 * away:+.2f} %, known to {100 * sigma:.2g} %"
     return f"hard iron {'xyz'[k - 6]} by {1e6 * away:+.2f} µT, known to {1e6 * sigma:.2g} µT"

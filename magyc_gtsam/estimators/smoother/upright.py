@@ -179,7 +179,7 @@ def relinearised(fit: Fit) -> tuple[Fit, bool]:
         if isinstance(fact, UprightFact) and not fact.contradiction:
             now = fact.linearised(fit)
             if not fact.used and now.used:
-                now = _questioned(now, fit)
+                now = _tested(now, fit)
             expected = fact.residual(fit.state.parameters)[0][0]
             settled &= not now.used or (fact.used and abs(now.value - expected) < MODEL.settled)
             fact = now
@@ -190,7 +190,7 @@ def relinearised(fit: Fit) -> tuple[Fit, bool]:
     return replace(fit, chain=chain, reduced=chain.eliminate(fit.state, fit.weights)), settled
 
 
-def _questioned(fact: UprightFact, fit: Fit) -> UprightFact:
+def _tested(fact: UprightFact, fit: Fit) -> UprightFact:
     """Return the fact, marked as contradicted and unused if a fit without it differs by too many sigmas.
 
     A misalignment that is not fitted has the typical prior variance of boards.

@@ -93,7 +93,7 @@ class WhitenedFit:
         return Estimated.of(self.fit, self._residual_scale, self.link_scale, absorb)
 
     def border(self, count: int, window: Array | None, link: Array | None) -> Array:
-        """(k, 2, n) products of the directions' Jacobian with whitened columns."""
+        """Return the products (k, 2, n) of the directions' Jacobian with whitened columns."""
         reduced = self.fit.reduced
         border = np.zeros((count, 2, reduced.basis.shape[2]))
         if window is not None:
