@@ -55,6 +55,28 @@ def test_a_step_is_found_timed_and_estimated(motion, at, step):
     assert (by_noise[0] < by_noise[1]).all()
 
 
+def test_steel_changes_the_soft_iron_with_the_hard_iron():
+    """The hard iron after it is not bent to the soft iron before it, which a step of hard iron alone keeps."""
+    simulation = simulate("wide", duration=400, seed=7001)
+    recording, truth = simulation.recording, simulation.truth
+    steel = np.eye(3) + np.array([[0.02, 0.01, -0.02], [0.01, -0.03, 0.01], [-0.02, 0.01, 0.02]])
+    field = recording.magnetic_field.copy()
+    later = recording.time >= 200
+    expected = truth.hard_iron + np.array([1.0, 2.0, -1.0]) * MICROTESLA
+    field[later] = (field[later] - truth.hard_iron) @ steel.T + expected
+    online = feed(OnlineCalibrator(), replace(recording, magnetic_field=field), step=5.0)
+    assert len(online.changes) == 1
+    assert online.calibration.trusted
+    off = online.calibration.hard_iron - expected
+    assert (np.abs(off) < 3 * online.calibration.sigma["hard_iron"]).all()
+    assert np.linalg.norm(off) < 0.3 * MICROTESLA
+    iron, true = online.calibration.soft_iron, steel @ truth.soft_iron
+    squares = [
+        each @ each.T / np.cbrt(np.linalg.det(each)) ** 2 for each in (iron, true)
+    ]  # as far as it is symmetric
+    assert np.abs(squares[0] - squares[1]).max() < 0.01
+
+
 def test_a_step_that_is_recognised_late_is_timed_all_the_same():
     """For half a minute it may also be the field of another place; meanwhile the tail does not let go of it."""
     random = np.random.default_rng(3092)

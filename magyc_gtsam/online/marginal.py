@@ -51,10 +51,15 @@ class Marginal(NamedTuple):
 
     def forget(self, rows: slice) -> Marginal:
         """Return the marginal after these parameters are marginalised, without any information on them."""
-        return self.widen(rows, np.inf)
+        result = self.widen(rows, np.inf)
+        kept = np.ones(len(self.gradient))
+        kept[rows] = 0.0  # what rounding leaves of it would be knowledge
+        return result._replace(
+            information=result.information * np.outer(kept, kept), gradient=result.gradient * kept
+        )
 
     def widen(self, rows: slice, sigma: float) -> Marginal:
-        """Return the marginal after a random walk of three parameters by `sigma` each."""
+        """Return the marginal after a random walk of parameters by `sigma` each."""
         if sigma == 0.0:
             return self
         information, gain = widened(self.information, rows, sigma)
@@ -62,9 +67,9 @@ class Marginal(NamedTuple):
 
 
 def widened(information: Array, rows: slice, sigma: float) -> tuple[Array, Array]:
-    """Return the information after a random walk of three parameters by `sigma` each, and the gradient's gain.
+    """Return the information after a random walk of parameters by `sigma` each, and the gradient's gain.
 
-    The gain times the gradient of the three parameters is to be subtracted from the gradient.
+    The gain times the gradient of these parameters is to be subtracted from the gradient.
     """
     cross, block = information[:, rows], information[rows, rows]
     # Λ' = Λ − Λ_w (Λ_ww + Q⁻¹)⁻¹ Λ_w, scaled, because fields are of order 1e-6 and rates of 1e-3.

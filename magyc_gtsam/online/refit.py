@@ -20,6 +20,7 @@ from magyc_gtsam.online.all_samples import fit_samples
 from magyc_gtsam.online.belief import Estimate
 from magyc_gtsam.online.random_walk import filter_walk, fit_random_walk
 from magyc_gtsam.online.restart import restart_after_change, restart_at_convergence
+from magyc_gtsam.online.soft_iron_change import SOFT_IRON, soft_iron_changed
 from magyc_gtsam.online.state import SmootherState, continued, observable
 from magyc_gtsam.recording import Array, Recording, Samples
 
@@ -87,6 +88,9 @@ def refit(online: SmootherState) -> None:
         return
     try:
         fit, rival, samples = fit_samples(online, recording, search)
+        if belief.past is not None and soft_iron_changed(fit):
+            belief.past = belief.past.forget(SOFT_IRON)
+            fit, rival, samples = fit_samples(online, recording, search)
     except (
         MagycError
     ) as problem:  # axes that disagree or too little motion: reported, and tried again with more data
