@@ -1,1 +1,1 @@
-"""What is missing in a model, by evidence: the probability of every set of effects."""
+"""The posterior probability of every set of effects, from its evidence."""

@@ -1,4 +1,4 @@
-"""One recording's posterior: the tree of names, effects on the noise beside it, colour beside each of its sets."""
+"""The posterior of one recording: the tree of sets of effects, with effects on the noise and coloured noise."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation
 from magyc_gtsam.recording import Recording
 
 COLOUR = "coloured-noise"
-_ROUNDS = 3  # of taking out what is found on single samples
+_ROUNDS = 3  # of removing effects on single samples
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What one recording says.
+    """The posterior of one recording.
 
     Attributes:
-        recording: without what was found on single samples.
+        recording: without the effects on single samples.
         tree: of the sets.
-        posterior: {(names, something unknown beside): probability}.
+        posterior: {(names, True if an unknown effect is present): probability}.
     """
 
     recording: Recording
@@ -49,7 +49,7 @@ def answer(
     settled: Sequence[NoiseScore] = (),
     fine: Fine | None = None,
 ) -> Answer:
-    """The posterior of one recording, whose base model was fitted; `fine` is beside that, where it is known."""
+    """Return the posterior of a recording from its fitted base model; `fine`: innovations of that model, if known."""
     allowed = tuple(name for name in names if name in TERMS)
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
     given, problem, model = recording, base.twin.problem, base.model
@@ -57,9 +57,9 @@ def answer(
     fine = fine or fine_innovations(given, model)
     coarse = quantisation(given, fine.level)
     stepped = coarse.significant and coarse.name in names
-    if stepped:  # which is seen at once, and passes for a reading that is bent
+    if stepped:  # certain, and it would be taken for a non-linear reading
         said[coarse.name] = PRIOR.certain
-        # Steps wider than the noise hide it between neighbours.
+        # Steps wider than the noise hide it in the differences of successive samples.
         level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.level))
         recording = smoothed(given, model, coarse, fine)
         problem = prepare(recording)
@@ -67,7 +67,7 @@ def answer(
         start = refit(problem, _bare(base.model, level), None)
         tree = Tree(start, allowed, base.model.terms)
         before, model = recording, tree.best.fit.model
-        if stepped and not turn:  # once more, by a better model
+        if stepped and not turn:  # once more, with a better model
             recording = smoothed(given, model, coarse, fine_innovations(given, model))
             problem = prepare(recording)
         fine, found = singles_of(recording, model)
@@ -88,7 +88,7 @@ def answer(
 
 
 def _bare(model: Model, level: SensorNoise) -> Model:
-    """A model without its effects, at the sensors' own noise."""
+    """Return a model without its effects, with the sensors' own noise."""
     free, parameters = model.free.copy(), model.parameters.copy()
     free[DELAY], parameters[DELAY] = False, 0.0
     return Model(parameters, free, level)
@@ -116,9 +116,9 @@ def _posterior(tree: Tree, said: dict[str, float], coloured: bool) -> dict[Set, 
                 models[key, False] = max(
                     models.get((key, False), -np.inf), log + colour.alike + (len(names) + 1) * PRIOR.named
                 )
-    for name, odds in said.items():  # whatever else there is
+    for name, odds in said.items():  # beside every set
         there = {(tuple(sorted((*key, name))), unknown): log + odds for (key, unknown), log in models.items()}
-        if name in ("spikes", "tone") and odds > 0:  # or a part of what is unknown beside
+        if name in ("spikes", "tone") and odds > 0:  # or a part of the unknown effect
             for (key, unknown), log in models.items():
                 if unknown:
                     models[key, unknown] = float(np.logaddexp(log, log + odds + PRIOR.imitated - PRIOR.unknown))

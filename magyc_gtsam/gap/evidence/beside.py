@@ -1,8 +1,8 @@
-"""Beside what a candidate has to explain the data: parameters without a prior, and effects with one, marginalised.
+"""Marginalisation of parameters without a prior and of effects with one, beside which a candidate is tested.
 
-Innovations r (3n,) of variance ρ², columns N with prior variances v (infinite for parameters): to marginalise is to
-weigh with M = (I − Nᵀ H⁻¹ N) / ρ², H = N Nᵀ + ρ² diag(1/v). A column's expected score without any effect (the
-gyroscope's noise in its own regressors) is shared likewise.
+For innovations r (3n,) of variance ρ² and columns N with prior variances v (infinite for parameters), marginalisation
+is weighting with M = (I − Nᵀ H⁻¹ N) / ρ², H = N Nᵀ + ρ² diag(1/v). The score bias of a column (due to the gyroscope's
+noise in its own regressors) is projected in the same way.
 """
 
 from __future__ import annotations
@@ -14,23 +14,29 @@ from scipy.linalg import cholesky, solve_triangular
 
 from magyc_gtsam.factors.chain.rotations import Array
 
-_RIDGE = 1e-10  # of a parameter's information: what the motion does not determine is left to the others
+_RIDGE = 1e-10  # of a parameter's information, added so that undetermined directions have a solution
 
 
 class Seen(NamedTuple):
-    """Of columns: their reach (N, m) into what is marginalised, and their scores (N,) beside it."""
+    """The reach (N, m) of columns into what is marginalised, and their scores (N,) after marginalisation."""
 
     reach: Array
     score: Array
 
 
 class Beside:
-    """The marginalised model: `square` is rᵀ M r, `log_determinant` of I + V N Nᵀ / ρ² beside the parameters."""
+    """The marginalised model.
+
+    Attributes:
+        square: rᵀ M r.
+        log_determinant: of I + V N Nᵀ / ρ², after marginalisation of the parameters.
+        noise: ρ.
+    """
 
     def __init__(
         self, residual: Array, flat: Array, soft: Array, variance: Array, pull: Array, noise: float = 1.0
     ):
-        """Columns without a prior (q, 3n), with one (k, 3n) and its variances (k,), and pull (q + k,) of both."""
+        """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,)."""
         size = np.sqrt(np.einsum("pn,pn->p", flat, flat))
         size = np.where(size > 0, size, 1.0)
         self._rows = np.concatenate([flat / size[:, None], soft * np.sqrt(variance)[:, None]]) / noise
@@ -48,20 +54,20 @@ class Beside:
         self.log_determinant = 2 * float(np.log(np.diag(self._lower))[len(flat) :].sum())
 
     def solution(self) -> tuple[Array, Array]:
-        """Minimum (q + k,) of what is marginalised, in the columns' units, and its covariance."""
+        """Return the minimum (q + k,) of what is marginalised, in the columns' units, and its covariance."""
         scale = np.concatenate([1 / self._size, self._deviation])
         inverse = solve_triangular(self._lower, np.diag(scale), lower=True)
         return -inverse.T @ self._solved, inverse.T @ inverse
 
     def left(self) -> Array:
-        """(3n,) innovations less the mean of what is marginalised, in the noise."""
+        """Return the innovations (3n,) less the mean of what is marginalised, in units of the noise."""
         result: Array = self._residual - self._rows.T @ solve_triangular(
             self._lower, self._solved, lower=True, trans=1
         )
         return result
 
     def see(self, columns: Array, pull: Array) -> Seen:
-        """Of columns (N, 3n) with their own expected scores (N,)."""
+        """Return reach and score of columns (N, 3n) with score bias (N,)."""
         reach = solve_triangular(self._lower, self._rows @ columns.T / self.noise, lower=True).T
         own = columns @ (self._residual / self.noise) - pull / self.noise**2
         return Seen(reach, own - reach @ self._solved)

@@ -1,4 +1,4 @@
-"""What is said by the posterior: the probability of each name, of something unknown, of nothing."""
+"""Marginals of the posterior: the probability of each effect, of an unknown effect, and of none."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ NOTHING, UNKNOWN = "nothing", "unknown"
 
 
 def marginals(posterior: Mapping[Set, float]) -> dict[str, float]:
-    """{name, or `UNKNOWN`, or `NOTHING`: probability}, the likeliest first."""
+    """Return {name, `UNKNOWN` or `NOTHING`: probability}, the most probable first."""
     result = {NOTHING: 0.0, UNKNOWN: 0.0}
     for (names, unknown), probability in posterior.items():
         for name in set(names):
@@ -19,5 +19,5 @@ def marginals(posterior: Mapping[Set, float]) -> dict[str, float]:
             result[UNKNOWN] += probability
         elif not names:
             result[NOTHING] += probability
-    stated = {what: min(probability, 1.0) for what, probability in result.items()}  # sums are rounded
+    stated = {what: min(probability, 1.0) for what, probability in result.items()}  # a sum may exceed 1 by rounding
     return dict(sorted(stated.items(), key=lambda one: -one[1]))

@@ -1,4 +1,4 @@
-"""The evidence of the terms of a model at its minimum: their amplitudes marginalised, each scale averaged over."""
+"""The log evidence of the terms of a model at its minimum: amplitudes marginalised, scales averaged."""
 
 from __future__ import annotations
 
@@ -17,21 +17,29 @@ from magyc_gtsam.gap.evidence.weighing import scales_of
 from magyc_gtsam.gap.model.field_variation import FieldVariation
 from magyc_gtsam.gap.model.refit import Refit
 
-_START, _SWEEPS = 4.0, 2  # of the scales, in which each is averaged over with the others at their likeliest
+_START, _SWEEPS = 4.0, 2  # of the scales: each is averaged with the others at their most probable values
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """The terms of a model: whitened columns (k, 3n) in units of what matters, their pull, and whose each is."""
+    """The terms of a model.
+
+    Attributes:
+        base: (q, 3n) whitened columns of the parameters.
+        columns: (k, 3n) whitened columns of the terms, in units of the smallest effect that matters.
+        pull: (k,) their score bias.
+        of_term: (k,) index of the term of each column.
+        residual: (3n,) innovations of the model without the terms.
+    """
 
     base: Array
     columns: Array
     pull: Array
     of_term: np.ndarray
-    residual: Array  # (3n,) of the model without them
+    residual: Array
 
     def beside(self, variation: FieldVariation | None, scale: Array | None = None) -> Beside:
-        """The parameters and the field's variation marginalised; the terms too, of which scales are given."""
+        """Marginalise the parameters and the field's variation; also the terms, if their scales are given."""
         soft = [self.columns[:0]] if scale is None else [self.columns]
         variance = [np.zeros(0)] if scale is None else [scale[self.of_term] ** 2]
         pull = np.concatenate([np.zeros(len(self.base)), self.pull[: len(soft[0])]])
@@ -71,10 +79,13 @@ class Terms:
 
 
 def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Array, float]:
-    """Nats of the terms beside the rest, their likeliest scales, (t, t) what each explains, and the square left.
+    """Marginalise the terms of a model.
 
-    What two of them explain together is worth as much, as a form of the one, as the other looks like it: (i, j) is that
-    power times the share of the signature of i that j absorbs; (i, i) is what i explains beside all others.
+    Returns:
+        The log evidence of the terms beside the rest, nats; their most probable scales (t,); powers (t, t); and the
+        remaining square. Entry (i, i) is the power that i explains beside all other terms. Entry (i, j) is the power
+        that i and j explain together, times the share of the signature of i that j absorbs: the power of i as a
+        deviation of j from its form.
     """
     count = len(fit.model.terms)
     if not count:

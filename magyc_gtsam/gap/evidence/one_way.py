@@ -1,7 +1,7 @@
-"""Any course in time along one direction that stays: an actuator, a load, what has a channel that nobody logged.
+"""A family of any function of time along one fixed direction, such as an actuator or a load without a logged channel.
 
-The direction is the strongest of a free course beside the model, and pays for its choice: the share of the half
-sphere within which it explains as much.
+The direction is the dominant one of a free function of time. Its choice is penalised by the share of the half sphere in
+which it explains as much.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ONE_WAY = "time:one-way"
 
 
 def one_way(candidates: Candidates, beside: Beside, power: float) -> dict[str, Weighed]:
-    """{`ONE_WAY`: its evidence}; empty where there is no course among the candidates."""
+    """Return {`ONE_WAY`: its evidence}; empty if there is no function of time among the candidates."""
     for batch in candidates.batches:
         for i, name in enumerate(batch.names):
             if name == COURSE and not batch.settings[i]["first"]:
@@ -40,12 +40,12 @@ def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Besi
     amplitude = (vector @ (variance[best] / spread[best] * own)).reshape(-1, 3)
     direction = np.linalg.svd(amplitude, full_matrices=False)[2][0]
     along = np.einsum("kan,a->kn", columns.reshape(-1, 3, columns.shape[1]), direction)
-    walk = along / np.arange(1.0, len(along) + 1)[:, None]  # what is slower is larger
+    walk = along / np.arange(1.0, len(along) + 1)[:, None]  # larger amplitudes of slower functions
     stacked = np.concatenate([along, walk * np.sqrt((along**2).sum() / (walk**2).sum())])
     places = np.arange(len(stacked)).reshape(2, -1)
     own_rows = stacked[places]
     batch = Batch(places, own_rows @ own_rows.swapaxes(1, 2), (ONE_WAY,) * 2, ({}, {}), np.full(2, -np.log(2.0)))
     found = weigh(Candidates(stacked, np.zeros(len(stacked)), (batch,)), beside, explained)[ONE_WAY]
     power = max(float(found.power[int(np.argmax(found.by_scale))]), PRIOR.least_power)
-    cost = float(np.log(power / 2.0))  # of a half sphere 2π, the solid angle 4π / power
+    cost = float(np.log(power / 2.0))  # a solid angle 4π / power of the half sphere 2π
     return replace(found, log=found.log - cost, by_scale=found.by_scale - cost, tied=found.tied - cost)

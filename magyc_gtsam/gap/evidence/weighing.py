@@ -1,8 +1,8 @@
-"""The evidence of every candidate beside a model, with amplitudes marginalised and scales and settings averaged.
+"""The log evidence of every candidate beside a model: amplitudes marginalised, scales and settings averaged.
 
-With G and b the information and the score of a candidate's columns beside the model (`beside`), in units of what
-matters, and G = U diag(λ) Uᵀ, a scale s is worth ½ Σ [ (Uᵀb)² s² / (1 + s² λ) − ln(1 + s² λ) ] nats against nothing.
-The average over settings and scales pays for the search over them.
+With G and b the information and score of a candidate's columns beside the model (`beside`), in units of the smallest
+effect that matters, and G = U diag(λ) Uᵀ, a scale s has ½ Σ [ (Uᵀb)² s² / (1 + s² λ) − ln(1 + s² λ) ] nats relative to
+no effect. The average over settings and scales accounts for the grid search.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from magyc_gtsam.gap.evidence.prior import PRIOR
 
 @dataclass(frozen=True, eq=False)
 class Weighed:
-    """A candidate beside a model.
+    """The evidence of a candidate beside a model.
 
     Attributes:
         name: of the catalogue or of a family.
-        log: nats against nothing, scales and settings averaged.
-        by_scale: (S,) the part of it of each scale, settings averaged: `log` is their logsumexp.
-        power: (S,) squared length of what it would explain, at each scale.
-        setting: the likeliest.
-        search: nats, that the average over settings costs against the likeliest.
-        tied: nats of a power that is expected to be a share of what is named, shares averaged: of a family that has
-            what is named as a part.
-        cell: log prior of the likeliest setting.
+        log: log evidence relative to no effect, nats, averaged over scales and settings.
+        by_scale: (S,) contribution of each scale to it, averaged over settings: `log` is their logsumexp.
+        power: (S,) squared length of the explained part, at each scale.
+        setting: the most probable one.
+        search: nats by which the average over settings is below the most probable one.
+        tied: nats of a family whose power is a share of that of the named effects, averaged over shares: of a cause
+            of which the named effects are a part.
+        cell: log prior of the most probable setting.
     """
 
     name: str
@@ -47,11 +47,11 @@ class Weighed:
     cell: float
 
     def less(self, search: float) -> Weighed:
-        """With a search paid for, by which its columns were chosen."""
+        """Subtract the nats of a grid search that determined its columns."""
         return replace(self, log=self.log - search, by_scale=self.by_scale - search)
 
     def with_cell(self, finer: Weighed) -> Weighed:
-        """With the share of the prior of its likeliest setting spread over finer settings around it."""
+        """Spread the prior share of its most probable setting over finer settings around it."""
         by_scale = np.logaddexp(self.by_scale, finer.by_scale + self.cell)
         log = float(np.logaddexp(self.log, finer.log + self.cell))
         share = np.exp(finer.by_scale + self.cell - np.where(np.isfinite(by_scale), by_scale, 0.0))
@@ -67,7 +67,14 @@ class Weighed:
 
 
 class _Part(NamedTuple):
-    """A candidate at one setting: (S,) nats and powers, nats of shares, its setting and that one's log prior."""
+    """A candidate at one setting.
+
+    Attributes:
+        log, power: (S,) nats and powers.
+        tied: nats averaged over shares.
+        setting: the setting.
+        prior: its log prior.
+    """
 
     log: Array
     power: Array
@@ -77,7 +84,7 @@ class _Part(NamedTuple):
 
 
 def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[str, Weighed]:
-    """Every candidate by its name, beside a model whose names explain a power."""
+    """Return the evidence of every candidate by name, beside a model whose named effects explain a power."""
     if not candidates.batches:
         return {}
     seen = beside.see(candidates.columns, candidates.pull)
@@ -95,7 +102,7 @@ def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[st
 def _by_scale(
     batch: Batch, noise: float, reach: Array, score: Array, explained: float
 ) -> tuple[Array, Array, Array]:
-    """(B, S) nats and powers, and (B,) nats of shares of what is explained."""
+    """Return nats and powers (B, S), and the nats (B,) averaged over shares of the explained power."""
     own = reach[batch.rows]
     value, vector = np.linalg.eigh(batch.gram / noise**2 - own @ own.swapaxes(1, 2))
     value = np.maximum(value, 0.0)[:, None]
@@ -117,7 +124,7 @@ def _by_scale(
 
 
 def scales_of(name: str) -> np.ndarray:
-    """(S,) which scales a name may have, by its data sheets; a family any."""
+    """Return (S,) whether an effect may have a scale, by its data sheets; a family may have any."""
     if name not in TERMS:
         return np.ones(len(PRIOR.scales), dtype=bool)
     return PRIOR.scales <= max(PRIOR.beyond * TERMS[name].prior / TERMS[name].matters, PRIOR.scales[0])
@@ -129,7 +136,7 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
     weight = np.exp(log - np.where(np.isfinite(by_scale), by_scale, 0.0))
     power = (weight * np.array([each.power for each in many])).sum(axis=0)
     of_setting = np.logaddexp.reduce(log, axis=1)
-    # Of a name each setting is as likely as the other, and the likeliest is fitted.
+    # The settings are equally probable; the most probable one given the data is fitted.
     best = int(np.argmax(of_setting))
     scales = float(np.log(len(PRIOR.scales)))
     total = float(np.logaddexp.reduce(by_scale)) - scales
@@ -139,6 +146,6 @@ def _averaged(name: str, many: list[_Part]) -> Weighed:
 
 
 def best_of(weighed: Mapping[str, Weighed], count: int) -> list[Weighed]:
-    """The likeliest names."""
+    """Return the most probable effects of the catalogue."""
     names = [each for each in weighed.values() if each.name in TERMS]
     return sorted(names, key=lambda each: -each.log)[:count]
