@@ -1,7 +1,7 @@
-"""Columns of every hypothesis, whitened once: of names at all their settings, and of families without a name.
+"""Whitened columns of every hypothesis: of the catalogue's effects at all their settings, and of generic families.
 
-A candidate's amplitudes are a ~ N(0, s² D), D what matters of each value (for the deviation of its channel), s a
-scale on a grid of octaves. Columns are kept times √D, so that s is all that is left to vary.
+A candidate's amplitudes are a ~ N(0, s² D), with D the squares of the smallest values that matter (for the deviation of
+its channel), and s a scale on a grid of octaves. Columns are multiplied by √D, so that only s varies.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from magyc_gtsam.gap.model.field_variation import waves
 from magyc_gtsam.gap.model.twin import Columns, Twin, together
 from magyc_gtsam.gap.scores.generic import Family, families
 
-Part = tuple[np.ndarray, str, Setting, float]  # places of columns, whose they are, at which setting, its log prior
+Part = tuple[np.ndarray, str, Setting, float]  # places of columns, name, setting, and its log prior
 Stack = tuple[Array, Array, list[Part]]
 COURSE = "time:sensor"
-_AT_ONCE = 100_000  # numbers worked on at once, so that they stay in the processor's cache
+_AT_ONCE = 100_000  # numbers processed at once, so that they stay in the processor's cache
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Candidates with as many columns: their places (B, k), Gram matrices (B, k, k), names, settings and log priors."""
+    """Candidates with equally many columns: places (B, k), Gram matrices (B, k, k), names, settings and log priors."""
 
     rows: np.ndarray
     gram: Array
@@ -36,14 +36,14 @@ class Batch:
     prior: Array
 
     def only(self, kept: Sequence[int]) -> Batch:
-        """Some of them."""
+        """Return some of the candidates."""
         names, settings = tuple(self.names[i] for i in kept), tuple(self.settings[i] for i in kept)
         return Batch(self.rows[kept], self.gram[kept], names, settings, self.prior[kept])
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Columns (N, 3n) in units of what matters, their expected score (N,) without any effect, and who has which."""
+    """The candidates: columns (N, 3n) in units of what matters, their score bias (N,), and batches that use them."""
 
     columns: Array
     pull: Array
@@ -51,14 +51,14 @@ class Candidates:
 
     @classmethod
     def of(cls, twin: Twin, names: Sequence[str], among: Iterable[Family] | None = None) -> Candidates:
-        """Of names, and of families (None: all that the recording allows)."""
+        """Prepare the effects `names`, and families (None: all that the recording allows)."""
         every = families(twin) if among is None else among
         courses = [_courses(twin)] if among is None else []
         return cls.of_parts(twin, [*_of_names(twin, names), *_of_families(twin, every), *courses])
 
     @classmethod
     def of_parts(cls, twin: Twin, stacks: Sequence[Stack]) -> Candidates:
-        """Of columns that were whitened."""
+        """Build the candidates from whitened columns."""
         groups: dict[int, list[Part]] = {}
         first = 0
         for rows, _, parts in stacks:
@@ -70,7 +70,7 @@ class Candidates:
         return cls(columns, pull, tuple(_batches(columns, groups)))
 
     def only_names(self) -> Candidates:
-        """Without the families."""
+        """Return the candidates without the families."""
         batches = []
         for batch in self.batches:
             kept = [i for i, name in enumerate(batch.names) if name in TERMS]
@@ -79,7 +79,7 @@ class Candidates:
         return Candidates(self.columns, self.pull, tuple(batches))
 
     def of_setting(self, name: str, setting: Setting) -> Array:
-        """(k, 3n) columns of a name at one of its settings."""
+        """Return the columns (k, 3n) of an effect or family at one of its settings."""
         for batch in self.batches:
             for rows, whose, at in zip(batch.rows, batch.names, batch.settings, strict=True):
                 if whose == name and at is setting:
@@ -87,14 +87,14 @@ class Candidates:
         return self.columns[:0]
 
     def changed(self, change: Callable[[Array], Array]) -> Candidates:
-        """With other columns in place of these, row by row."""
+        """Return the candidates with their columns transformed."""
         columns = change(self.columns)
         batches = tuple(replace(batch, gram=_gram(columns, batch.rows)) for batch in self.batches)
         return Candidates(columns, self.pull, batches)
 
 
 def _gram(columns: Array, places: np.ndarray) -> Array:
-    """(B, k, k) of columns (N, 3n) at places (B, k)."""
+    """Return the Gram matrices (B, k, k) of columns (N, 3n) at places (B, k)."""
     count, width = places.shape
     result = np.empty((count, width, width))
     some = max(_AT_ONCE // max(width * columns.shape[1], 1), 1)
@@ -125,10 +125,10 @@ def _of_names(twin: Twin, names: Sequence[str]) -> Iterator[Stack]:
 
 
 def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
-    """The grid that a name is averaged over.
+    """Return the grid over which an effect is averaged.
 
-    A drift is a straight line or the slow part of a random walk. What plates of any matrix have alike in all directions
-    is a delay.
+    A drift is a straight line or the slow part of a random walk. Plates have a matrix without the part that is common
+    to all directions, which is a delay.
     """
     if name != "hard-iron-drift":
         return [{"uneven": 1.0} if setting.get("full") else setting for setting in TERMS[name].settings(twin)]
@@ -137,7 +137,7 @@ def settings_of(twin: Twin, name: str) -> list[dict[str, float]]:
 
 
 def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> Stack:
-    """A name at some settings, each as likely as the other."""
+    """Return the columns of an effect at some settings, which are equally probable."""
     made = [TERMS[name].regressors(twin, setting) for setting in settings]
     ends = np.cumsum([len(part.window) for part in made])
     places = np.split(np.arange(ends[-1]), ends[:-1])
@@ -156,7 +156,7 @@ def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> 
 
 
 def what_matters(twin: Twin, name: str, setting: Setting, count: int) -> Array:
-    """(count,) of each value, SI; of a random walk's k-th mode by 1 / k."""
+    """Return the smallest value that matters for each value (count,), SI; divided by k for mode k of a random walk."""
     term = TERMS[name]
     unit = np.broadcast_to(term.matters / term.deviations(twin, setting), (count,))
     if setting.get("order"):
@@ -185,7 +185,7 @@ def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:
 
 
 def _courses(twin: Twin) -> Stack:
-    """Any course in time of the hard iron, as fast and as slow as that of a field that varies, in the sensor's axes."""
+    """Return functions of time of the hard iron in the sensor's axes, with the spectra of the field variation."""
     profiles, shapes = waves(twin.time)
     rows = twin.whiten(Columns(per_axis(profiles), None)) * PRIOR.profile_field
     columns = np.concatenate([rows * np.repeat(shape, 3)[:, None] for shape in shapes])

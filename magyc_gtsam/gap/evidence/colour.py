@@ -1,7 +1,7 @@
-"""Noise that hangs together, beside a set of names: the likelihood of what the set leaves as an autoregression.
+"""Coloured noise beside a set of effects: the likelihood of the set's residual as an autoregression.
 
-Alike in all directions it is a noise of the sensor, which has a name. Along one direction more than along the others it
-is something that moves, and unknown.
+Colour with the same power in all directions is sensor noise, an effect of the catalogue. Colour with more power along
+one direction is an unknown effect.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from magyc_gtsam.gap.evidence.tree import Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
 
 _ORDERS = (1, 2, 3, 4, 6)
-_TIMES = (0.5, 1.0, 2.0, 4.0)  # windows, about s, in which colour beside white noise decays
-_SHARES = (0.1, 0.2, 0.5, 1.0, 2.0)  # of its power, of the white noise's
+_TIMES = (0.5, 1.0, 2.0, 4.0)  # windows, about s: correlation times of colour on white noise
+_SHARES = (0.1, 0.2, 0.5, 1.0, 2.0)  # power of the colour relative to the white noise
 
 
 class Colour(NamedTuple):
-    """Nats of colour alike in all directions, and of one that is not; its filter A(z), and the sigma that it leaves."""
+    """Coloured noise: nats if equal in all directions, nats otherwise, its filter A(z), and sigma after the filter."""
 
     alike: float
     one_way: float
@@ -37,7 +37,7 @@ class Colour(NamedTuple):
 
 
 def colour_of(innovation: Array) -> Colour:
-    """Of (3n,) innovations, against white noise of the sensors' level (which may be less than thought)."""
+    """Test innovations (3n,) for colour, against white noise of the sensors' level or less."""
     rows = innovation.reshape(3, -1)
     level = np.sqrt(min(float((rows**2).mean()), 1.0))
     rows = rows / level
@@ -49,7 +49,7 @@ def colour_of(innovation: Array) -> Colour:
 
 
 def _autoregression(rows: Array) -> tuple[float, Array, float]:
-    """(nats against white of unit variance by BIC, polynomial, sigma) of (k, n) rows that share one."""
+    """Fit rows (k, n) with a common autoregression; return nats against unit white noise by BIC, polynomial, sigma."""
     k, n = rows.shape
     square = float((rows**2).sum())
     mean = max(square / (k * n), 1.0)
@@ -70,10 +70,10 @@ def _autoregression(rows: Array) -> tuple[float, Array, float]:
 
 
 def _beside_white(rows: Array) -> float:
-    """Nats, against white of unit variance, of (k, n) rows being white with an Ornstein–Uhlenbeck process on top.
+    """Return the nats of rows (k, n) as white noise plus an Ornstein–Uhlenbeck process, against unit white noise.
 
-    By Whittle's likelihood: the cosine transform of either is independent, of the variance of its spectrum. Powers and
-    times are averaged over; their sum is as large as the rows.
+    By Whittle's likelihood: the components of the cosine transform are independent, with the variance of the spectrum.
+    The nats are averaged over powers and times; the level of the sum is fitted to the rows.
     """
     n = rows.shape[1]
     power = (dct(rows, norm="ortho", axis=1) ** 2).mean(axis=0)
@@ -88,7 +88,7 @@ def _beside_white(rows: Array) -> float:
 
 
 def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
-    """{names: their nats beside colour, and the colour}, added one by one as linearised at nothing."""
+    """Return {names: (nats beside colour, colour)}, adding effects one by one, linearised at zero."""
     root = tree.nodes[()]
     innovation, base = root.beside.left(), root.fit.twin.base_columns
     candidates = tree.candidates.only_names()
@@ -119,9 +119,9 @@ def beside_colour(tree: Tree) -> dict[tuple[str, ...], tuple[float, Colour]]:
 
 
 def filtered(rows: Array, colour: Colour) -> Array:
-    """Rows (…, 3n) made white."""
+    """Whiten rows (…, 3n) with the filter of a colour."""
     if not len(rows):
-        return rows  # which scipy does not filter
+        return rows  # scipy does not filter empty arrays
     shape = rows.shape
     n = shape[-1] // 3
     result: Array = lfilter(colour.filter, [1.0], rows.reshape(*shape[:-1], 3, n), axis=-1) / colour.sigma

@@ -19,5 +19,5 @@ def marginals(posterior: Mapping[Set, float]) -> dict[str, float]:
             result[UNKNOWN] += probability
         elif not names:
             result[NOTHING] += probability
-    stated = {what: min(probability, 1.0) for what, probability in result.items()}  # a sum may exceed 1 by rounding
+    stated = {what: min(probability, 1.0) for what, probability in result.items()}  # sums are rounded
     return dict(sorted(stated.items(), key=lambda one: -one[1]))

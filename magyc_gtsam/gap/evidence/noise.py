@@ -1,4 +1,4 @@
-"""Effects on single samples beside a model: what is certain, and the readings without them."""
+"""Effects on single samples beside a model: their log odds, and the readings without them."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.samples.tones import heard, silenced
 from magyc_gtsam.recording import Recording
 
-SINGLE = ("spikes", "tone")  # seen sample by sample; the rest hangs together over windows
+SINGLE = ("spikes", "tone")  # effects on single samples; the others are autocorrelated over windows
 
 
 def log_odds(score: NoiseScore) -> float:
-    """Of an effect on single samples being there, by its gain in likelihood beyond chance."""
-    # Of the p-value of the largest of many lines: −ln(e p ln(1/p)) at most (Sellke, Bayarri and Berger 2001).
+    """Return the log odds of an effect on single samples, from its gain in likelihood beyond chance."""
+    # Bound for the p-value of the largest of many lines: −ln(e p ln(1/p)) (Sellke, Bayarri and Berger 2001).
     of_search = 1 + np.log(max(score.evidence, 1.0)) if score.name == "tone" else 0.0
     gain = score.evidence - of_search
     return float(min(gain + PRIOR.named, 2 * PRIOR.certain)) if score.significant else -PRIOR.certain
 
 
 def singles_of(recording: Recording, model: Model) -> tuple[Fine, dict[str, NoiseScore]]:
-    """Each effect on single samples beside a model, of those that are seen sample by sample."""
+    """Return the tests of the effects on single samples beside a model."""
     fine = fine_innovations(recording, model)
     return fine, {score.name: score for score in single_scores(fine, 0.0)}
 
 
 def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -> Recording:
-    """A recording without an effect on single samples."""
+    """Return the recording without an effect on single samples."""
     if score.name == "tone":
         return silenced(recording, [heard(recording, model, score.setting["frequency"])])
     assert score.rows is not None
@@ -41,5 +41,5 @@ def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -
 
 
 def smoothed(given: Recording, model: Model, score: NoiseScore, fine: Fine) -> Recording:
-    """A recording without the steps of its resolution, as far as a model knows them; `fine` is beside it."""
+    """Return the recording without the mean rounding error of its resolution; `fine`: innovations of the model."""
     return unrounded(given, given, model, float(score.value[0]), fine.level)

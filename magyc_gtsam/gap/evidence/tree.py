@@ -1,9 +1,8 @@
-"""A tree over sets of effects: each set fitted jointly and weighed, the likeliest followed.
+"""A tree of sets of effects: each set is fitted jointly and has its log evidence, and the most probable are extended.
 
-The evidence of a set is that of its linear model at its joint minimum (Laplace): parameters without a prior, and
-amplitudes with theirs, each scale averaged over, beside white noise or beside a field of the place that varies
-(`field_variation`).
-What stands beside a set (further names, families) is weighed there without a fit.
+The evidence of a set is that of its linear model at the joint minimum (Laplace): parameters have no prior; amplitudes
+have one, and are averaged over its scales. The residual is white noise, or white noise with a varying field of the
+place (`field_variation`). Further effects and families are tested beside a set without a fit.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from magyc_gtsam.gap.model.variants import Projector
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
 FIELD_VARIATION = "field-variation"
-_VARIES = float(np.log(COMBINATIONS))  # of which the likeliest is taken
+_VARIES = float(np.log(COMBINATIONS))  # nats for the choice of the most probable combination
 _FINER = 2  # rounds of refining a setting
 
 
@@ -39,18 +38,18 @@ class Node:
     """A set of effects at its joint minimum.
 
     Attributes:
-        names: of the set, in the order of adding.
+        names: of the set, in the order in which they were added.
         fit: of the model with them.
-        variation: of the field, where that is in the set.
-        log: nats of the set with its prior odds, against nothing.
-        search: nats, that the searches over settings cost, in `log`.
-        misfit: mean square of what is left, of its noise.
-        explained: power of all that the set explains.
-        powers: (t, t) of each term of the model, beside the others, and of each as a form of another (`marginal`).
-        beside: the set, beside which everything else is weighed.
-        found: what else explains the data there.
-        refined: names of which the likeliest setting was found on a finer grid.
-        moving: nats of what varies as the field of a place does, but in the sensor's axes: of something unknown.
+        variation: of the field, if it is in the set.
+        log: log evidence of the set with its prior odds, relative to no effect, nats.
+        search: nats by which the grid searches reduce `log`.
+        misfit: mean square of the residual, in its noise.
+        explained: power that the set explains.
+        powers: (t, t) power of each term beside the others, and as a deviation of another one (`marginal`).
+        beside: the marginalised set, beside which candidates are tested.
+        found: the candidates tested beside it.
+        moving: nats of a variation like that of the field, but in the sensor's axes: of an unknown effect.
+        refined: names whose most probable setting was refined on a finer grid.
     """
 
     names: tuple[str, ...]
@@ -68,24 +67,24 @@ class Node:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """The names in their own order."""
+        """Return the names, sorted."""
         return tuple(sorted(self.names))
 
     @cached_property
     def left(self) -> Array:
-        """(3n,) innovations that the parameters and terms leave, whatever the field does."""
+        """Return the innovations (3n,) after the fit of parameters and terms, without the field variation."""
         twin = self.fit.twin
         result: Array = Projector(twin.base_columns, twin.base_pull)(twin.residual().reshape(1, -1))[0]
         return result
 
     @property
     def named(self) -> float:
-        """Power of what its names explain."""
+        """Return the power that its named effects explain."""
         return self.explained - self.of_field if self.names else 0.0
 
     @cached_property
     def of_field(self) -> float:
-        """Power of what a field that varies explains beside the names of a set."""
+        """Return the power that the field variation explains beside the named effects."""
         if self.variation is None:
             return 0.0
         without, rows = float(self.left @ self.left) / self.variation.noise**2, len(self.left)
@@ -93,17 +92,17 @@ class Node:
 
 
 class Tree:
-    """The sets of names of one recording that were fitted."""
+    """The fitted sets of effects of one recording."""
 
     def __init__(self, root: Refit, names: Sequence[str], given: Sequence[Active] = ()) -> None:
-        """Grow it from a model without effects; `given` are those of a calibration, tried whatever they explain."""
+        """Grow the tree from a model without effects; `given` are the terms of a calibration, always fitted as a set."""
         self._problem, self._names = root.twin.problem, tuple(names)
         self.candidates = Candidates.of(root.twin, self._names)
         terms = Terms.of(root)
         plain = terms.beside(None)
         self.square, self.freedom = plain.square, len(terms.residual) - len(terms.base)
         self.nodes: dict[tuple[str, ...], Node] = {}
-        self.refused: set[tuple[str, ...]] = set()  # sets with an impossible value, or without a fit
+        self.refused: set[tuple[str, ...]] = set()  # sets with an impossible value, or without convergence
         first = self._node((), root, None, 0.0)
         self.nodes[first.key] = first
         self._grow([first, *self._given(root, given)])
@@ -112,7 +111,7 @@ class Tree:
 
     @property
     def best(self) -> Node:
-        """The likeliest set."""
+        """Return the most probable set."""
         return max(self.nodes.values(), key=lambda node: node.log)
 
     def _given(self, root: Refit, given: Sequence[Active]) -> Iterator[Node]:
@@ -135,9 +134,9 @@ class Tree:
                 frontier.append(child)
 
     def _exchanged(self) -> bool:
-        """Whether another set is likelier than the best with one of its names for a rival, or for two of them.
+        """Exchange an effect of the best set for one or two of its rivals; return whether a better set was found.
 
-        The strongest single name may be one that holds some of each of two others: a drift of two jumps.
+        The strongest single effect may resemble the sum of two others, as a drift does that of two jumps.
         """
         best = self.best
         for index, term in enumerate(best.fit.model.terms):
@@ -153,7 +152,7 @@ class Tree:
         return self.best is not best
 
     def _deepened(self) -> bool:
-        """Whether the best set is likelier with one more name."""
+        """Add one more effect to the best set; return whether the new set is better."""
         best = self.best
         options = [each for each in best_of(best.found, len(TERMS)) if not self._full(best, each.name)][:1]
         for option in options if len(best.fit.model.terms) < PRIOR.depth else []:
@@ -168,7 +167,7 @@ class Tree:
         return node.names.count(name) >= TERMS[name].most
 
     def _fitted(self, node: Node, option: Weighed) -> Node | None:
-        """A set with one more name, which is kept; None where it has no fit, or there are enough."""
+        """Return a set with one more effect, fitted if necessary; None if it has no fit, or the limit is reached."""
         key = tuple(sorted((*node.names, option.name)))
         full = self._full(node, option.name)
         if key not in self.nodes and not full and len(self.nodes) < PRIOR.most and option.log + PRIOR.named > 0:
@@ -178,7 +177,7 @@ class Tree:
         return self.nodes.get(key)
 
     def less(self, node: Node, index: int) -> Node:
-        """A set without the term `index` of its model, fitted where it was not."""
+        """Return a set without the term `index` of its model, fitted if necessary."""
         names = list(node.names)
         names.remove(node.fit.model.terms[index].name)
         known = self.nodes.get(tuple(sorted(names)))
@@ -190,7 +189,7 @@ class Tree:
         return self._likelier(self._node(tuple(names), fit, variation, node.search))
 
     def _likelier(self, node: Node) -> Node:
-        """Keep a set, if the same names at other settings are not likelier."""
+        """Keep a set, unless the same names with other settings are more probable."""
         known = self.nodes.get(node.key)
         if known is None or known.log < node.log:
             self.nodes[node.key] = node
@@ -258,10 +257,10 @@ class Tree:
         return node
 
     def _finer(self, node: Node, option: Weighed) -> Weighed:
-        """An option with the cell of its likeliest setting integrated on a finer grid, where there is one.
+        """Return a candidate with the cell of its most probable setting averaged over a finer grid, if it has one.
 
-        A jump is known to a fraction of the grid's spacing: between two of its times most of it would be missed. Of
-        something that was attached and taken off one end is refined beside the other.
+        The time of a jump is determined to a fraction of the grid's spacing; between two grid points most of its
+        evidence would be missed. For an object attached and taken off, the two times are refined in turn.
         """
         twin = node.fit.twin
         for _ in range(_FINER):
@@ -280,8 +279,8 @@ class Tree:
         for each in best_of(found, PRIOR.beam):
             found[each.name] = self._finer(node, each)
             node.refined.add(each.name)
-        # A product with another signal may be there beside its name, and in place of one that is likely: at the
-        # setting of that, for which it costs the same search.
+        # A product with another signal may be present beside its effect, and instead of a probable one: it is tested at
+        # the setting of that effect, with the same penalty for the grid search.
         likely = [(each.name, each.setting, each.search) for each in best_of(found, PRIOR.beam) if each.log > 0]
         likely += [(term.name, term.setting, 0.0) for term in node.fit.model.terms]
         products = {f.name: (f, cost) for name, at, cost in likely for f in neighbours(twin, name, at)}
@@ -294,5 +293,5 @@ class Tree:
 
 
 def related(one: str, other: str) -> bool:
-    """Whether the catalogue says that one is confused with the other."""
+    """Return whether one effect is confused with the other according to the catalogue, or is the same."""
     return one == other or other in TERMS[one].rivals or one in TERMS[other].rivals
