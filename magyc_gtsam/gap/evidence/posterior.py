@@ -1,4 +1,4 @@
-"""From a tree of sets to probabilities: of each set, of what is unknown beside it, of each name."""
+"""Posterior probabilities from the evidence of a tree: of each set, with and without an unknown effect."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from magyc_gtsam.gap.model.problem import Active
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.scores.neighbours import product_of
 
-Set = tuple[tuple[str, ...], bool]  # names, and whether something unknown is beside them
+Set = tuple[tuple[str, ...], bool]  # names, and True if an unknown effect is present
 
 
 def weights(tree: Tree) -> dict[Set, float]:
-    """{set: log weight}: each by itself, with its form a little wrong, or beside something unknown."""
+    """Return {set: log weight}: each as it is, with a small deviation from its form, or with an unknown effect."""
     result: dict[Set, float] = {}
     tried = tree.nodes.keys() | tree.refused
 
@@ -42,9 +42,9 @@ def weights(tree: Tree) -> dict[Set, float]:
             add(key, True, node.log + log)
         for less, log in _imitated(tree, node, key):
             add(less, True, node.log + log)
-        for log in node.moving:  # the only one of what is unknown that a field of the place may be mistaken for
+        for log in node.moving:  # the only unknown effect for which a field of the place may be taken
             add(key, True, node.log + PRIOR.unknown + log)
-        for each in node.found.values():  # what was not worth a fit still has its share, as linearised
+        for each in node.found.values():  # sets that were not fitted, in linearised form
             more = tuple(sorted((*node.names, each.name)))
             if each.name in TERMS and each.name not in node.names and more not in tried:
                 seen = each.power > PRIOR.form * node.of_field
@@ -55,7 +55,7 @@ def weights(tree: Tree) -> dict[Set, float]:
 
 
 def _families(tree: Tree, node: Node) -> tuple[float, float]:
-    """Nats of families without a name that are no more than the form of the set, and of those that are more."""
+    """Return the nats of families no larger than the set's deviation from its form, and of larger ones."""
     families = _nameless(node)
     form, foreign = [], []
     for each in families:
@@ -72,7 +72,7 @@ def _families(tree: Tree, node: Node) -> tuple[float, float]:
 
 
 def _products(node: Node) -> Iterator[float]:
-    """Nats of what looks like a name being a product of it with another signal alone, each as likely as the other."""
+    """Yield the nats of products of an effect with another signal in place of the effect; all are equally probable."""
     least = PRIOR.form * node.explained
     for name in {product_of(each) for each in node.found} - {None, *node.names}:
         found = [each for each in node.found.values() if product_of(each.name) == name]
@@ -81,15 +81,15 @@ def _products(node: Node) -> Iterator[float]:
 
 
 def _nameless(node: Node) -> list[Weighed]:
-    """Families, and products of the names of a set."""
+    """Return the families, and the products of the set's effects."""
     return [e for e in node.found.values() if e.name not in TERMS and product_of(e.name) in (None, *node.names)]
 
 
 def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
-    """(what else there is, nats) of each name being a part of something that is in no catalogue.
+    """Yield (the other effects, nats) for each effect of a set being a part of an effect outside the catalogue.
 
-    The rest of it is a family: as large as is seen, where that is more than the form of the name and of the field; or
-    of a power tied to that of what is named, and too small to be seen beside it.
+    The rest of that effect is a family: either large enough to be detected beyond the deviation of the effect and of
+    the field from their forms; or of a power tied to that of the effect, and too small to be detected beside it.
     """
     families = _nameless(node)
     if not families or not key:
@@ -110,7 +110,7 @@ def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tu
 
 
 def _beyond(tree: Tree, node: Node, family: Weighed) -> float:
-    """Log probability that what a family says is more than the form of one more name, of those that it holds."""
+    """Return the log probability that a family exceeds the deviation of an effect that it contains from its form."""
     result = 1.0
     if node.log + family.log < tree.best.log - PRIOR.close:
         return 0.0
@@ -131,12 +131,12 @@ def _beyond(tree: Tree, node: Node, family: Weighed) -> float:
 
 
 def _holds(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
-    """Whether all of the signature of a child's new name, but its form, is a part of what a family can be.
+    """Return whether a family contains the signature of a child's new effect, except for its deviation from its form.
 
-    A family that holds it not is another explanation, with which the name competes.
+    A family that does not contain it is another explanation, with which the effect competes.
     """
     rows = tree.candidates.of_setting(family.name, family.setting)
-    if child.names[-1] == FIELD_VARIATION or not len(rows):  # of which nothing is smaller than the family
+    if child.names[-1] == FIELD_VARIATION or not len(rows):  # no family is smaller than the field variation
         return True
     terms = Terms.of(child.fit)
     own = terms.columns[terms.of_term == len(child.fit.model.terms) - 1]
@@ -150,9 +150,9 @@ def _holds(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
 
 
 def kept(tree: Tree, node: Node) -> list[int]:
-    """Terms of a set, without those that are no more than the form of a related one, or of a field that varies.
+    """Return the terms of a set that exceed the deviation of a related one from its form, and the field variation.
 
-    Of two that are the form of each other the one stays that says more alone.
+    If each of two terms may be the deviation of the other, the one with more evidence remains.
     """
     result: list[int] = []
     terms, powers = node.fit.model.terms, node.powers
@@ -166,7 +166,7 @@ def kept(tree: Tree, node: Node) -> list[int]:
 
 
 def _needed(tree: Tree, node: Node, index: int) -> float:
-    """Nats of a term of a set: against the same set without it, where that was fitted."""
+    """Return the nats of a term relative to the same set without it, if that was fitted; else half its power."""
     less = list(node.names)
     less.remove(node.fit.model.terms[index].name)
     without = tree.nodes.get(tuple(sorted(less)))
@@ -174,7 +174,7 @@ def _needed(tree: Tree, node: Node, index: int) -> float:
 
 
 def _one_passing(one: Active, other: Active) -> bool:
-    """Whether two bumps belong to one object that was passed, whose field turns meanwhile."""
+    """Return whether two bumps belong to one passed object, whose field rotates meanwhile."""
     if one.name != "local-anomaly" or other.name != one.name:
         return False
     widths = one.setting["width"] + other.setting["width"]
@@ -182,14 +182,14 @@ def _one_passing(one: Active, other: Active) -> bool:
 
 
 def key_of(tree: Tree, node: Node) -> tuple[str, ...]:
-    """The names of what is kept, in their own order."""
+    """Return the names of the remaining terms, sorted, with the field variation if it is evident."""
     names = {node.fit.model.terms[index].name for index in kept(tree, node)}
-    varies = node.variation is not None and node.variation.evident  # a name may have left nothing of it
+    varies = node.variation is not None and node.variation.evident  # the effects may explain all of it
     return tuple(sorted(names | ({FIELD_VARIATION} if varies else set())))
 
 
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
-    """Probabilities, a share of which is kept for what this comparison does not hold: something unknown alone."""
+    """Return probabilities, with a share for an unknown effect alone that this comparison does not contain."""
     weighed = _with_one_cause(logs)
     total = logsumexp(list(weighed.values()))
     result = {key: (1 - PRIOR.unforeseen) * float(np.exp(log - total)) for key, log in weighed.items()}
@@ -198,11 +198,11 @@ def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
 
 
 def _with_one_cause(logs: Mapping[Set, float]) -> dict[Set, float]:
-    """Log weights with, beside each set, one cause in no catalogue that looks like any of its names together.
+    """Add, to each set, one cause outside the catalogue that resembles some of its effects together.
 
-    The more names it takes, the likelier this is: each of them pays for its own prior, the one cause once. A field that
-    varies, and what is found on single samples, stay as they are. A part of such a cause is usually seen as something
-    unknown.
+    Such a cause becomes more probable with the number of effects that it replaces: each of them has its own prior, the
+    cause only one. The field variation and effects on single samples are not replaced. Usually a part of such a cause
+    is also detected as an unknown effect.
     """
     more: dict[Set, list[float]] = {key: [log] for key, log in logs.items()}
     for (names, unknown), log in logs.items():

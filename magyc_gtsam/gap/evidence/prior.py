@@ -1,4 +1,4 @@
-"""What is believed before the data, in one place: each constant with its unit and the reason for it."""
+"""The prior in one place: each constant with its unit and the reason for it."""
 
 from __future__ import annotations
 
@@ -19,52 +19,54 @@ def _shares() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """Beliefs, and how far the search follows what is unlikely.
+    """Prior probabilities, and limits of the search.
 
     Attributes:
-        scales: of an effect's values, in units of the smallest that matters, each octave as likely as the other:
-            from what no motion shows to what no sensor has.
-        nothing: odds of a recording to which nothing more happens than to its sensors' noise, against one like any
-            other: three of four have something, however small.
-        named: odds of one more name of the catalogue against stopping: three of four times what is there is one of
-            the catalogue's 22.
-        unknown: odds of something that is in no catalogue against stopping, in all: two of five of what there is. At
-            0.25 one of 19 foreign recordings of edition 36 got a name, at 0.5 and 1 none; of 19 with one effect none
-            lost its name.
-        unforeseen: probability kept, whatever the data, for something that this comparison does not hold: a posterior
-            over sets of hypotheses knows nothing of how often all of them are wrong. Of 52 statements above
-            0.99 without it (editions 53 and 54, 0.999 in the mean) 2 are false, of 78 from 0.95 up before none: 2 of
-            130 (95 %: 0.002 to 0.055; by Laplace's rule 0.023).
-        imitated: odds that what looks like a name is a part of something that is in no catalogue (log score on
-            edition 41: 0.926, 0.927 at 0.15 and 0.929 at 0.2).
-        each_more: log odds that each further name adds to that, for all of them being one cause in no catalogue.
-        all_named: log odds that nothing of such a cause is left to be seen as unknown beside the names that it looks
-            like. A magnet that rolls or is turned looks like three to six names, beside something unknown or not. With
-            both, the truth of what is stated from 0.8 to 0.95 (0.90) is 0.83 in place of 0.70 on 122 recordings of
-            edition 64, and 0.82 for 0.84 on 134 of edition 63 (each kind of recording weighted as in an edition), on
-            which they were chosen, and 0.92 on 103 unseen ones of edition 66. Ten times for each name is as true there,
-            but in real logs with four or five names it takes those that are known to be there down to 0.1.
-        shares: of the power of what is imitated, that the rest of it is expected to have, each as likely as the other.
-        form: share of the power of what is named that its form may miss. No real effect is of its catalogue form to
-            better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
-        profile_field, profile_rate: T and rad/s, what matters of a profile without a name.
-        modes: of a drift, beside a straight line: the slow part of a random walk. With 24 a jump of 6 µT that was put
-            into a walk with a phone was a drift.
-        depth, beam: names in one set, beside a field that varies, and tried beside each.
-        nodes, most: sets that are fitted, and with those in which rivals were exchanged.
-        close: nats behind the best set, from which none is followed.
-        sure: probability, from which something is taken as said.
-        likely: probability from which a name that was not found speaks against the answer.
-        improbable: probability below which a name is not corrected; of 77 right names in 176 recordings none was below.
-        certain: nats for what is seen at once, or not at all.
-        whole: probability that a family is wanted as a whole, not in one of its parts.
-        not_quite: log odds that a form is visibly not quite the catalogue's, while it is by less than `form`.
-        beyond: times the prior's deviation of a name, that no value reaches.
-        misfit: deviations of the mean square of white noise, from which a field that varies is worth a look.
-        least_power: squared sigmas, at least, by which the direction of a course along one axis is known.
-        one_of_families: log number of families, of which colour along one direction is one.
-        hardly_single: log odds, below which an effect on single samples is not said to be possible.
-        hardly_beside, names_beside: nats from which a name is worth a look beside colour, and how many are there.
+        scales: of an effect's values, in units of the smallest that matters; all octaves are equally probable: from
+            undetectable by any motion to larger than in any sensor.
+        nothing: odds of a recording with sensor noise only, against any other: three of four have an effect, however
+            small.
+        named: odds of one more effect of the catalogue against none: three of four effects are among the catalogue's
+            22.
+        unknown: odds of an effect outside the catalogue against none, all together: two of five effects. At 0.25 one
+            of 19 foreign recordings of edition 36 was given a name, at 0.5 and 1 none; of 19 with one effect none lost
+            its name.
+        unforeseen: probability, whatever the data, of an effect that this comparison does not contain: a posterior over
+            hypotheses does not include the case that all of them are wrong. Of 52 statements above 0.99 without it
+            (editions 53 and 54, 0.999 on average) 2 are false, of 78 from 0.95 before none: 2 of 130 (95 %: 0.002 to
+            0.055; by Laplace's rule 0.023).
+        imitated: odds that an apparent effect of the catalogue is a part of an effect outside it (log score on edition
+            41: 0.926, 0.927 at 0.15 and 0.929 at 0.2).
+        each_more: log odds that each further effect adds to that, for all of them having one cause outside the
+            catalogue.
+        all_named: log odds that nothing of such a cause is detected as unknown beside the effects that it resembles. A
+            magnet that rolls or is turned resembles three to six effects, beside an unknown one or not. With both, the
+            truth of statements from 0.8 to 0.95 (0.90) is 0.83 instead of 0.70 on 122 recordings of edition 64, and
+            0.82 instead of 0.84 on 134 of edition 63 (each kind of recording weighted as in an edition), on which they
+            were chosen, and 0.92 on 103 unseen ones of edition 66. Ten times for each effect is as true there, but
+            reduces the probability of known effects to 0.1 in real logs with four or five effects.
+        shares: power of the rest of such a cause relative to the imitated effect, all equally probable.
+        form: share of the power of an effect by which it may deviate from its form. No real effect has its catalogue
+            form to better than a fifth in amplitude (Kennedy and O'Hagan's model discrepancy).
+        profile_field, profile_rate: smallest value of a generic profile that matters, T and rad/s.
+        modes: of a drift, beside a straight line: the slow part of a random walk. With 24 a jump of 6 µT that was added
+            to a walk with a phone was called a drift.
+        depth, beam: largest number of effects in a set, beside a varying field, and candidates that extend each set.
+        nodes, most: largest number of fitted sets, and of these with the sets in which rivals were exchanged.
+        close: nats below the best set beyond which a set is not extended.
+        sure: probability above which a statement is taken as certain.
+        likely: probability above which an effect that was not found contradicts the result.
+        improbable: probability below which an effect is not corrected; of 77 right names in 176 recordings none was
+            below.
+        certain: nats for effects that are detected with certainty or not at all.
+        whole: probability that a family is present as a whole, not in one of its parts.
+        not_quite: log odds that an effect visibly deviates from its form, by less than `form`.
+        beyond: upper limit of an effect's values, in prior standard deviations.
+        misfit: standard deviations of white noise's mean square from which a varying field is tested.
+        least_power: smallest power, in squared sigmas, assumed for the direction of a function of time along one axis.
+        one_of_families: log number of families, one of which is colour along one direction.
+        hardly_single: log odds below which an effect on single samples is left out.
+        hardly_beside, names_beside: nats above which an effect is tested beside colour, and largest number of these.
     """
 
     scales: Array = field(default_factory=_octaves)

@@ -95,7 +95,7 @@ class Tree:
     """The fitted sets of effects of one recording."""
 
     def __init__(self, root: Refit, names: Sequence[str], given: Sequence[Active] = ()) -> None:
-        """Grow the tree from a model without effects; `given` are the terms of a calibration, always fitted as a set."""
+        """Grow the tree from a model without effects; `given` are the terms of a calibration, fitted in any case."""
         self._problem, self._names = root.twin.problem, tuple(names)
         self.candidates = Candidates.of(root.twin, self._names)
         terms = Terms.of(root)
