@@ -51,10 +51,10 @@ def field_jumps(recording: Recording) -> tuple[FieldJump, ...]:
     change, turn = turned[2:] - turned[:-2], still[2:] - still[:-2]
     close = time[2:] - time[:-2] < 3 * _BIN
     change, turn, middle = change[close], turn[close], time[1:-1][close]
-    if not len(middle):  # sampled too slowly to see one
+    if not len(middle):  # the sampling rate is too low to detect jumps
         return ()
     left = _unexplained(middle, change, turn)
-    spread = float(np.median(left)) / 1.538  # of |x| for three normal components of unit variance
+    spread = float(np.median(left)) / 1.538  # the median of |x| for three normal components of unit variance
     limit = max(_LEAST * float(np.median(np.linalg.norm(samples.field, axis=1))), _OUTSTANDING * spread)
     over = np.flatnonzero(left > limit)
     if not len(over):

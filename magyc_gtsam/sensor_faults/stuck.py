@@ -17,9 +17,7 @@ import numpy as np
 from magyc_gtsam.recording import Array, Samples
 from magyc_gtsam.sensor_faults.noise import white_noise
 
-LEAST_SAMPLES = (
-    100  # consecutive samples; with noise of half a step a working axis repeats this often once in 10¹⁵
-)
+LEAST_SAMPLES = 100  # consecutive; with noise of half a step a working axis repeats this often once in 10¹⁵
 LEAST_DURATION = 2.0  # s
 _SUSPECT = 6  # consecutive equal values from which samples are held back
 _LONGEST = 30.0  # s, longest time that a gyroscope stuck on all axes is held back while the field does not turn

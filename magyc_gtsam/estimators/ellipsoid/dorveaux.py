@@ -28,7 +28,7 @@ def calibrate_dorveaux(
     max_iterations: int = 2000,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Calibrate by iterated linear least squares onto the sphere.
+    """Calibrate by iterated linear least squares that maps the samples onto the unit sphere.
 
     Args:
         recording: with magnetometer.

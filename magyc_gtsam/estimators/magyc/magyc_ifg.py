@@ -38,7 +38,7 @@ def calibrate_magyc_ifg(
 ) -> Calibration:
     """Calibrate with MAGYC-IFG.
 
-    No covariance is reported; see `magyc_state.calibration_of`.
+    No covariance is reported; see `state.calibration_of`.
 
     Args:
         recording: with a gyroscope.

@@ -27,9 +27,7 @@ from magyc_gtsam.recording import Array, Recording
 _SIGNIFICANT = 6.0  # sigmas of a significant drift; 280 clean logs reach 3.3, real instruments 4.8
 _LARGEST_SHIFT = 0.5  # sigmas by which a drift may move a parameter
 _ROUNDS = 6
-_NOISY = (
-    1.5  # ratio of the fitted noise to the magnetometer's short-term noise above which the fit is not explained
-)
+_NOISY = 1.5  # ratio of fitted to short-term noise of the magnetometer above which the fit is not explained
 _PART = (0.4, 0.6)  # shares of the duration between which a drift is estimated if the whole recording has no fit
 
 Judge = Callable[[], bool]

@@ -69,7 +69,7 @@ class Fit(Minimum):
 
     @cached_property
     def covariance(self) -> Array:
-        """(p, p) inverse of the information matrix; zeros for fixed parameters, very large where it is singular."""
+        """(p, p) inverse information matrix; zeros for fixed parameters, very large or infinite where it is singular."""
         return inverse_information(self.reduced.information, self.free)
 
     @property
@@ -93,7 +93,7 @@ class Fit(Minimum):
 
 
 def inverse_information(information: Array, free: np.ndarray) -> Array:
-    """Return the (p, p) covariance; zeros for fixed parameters, very large where the information is singular."""
+    """Return the covariance (p, p); zeros for fixed parameters, very large or infinite where it is undetermined."""
     result = np.zeros(information.shape)
     kept = np.ix_(free, free)
     information = information[kept]

@@ -26,7 +26,7 @@ from magyc_gtsam.factors.chain.rotations import cross
 from magyc_gtsam.factors.effects.term import Term
 from magyc_gtsam.recording import Array, Recording
 
-SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # the elements of the term `gyro-scale` that are estimated
+SCALED_AXES = {"x": 1.0, "y": 1.0, "z": 1.0}  # estimated elements of the term `gyro-scale`
 _FAMILIES = ("gyroscope:scale", "gyroscope:scales")
 _ROUNDS = 6
 _SETTLED = 0.01  # squared length of a step in sigmas

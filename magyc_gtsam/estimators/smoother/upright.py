@@ -129,7 +129,7 @@ class UprightFact(ABC):
         return bool(self.slope.any())
 
     def residual(self, parameters: Array) -> tuple[Array, Array]:
-        """See `Fact`."""
+        """Return residual and Jacobian; see `Fact`."""
         away = with_angles(parameters) - self.at
         return np.array([self.value + self.slope @ away]), self.slope[None, : len(parameters)]
 
