@@ -69,7 +69,7 @@ class Fit(Minimum):
 
     @cached_property
     def covariance(self) -> Array:
-        """(p, p) inverse information matrix; zeros for fixed parameters, very large or infinite where it is singular."""
+        """(p, p) inverse information; zeros for fixed parameters, very large or infinite where it is singular."""
         return inverse_information(self.reduced.information, self.free)
 
     @property
