@@ -1,15 +1,15 @@
 """GTSAM factors for magnetometer and gyroscope calibration, and their numeric core.
 
-`chain/` and `effects/` need numpy and scipy only; of the other modules most build GTSAM factors. Names are imported at
+`chain/` and `effects/` need only numpy and scipy; most of the other modules build GTSAM factors. Names are imported at
 first use, so that the core works where GTSAM has no wheels.
 
-Every factor takes its keys as arguments of their own, before the data, in one order, named for what they hold:
+Every factor takes its keys as separate arguments, before the data, in one order, named after their variables:
 
     attitude_key (or …direction_key), soft_iron_key, hard_iron_key, gyro_bias_key, value_key
 
-and by name where a key is optional: gyro_bias_key, field_key, mounting_key, delay_key; what has no key is held. The
-same order is that of `factor.keys()`. An attitude is a `Pose3`, `Rot3`, `NavState`, `Pose2` or `Rot2`, a gyroscope bias
-a 3-vector, `Point3` or `imuBias.ConstantBias`; `variables.py` has the list.
+and by name where a key is optional: gyro_bias_key, field_key, mounting_key, delay_key; a quantity without a key is
+held. `factor.keys()` has the same order. An attitude is a `Pose3`, `Rot3`, `NavState`, `Pose2` or `Rot2`, a gyroscope
+bias a 3-vector, `Point3` or `imuBias.ConstantBias`; `variables.py` lists the accepted types.
 """
 
 from __future__ import annotations

@@ -20,11 +20,11 @@ _HOLDING = (gtsam.PriorFactorRot3, gtsam.PriorFactorDouble)
 # Fraction of the tolerance that applies at the first check of a quadratic, when renewing it costs least. With 1
 # instead, the checks on 25 blocks of `benchmarks/slam.py cost --motion wide` need 62 linearisations; with 0.1 they
 # need 36.
-_AT_FIRST = 0.1
+_FIRST_CHECK = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class _Place:
+class _CheckedPoint:
     """The point at which a quadratic was linearised or last found fresh.
 
     Attributes:
@@ -53,7 +53,7 @@ class _Place:
 
 
 @dataclass(frozen=True, eq=False)
-class _Beside:
+class _MountingPart:
     """The Jacobian M of a held mounting in a linearisation [J M −r].
 
     Attributes:
@@ -91,8 +91,8 @@ class Delivered:
     details: BlockDetails | None
     native: gtsam.NonlinearFactor
     slot: int = -1
-    place: _Place | None = None  # where it was made, or looked at last
-    beside: _Beside | None = None  # part of the held mounting in `native`
+    place: _CheckedPoint | None = None  # where it was linearised or last checked
+    beside: _MountingPart | None = None  # part of the held mounting in `native`
     looked_at: bool = False  # whether it has been checked since it entered
 
     @property
@@ -108,19 +108,21 @@ class Delivered:
         """Linearise the factor at the present estimate."""
         point = view.values(self.factor.keys())
         self._make(self.factor.linearize(point), point)
-        self.place = _place_of(self.details, point)
+        self.place = _checked_point(self.details, point)
 
     def _make(self, linear: gtsam.GaussianFactor, point: gtsam.Values) -> None:
         self.native = gtsam.LinearContainerFactor(_square_root(linear), point)
-        self.beside = None if self.details is None else _beside(linear, point, self.details)
+        self.beside = None if self.details is None else _mounting_part(linear, point, self.details)
 
     def products(self, point: gtsam.Values) -> tuple[Array, Array | None]:
-        """Products of the columns of [J −r] of the native factor, and of [J M −r] where the mounting M is held."""
+        """Return the products of the columns of [J −r] of the native factor, and of [J M −r] where a mounting is
+        held.
+        """
         linear = self.native.linearize(point)
         plain: Array = linear.augmentedInformation()
         if self.details is None:
             return plain, None
-        beside = _beside(linear, point, self.details) if self.native is self.factor else self.beside
+        beside = _mounting_part(linear, point, self.details) if self.native is self.factor else self.beside
         return plain, None if beside is None else beside.joined(plain, self.factor.keys(), point)
 
     def renew(self, view: View, tolerance: float) -> float:
@@ -134,7 +136,7 @@ class Delivered:
         point = view.values(self.factor.keys())
         place, details = self.place, self.details
         if not self.looked_at:
-            self.looked_at, tolerance = True, _AT_FIRST * tolerance
+            self.looked_at, tolerance = True, _FIRST_CHECK * tolerance
         angle = iron = 0.0
         if place is not None and details is not None and details.width == 1.0:
             # The residual is linear in soft iron, in attitude (to first order) and in bias, each by itself. The error
@@ -148,8 +150,8 @@ class Delivered:
             if shift < tolerance:
                 return shift
         exact = self.factor.linearize(point)
-        shift = _shift(exact, self.native.linearize(point))
-        self.place = _place_of(details, point)
+        shift = _staleness(exact, self.native.linearize(point))
+        self.place = _checked_point(details, point)
         if shift > tolerance:
             self._make(exact, point)
         elif place is not None and self.place is not None:
@@ -161,7 +163,7 @@ class Delivered:
         keys = self.factor.keys()
         point, before = view.values(keys), view.linearized(keys)
         stale = gtsam.LinearContainerFactor(self.factor.linearize(before), before)
-        return _shift(self.factor.linearize(point), stale.linearize(point))
+        return _staleness(self.factor.linearize(point), stale.linearize(point))
 
 
 def native_factor(factor: gtsam.NonlinearFactor, point: gtsam.Values) -> gtsam.LinearContainerFactor:
@@ -210,14 +212,14 @@ def sorted_factors(graph: gtsam.NonlinearFactorGraph) -> Sorted:
     return Sorted(others, fresh, holding)
 
 
-def _place_of(details: BlockDetails | None, point: gtsam.Values) -> _Place | None:
+def _checked_point(details: BlockDetails | None, point: gtsam.Values) -> _CheckedPoint | None:
     """Return attitude, soft iron and bias of a block, or None where its residual depends on more than these and hard
     iron.
     """
     if details is None or details.field is None or details.on_direction or details.more_keys:
         return None
     attitude, soft_iron = rotation_of(point, details.attitude_key), point.atVector(details.soft_iron_key)
-    return _Place(attitude, soft_iron, _bias_of(point, details))
+    return _CheckedPoint(attitude, soft_iron, _bias_of(point, details))
 
 
 def _bias_of(point: gtsam.Values, details: BlockDetails) -> Array:
@@ -237,16 +239,20 @@ def _square_root(linear: gtsam.GaussianFactor) -> gtsam.JacobianFactor:
     return gtsam.JacobianFactor(gtsam.HessianFactor(linear))
 
 
-def _beside(linear: gtsam.GaussianFactor, point: gtsam.Values, details: BlockDetails) -> _Beside | None:
+def _mounting_part(
+    linear: gtsam.GaussianFactor, point: gtsam.Values, details: BlockDetails
+) -> _MountingPart | None:
     """Return the mounting's part of a block that has just been linearised; None where no mounting is held."""
     turned = details.on_mounting
     if turned is None:
         return None
     jacobian, right = linear.jacobian()
-    return _Beside(point.extract(list(linear.keys())), jacobian.T @ turned, turned.T @ turned, turned.T @ right)
+    return _MountingPart(
+        point.extract(list(linear.keys())), jacobian.T @ turned, turned.T @ turned, turned.T @ right
+    )
 
 
-def _shift(exact: gtsam.GaussianFactor, stale: gtsam.GaussianFactor) -> float:
+def _staleness(exact: gtsam.GaussianFactor, stale: gtsam.GaussianFactor) -> float:
     """Return the largest difference of two gradients, in standard deviations of a variable given the factor alone."""
     first, second = exact.augmentedInformation(), stale.augmentedInformation()
     information: Array = np.diag(first)[:-1]

@@ -14,7 +14,7 @@ from magyc_gtsam.factors.keyframe_factor import BlockDetails
 from magyc_gtsam.factors.solver import View
 from magyc_gtsam.factors.variables import Array
 
-_VAGUE = np.diag(
+_WEAK_PRIOR = np.diag(
     np.r_[np.full(6, 1 / 0.5**2), np.full(3, 1.0)]
 )  # information on soft iron and on hard iron, the latter relative to the field
 _NO_IRON = np.r_[1.0, 0, 0, 1, 0, 1, 0, 0, 0]
@@ -69,7 +69,7 @@ class Entrance:
         alignment = self._alignment
         blocks = [each for each in fresh if each.is_block] if fresh else fresh
         if alignment is None or not blocks:
-            return self._let(fresh, blocks)
+            return self._as_before(fresh, blocks)
         for each in blocks:
             assert each.details is not None
             alignment.add(each.details)
@@ -108,9 +108,9 @@ class Entrance:
             self.entered = True
             entering, self.waiting = self.waiting + fresh, []
             return Admission(entering)
-        return self._let(fresh, blocks)
+        return self._as_before(fresh, blocks)
 
-    def _let(self, fresh: list[Delivered], blocks: list[Delivered]) -> Admission:
+    def _as_before(self, fresh: list[Delivered], blocks: list[Delivered]) -> Admission:
         """Admit the fresh factors where blocks have entered before; otherwise keep their blocks waiting."""
         if self.entered:
             return Admission(fresh)
@@ -210,7 +210,7 @@ def _calibration_before(
     keys = [details.soft_iron_key, details.hard_iron_key]
     strength = 50e-6 if details.field is None else float(np.linalg.norm(details.field))
     unit = np.r_[np.ones(6), np.full(3, details.field_unit / strength)]
-    information = 1e-3 * _VAGUE * unit * unit[:, None]
+    information = 1e-3 * _WEAK_PRIOR * unit * unit[:, None]
     right = information @ _NO_IRON
     point = view.values(keys)
     start = np.r_[point.atVector(keys[0]), point.atPoint3(keys[1])]

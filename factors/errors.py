@@ -2,4 +2,4 @@
 
 
 class MagycError(ValueError):
-    """Wrong input or arguments. The message says what, where, the limit, and the remedy."""
+    """Wrong input or arguments. The message states the problem, its place, the limit, and the remedy."""

@@ -40,7 +40,7 @@ class Examiner:
         self.mounting = HeldMounting(self.mounting.limits)
 
     def note_priors(self, holding: list[gtsam.NonlinearFactor]) -> None:
-        """Remember the priors that may hold a mounting or a delay."""
+        """Store the priors that may hold a mounting or a delay."""
         for factor in holding:
             self._held[factor.keys()[0]] = factor
 

@@ -8,7 +8,7 @@ present estimate differs from the factor's own by more than `tolerance` standard
     native = NativeFactors()
     graph.push_back(keyframe_field_factor(...))
     native.update(isam, graph, values)               # instead of isam.update(graph, values)
-    native.health                                    # consistent, suspect or inconsistent, and by what
+    native.health                                    # consistent, suspect or inconsistent, with the cause
 
 A batch: `graph, values = native.solve(graph, values)`.
 """
@@ -47,8 +47,8 @@ class NativeFactors:
         growth: factor of the number of factors between two checks of all of them.
         recent: number of latest blocks that are checked at each update with a new block, and at every update until
             they are settled.
-        quadratic: False keeps the Python factors as they are, for graphs that stay small; alignment and health are
-            the same.
+        quadratic: False keeps the Python factors as they are, for graphs that stay small; alignment and health do not
+            change.
         alignment: limits of the coarse alignment; None lets every block enter at once.
         health: limits of the health; None computes no NIS. Blocks of a disturbance that has ended leave the graph.
 

@@ -184,7 +184,7 @@ def scaled_magnetometer_factor(
     body_R_sensor: gtsam.Rot3 | None = None,
     field_unit: float = MICROTESLA,
 ) -> gtsam.CustomFactor:
-    """GTSAM's `MagFactor3`, m = s ᵇRₛᵀ Rᵀ d + h: known attitude; unknown scale, direction and bias.
+    """Return GTSAM's `MagFactor3`, m = s ᵇRₛᵀ Rᵀ d + h: known attitude; unknown scale, direction and bias.
 
     Args:
         direction_key: d, `Unit3`, world frame.

@@ -38,7 +38,7 @@ def first_of(sentences: Collection[str], what: str) -> tuple[str, ...]:
 
     Args:
         sentences: all of them.
-        what: what they are, in the plural: "and 3 more `what`".
+        what: their name in the plural, as in "and 3 more `what`".
     """
     shown = tuple(shortened(sentence, _LONGEST_SENTENCE) for sentence in islice(sentences, _MOST_SENTENCES))
     more = len(sentences) - len(shown)

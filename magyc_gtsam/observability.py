@@ -53,7 +53,7 @@ class Weakness:
 
 @dataclass(frozen=True)
 class Observability:
-    """Whether the motion determined the calibration, and its weak directions.
+    """The assessment whether the motion determined the calibration, and its weak directions.
 
     Attributes:
         observable: False if any weakness exceeds its limit.

@@ -204,7 +204,7 @@ class FieldChain:
         """
         size, n = len(parameters), g.shape[1]
         matrix, whitened = iron_matrix(parameters), g * scale
-        x, y, z = body if size == PARAMETERS else _turn_of(parameters) @ body
+        x, y, z = body if size == PARAMETERS else _skew_rotation(parameters) @ body
         result = np.zeros((size + 1, 3, n))
         result[0, 0] = result[1, 1] = result[2, 2] = x
         result[1, 0] = result[3, 1] = result[4, 2] = y
@@ -291,9 +291,9 @@ class FieldChain:
 def iron_matrix(parameters: Array) -> Array:
     """Return B (3, 3) in T at θ: the reading is B u + h for the field's direction u in the gyroscope's axes."""
     soft_iron = unvech(parameters[:6])
-    return soft_iron if len(parameters) == PARAMETERS else soft_iron @ _turn_of(parameters)
+    return soft_iron if len(parameters) == PARAMETERS else soft_iron @ _skew_rotation(parameters)
 
 
-def _turn_of(parameters: Array) -> Array:
+def _skew_rotation(parameters: Array) -> Array:
     """Return Exp(ε), from the gyroscope's axes to the magnetometer's."""
     return exponential_matrices(parameters[SKEW, None])[:, :, 0]

@@ -67,7 +67,7 @@ class GyroscopeTrack:
         increment: (G − 1, 3) rad, rotation vectors from stamp to stamp.
         rotation: R at the stamps, as spinors (G,).
         lever_before: (9,) s, K at the first stamp, for a piece of a longer track (`following`).
-        squared_time_before: s², Σ dt² at the first stamp, likewise.
+        squared_time_before: s², Σ dt² at the first stamp, for a piece of a longer track.
     """
 
     time: Array

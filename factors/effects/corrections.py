@@ -14,9 +14,9 @@ from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
 
 _PASSES = 20  # most inputs need three; where a change is hardly read, the last digits are lost anyway
-_CLOSE = 1e-12  # T and rad/s
-_NEARBY = 1e-8  # T and rad/s
-_LOST = 0.2  # smallest slope of the reading that can be inverted without amplifying noise too much
+_TOLERANCE = 1e-12  # T and rad/s, largest residual of a solution
+_SLOPE_STEP = 1e-8  # T and rad/s, step of the numerical derivative
+_LEAST_SLOPE = 0.2  # smallest slope of the reading that can be inverted without amplifying noise too much
 
 
 def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals: Signals) -> Array:
@@ -30,7 +30,7 @@ def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals:
     Raises:
         MagycError: a term needs a signal that is not available.
     """
-    matrix, turn = _exchanged(terms)
+    matrix, turn = _axis_exchange(terms)
     still = matrix @ measured - bias[:, None]
     own = [term for term in terms if term.side == "gyroscope" and term.name != "misalignment"]
 
@@ -38,10 +38,10 @@ def corrected_rate(measured: Array, bias: Array, terms: Sequence[Term], signals:
         at = replace(signals, rate=rate)
         return sum((term.evaluate(at) for term in own), np.zeros_like(rate))
 
-    return turn.T @ (_straightened(still, added) if own else still)
+    return turn.T @ (_inverted(still, added) if own else still)
 
 
-def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
+def _inverted(read: Array, added: Callable[[Array], Array]) -> Array:
     """Return the x (3, n) for which x + added(x) equals `read`, by Newton steps for each axis separately.
 
     Terms depend on the quantity that they change and may be strongly non-linear: for a response with the cube of the
@@ -53,10 +53,10 @@ def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
     missing = read - x - added(x)
     share = np.ones(read.shape[1])
     for _ in range(_PASSES):
-        if np.abs(missing).max() < _CLOSE:
+        if np.abs(missing).max() < _TOLERANCE:
             break
-        slope = 1 + (added(x + _NEARBY) - added(x - _NEARBY)) / (2 * _NEARBY)
-        ahead = x + share * missing / np.copysign(np.maximum(np.abs(slope), _LOST), slope)
+        slope = 1 + (added(x + _SLOPE_STEP) - added(x - _SLOPE_STEP)) / (2 * _SLOPE_STEP)
+        ahead = x + share * missing / np.copysign(np.maximum(np.abs(slope), _LEAST_SLOPE), slope)
         left = read - ahead - added(ahead)
         closer = np.abs(left).max(axis=0) < np.abs(missing).max(axis=0)
         x = np.where(closer, ahead, x)
@@ -65,7 +65,7 @@ def _straightened(read: Array, added: Callable[[Array], Array]) -> Array:
     return x
 
 
-def _exchanged(terms: Sequence[Term]) -> tuple[Array, Array]:
+def _axis_exchange(terms: Sequence[Term]) -> tuple[Array, Array]:
     """Return the matrix of an `axis-order` term, and the rotation from the axes of the corrected data to the
     magnetometer's.
 
@@ -96,7 +96,7 @@ def corrected_field(
         MagycError: a term needs a signal that is not available.
     """
     inverse = np.linalg.inv(soft_iron)
-    _, turn = _exchanged(terms)
+    _, turn = _axis_exchange(terms)
     if signals.rate is not None:
         signals = replace(signals, rate=turn @ signals.rate)
     own = [term for term in terms if term.side == "magnetometer" and term.name != "timing"]
@@ -111,7 +111,7 @@ def corrected_field(
         return sum((term.evaluate(at) for term in own), np.zeros_like(iron))
 
     iron = measured - hard_iron[:, None]
-    field = inverse @ (_straightened(iron, added) if own else iron)
+    field = inverse @ (_inverted(iron, added) if own else iron)
     for term in terms:
         if term.name == "misalignment":
             field = exponential_matrices(term.value[:, None])[:, :, 0] @ field

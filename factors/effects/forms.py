@@ -1,4 +1,4 @@
-"""The extra effects of the gap workflow: what each adds to a sensor's reading.
+"""The extra effects of the gap workflow: the contribution of each to a sensor's reading.
 
 A form is linear in its value, except for a rotation of axes: reading = base model + Σ value_k · column_k. The columns
 are a function of the available signals (time, field, rate, other channels) and of a setting that was searched over

@@ -35,7 +35,7 @@ _ALSO_IN = {"depth": ("position",)}
 _WHOLE = ("axis-order",)
 # Effects that can be injected into real recordings: they need no attitude and are not present already.
 _INJECTED = tuple(n for n in NAMED if not EFFECTS[n].attitude and n != "sample-hold")
-# Number of diagnoses of a real recording as it is, all but the first on a cut of it, because a second more or less
+# Number of diagnoses of an unchanged real recording, all but the first on a cut of it, because a second more or less
 # changes which of its small effects are significant.
 _LOOKS = 5
 

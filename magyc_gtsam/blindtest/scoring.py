@@ -74,7 +74,7 @@ class Outcome:
 
 
 Named = tuple[str, tuple[str, ...]]  # a name and its ambiguity set
-Already = dict[str, frozenset[str]]  # the effects that a real recording holds as it is, each with its rivals
+Already = dict[str, frozenset[str]]  # the effects present in an unchanged real recording, each with its rivals
 Heading = Callable[[Scenario, dict[str, Any]], tuple[float, float] | None]
 Standing = Callable[[Scenario], float | None]
 
@@ -122,7 +122,7 @@ def score(
 
 
 def _there(result: dict[str, Any]) -> list[Named]:
-    """Return the effects in a real recording as it is: those named with their sets, and the leftover ones."""
+    """Return the effects in an unchanged real recording: those named with their sets, and the leftover ones."""
     leftover = result.get("diagnostics", {}).get("leftover", ())
     named = [(e["name"], tuple(e["ambiguous_with"])) for e in result["effects"]]
     return [*named, *((name, ()) for name in leftover)]
@@ -131,8 +131,9 @@ def _there(result: dict[str, Any]) -> list[Named]:
 def beyond(named: Sequence[Named], hidden: Container[str], already: Already) -> tuple[Named, ...]:
     """Return the names that count as a diagnosis of an injected effect, without those present anyway.
 
-    A name that the recording yields anyway is neither right nor wrong, and neither is a set that contains such a name
-    which was not given itself. An exception is a set that contains the injected effect only since its injection.
+    A name that the recording yields without injection is neither right nor wrong, and neither is a set that contains
+    such a name which was not given itself. An exception is a set that contains the injected effect only since its
+    injection.
     """
     unsaid = already.keys() - {name for name, _ in named}
 

@@ -108,7 +108,7 @@ class Calibration:
 
         Returns:
             (N, 3) or (3,) T, as the input; with a `misalignment` or exchanged axes (`axis-order`) in the gyroscope's
-            axes, unless one of these is reversed, so that they are no frame.
+            axes, unless one of these is reversed, so that they are not a right-handed frame.
 
         Raises:
             MagycError: wrong shape, or a term needs a signal that is missing.

@@ -41,7 +41,8 @@ class Bank:
         dated: whether elapsed time is in days.
         label: (k, logs) WALKED, JUMPED (before this log) or WRONG, the likeliest labelling first.
         weight: (k, cells) logarithm of the posterior probability up to a constant.
-        mean, covariance: (k, cells, p + 3), (k, cells, p + 3, p + 3) of what is shared and h, µT, after the last log.
+        mean, covariance: (k, cells, p + 3), (k, cells, p + 3, p + 3) of the shared parameters and h, µT, after the last
+            log.
     """
 
     order: tuple[int, ...]

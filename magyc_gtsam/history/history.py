@@ -120,7 +120,7 @@ class History:
 
     @property
     def jumps(self) -> list[tuple[int, Array, Array]]:
-        """(index of the first log after it, size (3,) T, sigma (3,) T) of each jump of the hard iron."""
+        """One (index of the first log after it, size (3,) T, sigma (3,) T) per jump of the hard iron."""
         jumps = []
         for instrument in self._instruments:
             size = np.diff(instrument.posterior.hard_iron, axis=0) * MICROTESLA

@@ -27,7 +27,7 @@ class HistoryModel:
         bias_scatter: mrad/s, scatter of the gyroscope bias like `scatter` (trials 1, 4 and 6: 1.3).
         hard_iron_scatter: µT, scatter of the hard iron where it did not jump (0.06 to 0.3).
         raw, calibrated: (relative, µT), deviations of soft and hard iron between instruments as built, and between
-            factory-calibrated ones, which are alike without being the same (BROAD: 0.8 % and 0.6 µT).
+            factory-calibrated ones, which are similar but not identical (BROAD: 0.8 % and 0.6 µT).
         skew: mrad, deviation of the misalignment of magnetometer and gyroscope (boards: 0.7 to 1.3°).
         skew_scatter: mrad, its scatter between logs of one instrument beyond its sigma (BROAD: 0.2°).
         bias: mrad/s, deviation of the gyroscope bias between instruments.

@@ -43,9 +43,10 @@ _AFTER = 5  # fewest windows after a step
 _BEFORE = 3  # fewest windows before a step
 LARGE = 0.1  # share of the field strength from which the effect of a step is far from linear
 _CORRECTIONS = 6  # largest number of times a large step is subtracted and estimated again until it converges
-_JUDGED, _JUDGED_LARGE = (1.0, 1.0, 1.0), (5.0, 1.0)  # factors of the noise in the robust weights, pass by pass
-_STILL = 1.0  # squared change of a step's estimate, in its covariance, below which it has converged
-_NOTHING = 1e-6  # sample count given to a window whose field is left out
+# Factors of the noise in the robust weights, pass by pass.
+_NOISE_FACTORS, _NOISE_FACTORS_LARGE = (1.0, 1.0, 1.0), (5.0, 1.0)
+_CONVERGED = 1.0  # squared change of a step's estimate, in its covariance, below which it has converged
+_EMPTY_COUNT = 1e-6  # sample count given to a window whose field is left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +115,7 @@ def find_step(fit: Fit, colour: float = 1.0, smallest: float = SMALLEST) -> Chan
         return undecided
     step_window = found.window
     before = _fitted(fit, replace(chain, windows=chain.windows.part(0, step_window)), state.parameters)
-    past = _until(chain, before).forget(HARD_IRON)
+    past = _marginal_before(chain, before).forget(HARD_IRON)
     parameters = before.state.parameters.copy()
     parameters[HARD_IRON] += found.value
     following = replace(chain, windows=chain.windows.part(step_window, len(chain.windows)), past=past, facts=())
@@ -137,30 +138,30 @@ def _corrected(fit: Fit, found: ChangeTime, colour: float, strength: float) -> t
     large = bool(np.linalg.norm(found.value) > LARGE * strength)
     for _ in range(_CORRECTIONS if large else 0):
         before = found.value
-        found = _timed(chain, _started(fit, found.removed_from(chain), parameters), colour)
+        found = _estimated(chain, _started(fit, found.removed_from(chain), parameters), colour)
         away = found.value - before
-        if away @ np.linalg.solve(found.covariance, away) < _STILL:
+        if away @ np.linalg.solve(found.covariance, away) < _CONVERGED:
             break
-    for times in _JUDGED_LARGE if large else _JUDGED:
+    for times in _NOISE_FACTORS_LARGE if large else _NOISE_FACTORS:
         noise = SensorNoise(times * chain.noise.magnetometer, times * chain.noise.gyroscope)
         corrected = _fitted(fit, found.removed_from(replace(chain, noise=noise)), parameters)
-        found = _timed(chain, corrected, colour)
+        found = _estimated(chain, corrected, colour)
     return found, corrected
 
 
-def _timed(chain: ContinuedChain, corrected: Fit, colour: float) -> ChangeTime:
+def _estimated(chain: ContinuedChain, corrected: Fit, colour: float) -> ChangeTime:
     """Return the time and size of a step in a chain, linearised at the fit without it."""
     state, weights = corrected.state, corrected.weights
     profile = step_profile(chain, state, weights, chain.eliminate(state, weights), in_sensor(len(chain.windows)))
     return change_time(chain, profile, colour)
 
 
-def _until(chain: ContinuedChain, before: Fit) -> Marginal:
+def _marginal_before(chain: ContinuedChain, before: Fit) -> Marginal:
     """Return the marginal of `before` at the window that follows it, whose field is left out."""
     step_window = len(before.chain.windows)
     windows = chain.windows.part(0, step_window + 1)
     count = windows.count.copy()
-    count[step_window] = _NOTHING
+    count[step_window] = _EMPTY_COUNT
     parameters, direction = before.state
     state = ChainState(parameters, np.column_stack([direction, direction[:, -1]]))
     weights = Weights(np.append(before.weights.window, 1.0), np.append(before.weights.link, 1.0))

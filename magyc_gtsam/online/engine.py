@@ -99,7 +99,7 @@ class Engine(Protocol):
         """Return the whole state as named arrays of numbers, flags or text (no objects), for `restore`."""
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Continue bit for bit from what `state` returned; called on a new engine with the same options."""
+        """Restore the result of `state` bit for bit; called on a new engine with the same options."""
 
 
 def refusal(faults: SensorFaults) -> str:

@@ -28,7 +28,7 @@ class StepProfile:
     Attributes:
         own: (n + 1, 3, 3) information of Δ before elimination.
         lost: (n + 1, 3, 3) information that the elimination takes.
-        between: (n, 3, 3) the same of a step before each window with the step before the next one.
+        between: (n, 3, 3) cross term of `lost` between a step before each window and one before the next window.
         gradient: (n + 1, 3) gradient of Δ after elimination.
     """
 
@@ -42,7 +42,9 @@ class StepProfile:
         return _solved(self.own[:-1] - self.lost[:-1], self.gradient[:-1])
 
     def inside(self, n: Array, share: Array) -> tuple[Array, Array, Array]:
-        """Return the same for k steps inside windows n (k,) with a `share` (k,) of the window's samples after each."""
+        """Return λ, Δ and its covariance for k steps inside windows n (k,), each followed by `share` (k,) of its
+        samples.
+        """
         after, rest = share[:, None, None], 1 - share[:, None, None]
         both = self.between[n] + self.between[n].swapaxes(1, 2)
         own = self.own[n + 1] + after**2 * (self.own[n] - self.own[n + 1])
@@ -101,7 +103,7 @@ class ChangeTime:
     Attributes:
         window, share: most likely window of the step, and the share of its samples after the step.
         time, time_sigma: s, averaged over all likely times.
-        value, covariance: (3,) T and (3, 3) of the step, averaged likewise.
+        value, covariance: (3,) T and (3, 3) of the step, averaged over all likely times.
     """
 
     window: int

@@ -148,7 +148,7 @@ def _report(
             or belief.unexplained is None
             or _hard_iron(unexplained) > _hard_iron(belief.unexplained)
         ):
-            belief.unexplained = unexplained  # the larger one: the past's remains in what was marginalised
+            belief.unexplained = unexplained  # the larger one, since marginalised windows keep that of the past
     belief.report = report = online.result(recording, fit, rival, refitted=estimate)
     if testable(online, count):
         belief.drift = drift_of(online, recording, fit, report.converged)

@@ -23,13 +23,13 @@ from magyc_gtsam.online.refit import REFIT_GROWTH, drift_of, testable
 from magyc_gtsam.online.state import SmootherState
 
 _MOST_REFITTED = (
-    2400  # most windows that are fitted when read; a longer log keeps the noise levels of the last refit
+    2400  # largest number of windows fitted at reading; a longer log keeps the noise levels of the last refit
 )
 _UNDECIDED = (
     f"the hard iron may have changed by more than {LARGE:.0%} of the field in the last seconds: "
     "keep turning until that is decided"
 )
-_LEAST_CONVERGED = 120  # least windows of the last refit; noise levels from fewer give no reliable covariance
+_LEAST_CONVERGED = 120  # fewest windows of the last refit; noise levels from fewer give no reliable covariance
 
 
 def current_calibration(online: SmootherState, integrated: IntegratedWindows) -> Calibration | None:

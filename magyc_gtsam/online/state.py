@@ -228,7 +228,7 @@ class SmootherState:
 
 
 def continued(fit: Fit) -> ContinuedChain:
-    """Return the chain of a fit as a `ContinuedChain`, without the prior of a misalignment, which is no fact."""
+    """Return the chain of a fit as a `ContinuedChain`, without the prior of a misalignment, which is not a fact."""
     chain = fit.chain
     facts = tuple(fact for fact in chain.facts if not isinstance(fact, HeldSkew))
     if isinstance(chain, ContinuedChain):

@@ -1,7 +1,8 @@
 """The class `Recording`: one table with one row per time stamp.
 
 Sensors with different clocks or rates share the table: its rows are the union of their stamps, and a mask per sensor
-says which rows carry a true sample. Every sample keeps its stamp and its value exactly; filled rows add no information.
+marks the rows that carry a true sample. Every sample keeps its stamp and its value exactly; filled rows add no
+information.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def to_dict(comparison: Comparison) -> dict[str, Any]:
 
 
 def judged_comparison(comparison: Comparison) -> Verdict:
-    """Return the verdict: reference method to use, and how many gave a trusted result."""
+    """Return the verdict: the reference method to use, and the number of methods with a trusted result."""
     ran = sum(o.status is not OutcomeStatus.IMPOSSIBLE for o in comparison.outcomes)
     best, good = comparison.recommended, len(comparison.trusted)
     if ran == 0:

@@ -1,4 +1,4 @@
-"""The gap page: where model and measurement disagree, which effects explain it, and what remains."""
+"""The gap page: the disagreement of model and measurement, the effects that explain it, and the remainder."""
 
 from __future__ import annotations
 

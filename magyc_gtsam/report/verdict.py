@@ -21,11 +21,11 @@ _MODEL_ERROR = "what the model does not explain"
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether to use a result, and why.
+    """The decision whether to use a result, with its reasons.
 
     Attributes:
         trusted: whether to use it.
-        cause, action: why not, and what to do, at most 30 words together; "" for a trusted result.
+        cause, action: the reason against its use and the remedy, at most 30 words together; "" for a trusted result.
         heading: the heading error to expect; unknown for a result that is not trusted.
         worth: the expected accuracy, as text.
         details: further findings, one sentence each.

@@ -161,7 +161,7 @@ def called(key: int, names: Mapping[int, str] | None) -> str:
 
 
 def predicted_decrease(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> float:
-    """Return by how much the full Gauss–Newton step would lower the error of the linearised graph."""
+    """Return the decrease of the linearised graph's error by the full Gauss–Newton step."""
     linear = graph.linearize(values)
     step = linear.optimize()
     return float(linear.error(values.zeroVectors()) - linear.error(step))

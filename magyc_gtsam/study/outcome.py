@@ -34,11 +34,11 @@ class MethodOutcome:
         method: its name in `methods()`; "raw" for the uncalibrated recording.
         status: status of the outcome.
         reason: why it is doubtful, not trusted, failed or impossible; otherwise the method's message.
-        note: what was done to the data for this method only; "" for nothing.
+        note: changes to the data for this method only; "" for none.
         calibration: the calibration; None without one.
         seconds: run time, wall clock; None if it did not run.
         spread: T (or counts), standard deviation of the strength of all calibrated samples.
-        inlier_spread: likewise, of the samples in `Comparison.inlier`.
+        inlier_spread: standard deviation of the strength of the samples in `Comparison.inlier`.
         strength: T (or counts), mean strength.
         heading: heading error against the reference attitude; None without one.
     """

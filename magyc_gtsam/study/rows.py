@@ -12,7 +12,7 @@ from magyc_gtsam.engine import DIED, Progress, Row, run_many, write_rows
 
 
 class Running(NamedTuple):
-    """How a study runs: folder for its rows (None to keep none), engine, number of processes, progress."""
+    """The execution of a study: folder for its rows (None to keep none), engine, number of processes, progress."""
 
     folder: Path | None = None
     engine: str = "local"

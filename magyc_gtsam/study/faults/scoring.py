@@ -17,9 +17,9 @@ HARD_IRON_MATTERS = 0.5e-6  # T, which turns the heading by a degree where the h
 HEADING_MATTERS = 0.5  # deg
 _ALIGNED = np.eye(3)
 # Terms that depend on a change: the true readings at rest contain no loop and no tone to correct.
-_HAPPENING = ("timing", "hysteresis", "tone")
+_DYNAMIC = ("timing", "hysteresis", "tone")
 _APART = 1e-3  # s between readings at rest, during which nothing changes
-_LEAST = 1e-9  # step relative to a term's value for its numerical derivative where it has no sigma
+_RELATIVE_STEP = 1e-9  # step relative to a term's value for its numerical derivative where it has no sigma
 OUTCOMES = ("wrong and trusted", "right and trusted", "refused", "crashed")
 
 
@@ -69,9 +69,9 @@ def score(
     """
     if calibration is None or calibration.covariance is None:
         return refused(message or "no calibration with a covariance")
-    off = np.abs(_left(calibration, end))
+    off = np.abs(_remaining_hard_iron(calibration, end))
     covariance = calibration.covariance.copy()
-    covariance[6:9, 6:9] += _of_terms(calibration, end)
+    covariance[6:9, 6:9] += _term_covariance(calibration, end)
     sigma = np.sqrt(np.diag(covariance)[6:9])
     heading, heading_sigma = _heading(calibration, covariance, body_R_sensor, end)
     iron_wrong = bool(((off > SIGMAS * sigma) & (off > HARD_IRON_MATTERS)).any())
@@ -91,28 +91,28 @@ def score(
 
 def _standing(calibration: Calibration, readings: Array, end: float) -> Array:
     """Return readings (n, 3) T of an instrument at rest, calibrated as at the end of the log."""
-    at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name not in _HAPPENING))
+    at_rest = replace(calibration, terms=tuple(term for term in calibration.terms if term.name not in _DYNAMIC))
     time = end + _APART * np.arange(len(readings))
     return at_rest.corrected(readings, time=time, angular_rate=np.tile(GYRO_BIAS, (len(readings), 1)))
 
 
-def _left(calibration: Calibration, end: float) -> Array:
+def _remaining_hard_iron(calibration: Calibration, end: float) -> Array:
     """Return the error (3,) in T of the hard iron, including terms such as a step that add to it at the end."""
     left: Array = calibration.soft_iron @ _standing(calibration, np.stack([HARD_IRON, HARD_IRON]), end)[-1]
     return left
 
 
-def _of_terms(calibration: Calibration, end: float) -> Array:
-    """Return the covariance (3, 3) in T² of `_left` due to the terms, to be added to that of the hard iron."""
-    covariance, left = np.zeros((3, 3)), _left(calibration, end)
+def _term_covariance(calibration: Calibration, end: float) -> Array:
+    """Return the covariance (3, 3) in T² that the terms add to that of the hard iron."""
+    covariance, left = np.zeros((3, 3)), _remaining_hard_iron(calibration, end)
     for i, term in enumerate(calibration.terms):
         if term.side != "magnetometer":
             continue
         slope = np.zeros((3, len(term.value)))
-        for k, step in enumerate(np.diag(np.maximum(term.sigma, _LEAST))):
+        for k, step in enumerate(np.diag(np.maximum(term.sigma, _RELATIVE_STEP))):
             moved = replace(term, value=term.value + step)
             terms = (*calibration.terms[:i], moved, *calibration.terms[i + 1 :])
-            slope[:, k] = (_left(replace(calibration, terms=terms), end) - left) / step[k]
+            slope[:, k] = (_remaining_hard_iron(replace(calibration, terms=terms), end) - left) / step[k]
         covariance += slope @ term.covariance @ slope.T
     return covariance
 
