@@ -96,9 +96,9 @@ def find_gap(
     report = progress or (lambda _: None)
     report(0.0)
     share = 1.0 if simulated is None else 0.5
-    gap, result = _looked(recording, calibration, names, lambda done: report(share * done))
+    gap, result = _gap_and_search(recording, calibration, names, lambda done: report(share * done))
     if simulated is not None and result is not None:
-        ours = _side(recording, names, "", lambda done: None) if calibration is not None else _told(gap, result)
+        ours = _side(recording, names, "", lambda done: None) if calibration is not None else _side_of(gap, result)
         theirs = _side(simulated, names, "simulated: ", lambda done: report(0.5 + 0.5 * done))
         gap = replace(gap, assumptions=compare(ours, theirs))
     report(1.0)
@@ -112,19 +112,19 @@ def _side(recording: Recording, names: tuple[str, ...], what: str, report: Calla
         MagycError: an error of the recording; its message begins with `what`.
     """
     try:
-        gap, result = _looked(recording, None, names, report)
+        gap, result = _gap_and_search(recording, None, names, report)
     except MagycError as problem:
         raise MagycError(f"{what}{problem}") from None
     if result is None:
         raise MagycError(f"{what}{gap.sentence}")
-    return _told(gap, result)
+    return _side_of(gap, result)
 
 
-def _told(gap: Gap, result: Search) -> Side:
+def _side_of(gap: Gap, result: Search) -> Side:
     return Side(gap, replace(result.last, refit=widened(result.last.refit)))
 
 
-def _looked(
+def _gap_and_search(
     recording: Recording, calibration: Calibration | None, names: tuple[str, ...], report: Callable[[float], None]
 ) -> tuple[Gap, Search | None]:
     """Return the gap of one recording, and its search; None if there is not enough information for a search."""

@@ -48,8 +48,8 @@ def compare(measured: Side, simulated: Side) -> tuple[Assumption, ...]:
     compared = [_assumption(row, limit) for row in rows]
     compared.sort(key=lambda a: -abs(a.measured - a.simulated) / max(a.sigma, 1e-300))
     return (
-        *(_lacking(own, other) for own, other in pairs if own is None or other is None),
-        *_nameless(measured.gap, simulated.gap),
+        *(_found_in_one(own, other) for own, other in pairs if own is None or other is None),
+        *_misfit_in_one(measured.gap, simulated.gap),
         *compared,
         *_untested(measured.gap, simulated.gap),
     )
@@ -82,7 +82,7 @@ def _row(measured: Effect, simulated: Effect) -> _Row:
     return what, float(simulated.value[worst]), float(measured.value[worst]), float(sigma[worst]), measured.unit
 
 
-def _lacking(measured: Effect | None, simulated: Effect | None) -> Assumption:
+def _found_in_one(measured: Effect | None, simulated: Effect | None) -> Assumption:
     """Return the assumption for an effect that was found in one recording only."""
     effect = measured or simulated
     assert effect is not None
@@ -92,7 +92,7 @@ def _lacking(measured: Effect | None, simulated: Effect | None) -> Assumption:
     return Assumption(effect.label, *sizes, sigma, effect.unit, True, f"{words}: {effect.sentence}")
 
 
-def _nameless(measured: Gap, simulated: Gap) -> Iterator[Assumption]:
+def _misfit_in_one(measured: Gap, simulated: Gap) -> Iterator[Assumption]:
     """Yield the assumption for a misfit without a name in one recording only, with its number of hypotheses."""
     own, other = (float(len(gap.diagnostics["leftover"])) for gap in (measured, simulated))
     if bool(own) != bool(other):

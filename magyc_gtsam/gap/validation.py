@@ -53,7 +53,7 @@ def agreement(recording: Recording, calibration: Calibration) -> Metrics:
             f"the calibration of method {calibration.method!r} lacks gyroscope bias, field strength or noise, "
             "without which it predicts nothing; calibrate with smoother"
         )
-    recording = _as_it_is_read(recording, calibration)
+    recording = _prepared(recording, calibration)
     problem = Problem.of(recording, preintegrate(recording, RULES.window))
     twin = _own_bias(problem, as_model(problem, calibration))
     return measure(twin, replace(calibration, gyro_bias=twin.model.parameters[_BIAS]))
@@ -69,7 +69,7 @@ def differences(recording: Recording, calibration: Calibration) -> tuple[Moved, 
     Raises:
         MagycError: no gyroscope, no uncertainty or field strength in the calibration, or data that cannot be fitted.
     """
-    recording = _as_it_is_read(recording, calibration)
+    recording = _prepared(recording, calibration)
     if calibration.field_strength is None or calibration.covariance is None:
         raise MagycError(
             f"the calibration of method {calibration.method!r} states no field strength or no uncertainty, without "
@@ -101,7 +101,7 @@ def _without_strength(calibration: Calibration) -> Calibration:
     return replace(calibration, soft_iron=soft_iron, covariance=covariance)
 
 
-def _as_it_is_read(recording: Recording, calibration: Calibration) -> Recording:
+def _prepared(recording: Recording, calibration: Calibration) -> Recording:
     """Return the recording with the gyroscope in the axes of the calibration, and held samples at their own times."""
     needs_gyroscope(recording)
     for term in calibration.terms:

@@ -56,14 +56,14 @@ def weights(tree: Tree) -> dict[Set, float]:
 
 def _families(tree: Tree, node: Node) -> tuple[float, float]:
     """Return the nats of families no larger than the set's deviation from its form, and of larger ones."""
-    families = _nameless(node)
+    families = _generic(node)
     form, foreign = [], []
     for each in families:
         small = each.power < PRIOR.form * node.explained
         if small.any():
             form.append(logsumexp(each.by_scale[small]))
         if (~small).any():
-            foreign.append(logsumexp(each.by_scale[~small]) + _beyond(tree, node, each))
+            foreign.append(logsumexp(each.by_scale[~small]) + _log_exceeds_form(tree, node, each))
     share = np.log(max(len(families), 1))
     return (
         float(logsumexp(form) - share) if form else -np.inf,
@@ -80,7 +80,7 @@ def _products(node: Node) -> Iterator[float]:
         yield PRIOR.named + PRIOR.imitated + float(logsumexp(large)) - float(np.log(len(found)))
 
 
-def _nameless(node: Node) -> list[Weighed]:
+def _generic(node: Node) -> list[Weighed]:
     """Return the families, and the products of the set's effects."""
     return [e for e in node.found.values() if e.name not in TERMS and product_of(e.name) in (None, *node.names)]
 
@@ -91,7 +91,7 @@ def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tu
     The rest of that effect is a family: either large enough to be detected beyond the deviation of the effect and of
     the field from their forms; or of a power tied to that of the effect, and too small to be detected beside it.
     """
-    families = _nameless(node)
+    families = _generic(node)
     if not families or not key:
         return
     share = float(np.log(len(families)))
@@ -109,7 +109,7 @@ def _imitated(tree: Tree, node: Node, key: tuple[str, ...]) -> Iterator[tuple[tu
         yield tuple(sorted(less)), PRIOR.imitated - float(np.log(len(parts))) + float(log)
 
 
-def _beyond(tree: Tree, node: Node, family: Weighed) -> float:
+def _log_exceeds_form(tree: Tree, node: Node, family: Weighed) -> float:
     """Return the log probability that a family exceeds the deviation of an effect that it contains from its form."""
     result = 1.0
     if node.log + family.log < tree.best.log - PRIOR.close:
@@ -125,18 +125,18 @@ def _beyond(tree: Tree, node: Node, family: Weighed) -> float:
         more = found.power > PRIOR.form * (child.explained - node.explained)
         logs = np.concatenate([[0.0], found.by_scale])
         beyond = float(np.exp(logs - logsumexp(logs))[1:][more].sum())
-        if beyond < result and _holds(tree, node, family, child):
+        if beyond < result and _contains(tree, node, family, child):
             result = beyond
     return float(np.log(max(result, 1e-12)))
 
 
-def _holds(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
+def _contains(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
     """Return whether a family contains the signature of a child's new effect, except for its deviation from its form.
 
     A family that does not contain it is another explanation, with which the effect competes.
     """
     rows = tree.candidates.of_setting(family.name, family.setting)
-    if child.names[-1] == FIELD_VARIATION or not len(rows):  # no family is smaller than the field variation
+    if child.names[-1] == FIELD_VARIATION or not len(rows):  # no columns to compare
         return True
     terms = Terms.of(child.fit)
     own = terms.columns[terms.of_term == len(child.fit.model.terms) - 1]
@@ -157,7 +157,7 @@ def kept(tree: Tree, node: Node) -> list[int]:
     result: list[int] = []
     terms, powers = node.fit.model.terms, node.powers
     names = [term.name for term in terms]
-    for index in sorted(range(len(names)), key=lambda one: -_needed(tree, node, one)):
+    for index in sorted(range(len(names)), key=lambda one: -_evidence_of(tree, node, one)):
         strong = [powers[index, i] for i in result if related(names[index], names[i])]
         passed = any(_one_passing(terms[index], terms[i]) for i in result)
         if not passed and powers[index, index] > PRIOR.form * max([node.of_field, *strong]):
@@ -165,7 +165,7 @@ def kept(tree: Tree, node: Node) -> list[int]:
     return sorted(result)
 
 
-def _needed(tree: Tree, node: Node, index: int) -> float:
+def _evidence_of(tree: Tree, node: Node, index: int) -> float:
     """Return the nats of a term relative to the same set without it, if that was fitted; else half its power."""
     less = list(node.names)
     less.remove(node.fit.model.terms[index].name)

@@ -52,7 +52,7 @@ class Prior:
         modes: of a drift, beside a straight line: the slow part of a random walk. With 24 a jump of 6 µT that was added
             to a walk with a phone was called a drift.
         depth, beam: largest number of effects in a set, beside a varying field, and candidates that extend each set.
-        nodes, most: largest number of fitted sets, and of these with the sets in which rivals were exchanged.
+        nodes, most: largest number of fitted sets, without and with the sets in which rivals were exchanged.
         close: nats below the best set beyond which a set is not extended.
         sure: probability above which a statement is taken as certain.
         likely: probability above which an effect that was not found contradicts the result.

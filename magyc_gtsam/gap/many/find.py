@@ -26,7 +26,7 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, eq=False)
-class _Course:
+class _State:
     """The state of a search: the logs, the added effects, the logs left out, and the last look."""
 
     logs: tuple[OneLog, ...]
@@ -50,21 +50,21 @@ def find_gap_of_many(
         MagycError: no recordings, or an object that is not a recording.
     """
     report = progress or (lambda _: None)
-    course = _begun(recordings, candidates, lambda share: report(0.4 * share))
-    if len(course.logs) >= MODEL.least:
+    state = _fitted_logs(recordings, candidates, lambda share: report(0.4 * share))
+    if len(state.logs) >= MODEL.least:
         for step in range(MODEL.most + 1):
-            course, going = _step(course, candidates, step < MODEL.most)
+            state, going = _step(state, candidates, step < MODEL.most)
             report(0.4 + 0.6 * (step + 1) / (MODEL.most + 1))
             if not going:
                 break
     # Beside an unknown effect, autocorrelation and outliers are part of its misfit, not noise.
-    looked = len(course.logs) >= MODEL.least and not course.unknown
-    noise = noise_effects(course.logs, candidates) if looked else ()
+    looked = len(state.logs) >= MODEL.least and not state.unknown
+    noise = noise_effects(state.logs, candidates) if looked else ()
     report(1.0)
-    return _result(course, noise)
+    return _result(state, noise)
 
 
-def _begun(recordings: Sequence[Recording], names: Sequence[str], report: Progress) -> _Course:
+def _fitted_logs(recordings: Sequence[Recording], names: Sequence[str], report: Progress) -> _State:
     """Fit the base model to each log; leave out logs that cannot be read or calibrated, with the reason."""
     if not len(recordings):
         raise MagycError("mg.find_gap: no recordings; give those of one instrument")
@@ -86,27 +86,27 @@ def _begun(recordings: Sequence[Recording], names: Sequence[str], report: Progre
         except MagycError as problem:
             own.append(Own(called, str(problem)))
         report((k + 1) / len(recordings))
-    return _Course(tuple(logs), own=tuple(own))
+    return _State(tuple(logs), own=tuple(own))
 
 
-def _step(course: _Course, names: Sequence[str], more: bool) -> tuple[_Course, bool]:
+def _step(state: _State, names: Sequence[str], more: bool) -> tuple[_State, bool]:
     """Test all effects, and add the strongest or leave out logs with an unknown effect; return whether to continue."""
-    had = [each.name for each in course.added]
+    had = [each.name for each in state.added]
     asked = [name for name in names if name in TERMS and name not in had]
-    weighed = _look(course.logs, asked)
-    course = replace(course, weighed=weighed)
+    weighed = _look(state.logs, asked)
+    state = replace(state, weighed=weighed)
     strongest = weighed[0]
-    if strongest.nats < MODEL.sure + MODEL.remain * sum(each.evidence for each in course.added):
-        return course, False
+    if strongest.nats < MODEL.sure + MODEL.remain * sum(each.evidence for each in state.added):
+        return state, False
     if not strongest.named:
         few = strongest.present > MODEL.plain
         alone = strongest.apart > strongest.shared and 0 < few.sum() <= max(1, MODEL.few * len(few))
         if alone and len(few) - few.sum() >= MODEL.least:
-            return _left_out(course, few, strongest), True
-        return replace(course, unknown=strongest.name), False
+            return _without_logs(state, few, strongest), True
+        return replace(state, unknown=strongest.name), False
     if not more:
-        return replace(course, unknown=strongest.name), False
-    return _with(course, strongest, _as_good(weighed)), True
+        return replace(state, unknown=strongest.name), False
+    return _with_effect(state, strongest, _alternatives(weighed)), True
 
 
 def _look(logs: Sequence[OneLog], names: Sequence[str]) -> tuple[WeighedOverLogs, ...]:
@@ -148,7 +148,7 @@ def _pooled(of_log: Sequence[Sequence[Test]]) -> list[dict[str, float]]:
     return list({test.key: dict(test.setting) for test in best}.values())
 
 
-def _as_good(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
+def _alternatives(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
     """Return the names that are not clearly behind the strongest one."""
     first = weighed[0]
 
@@ -160,28 +160,28 @@ def _as_good(weighed: Sequence[WeighedOverLogs]) -> tuple[str, ...]:
     )
 
 
-def _left_out(course: _Course, few: np.ndarray, strongest: WeighedOverLogs) -> _Course:
+def _without_logs(state: _State, few: np.ndarray, strongest: WeighedOverLogs) -> _State:
     own = tuple(
         Own(log.name, f"holds something that no name explains ({strongest.name}); it was left out")
-        for log, out in zip(course.logs, few, strict=True)
+        for log, out in zip(state.logs, few, strict=True)
         if out
     )
-    kept = tuple(log for log, out in zip(course.logs, few, strict=True) if not out)
+    kept = tuple(log for log, out in zip(state.logs, few, strict=True) if not out)
     added = tuple(
         replace(each, present=each.present[~few], settings=tuple(np.array(each.settings, dtype=object)[~few]))
-        for each in course.added
+        for each in state.added
     )
-    return replace(course, logs=kept, own=(*course.own, *own), added=added)
+    return replace(state, logs=kept, own=(*state.own, *own), added=added)
 
 
-def _with(course: _Course, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _Course:
+def _with_effect(state: _State, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> _State:
     """Add the effect to all logs, or to those that have it; leave out logs whose model does not converge with it."""
     instrument = chosen.instrument >= 0.5
     logs: list[OneLog] = []
     own: list[Own] = []
     settings: list[dict[str, float] | None] = []
     present: list[float] = []
-    for log, best, probability in zip(course.logs, chosen.best, chosen.present, strict=True):
+    for log, best, probability in zip(state.logs, chosen.best, chosen.present, strict=True):
         here = best is not None and (instrument or probability > MODEL.has_it)
         if not here or best is None:
             logs.append(log)
@@ -202,34 +202,34 @@ def _with(course: _Course, chosen: WeighedOverLogs, rivals: tuple[str, ...]) -> 
         present.append(1.0 if instrument else float(probability))
     one = Added(chosen.name, chosen.nats, chosen.instrument, np.array(present), tuple(settings), rivals)
     gone = {each.log for each in own}
-    keep = np.array([log.name not in gone for log in course.logs])
+    keep = np.array([log.name not in gone for log in state.logs])
     before = tuple(
         replace(
             each,
             present=each.present[keep],
             settings=tuple(s for s, k in zip(each.settings, keep, strict=True) if k),
         )
-        for each in course.added
+        for each in state.added
     )
-    return replace(course, logs=tuple(logs), own=(*course.own, *own), added=(*before, one))
+    return replace(state, logs=tuple(logs), own=(*state.own, *own), added=(*before, one))
 
 
-def _result(course: _Course, noise: Sequence[SharedEffect]) -> GapOfMany:
-    effects = (*told(course.added, course.logs), *noise)
-    weights = tuple(Weight(each.name, each.shared, each.apart) for each in course.weighed)
-    calibrations = {log.name: _calibration(log) for log in course.logs}
+def _result(state: _State, noise: Sequence[SharedEffect]) -> GapOfMany:
+    effects = (*told(state.added, state.logs), *noise)
+    weights = tuple(Weight(each.name, each.shared, each.apart) for each in state.weighed)
+    calibrations = {log.name: _calibration(log) for log in state.logs}
     named = "; ".join(effect.sentence for effect in effects)
-    if len(course.logs) < MODEL.least:
-        verdict, said = "not enough information", f"{len(course.logs)} of the logs can be used, and two are needed"
-    elif course.unknown:
-        words = LABELS.get(course.unknown, course.unknown)
+    if len(state.logs) < MODEL.least:
+        verdict, said = "not enough information", f"{len(state.logs)} of the logs can be used, and two are needed"
+    elif state.unknown:
+        words = LABELS.get(state.unknown, state.unknown)
         verdict = "unknown"
         said = f"{named + '; and ' if named else ''}something is missing that is not in the catalogue ({words})"
     elif effects:
         verdict, said = "closed", named
     else:
-        verdict, said = "none", f"nothing is missing in {len(course.logs)} logs"
-    return GapOfMany(verdict, said, effects, course.own, weights, calibrations)  # type: ignore[arg-type]
+        verdict, said = "none", f"nothing is missing in {len(state.logs)} logs"
+    return GapOfMany(verdict, said, effects, state.own, weights, calibrations)  # type: ignore[arg-type]
 
 
 def _calibration(log: OneLog) -> Calibration:

@@ -49,7 +49,7 @@ def _effect(each: Added, logs: Sequence[OneLog]) -> SharedEffect:
     sizes = {len(value) for _, _, _, value, _ in found}
     value, sigma, scatter = np.zeros(0), np.zeros(0), float("nan")
     if instrument and len(sizes) == 1:
-        value, covariance, scatter = _together([(v, c) for *_, v, c in found])
+        value, covariance, scatter = _combined([(v, c) for *_, v, c in found])
         value, sigma = value * term.scale, np.sqrt(np.diag(covariance)) * term.scale
     setting = dict(found[0][1]) if instrument and found else {}
     rows = term.rows(found[0][0].refitted.twin, found[0][1]) if found else ()
@@ -78,7 +78,7 @@ def _value(log: OneLog, name: str) -> tuple[Array, Array]:
     return fitted.value_of(index)
 
 
-def _together(values: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
+def _combined(values: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
     """Return the mean weighted by information, its covariance, and χ² per degree of freedom of the values about it."""
     information = [np.linalg.pinv(covariance, hermitian=True) for _, covariance in values]
     covariance = np.linalg.pinv(np.sum(information, axis=0), hermitian=True)

@@ -88,13 +88,13 @@ def gap_of(
     base, held = widened(base), tempered(result.problem, result.last.refit, short_term)
     last = replace(result.last, refit=widened(held))
     found = (*(as_found(score) for score in discrete if score.significant), *result.found)
-    known, added = _on_noise(calibration, found)
+    known, added = _other_terms(calibration, found)
     open_places = {
         place: index
         for place, index in term_places(found, plain.model).items()
         if found[place].unsure or found[place].improbable or not determined(plain, index)
     }
-    unpaid = _unpaid(
+    unpaid = _not_worthwhile(
         result, held, {p: i for p, i in term_places(found, plain.model).items() if p not in open_places}
     )
     open_places |= unpaid
@@ -151,7 +151,7 @@ def gap_of(
     return with_doubt(gap, left_open(effects, open_places, missing, wanted))
 
 
-def _unpaid(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
+def _not_worthwhile(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int, int]:
     """Return the terms (place: index) whose correction is not worthwhile, if the field evidently varies."""
     if not places:
         return {}
@@ -166,7 +166,7 @@ def _unpaid(result: Search, held: Refit, places: Mapping[int, int]) -> dict[int,
     return weak
 
 
-def _on_noise(
+def _other_terms(
     calibration: Calibration | None, found: Sequence[Found]
 ) -> tuple[tuple[Term, ...], tuple[Term, ...]]:
     """Return the terms outside the fit: those of the given calibration that were not found again, and those found."""

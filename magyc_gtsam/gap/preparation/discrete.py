@@ -33,7 +33,7 @@ def settled(recording: Recording, names: Sequence[str]) -> tuple[Recording, tupl
     if held.significant:
         recording = on_own_clock(recording)
     else:
-        recording = _unheld(recording, short_term_noise(recording).magnetometer)
+        recording = _with_all_entries(recording, short_term_noise(recording).magnetometer)
     return recording, tuple(scores)
 
 
@@ -62,7 +62,7 @@ def _rearranged(recording: Recording) -> tuple[Recording, list[NoiseScore]]:
     return recording, []
 
 
-def _unheld(recording: Recording, noise: float) -> Recording:
+def _with_all_entries(recording: Recording, noise: float) -> Recording:
     """Return the recording with all entries as samples, if repeated values are due to coarse steps.
 
     To leave such repeats out would keep the first of each, and so make the magnetometer seem early.

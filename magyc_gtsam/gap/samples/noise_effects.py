@@ -19,10 +19,10 @@ from magyc_gtsam.recording import Recording
 
 _MEDIAN = 2.674  # of Gamma(3)
 _SMOOTH = 201  # bins of the periodogram's running median
-_BESIDE = 10  # bins on each side of a line that must be far below it; otherwise it is a resonance of the noise
+_NEAR = 10  # bins on each side of a line that must be far below it; otherwise it is a resonance of the noise
 _LEAKS = 2  # bins on each side of a line that its spectral leakage reaches
 _CELLS = 4  # of the grid per sample; at half the sampling rate, rounding to them loses 3 % of an amplitude
-_EMPTY = 8.0  # longest duration, in median steps per sample, for which gaps in the recording are kept
+_LONGEST = 8.0  # longest duration, in median steps per sample, for which gaps in the recording are kept
 _FLAT = 1e-6  # of the largest variance, below which a direction contains no information
 _LOCALLY = 3.0  # s in which the probability of a repeat hardly changes
 _ROWS = 100  # fewest rows from which a share is estimated
@@ -67,7 +67,7 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
         limit: nats of evidence.
         edge: Hz.
     """
-    power, frequency = _periodogram_of(_as_large(innovation), time, edge)
+    power, frequency = _periodogram_of(_isotropic(innovation), time, edge)
     floor = np.maximum(_running_median(power), _beside(power)) / _MEDIAN
     height = power / np.maximum(floor, 0.3)
     surprise = -np.log(np.maximum(gammaincc(3, np.minimum(height, 600)), 1e-280)) + np.maximum(height - 600, 0)
@@ -91,7 +91,7 @@ def tone(innovation: Array, time: Array, level: float, limit: float, edge: float
     )
 
 
-def _as_large(innovation: Array) -> Array:
+def _isotropic(innovation: Array) -> Array:
     """Return the innovations (3, n) scaled to unit variance in every direction."""
     variance, direction = np.linalg.eigh(innovation @ innovation.T / innovation.shape[1])
     scale = np.sqrt(np.maximum(variance, max(_FLAT * variance[-1], np.finfo(float).tiny)))
@@ -108,7 +108,7 @@ def _periodogram_of(innovation: Array, time: Array, edge: float) -> tuple[Array,
     """
     step = float(np.median(np.diff(time))) / _CELLS
     cell = np.round((time - time[0]) / step).astype(int)
-    if cell[-1] > _EMPTY * _CELLS * len(time):
+    if cell[-1] > _LONGEST * _CELLS * len(time):
         cell = _CELLS * np.arange(len(time))  # mostly gaps, across which no line keeps its phase
     elif edge and (np.diff(cell) != _CELLS).any():
         rows = max(int(0.5 / edge * len(time) / (time[-1] - time[0])), 1)
@@ -142,8 +142,8 @@ def _running_median(values: Array) -> Array:
 
 def _beside(values: Array) -> Array:
     """Return the median over the bins beside each, except those that the leakage of a line there reaches."""
-    around = np.ones(2 * _BESIDE + 1, dtype=bool)
-    around[_BESIDE - _LEAKS : _BESIDE + _LEAKS + 1] = False
+    around = np.ones(2 * _NEAR + 1, dtype=bool)
+    around[_NEAR - _LEAKS : _NEAR + _LEAKS + 1] = False
     return np.asarray(median_filter(values, footprint=around, mode="reflect"), dtype=float)
 
 
@@ -225,11 +225,11 @@ def sample_hold(recording: Recording) -> NoiseScore:
     own = recording.magnetic_field_stamped
     stale = ~recording.magnetic_field_fresh[own]
     repeats = np.diff(recording.magnetic_field[own], axis=0) == 0
-    share = _held_together(recording.time[own], repeats)
+    share = _share_held(recording.time[own], repeats)
     together = repeats.all(axis=1)
     coarse = float(repeats.mean() - together.mean()) > RULES.alone_axis
     held = share > max(RULES.held_rows, RULES.repeats_left * float(stale.mean())) and (
-        not coarse or _paced(together)
+        not coarse or _regular(together)
     )
     rows = len(stale) / max(int((~stale).sum()), 1)
     return NoiseScore(
@@ -244,7 +244,7 @@ def sample_hold(recording: Recording) -> NoiseScore:
     )
 
 
-def _paced(repeats: np.ndarray) -> bool:
+def _regular(repeats: np.ndarray) -> bool:
     """Return whether repeated steps (n,) have the regular run lengths of a clock: one number of rows, or one more.
 
     Coarse steps repeat while the field hardly changes: their run lengths vary as by chance, or more.
@@ -256,7 +256,7 @@ def _paced(repeats: np.ndarray) -> bool:
     return bool(lengths.var() <= clock + RULES.by_chance * max(chance - clock, 0.0) + 1e-9)
 
 
-def _held_together(time: Array, repeats: np.ndarray) -> float:
+def _share_held(time: Array, repeats: np.ndarray) -> float:
     """Return the share h of the steps (n, 3) at which all axes are held, apart from repeats of single axes.
 
     With q_i the probability of a repeat of axis i without a hold, an axis repeats with p_i = h + (1 − h) q_i and all

@@ -19,7 +19,7 @@ from magyc_gtsam.gap.search.naming import NOISE_LIMIT
 from magyc_gtsam.recording import Recording
 
 _SHARE = 0.01  # of the samples that are spikes
-_TOGETHER = 1.0  # s, correlation time of the coloured noise
+_CORRELATION_TIME = 1.0  # s, correlation time of the coloured noise
 _MATTERS = 0.5e-6  # T, of a tone and of coloured noise: half the noise of an ordinary magnetometer
 _SPIKE_MATTERS = 3e-6  # T, of spikes: three times the noise
 
@@ -30,7 +30,9 @@ def noise_isolability(recording: Recording, noise: float) -> tuple[Isolability, 
     rate = (samples - 1) / recording.duration
     return (
         _row(
-            "coloured-noise", _coloured(samples, rate) * noise, f"noise that hangs together over {_TOGETHER:.0f} s"
+            "coloured-noise",
+            _coloured(samples, rate) * noise,
+            f"noise that hangs together over {_CORRELATION_TIME:.0f} s",
         ),
         _row("spikes", _spikes(samples) * noise, f"spikes on {_SHARE:.0%} of the samples", matters=_SPIKE_MATTERS),
         _row("tone", _tone(samples) * noise, "a tone above the motion's own frequencies"),
@@ -76,7 +78,7 @@ def _tone(samples: int) -> float:
 def _coloured(samples: int, rate: float) -> float:
     """Return the standard deviation: mean gain in Whittle's likelihood, 3 Σ (ln mean spectrum − ln spectrum)."""
     frequency = np.arange(1, samples // 2) * rate / samples
-    shape = 1 / (1 + (2 * np.pi * _TOGETHER * frequency) ** 2)
+    shape = 1 / (1 + (2 * np.pi * _CORRELATION_TIME * frequency) ** 2)
     shape = shape / shape.mean()
     return _solved(
         lambda s: float(3 * (np.log1p(s**2) - np.log1p(s**2 * shape)).sum()),

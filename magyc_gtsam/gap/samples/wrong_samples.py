@@ -20,7 +20,7 @@ from magyc_gtsam.gap.samples.noise_effects import NoiseScore
 from magyc_gtsam.gap.scores.null import autoregression, memory
 
 _MEDIAN = 2.366  # of χ²₃
-_AROUND = 201  # samples in the median of the local scale: its error of 7 % gives white noise no tails worth a nat
+_LOCAL = 201  # samples in the median of the local scale: its error of 7 % gives white noise no tails worth a nat
 _LEAST = 0.01  # of the global scale, lower limit of the local scale
 _PASSES = 8  # of replacing wrong samples in the neighbours that others are compared with
 
@@ -30,7 +30,7 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
 
     The mixture has one distribution more than the noise, which has two if the wider one is not rare.
     """
-    order, residual, square, hit = _stand_out(innovation)
+    order, residual, square, hit = _outliers(innovation)
     noise, mixture = _one(square), _one(square).with_wider(square)
     if mixture.share[-1] >= RULES.rare:
         noise, mixture = mixture, mixture.with_wider(square)
@@ -64,7 +64,7 @@ def spikes(innovation: Array, level: float, limit: float) -> NoiseScore:
     )
 
 
-def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
+def _outliers(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
     """Compute the residual of each sample from its neighbours, and detect additive outliers.
 
     A wrong sample makes its neighbours seem wrong, too, and the false ones would cause more. Therefore only the largest
@@ -80,7 +80,7 @@ def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
     hit = np.zeros(innovation.shape[1], dtype=bool)
     for _ in range(_PASSES):
         order = memory(clean)  # estimated again, because wrong samples make innovations seem whiter than they are
-        kernels = [_between(row, order) for row in clean]
+        kernels = [_neighbour_weights(row, order) for row in clean]
         residual = np.stack(
             [row + convolve1d(c, k, mode="mirror") for row, c, k in zip(innovation, clean, kernels, strict=True)]
         )
@@ -95,7 +95,7 @@ def _stand_out(innovation: Array) -> tuple[int, Array, Array, np.ndarray]:
     return order, residual, square, hit
 
 
-def _between(row: Array, order: int) -> Array:
+def _neighbour_weights(row: Array, order: int) -> Array:
     """Return the weights (2 order + 1,) of the neighbours in a residual, 0 for the sample itself."""
     ahead = np.append(1.0, -autoregression(row, order)[0]) if order else np.ones(1)
     weights: Array = np.convolve(ahead, ahead[::-1]) / (ahead @ ahead)
@@ -105,7 +105,7 @@ def _between(row: Array, order: int) -> Array:
 
 def _local_scale(square: Array) -> Array:
     """Return the local variance of one axis around each sample, from the squared lengths (n,)."""
-    size = min(_AROUND, (len(square) - 1) // 2 * 2 + 1)
+    size = min(_LOCAL, (len(square) - 1) // 2 * 2 + 1)
     median = np.asarray(median_filter(square, size=size, mode="reflect"), dtype=float)
     return np.maximum(median, max(_LEAST * float(np.median(square)), np.finfo(float).tiny)) / _MEDIAN
 

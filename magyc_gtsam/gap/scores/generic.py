@@ -14,7 +14,7 @@ from magyc_gtsam.factors.effects.signals import STANDARD_GRAVITY, Signals
 from magyc_gtsam.gap.model.twin import Columns, Twin
 from magyc_gtsam.gap.rules import RULES
 
-_KNOTS = (12, 40)  # of the linear splines in time
+_KNOTS = (12, 40)  # numbers of knots of the linear splines in time
 
 
 class Family(NamedTuple):

@@ -111,7 +111,7 @@ def loudest(now: Look, names: tuple[str, ...], noted: set[str]) -> NoiseScore | 
     options = [
         n
         for n in now.noise
-        if n.significant and n.name in names and n.name not in noted and not _of_the_model(n, now)
+        if n.significant and n.name in names and n.name not in noted and not _of_misfit(n, now)
     ]
     return max(options, key=lambda n: n.evidence, default=None)
 
@@ -122,7 +122,7 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     An effect is left out if it adds nothing to a stronger one that is only the deviation of an earlier effect from its
     form.
     """
-    terms, shadow = now.refit.model.terms, _shadow(now, found)
+    terms, shadow = now.refit.model.terms, _remainder(now, found)
     options: list[Score] = []
     shapes: list[Score] = []
     for score in now.scores:
@@ -156,7 +156,7 @@ def faint(score: Score, found: Sequence[Found]) -> bool:
     return coloured and (1 + TERMS[score.name].between) * score.statistic < RULES.beside_colour * score.threshold
 
 
-def _shadow(now: Look, found: Sequence[Found]) -> float:
+def _remainder(now: Look, found: Sequence[Found]) -> float:
     """Return the nats that a change with time may leave if a channel is missing that it may have followed.
 
     Such a change has no form of the catalogue: a step in the place of a motor's current leaves a remainder, also a
@@ -188,7 +188,7 @@ def any_change(sharp: Score, now: Look) -> bool:
     )
 
 
-def _of_the_model(noise: NoiseScore, now: Look) -> bool:
+def _of_misfit(noise: NoiseScore, now: Look) -> bool:
     """Return whether noise is part of the misfit: a slow tone beside a significant family, or colour of a bent term."""
     if noise.name == "coloured-noise":
         return noise.statistic < RULES.shape * max(weights(now.refit), default=0.0)

@@ -172,7 +172,7 @@ def search(
     left = tuple(dict.fromkeys((*instead, *switched(state.found), *leftover(now, first, state.found, noted))))
     final = state
     if left:
-        final = _firm(state, first, now, left)
+        final = _supported(state, first, now, left)
         left = (*left, *(f.name for f in state.found if f.name == "coloured-noise"))
     places = term_places(final.found, final.current.model)
     weak = {p for p, i in places.items() if final.found[p].evidence < RULES.weak and small(final.current, i)}
@@ -196,7 +196,7 @@ def _best(ahead: Sequence[tuple[float, State, Look]]) -> tuple[float, State, Loo
     return max(zip(ahead, left, strict=True), key=lambda one: one[0][0] - one[1])[0]
 
 
-def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
+def _supported(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
     """Return the state without the terms that depend on the remaining misfit."""
     current, found = state.current, state.found
     # A line at the frequencies of the motion that is stronger than a named effect is the cause of that effect.
@@ -205,7 +205,7 @@ def _firm(state: State, first: Look, now: Look, left: tuple[str, ...]) -> State:
         place
         for place, index in term_places(found, current.model).items()
         if found[place].evidence < line
-        or _again(current, index, now, left)
+        or _repeated(current, index, now, left)
         or not stands(current, index, found[place], now, left)
     }
     firm = _without(state, loose)
@@ -225,8 +225,8 @@ def _without(state: State, places: Container[int]) -> State:
     return replace(state, current=kept, found=less(state.found, places))
 
 
-def _again(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
-    """Return whether a further term of this effect is wanted, nearly as strong: a sequence of steps is not a step."""
+def _repeated(current: Refit, index: int, now: Look, left: tuple[str, ...]) -> bool:
+    """Return whether a further term of this effect is nearly as significant: a sequence of steps is not a step."""
     name = current.model.terms[index].name
     more = max((s.statistic for s in now.scores if s.name == name), default=np.inf)
     return name in left and more > RULES.left * current.weight_of(index)

@@ -112,7 +112,7 @@ def with_effect(state: State, now: Look, choice: Score, sharp: Score) -> State |
 def _taken_over(before: State, after: State, sharp: Score) -> State:
     """Add the evidence of rivals that an effect has made superfluous to its own, because it explains that, too."""
     own = sum(f.of is sharp for f in after.found)
-    statistic, evidence = (_of_rivals(before.found, sharp) - _of_rivals(after.found, sharp)) / max(own, 1)
+    statistic, evidence = (_rivals_sum(before.found, sharp) - _rivals_sum(after.found, sharp)) / max(own, 1)
 
     def more(found: Found) -> Found:
         return replace(found, statistic=found.statistic + statistic, evidence=found.evidence + evidence)
@@ -120,7 +120,7 @@ def _taken_over(before: State, after: State, sharp: Score) -> State:
     return replace(after, found=tuple(more(f) if f.of is sharp else f for f in after.found))
 
 
-def _of_rivals(found: Sequence[Found], sharp: Score) -> Array:
+def _rivals_sum(found: Sequence[Found], sharp: Score) -> Array:
     """Return the sums (2,) of statistic and evidence of all effects that are confused with an effect."""
     rivals = [(f.statistic, f.evidence) for f in found if f.of is not None and related(f.name, sharp.name)]
     return np.sum([(0.0, 0.0), *rivals], axis=0)
