@@ -7,18 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from magyc_gtsam.recording import Array, Recording, Samples
-from magyc_gtsam.recording.growing_rows import GrowingRows
 from magyc_gtsam.sensor_faults.cut_off import Clipped, CutOff
 from magyc_gtsam.sensor_faults.full_scale import ClippedField, FullScale
 from magyc_gtsam.sensor_faults.gate import SampleGate
 from magyc_gtsam.sensor_faults.repeats import Repeats
 from magyc_gtsam.sensor_faults.single_samples import FaultySamples, found_in_turn
 from magyc_gtsam.sensor_faults.spikes import Spikes
-from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes, field_turned
+from magyc_gtsam.sensor_faults.stuck import Stretch, StuckAxes
 from magyc_gtsam.sensor_faults.stuck_finding import Stuck, named
+from magyc_gtsam.sensor_faults.waiting_field import WaitingField
 from magyc_gtsam.sensor_faults.zeros import ZeroRates, Zeros
-
-_WAITING = 60.0  # s, longest wait for the samples of the other sensor
 
 
 class SensorFaults:
@@ -30,7 +28,8 @@ class SensorFaults:
     """
 
     def __init__(self, samples: int | None = None, shown: tuple[float, str] = (1e6, "µT")) -> None:
-        self._shown, self._whole = shown, samples is not None
+        self._shown, whole = shown, samples is not None
+        self._field = WaitingField(whole)
         self.zeros = Zeros()
         self.zero_rates = ZeroRates()
         self.spikes = Spikes(), Spikes()
@@ -38,7 +37,7 @@ class SensorFaults:
         self.full_scale = FullScale(samples, samples) if samples is not None else FullScale()
         self.repeats = Repeats()
         self.magnetometer = StuckAxes()
-        self.gyroscope = StuckAxes(self._field_turned, *([np.inf] if self._whole else []))
+        self.gyroscope = StuckAxes(self._field.turned, *([np.inf] if whole else []))
         self._zero_gates = SampleGate(self.zeros), SampleGate(self.zero_rates)
         # If many neighbours are spikes, the first detector misses some, which the second finds once the others are
         # removed.
@@ -46,8 +45,6 @@ class SensorFaults:
         # A long turn at full scale looks like a stuck axis, so it is rejected first.
         self._cut_off_gate = SampleGate(self.cut_off)
         self._gates = SampleGate(self.magnetometer), SampleGate(self.gyroscope)
-        self._field = GrowingRows(4)  # magnetometer samples later than the gyroscope's
-        self._latest = -np.inf  # s, stamp of the last gyroscope sample
 
     @classmethod
     def of(cls, recording: Recording, sensors: Sequence[str] = ("magnetic_field", "angular_rate")) -> SensorFaults:
@@ -68,16 +65,10 @@ class SensorFaults:
             gyroscope = gate.take(gyroscope)
         self.repeats.observe(magnetometer, repeated, gyroscope)
         self.full_scale.observe(magnetometer.value)
-        if len(gyroscope.time):
-            self._latest = float(gyroscope.time[-1])
-        if len(magnetometer.time):
-            self._field.append(np.column_stack(magnetometer))
+        self._field.append(magnetometer, gyroscope)
         first, second = self._gates
         passed = first.take(magnetometer), second.take(self._cut_off_gate.take(gyroscope))
-        if len(self._field):
-            time = self._field.rows[:, 0]
-            since = min(self.gyroscope.pending, self.cut_off.pending, self._latest)
-            self._field.cut(int(np.searchsorted(time, max(since, time[-1] - 2 * _WAITING))))
+        self._field.cut(min(self.gyroscope.pending, self.cut_off.pending))
         return passed
 
     @property
@@ -120,14 +111,6 @@ class SensorFaults:
         every = self.magnetometer.now if now else self.magnetometer.stretches
         return tuple(s for s in every if not _at_full_scale(s, levels))
 
-    def _field_turned(self, rows: Array) -> bool | None:
-        """Return whether the field turned during the gyroscope's stuck rows (n, 4); None while unknown."""
-        field, last = self._field.rows, rows[-1, 0]
-        if not self._whole and (not len(field) or field[-1, 0] < last):
-            return None if self._latest - last < _WAITING else False
-        between = slice(*np.searchsorted(field[:, 0], [rows[0, 0], last]))
-        return field_turned(field[between, 1:], rows[0, 1:])
-
     @property
     def _parts(self) -> Mapping[str, SampleGate | FullScale | Repeats]:
         return {
@@ -146,15 +129,14 @@ class SensorFaults:
         """Return the state for `restore`."""
         states = {name: part.state() for name, part in self._parts.items()}
         result = {f"{name}/{key}": value for name, state in states.items() for key, value in state.items()}
-        return result | {"field": self._field.rows.copy(), "latest": np.array(self._latest)}
+        return result | self._field.state()
 
     def restore(self, state: Mapping[str, Array]) -> None:
         """Continue from `state`."""
         for name, part in self._parts.items():
             prefix = f"{name}/"
             part.restore({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
-        self._field.append(state["field"])
-        self._latest = float(state["latest"])
+        self._field.restore({"field": state["field"], "latest": state["latest"]})
 
 
 def _at_full_scale(stretch: Stretch, levels: Array) -> bool:

@@ -93,15 +93,17 @@ class WindowMotion:
             ),
         )
 
-    @cached_property
+    @property
     def along_links(self) -> WindowMotion:
         """The motion with additional times inside the links across which the field was not measured.
 
         The effect of a gyroscope error on such a link is an integral over the motion there.
         """
+        return self._along_gaps if len(self.between) else self  # kept by itself it would stay in memory
+
+    @cached_property
+    def _along_gaps(self) -> WindowMotion:
         between = self.between
-        if not len(between):
-            return self
         at = between.link + 1
         direction = self.direction[:, between.link]
         unit = np.einsum("ijn,jn->in", between.rotation, direction)
