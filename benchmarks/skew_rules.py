@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.estimators.smoother.skew import Believed, Profile, profile_of, widened
+from magyc_gtsam.estimators.smoother.skew import Profile, SkewPosterior, profile_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC, SkewPrior
 from magyc_gtsam.heading_uncertainty import turn_of
 from magyc_gtsam.study.known import MOTIONS, SKEWS, skewed
@@ -109,7 +109,9 @@ class Draws:
         """What `calibrate` takes out with a prior."""
 
         def taken(information: np.ndarray, seen: np.ndarray) -> np.ndarray:
-            found = Believed.of(Profile(information, information @ seen, np.zeros((13, 3)), np.zeros(13)), prior)
+            found = SkewPosterior.of(
+                Profile(information, information @ seen, np.zeros((13, 3)), np.zeros(13)), prior
+            )
             return found.resolved if found.probability > prior.probable else np.zeros(3)
 
         return lambda k: np.array([taken(*each) for each in zip(self.information, self.seen[k], strict=True)])

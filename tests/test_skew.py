@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from magyc_gtsam import Calibration, MagycError, calibrate, simulate
-from magyc_gtsam.estimators.smoother.skew import Believed, Profile
+from magyc_gtsam.estimators.smoother.skew import Profile, SkewPosterior
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.rotations import exponential_matrices
 from magyc_gtsam.simulation.sensor import SOFT_IRON
@@ -88,7 +88,7 @@ def test_the_heading_is_near_the_better_of_twelve_and_fifteen_parameters(degrees
     seen = angle + np.sqrt(np.diag(np.linalg.inv(information))) * random.normal(size=angle.shape)
     taken = np.zeros_like(angle)
     for row, each in enumerate(seen):
-        believed = Believed.of(
+        believed = SkewPosterior.of(
             Profile(information, information @ each, np.zeros((13, 3)), np.zeros(13)), AUTOMATIC
         )
         if believed.probability > AUTOMATIC.probable:

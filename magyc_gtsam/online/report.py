@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.clock_drift import speaks, with_drift
+from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant, with_drift
 from magyc_gtsam.estimators.smoother.fit import NEAR, Fit, begin, descend
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.preparation import short_term_noise, suitable_turn
@@ -68,7 +68,7 @@ def _of_samples_so_far(online: SmootherState, integrated: IntegratedWindows) -> 
 def _with_clocks(online: SmootherState, calibration: Calibration, fit: Fit) -> Calibration:
     """Return the calibration with the clock drift of the last refit, or of all windows if that found none."""
     drift = online.belief.drift
-    if drift is None and testable(online, len(fit.chain.windows)) and speaks(fit):
+    if drift is None and testable(online, len(fit.chain.windows)) and drift_is_significant(fit):
         drift = drift_of(online, online.recording(None), fit, calibration.converged)
     return with_drift(calibration, drift)
 

@@ -15,7 +15,7 @@ from magyc_gtsam.estimators.smoother.known import known_of
 from magyc_gtsam.estimators.smoother.noise_levels import adapt
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.search import skew_prior
-from magyc_gtsam.estimators.smoother.skew import HeldSkew, skew_of, widened
+from magyc_gtsam.estimators.smoother.skew import SkewPriorFact, skew_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import SkewPrior
 from magyc_gtsam.estimators.smoother.smoother import calibration_of
 from magyc_gtsam.factors.chain.facts import Fact, LinearFact
@@ -230,7 +230,7 @@ class SmootherState:
 def continued(fit: Fit) -> ContinuedChain:
     """Return the chain of a fit as a `ContinuedChain`, without the prior of a misalignment, which is not a fact."""
     chain = fit.chain
-    facts = tuple(fact for fact in chain.facts if not isinstance(fact, HeldSkew))
+    facts = tuple(fact for fact in chain.facts if not isinstance(fact, SkewPriorFact))
     if isinstance(chain, ContinuedChain):
         return replace(chain, facts=facts)
     return ContinuedChain(chain.windows, chain.noise, facts=facts)

@@ -18,7 +18,7 @@ from magyc_gtsam.estimators.smoother.fit import Fit, inverse_information
 from magyc_gtsam.estimators.smoother.known import known_of, typical_matrix
 from magyc_gtsam.estimators.smoother.options import FIELD_SIGMA, SmootherOptions
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
-from magyc_gtsam.estimators.smoother.skew import held, widened
+from magyc_gtsam.estimators.smoother.skew import skew_prior_fact, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.facts import Fact, StrengthFact, field_strength, quadratic
 from magyc_gtsam.factors.chain.field_chain import SKEW
@@ -144,7 +144,7 @@ def _planned(
     free = wide.free.copy()
     free[SKEW] = deviation > 0
     if deviation > 0:
-        facts = (*facts, held(deviation))
+        facts = (*facts, skew_prior_fact(deviation))
     covariance = inverse_information(information + quadratic(facts, parameters)[2], free)
     soft = unvech(parameters[:6])
     soft_iron, unit, reported = fix_scale(soft, covariance[:12, :12])

@@ -99,7 +99,7 @@ def slowed(time: Array, start: float, drift: float) -> Array:
     return start + (time - start) * (1 - drift)
 
 
-def speaks(fit: Fit) -> bool:
+def drift_is_significant(fit: Fit) -> bool:
     """Return whether the score test at a minimum without drift is significant."""
     return abs(_score(fit).ratio) > _SIGNIFICANT
 
@@ -112,7 +112,7 @@ def find_drift(recording: Recording, fit: Fit, trusted: bool, refit: Refit, near
         refit: fits a recording, from θ (13,) or from no start, and returns the fit and a test whether it is trusted.
         near: s/s, drift of an earlier part of the recording, as a start if the whole has no minimum nearby.
     """
-    found = speaks(fit)
+    found = drift_is_significant(fit)
     if not found and (trusted or _explained(recording, fit)):
         return None
     ways: list[Callable[[], tuple[float, Fit, Judge]]] = [lambda: _measure_from_part(recording, refit)]

@@ -55,7 +55,7 @@ class Fit(Minimum):
         """Whether the start is abandoned."""
         return not self.converged and self.iterations > self.patience
 
-    def saying(self, skew: Skew) -> Fit:
+    def with_skew_estimate(self, skew: Skew) -> Fit:
         """Return a copy with the given misalignment estimate; cached properties are kept."""
         result = copy.copy(self)
         object.__setattr__(result, "skew", skew)

@@ -136,8 +136,8 @@ def heading_fact(recording: Recording, known: KnownHeading | None) -> tuple[Head
     vertical = vertical_of(recording)
     if vertical is None or not vertical.signed:
         raise MagycError(
-            "heading: without an accelerometer nothing says which way is up; add one to the recording, or leave the "
-            "heading away"
+            "heading: without an accelerometer nothing says which way is up; add one to the recording, or omit the "
+            "heading"
         )
     kept = np.isfinite(channel)
     heading = np.radians(np.asarray(channel, dtype=float)[kept])

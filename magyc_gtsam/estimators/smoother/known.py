@@ -156,7 +156,7 @@ def contradictions(alone: Calibration, options: SmootherOptions) -> list[str]:
     )
     walks = sorted({"soft_iron_walk" if k < 6 else "hard_iron_walk" for k in worst})
     if alone.trusted:
-        remedy = "believe the data, which need no prior to be enough: leave it away, or allow for a change"
+        remedy = "believe the data, which need no prior to be enough: omit it, or allow for a change"
     else:
         remedy = (
             "the instrument changed, or the field varies here: allow for a change, or record more motion elsewhere"

@@ -20,7 +20,7 @@ from magyc_gtsam.estimators.smoother.noise_levels import ROUNDS, adapt, misfit, 
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
 from magyc_gtsam.estimators.smoother.parts import by_a_part
 from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
-from magyc_gtsam.estimators.smoother.skew import asked, on_skew, skew_of, widened
+from magyc_gtsam.estimators.smoother.skew import on_skew, skew_from_score, skew_of, widened
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC, SkewPrior, given
 from magyc_gtsam.estimators.smoother.upright import relinearised, upright_facts
 from magyc_gtsam.factors.chain.chain_values import ChainState, SensorNoise, Weights
@@ -173,20 +173,20 @@ def with_skew(fit: Fit, adapted: Callable[[Fit], Fit], prior: SkewPrior, known: 
         known: an earlier calibration's constraint on it.
     """
     if known is None and len(fit.state.parameters) == PARAMETERS and not upright_facts(fit):
-        skew = asked(fit, prior)
+        skew = skew_from_score(fit, prior)
         if skew.probability <= prior.probable:
-            return fit.saying(skew)
+            return fit.with_skew_estimate(skew)
     wide = widened(fit, prior, known)
     skew = skew_of(wide, prior, 1.0, decide=False)
     if skew.probability > prior.probable:
         try:
             wide = adapted(descend(wide))
         except MagycError:  # the descent diverged, which happens if the field jumps
-            return fit.saying(skew_of(widened(fit, prior, known), prior, 1.0).undecided())
+            return fit.with_skew_estimate(skew_of(widened(fit, prior, known), prior, 1.0).undecided())
         skew = skew_of(wide, prior, wide.colour * wide.widening)
         if skew.decided and wide.converged and positive(wide):
-            return wide.saying(skew)
-    return fit.saying(skew.undecided())
+            return wide.with_skew_estimate(skew)
+    return fit.with_skew_estimate(skew.undecided())
 
 
 def _without_skew(fit: Fit) -> Fit:

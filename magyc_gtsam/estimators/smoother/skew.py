@@ -58,7 +58,7 @@ def widened(fit: Fit, prior: SkewPrior, known: LinearFact | None = None) -> Fit:
         known: an earlier calibration's constraint on it.
     """
     facts = fit.chain.facts if known is None else (*fit.chain.facts, known)
-    chain = replace(fit.chain, facts=(*facts, held(prior.widest)))
+    chain = replace(fit.chain, facts=(*facts, skew_prior_fact(prior.widest)))
     state = ChainState(with_angles(fit.state.parameters), fit.state.direction)
     free = np.append(fit.free[:PARAMETERS], np.ones(3, dtype=bool))
     return replace(fit, chain=chain, state=state, free=free, reduced=chain.eliminate(state, fit.weights))
@@ -69,13 +69,13 @@ def with_angles(parameters: Array) -> Array:
     return np.append(parameters, np.zeros(WITH_SKEW - len(parameters)))
 
 
-class HeldSkew(LinearFact):
+class SkewPriorFact(LinearFact):
     """The prior of the misalignment, to be told from facts about the instrument."""
 
 
-def held(deviation: float) -> HeldSkew:
+def skew_prior_fact(deviation: float) -> SkewPriorFact:
     """Return the fact ε ~ N(0, deviation²)."""
-    return HeldSkew(np.arange(SKEW.start, SKEW.stop), np.zeros(3), np.eye(3) / deviation)
+    return SkewPriorFact(np.arange(SKEW.start, SKEW.stop), np.zeros(3), np.eye(3) / deviation)
 
 
 def on_skew(fact: Fact) -> bool:
@@ -87,21 +87,21 @@ def skew_of(fit: Fit, prior: SkewPrior, factor: float, *, decide: bool = True) -
     """Return the misalignment estimate of a fit of sixteen parameters, at or near its minimum.
 
     Args:
-        fit: with `held(prior.widest)` as the last fact of its chain.
+        fit: with `skew_prior_fact(prior.widest)` as the last fact of its chain.
         prior: of the misalignment.
         factor: divides the data's information: the residual's colour, which an unmodelled misalignment raises, times
             its widening.
         decide: whether it may be corrected; if False it is left undecided, however probable.
     """
     profile = profile_of(fit, factor)
-    believed = Believed.of(profile, prior)
+    believed = SkewPosterior.of(profile, prior)
     if not decide or believed.probability <= prior.probable:
         return believed.around(np.zeros(3), profile)
     doubt = _doubt(fit, believed.mean, prior, factor)
     return believed.around(np.zeros(3) if doubt else believed.resolved, profile, doubt)
 
 
-def asked(fit: Fit, prior: SkewPrior) -> Skew:
+def skew_from_score(fit: Fit, prior: SkewPrior) -> Skew:
     """Return the undecided misalignment estimate of a fit of thirteen parameters, from one group of columns."""
     chain, parameters = fit.chain, fit.state.parameters
     body = np.einsum("ijn,jn->in", chain.rotation(parameters), fit.state.direction)
@@ -111,10 +111,10 @@ def asked(fit: Fit, prior: SkewPrior) -> Skew:
     beside = fit.beside
     new = beside.of(UnmodelledColumns(columns, None))
     profile = Profile(new.normal, new.score, -beside.move(new), np.zeros(PARAMETERS))
-    return Believed.of(profile, prior).around(np.zeros(3), profile)
+    return SkewPosterior.of(profile, prior).around(np.zeros(3), profile)
 
 
-class Believed(NamedTuple):
+class SkewPosterior(NamedTuple):
     """The posterior of ε under each of the k deviations of a prior.
 
     Attributes:
@@ -138,7 +138,7 @@ class Believed(NamedTuple):
     probability: float
 
     @classmethod
-    def of(cls, profile: Profile, prior: SkewPrior) -> Believed:
+    def of(cls, profile: Profile, prior: SkewPrior) -> SkewPosterior:
         """Compute the posterior; the prior is isotropic, so the likelihood factorises over the principal axes."""
         known, axes = np.linalg.eigh(profile.information)
         known, pull = np.maximum(known, 0.0), profile.pull @ axes

@@ -11,7 +11,7 @@ from magyc_gtsam.estimators.model_error import model_error
 from magyc_gtsam.estimators.smoother.columns import EstimatedTerms, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.estimators.smoother.judged import Posterior, judge
-from magyc_gtsam.estimators.smoother.skew import asked
+from magyc_gtsam.estimators.smoother.skew import skew_from_score
 from magyc_gtsam.estimators.smoother.skew_prior import AUTOMATIC
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS
 from magyc_gtsam.foreign_text import cause_and_action, clauses
@@ -36,7 +36,7 @@ def judged(
     """
     model, fit = result.model, fit_of(result.twin)
     if all(term.name != _SKEW for term in model.terms):
-        fit = fit.saying(asked(fit, AUTOMATIC))
+        fit = fit.with_skew_estimate(skew_from_score(fit, AUTOMATIC))
     count = int(model.free.sum())
     sensors = np.zeros((PARAMETERS, PARAMETERS))
     sensors[np.ix_(model.free, model.free)] = result.covariance[:count, :count]

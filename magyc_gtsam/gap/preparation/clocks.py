@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from magyc_gtsam.estimators.smoother.clock_drift import speaks
+from magyc_gtsam.estimators.smoother.clock_drift import drift_is_significant
 from magyc_gtsam.estimators.smoother.fit import Fit
 from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.gap.model.refit import Refit
@@ -20,4 +20,6 @@ def drift_apart(current: Refit) -> bool:
     twin = current.twin
     if not twin.model.free[DELAY]:
         return False
-    return speaks(Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free))
+    return drift_is_significant(
+        Fit(twin.chain, twin.state, twin.chain.unweighted(), twin.reduced, twin.model.free)
+    )
