@@ -143,7 +143,9 @@ class Delivered:
             # of the quadratic is therefore of second order in the distance from its linearisation point, and so is
             # its growth since the last check.
             angle, iron = place.moved(point, details)
-            lost = angle * (place.angle + 0.5 * angle + place.iron + iron) + iron * place.angle  # of the field
+            lost = (
+                angle * (place.angle + 0.5 * angle + place.iron + iron) + iron * place.angle
+            )  # relative to the field
             # The samples' noise acts through Jacobians that changed by the same amount; two standard deviations
             # count.
             shift = place.shift + lost * details.field_over_noise + 2 * (angle + iron)

@@ -146,7 +146,7 @@ def block_fit(
     nis = float(np.sum(projected**2 / seen[clear]))
     on_offset = information[:, hard_iron]
     curvature = information[hard_iron, hard_iron] - on_offset.T @ covariance @ on_offset
-    bend, sides = np.linalg.eigh(curvature)  # for the pseudo-inverse
+    bend, sides = np.linalg.eigh(curvature)  # eigenvalues for the pseudo-inverse
     spread = (sides * np.divide(1.0, bend, out=np.zeros(3), where=bend > 1e-6 * bend[-1])) @ sides.T
     return nis, int(clear.sum()), float(scatter), spread @ gradient[hard_iron], spread
 

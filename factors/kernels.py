@@ -116,7 +116,7 @@ def robustify(
     ‖r̃‖²/2 = ρ(e) and J̃ᵀ r̃ = w Jᵀ r, the gradient of the robust cost.
 
     Args:
-        name: of the kernel.
+        name: name of the kernel.
         residual: (n, rows), whitened, one sample per row.
         jacobians: each (n, rows, columns).
         tuning: the kernel's constant; default 95 % efficiency for `rows` rows.

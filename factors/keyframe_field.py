@@ -147,9 +147,7 @@ class KeyframeField:
             return self
         rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
         root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)])  # each column to its own rounding
-        by_column = np.ascontiguousarray(
-            root[:, :columns].reshape(-1, columns // 3).T
-        )  # in the layout of `_columns`
+        by_column = np.ascontiguousarray(root[:, :columns].reshape(-1, columns // 3).T)  # layout of `_columns`
         return replace(
             self,
             design=by_column.T.reshape(-1, 3, columns // 3),

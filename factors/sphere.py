@@ -51,7 +51,7 @@ def sphere_factor(
         hard_iron_key: h, 3-vector or `Point3`.
         measurement: (3,), in the unit of K and h.
         noise: standard deviation per axis, or a noise model of 3 rows, e.g. `robust_noise`.
-        shape: of K, "symmetric", "triangular" (upper) or "full".
+        shape: form of K, "symmetric", "triangular" (upper) or "full".
 
     Raises:
         MagycError: unknown shape, or a measurement that is not three finite numbers.

@@ -14,7 +14,7 @@ from magyc_gtsam.factors.chain.gyroscope_track import GyroscopeTrack
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.chain.rotations import Array, matrices
 
-_GAP = 3.0  # in steps of the magnetometer: a magnetometer slower than the windows has no gaps
+_GAP = 3.0  # magnetometer steps; a magnetometer slower than the windows has no gaps
 
 
 @dataclass(frozen=True, eq=False)

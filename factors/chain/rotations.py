@@ -86,7 +86,7 @@ def chain(steps: Spinor) -> Spinor:
     if n < _SHORT:
         p, q = np.insert(p, 0, 1.0), np.insert(q, 0, 0.0)
         reach = 1
-        while reach <= n:  # by doubling, which needs fewer calls
+        while reach <= n:  # doubling needs fewer calls
             p[reach:], q[reach:] = multiply((p[:-reach], q[:-reach]), (p[reach:], q[reach:]))
             reach *= 2
         return p, q

@@ -13,7 +13,7 @@ from magyc_gtsam.factors.effects.forms import FORMS
 from magyc_gtsam.factors.effects.signals import Signals
 from magyc_gtsam.factors.effects.term import Term
 
-_PASSES = 20  # most inputs need three; where a change is hardly read, the last digits are lost anyway
+_PASSES = 20  # largest number of Newton steps; most inputs need three
 _TOLERANCE = 1e-12  # T and rad/s, largest residual of a solution
 _SLOPE_STEP = 1e-8  # T and rad/s, step of the numerical derivative
 _LEAST_SLOPE = 0.2  # smallest slope of the reading that can be inverted without amplifying noise too much

@@ -15,7 +15,7 @@ from magyc_gtsam.storage.mapping import numbers
 
 _LARGEST_RATE = 70.0  # rad/s, twice the range of the fastest common gyroscopes
 _LONGEST_DELAY = 60.0  # s
-_LARGEST_CONDITION_NUMBER = 1e6  # of the soft iron
+_LARGEST_CONDITION_NUMBER = 1e6  # largest condition number of the soft iron
 _SCALE_RANGE = (1e-3, 1e3)  # geometric mean of the soft iron's singular values
 _PLAUSIBLE_FIELD = (8e-6, 175e-6)  # T, of a calibrated field: the Earth's, with a factor 2.5 for the scale
 _ASYMMETRY = 1e-6  # largest asymmetry of a covariance, relative to its largest element

@@ -52,7 +52,7 @@ class HistoryPosterior:
         hard_iron, covariance: (k, 3) µT and (k, 3, 3) of each h_k.
         cross: (k, 3, p) covariance of h_k with s.
         change: (k − 1, 3, 3) covariance of h_{k+1} − h_k.
-        log_likelihood: of the observations under flat priors on s and h_0, up to a constant.
+        log_likelihood: log-likelihood of the observations under flat priors on s and h_0, up to a constant.
     """
 
     shared: Array

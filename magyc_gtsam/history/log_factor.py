@@ -135,7 +135,7 @@ def compress(calibration: Calibration, name: str, time: float | None) -> LogFact
     shape, log_scale = shape_of(calibration.soft_iron)
     scale = next((term for term in calibration.terms if term.name == "gyro-scale"), None)
     size = SIZE if scale is None else SIZE_WITH_SCALE
-    mean, slope = np.zeros(size), np.zeros((size, 15))  # of vech(S), h, b and g in SI units
+    mean, slope = np.zeros(size), np.zeros((size, 15))  # slope: derivative by vech(S), h, b and g in SI units
     known = np.zeros((15, 15))
     rows = len(calibration.covariance)  # 12, or 9 without a bias
     known[:rows, :rows] = calibration.covariance

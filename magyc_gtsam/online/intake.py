@@ -128,7 +128,7 @@ def _within_limits(name: str, stamps: Array, value: Array, limit: float, first: 
     Rows of NaN stand for no sample and are not counted.
 
     Args:
-        name: of the sensor.
+        name: name of the sensor.
         stamps, value: (n,) s and (n, 3).
         limit: largest absolute value.
         first: whether no sample came before, so that values beyond the limit mean a wrong unit.

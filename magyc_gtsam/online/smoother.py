@@ -44,7 +44,7 @@ class OnlineSmoother:
 
     Args:
         field_strength, noise, robust, delay, window, turn: as in `calibrate_smoother`.
-        clock_drift: as there, counted from the first sample of the magnetometer.
+        clock_drift: as in `calibrate_smoother`, counted from the first sample of the magnetometer.
         hard_iron_walk, gyro_bias_walk: random walk of the hard iron, T per √h, and of the gyroscope bias, rad/s per √h.
         detect_changes: whether to look for steps in hard iron.
         angular_rate_is: as in `Recording`.
@@ -53,7 +53,7 @@ class OnlineSmoother:
             in hard iron is found.
         prior_walk: T, by which each axis of the hard iron may have changed since.
         field: (strength T, dip rad) at the place, as there; the dip is not used, because the vertical is unknown.
-        misalignment: as there; estimated at every refit, and when a result is read.
+        misalignment: as in `calibrate_smoother`; estimated at every refit, and when a result is read.
     """
 
     def __init__(

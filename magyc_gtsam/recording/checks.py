@@ -17,7 +17,7 @@ _FIELD_LIMITS = (2e-6, 3e-3)  # T, median norm; a hard iron of forty times the f
 FIELD_RANGE = 0.01  # T, twice the range of the widest common magnetometers
 _RATE_LIMIT = 70.0  # rad/s, twice the range of the fastest common gyroscopes (2000 deg/s)
 _PLACEHOLDERS = (999, 9999, 99999, 999999, 2**15 - 1, 2**15, 2**16 - 1)  # commonly written for "no value"
-_LARGEST = 1e12  # of any channel: 100 A are 1e11 nA
+_LARGEST = 1e12  # largest value of any channel: 100 A are 1e11 nA
 # A placeholder lies this many times farther from the median than any other sample.
 _PLACEHOLDER_FACTOR = 10
 # Any number this many times farther from the median than the others is an outlier: a 14-bit converter resolves less.
@@ -32,7 +32,7 @@ def frozen(name: str, value: ArrayLike, shape: tuple[Any, ...], nan: bool = Fals
     """Return a read-only float64 copy of `value`, or `value` itself if it comes from `given_away`.
 
     Args:
-        name: of the argument, for messages.
+        name: name of the argument, for messages.
         value: the array.
         shape: expected shape; None stands for any length, a final `...` for an optional second dimension.
         nan: whether values that are not finite are allowed.

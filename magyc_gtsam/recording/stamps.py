@@ -37,7 +37,7 @@ def seconds(name: str, time: Any, origin: int = 0) -> Any:
     """Return calendar stamps (numpy, pandas, datetime) or durations as float64 s; any other value unchanged.
 
     Args:
-        name: of the argument, for messages.
+        name: name of the argument, for messages.
         time: (N,) stamps.
         origin: the stamp, in ns since 1970, that becomes 0 s; see `origin_of`.
 

@@ -140,7 +140,7 @@ def _slerp(at: Array, time: Array, quaternion: Array) -> Array:
     second = np.where(cosine < 0, -second, second)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
     share = ((at[inside] - time[left]) / (time[left + 1] - time[left]))[:, None]
-    small = angle < 1e-6  # where the sines cancel
+    small = angle < 1e-6  # the sines cancel there
     sine = np.where(small, 1.0, np.sin(angle))
     weight = np.where(small, 1 - share, np.sin((1 - share) * angle) / sine)
     other = np.where(small, share, np.sin(share * angle) / sine)

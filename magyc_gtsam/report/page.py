@@ -174,7 +174,7 @@ def _time_figures(recording: Recording, history: FieldHistory, time: Array) -> l
 
 def _turn_figures(calibration: Calibration, verdict: Verdict, turn: LevelTurn) -> list[Figure]:
     error = turn.raw_error(calibration.soft_iron, calibration.hard_iron)
-    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # no line across the wrap at ±180°
+    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # avoids a line across the wrap at ±180°
     about = f"A turn about {turn.about}, at a dip of {turn.dip:.0f}°."
     frame = Frame("Heading (°)", "Error (°)", levels=[0.0], xlim=(0, 360))
     figures = [

@@ -51,7 +51,7 @@ def level_turn_error(figure: FigureBase, turn: LevelTurn, calibration: Calibrati
     rows = 1 if calibration.covariance is None else 2
     grid = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=[3, 2][:rows])[:, 0]
     error = turn.raw_error(calibration.soft_iron, calibration.hard_iron)
-    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # no line across the wrap at ±180°
+    jumps = np.append(np.abs(np.diff(error)) > 180, False)  # avoids a line across the wrap at ±180°
     grid[0].plot(turn.heading, np.where(jumps, np.nan, error), color=RAW)
     grid[0].set_ylabel("Raw (°)")
     if calibration.covariance is not None:

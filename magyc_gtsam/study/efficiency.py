@@ -77,7 +77,7 @@ def efficiency(
     Args:
         motion: as in `simulate`.
         runs: number of recordings.
-        duration, rate, gyroscope_noise: of the simulation, s, Hz and rad/s.
+        duration, rate, gyroscope_noise: parameters of the simulation, s, Hz and rad/s.
         disturbed: share of the one-second stretches to which up to 50 µT are added.
         method: recording → calibration with covariance.
         first_seed: seed of the first recording; the others follow.

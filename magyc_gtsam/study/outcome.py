@@ -74,7 +74,7 @@ class Comparison:
             most do not estimate it and it would count as their heading error.
         delay_from: the method that estimated it; "" for none.
         inlier: (n,) whether each magnetometer sample lies on the ellipsoid of one robust method.
-        inlier_from: that method; "" if none is trusted, in which case all samples are inliers.
+        inlier_from: the robust method; "" if none is trusted, in which case all samples are inliers.
         not_run: methods that were not run because of an interrupt (Ctrl-C).
     """
 
@@ -117,7 +117,7 @@ class Comparison:
     def _repr_html_(self) -> str:
         text: str = importlib.import_module("magyc_gtsam.report.notebook").html_of(
             self
-        )  # it lies above this module
+        )  # a higher layer than this module
         return text
 
     @property

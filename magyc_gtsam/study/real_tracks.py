@@ -83,8 +83,8 @@ def real_rows(
 
     Args:
         recordings: {name: recording}, the reference first.
-        sensor: which one of them is calibrated.
-        running: where it runs.
+        sensor: the sensor that is calibrated.
+        running: execution of the study.
 
     Raises:
         MagycError: there are no recordings, or one lacks the sensor.

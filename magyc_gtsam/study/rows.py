@@ -20,7 +20,7 @@ class Running(NamedTuple):
     progress: Progress | None = None
 
 
-HERE = Running()  # in this process, nothing kept
+HERE = Running()  # runs in this process and keeps nothing
 _NOT_IN_NAMES = re.compile(r"[^\w.=@+-]+")  # characters not used in file names
 
 
@@ -33,7 +33,7 @@ def study_rows(name: str, work: Callable[[Any], Row], units: Iterable[Any], runn
         name: name of the study.
         work: a module-level function that takes a unit and returns {column: list}, one entry per row.
         units: named tuples that determine a unit's rows; their fields become columns, too.
-        running: how the study runs.
+        running: execution of the study.
 
     Raises:
         MagycError: as in `run_many`.

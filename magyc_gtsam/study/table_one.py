@@ -98,8 +98,8 @@ def table_one(
         methods: names in `methods()`, or MAGNETIC_HEADING.
         convention: one of CONVENTIONS.
         gyroscope_noise: rad/s; the formulas of the paper's text are lost, 5 and 10 mrad/s are both cited.
-        samples: of each recording, at RATE.
-        running: where it runs.
+        samples: number of samples of each recording, at RATE.
+        running: execution of the study.
     """
     motions = list(PUBLISHED["raw"])
     chosen = [

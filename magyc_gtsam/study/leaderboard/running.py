@@ -27,7 +27,7 @@ from magyc_gtsam.study.outcome import OutcomeStatus
 DELIVERED, OPTICS = (
     "as delivered",
     "own optics",
-)  # in addition to the methods: the reading as delivered, and the floor
+)  # rows in addition to the methods: the reading as delivered, and the lower bound by the optics
 
 
 @dataclass(frozen=True)
