@@ -42,7 +42,7 @@ def weights(tree: Tree) -> dict[Set, float]:
             add(key, True, node.log + log)
         for less, log in _imitated(tree, node, key):
             add(less, True, node.log + log)
-        for log in node.moving:  # the only unknown effect for which a field of the place may be taken
+        for log in node.moving:  # the only unknown effect that resembles a field of the place
             add(key, True, node.log + PRIOR.unknown + log)
         for each in node.found.values():  # sets that were not fitted, in linearised form
             more = tuple(sorted((*node.names, each.name)))
@@ -150,7 +150,7 @@ def _contains(tree: Tree, node: Node, family: Weighed, child: Node) -> bool:
 
 
 def kept(tree: Tree, node: Node) -> list[int]:
-    """Return the terms of a set that exceed the deviation of a related one from its form, and the field variation.
+    """Return the terms of a set that exceed the deviation from its form of a related one or of the field variation.
 
     If each of two terms may be the deviation of the other, the one with more evidence remains.
     """
