@@ -108,7 +108,7 @@ class CoarseAlignment:
 
     @property
     def due(self) -> bool:
-        """Whether a verdict is due: at each of the first 20 blocks, later after every tenth of their number."""
+        """Whether a verdict is due: at each of the first 20 blocks, later each time they have grown by a tenth."""
         n = len(self._blocks)
         return n <= 20 or n % (n // 10) == 0
 

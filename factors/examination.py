@@ -146,9 +146,7 @@ class Examiner:
         before = np.linalg.inv(augmented[:-1, :-1])
         moved = before @ augmented[:-1, -1]
         weight, axes = np.linalg.eigh(before - covariance)
-        seen = (
-            weight > 0.1 * np.diag(before).max()
-        )  # directions in which the data are more informative than the prior
+        seen = weight > 0.1 * np.diag(before).max()  # directions whose variance the data have reduced
         distance = float(np.sum((axes.T[seen] @ moved) ** 2 / weight[seen]))
         if len(moved) == 3:
             text = f"mounting {np.degrees(np.linalg.norm(moved)):.1f}° from its prior"

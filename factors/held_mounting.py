@@ -115,7 +115,7 @@ class HeldMounting:
 
     @property
     def evidence(self) -> float:
-        """Logarithm of the likelihood ratio between θ drawn from its prior and θ = 0, given the blocks."""
+        """Logarithm of the Bayes factor of θ drawn from its prior against θ = 0, given all blocks."""
         limits = self.limits
         information = np.eye(3) + limits.prior**2 * self._information / limits.excess
         score = limits.prior * self._score / limits.excess

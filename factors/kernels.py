@@ -27,7 +27,7 @@ class Kernel:
     Attributes:
         loss: ρ(e, k) of whitened norms e ≥ 0, elementwise.
         weight: ρ'(e, k)/e, elementwise.
-        curvature: ρ''(e, k), elementwise; below 0 where the kernel rejects a sample.
+        curvature: ρ''(e, k), elementwise; below 0 where the kernel redescends.
         tuning: k by the residual's dimension (1, 2 or 3) for 95 % efficiency on Gaussian noise. L1 has
             no such k: its efficiency is 64, 79 and 85 %, and k only rounds off the tip at e = 0.
     """

@@ -39,7 +39,7 @@ from magyc_gtsam.factors.variables import Array
 
 _DELAY = 12  # first column of y that depends on the delay
 _IDENTITY = np.eye(3)
-_REST = {axes: np.eye(axes)[1:, :, None] for axes in (4, 5)}  # on the weights of y but the first, which is 1
+_REST = {axes: np.eye(axes)[1:, :, None] for axes in (4, 5)}  # unit vectors of y's weights but the first, 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,7 @@ class KeyframeField:
         if len(self.share) <= columns + 4:
             return self
         rows = np.concatenate([design.transpose(1, 2, 0).reshape(columns, -1), self.share[None], self.field.T])
-        root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)])  # each column to its own rounding
+        root = np.triu(lapack.dgeqrf(rows.T, overwrite_a=True)[0][: len(rows)])  # errors scale with the column
         by_column = np.ascontiguousarray(root[:, :columns].reshape(-1, columns // 3).T)  # layout of `_columns`
         return replace(
             self,

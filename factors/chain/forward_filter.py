@@ -127,6 +127,6 @@ class ForwardFilter(NamedTuple):
 
 
 def _onto(matrix: Array, columns: Array, out: Array | None = None) -> Array:
-    """Return the products (p, b, n) of columns (p, a, n) with matrices (a, b, n), contiguous in this order."""
+    """Return the products (p, b, n) of columns (p, a, n) with matrices (a, b, n)."""
     result: Array = np.einsum("pan,abn->pbn", columns, matrix, out=out)
     return result

@@ -21,12 +21,12 @@ inline Matrix3 skew(const Vector3& v) {
   return (Matrix3() << 0, -v.z(), v.y(), v.z(), 0, -v.x(), -v.y(), v.x(), 0).finished();
 }
 
-/// The symmetric matrix of its upper triangle, row by row.
+/// Return the symmetric matrix of an upper triangle, row by row.
 inline Matrix3 unvech(const Vector6& a) {
   return (Matrix3() << a(0), a(1), a(2), a(1), a(3), a(4), a(2), a(4), a(5)).finished();
 }
 
-/// d(A u)/d vech(A).
+/// Return d(A u)/d vech(A).
 inline Matrix36 on_vech(const Vector3& u) {
   Matrix36 d = Matrix36::Zero();
   d.row(0) << u.x(), u.y(), u.z(), 0, 0, 0;
@@ -41,7 +41,7 @@ struct SampleJacobians {
   Matrix36 soft_iron;
 };
 
-/// Residual of one sample; field, hard iron and measurement in one unit.
+/// Return the residual of one sample; field, hard iron and measurement in one unit.
 inline Vector3 sample_error(const Matrix3& rotation, const Vector6& soft_iron, const Vector3& hard_iron,
                             const Vector3& field, const Matrix3& mounting, const Vector3& measured,
                             SampleJacobians* jacobians = nullptr) {
@@ -59,13 +59,13 @@ inline Vector3 sample_error(const Matrix3& rotation, const Vector6& soft_iron, c
   return iron * seen + hard_iron - measured;
 }
 
-/// Samples around a keyframe, as `KeyframeField`: k samples or the rows that stand for them.
+/// Samples around a keyframe, as in `KeyframeField`: k samples or their compressed rows.
 struct Block {
   Eigen::MatrixXd design;      ///< (3k, 12), rows of sample 0 first; columns v, then delta_j v
   Eigen::VectorXd share;       ///< (k)
   Eigen::VectorXd field;       ///< (3k), in the unit of the hard iron
-  Vector3 bias;                ///< rad/s, where the gyroscope was integrated
-  Matrix3 mounting;            ///< S0, the mounting that is in the design
+  Vector3 bias;                ///< rad/s, at which the gyroscope was integrated
+  Matrix3 mounting;            ///< S0, the mounting contained in the design
   double sigma;                ///< in the unit of the hard iron
 };
 
@@ -74,7 +74,7 @@ struct BlockJacobians {
   Eigen::MatrixXd rotation, soft_iron, hard_iron, gyro_bias, field, mounting;
 };
 
-/// Whitened residual of a block.
+/// Return the whitened residual of a block.
 inline Eigen::VectorXd block_error(const Block& block, const Matrix3& rotation, const Vector6& soft_iron,
                                    const Vector3& hard_iron, const Vector3& gyro_bias, const Vector3& field,
                                    const Matrix3& mounting, BlockJacobians* jacobians = nullptr) {

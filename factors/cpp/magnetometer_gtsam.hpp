@@ -1,7 +1,7 @@
 // GTSAM factors of the residuals in magnetometer.hpp, for GTSAM 4.1 to 4.3.
 //
-// Where this was compiled, and against which versions, is said in docs/slam.md; tests/test_cpp_header.py compiles it where
-// GTSAM's headers are and compares both factors with the Python ones.
+// docs/slam.md lists the systems and versions with which this was compiled; tests/test_cpp_header.py compiles it where
+// GTSAM's headers are installed and compares both factors with the Python ones.
 // Soft iron keys hold a gtsam::Vector of 6, as graphs made in Python do; hard iron keys a Point3.
 #pragma once
 
@@ -56,7 +56,7 @@ class MagnetometerFactor : public CalibrationFactor {
   }
 };
 
-/// A block of samples on (Pose3, soft iron, hard iron) in a known field, the gyroscope's bias held at the block's own.
+/// A block of samples on (Pose3, soft iron, hard iron) in a known field, with the gyroscope's bias held at the block's.
 class KeyframeFieldFactor : public CalibrationFactor {
   Block block_;
   Vector3 field_;

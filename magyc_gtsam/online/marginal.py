@@ -19,7 +19,7 @@ from magyc_gtsam.factors.chain.directions import QuadraticPrior
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW, WITH_SKEW, FieldChain, iron_matrix
 from magyc_gtsam.factors.chain.rotations import Array
 
-_UNMEASURED = 1e-3  # scale of the weight of the first window's field, which the marginal already contains
+_UNMEASURED = 1e-3  # factor of the first window's `window_scale`, since the marginal already contains its field
 HARD_IRON = slice(6, 9)
 BIAS = slice(9, 12)
 

@@ -135,7 +135,7 @@ def _plan_next(online: SmootherState, count: int) -> bool:
 def _report(
     online: SmootherState, recording: Recording, fit: Fit, rival: Fit | None, count: int
 ) -> tuple[Estimate, Calibration]:
-    """Store the results for the reader: doubt, model error, clock drift and calibration; return the estimate and it."""
+    """Store doubt, model error, clock drift and calibration for the reader; return estimate and calibration."""
     belief = online.belief
     estimate = Estimate(fit.state.parameters, fit.covariance, fit.chain.noise, fit.colour, fit.noise_freedom)
     belief.doubt = "" if fit.skew is None else fit.skew.doubt
