@@ -21,6 +21,7 @@ from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
 from magyc_gtsam.gap.model.base import base_model, problem_of
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.outcome.outcome import gap_of
+from magyc_gtsam.gap.search.adopted import adopted
 from magyc_gtsam.gap.search.naming import Found
 from magyc_gtsam.gap.search.search import Search, search
 from magyc_gtsam.gap.search.weighed import weighed
@@ -91,6 +92,21 @@ def test_what_is_no_noise_is_left(looked: Looked, name: str) -> None:
     result = weighed(loud, replace(said, posterior={(("timing",), True): 1.0}), noise)
     assert [one.name for one in result.found] == ["timing"]
     assert result.leftover == (name,)
+
+
+def test_a_set_that_is_sure_is_adopted(looked: Looked, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The score tests gave up; the posterior is sure, or it is not, or the set predicts nothing."""
+    found, said, base, noise = looked
+    nothing = replace(found, found=(), last=found.first, leftover=("field:cubic",))
+    gap = gap_of(adopted(nothing, said, noise), base, noise, None, NAMES, (), 0.0)
+    assert gap.names == ("timing",)
+    assert gap.verdict == "closed"
+    assert gap.calibration.delay == pytest.approx(gap_by(looked, said.posterior).calibration.delay, rel=1e-3)
+    assert adopted(found, said, noise) is found
+    unsure = {(("timing",), False): PRIOR.sure - 0.01, ((), True): 1.01 - PRIOR.sure}
+    assert adopted(nothing, replace(said, posterior=unsure), noise) is nothing
+    monkeypatch.setattr("magyc_gtsam.gap.search.adopted.predicts", lambda *_: False)
+    assert adopted(nothing, said, noise) is nothing
 
 
 def test_a_field_that_varies_closes_the_gap() -> None:

@@ -28,6 +28,8 @@ from magyc_gtsam.gap.preparation.noiseless import noiseless
 from magyc_gtsam.gap.result import Doubt, Gap
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.tones import silenced
+from magyc_gtsam.gap.search.adopted import adopted
+from magyc_gtsam.gap.search.one_jump import with_one_jump
 from magyc_gtsam.gap.search.search import Search, search
 from magyc_gtsam.gap.search.step_samples import without_samples_of_steps
 from magyc_gtsam.gap.search.weighed import weighed
@@ -155,6 +157,7 @@ def _gap_and_search(
     result = search(recording, base, short_term, names, problem_of, report)
     report(0.7)
     said = answer(recording, base, short_term, names, problem_of, discrete, result.first.fine)
+    result = with_one_jump(adopted(result, said, short_term), short_term, problem_of)
     result, said = without_samples_of_steps(recording, result, said)
     stated, result = marginals(said.posterior), weighed(result, said, short_term)
     report(0.9)

@@ -33,11 +33,13 @@ class Answer:
         recording: without the effects on single samples.
         tree: of the sets.
         posterior: {(names, True if an unknown effect is present): probability}.
+        left_out: the effects on single samples that were taken out of the recording.
     """
 
     recording: Recording
     tree: Tree
     posterior: dict[Set, float]
+    left_out: tuple[NoiseScore, ...] = ()
 
 
 def answer(
@@ -54,6 +56,7 @@ def answer(
     said: dict[str, float] = {s.name: PRIOR.certain for s in settled if s.significant}
     given, problem, model = recording, base.twin.problem, base.model
     level = short_term
+    left_out: list[NoiseScore] = []
     fine = fine or fine_innovations(given, model)
     coarse = quantisation(given, fine.level)
     stepped = coarse.significant and coarse.name in names
@@ -79,12 +82,13 @@ def answer(
                 continue
             said[name] = max(odds, known)
             if odds > 0:
-                recording = without(recording, model, fine, score)
+                recording, taken = without(recording, model, fine, score)
+                left_out.append(taken)
                 problem = prepare(recording)
                 fine, found = singles_of(recording, model)
         if recording is before:
             break
-    return Answer(recording, tree, _posterior(tree, said, COLOUR in names))
+    return Answer(recording, tree, _posterior(tree, said, COLOUR in names), tuple(left_out))
 
 
 def _bare(model: Model, level: SensorNoise) -> Model:

@@ -31,13 +31,16 @@ def singles_of(recording: Recording, model: Model) -> tuple[Fine, dict[str, Nois
     return fine, {score.name: score for score in single_scores(fine, 0.0)}
 
 
-def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -> Recording:
-    """Return the recording without an effect on single samples."""
+def without(recording: Recording, model: Model, fine: Fine, score: NoiseScore) -> tuple[Recording, NoiseScore]:
+    """Return the recording without an effect on single samples, and the effect with the value taken out."""
     if score.name == "tone":
-        return silenced(recording, [heard(recording, model, score.setting["frequency"])])
+        line = heard(recording, model, score.setting["frequency"])
+        return silenced(recording, [line]), replace(
+            score, value=line.value, sigma=line.sigma, setting=line.setting
+        )
     assert score.rows is not None
     wrong = np.isin(recording.time, fine.time[score.rows])
-    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong)
+    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong), score
 
 
 def smoothed(given: Recording, model: Model, score: NoiseScore, fine: Fine) -> Recording:

@@ -188,6 +188,11 @@ def key_of(tree: Tree, node: Node) -> tuple[str, ...]:
     return tuple(sorted(names | ({FIELD_VARIATION} if varies else set())))
 
 
+def names_of(tree: Tree, node: Node) -> frozenset[str]:
+    """Return the effects of the catalogue in a set."""
+    return frozenset(key_of(tree, node)).intersection(TERMS)
+
+
 def normalised(logs: Mapping[Set, float]) -> dict[Set, float]:
     """Return probabilities, with a share for an unknown effect alone that this comparison does not contain."""
     weighed = _with_one_cause(logs)

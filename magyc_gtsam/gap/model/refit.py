@@ -53,14 +53,18 @@ class Refit:
 
     def value_of(self, index: int) -> tuple[Array, Array]:
         """Return value (k,) and covariance (k, k) of the model's term `index`."""
+        term, rows = self.model.terms[index], self.rows_of(index)
+        value = self.model.parameters[[DELAY]] if term.name == "timing" else term.value
+        return value, self.covariance[np.ix_(rows, rows)]
+
+    def rows_of(self, index: int) -> np.ndarray:
+        """Return the places (k,) of the model's term `index` among its free parameters and terms."""
         model = self.model
         term = model.terms[index]
         if term.name == "timing":
-            place = int(np.flatnonzero(np.flatnonzero(model.free) == DELAY)[0])
-            return model.parameters[[DELAY]], self.covariance[place : place + 1, place : place + 1]
+            return np.flatnonzero(np.flatnonzero(model.free) == DELAY)
         first = int(model.free.sum()) + sum(len(t.value) for t in model.terms[:index] if t.name != "timing")
-        rows = slice(first, first + len(term.value))
-        return term.value, self.covariance[rows, rows]
+        return np.arange(first, first + len(term.value))
 
 
 def determined(result: Refit, index: int) -> bool:

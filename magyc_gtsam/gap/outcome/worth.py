@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from magyc_gtsam.factors.chain.field_chain import DELAY
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.model.field_variation import FieldVariation
@@ -28,15 +27,20 @@ def pays(with_it: Refit, without: Refit, index: int, variation: FieldVariation) 
         index: of the term.
         variation: of the field, which is part of both hypotheses.
     """
+    return predicts(with_it, index, variation) and expected(with_it, without, index) > 0
+
+
+def predicts(with_it: Refit, index: int, variation: FieldVariation) -> bool:
+    """Return whether the term `index` of a model improves the prediction of data that it was not fitted to."""
     tried = len(TERMS[with_it.model.terms[index].name].settings(with_it.twin)) * len(TERMS)
     # The best of many settings and effects gains something by chance, because the data helped to choose it.
-    return min(predicted(with_it, index, variation)) > np.log(tried) and expected(with_it, without, index) > 0
+    return min(predicted(with_it, index, variation)) > np.log(tried)
 
 
 def predicted(with_it: Refit, index: int, variation: FieldVariation) -> tuple[float, float]:
     """Return the gain (nats) on held-out blocks: on alternate blocks, and on the other half of the recording."""
     twin = with_it.twin
-    rows, own = twin.base_columns, _rows_of(with_it, index)
+    rows, own = twin.base_columns, with_it.rows_of(index)
     value, _ = with_it.value_of(index)
     residual = variation.whiten((twin.residual().ravel() - value @ rows[own])[None])[0]
     base, columns = variation.whiten(np.delete(rows, own, axis=0)), variation.whiten(rows[own])
@@ -55,7 +59,7 @@ def expected(with_it: Refit, without: Refit, index: int) -> float:
     the gain, bias² − V, is |d|² − 2 V.
     """
     iron = np.arange(9)
-    more, rows = _field_columns(with_it.twin), np.concatenate([iron, _rows_of(with_it, index)])
+    more, rows = _field_columns(with_it.twin), np.concatenate([iron, with_it.rows_of(index)])
     less = _field_columns(without.twin)[iron]
     value, _ = with_it.value_of(index)
     change = with_it.model.parameters[:9] - without.model.parameters[:9]
@@ -74,13 +78,3 @@ def _field_columns(twin: Twin) -> Array:
     """Return the columns (q, 3, n) of the free parameters, then of the terms, on the windows, T per unit."""
     base = twin.reduced.on_parameters[np.flatnonzero(twin.model.free)] / twin.chain.window_scale
     return np.concatenate([base, *(twin.columns(t.name, t.setting).window for t in twin.model.estimated)])
-
-
-def _rows_of(result: Refit, index: int) -> np.ndarray:
-    """Return the places of the model's term `index` among its free parameters and terms."""
-    model = result.model
-    term = model.terms[index]
-    if term.name == "timing":
-        return np.flatnonzero(np.flatnonzero(model.free) == DELAY)
-    first = int(model.free.sum()) + sum(len(t.value) for t in model.terms[:index] if t.name != "timing")
-    return np.arange(first, first + len(term.value))

@@ -128,7 +128,7 @@ def choices(now: Look, found: Sequence[Found], failed: set[str]) -> list[Score]:
     for score in now.scores:
         if score.generic or not score.significant or now.gains.get(score.name, 0.0) <= 0:
             continue
-        if score.evidence < min(shadow, RULES.weak) and not _untested(score.name, now.refit.twin):
+        if score.evidence < min(shadow, RULES.weak) and not untested(score.name, now.refit.twin):
             continue
         if faint(score, found):
             continue
@@ -163,7 +163,7 @@ def _remainder(now: Look, found: Sequence[Found]) -> float:
     function of time.
     """
     twin = now.refit.twin
-    if not any(set(_untested(f.name, twin)) & set(f.rivals) for f in found):
+    if not any(set(untested(f.name, twin)) & set(f.rivals) for f in found):
         return 0.0
     in_time = (s.evidence for s in now.scores if s.significant and s.name.startswith(_IN_TIME))
     return max(in_time, default=0.0)
@@ -175,7 +175,7 @@ def any_change(sharp: Score, now: Look) -> bool:
     An effect that follows an unrecorded depth or temperature may resemble a passed object where the channel is large,
     or a drift on level turns. For steps and drifts, changes in the sensor's axes do not count: they are such changes.
     """
-    if not _untested(sharp.name, now.refit.twin):
+    if not untested(sharp.name, now.refit.twin):
         return False
     own = _IN_TIME if sharp.name in ("hard-iron-step", "hard-iron-drift") else ()
     return any(
@@ -259,10 +259,10 @@ def rivals_of(choice: Score, now: Look) -> tuple[str, ...]:
         tied = rival.significant and behind < max(RULES.tie[0], RULES.tie[1] * choice.evidence)
         if alike or (related(choice.name, rival.name) and (tied or (shapes and close))):
             result.append(rival.name)
-    return tuple(dict.fromkeys((*result, *_untested(choice.name, now.refit.twin), *_too_slow(choice.name, now))))
+    return tuple(dict.fromkeys((*result, *untested(choice.name, now.refit.twin), *_too_slow(choice.name, now))))
 
 
-def _untested(name: str, twin: Twin) -> list[str]:
+def untested(name: str, twin: Twin) -> list[str]:
     """Return the effects whose missing channel might explain a change with time."""
     if name not in _OF_TIME:
         return []

@@ -12,13 +12,12 @@ from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.noise import SINGLE, without
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term, without_term
 from magyc_gtsam.gap.rules import RULES
 from magyc_gtsam.gap.samples.coarse import unrounded
-from magyc_gtsam.gap.samples.fine import Fine
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore
-from magyc_gtsam.gap.samples.tones import heard, silenced
 from magyc_gtsam.gap.scores.score import Score
 from magyc_gtsam.gap.search.naming import Found, Look, any_change, as_found, less, related, rivals_of, term_places
 from magyc_gtsam.recording import Recording
@@ -56,12 +55,8 @@ class State:
 def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
     """Add an effect on the noise; remove tones and rounding errors from the readings, and leave out wrong samples."""
     recording = state.recording
-    if choice.name == "tone":
-        line = heard(recording, state.current.model, choice.setting["frequency"])
-        recording = silenced(recording, [line])
-        choice = replace(choice, value=line.value, sigma=line.sigma, setting=line.setting)
-    elif choice.name == "spikes":
-        recording = _without(recording, now.fine, choice)
+    if choice.name in SINGLE:
+        recording, choice = without(recording, state.current.model, now.fine, choice)
     elif choice.name == "quantisation":
         return _with_steps(state, now, choice, prepare)
     return _with_recording(replace(state, found=(*state.found, as_found(choice))), recording, prepare)
@@ -197,10 +192,3 @@ def _asked(current: Refit, index: int, found: Iterable[int]) -> float:
         asked = RULES.left * current.weight_of(other)
         most = max(most, asked if rough else min(asked, 2 * RULES.weak))
     return most
-
-
-def _without(recording: Recording, fine: Fine, spikes: NoiseScore) -> Recording:
-    """Return the recording without its wrong samples."""
-    assert spikes.rows is not None
-    wrong = np.isin(recording.time, fine.time[spikes.rows])
-    return replace(recording, magnetic_field_fresh=recording.magnetic_field_fresh & ~wrong)

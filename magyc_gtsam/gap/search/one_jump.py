@@ -1,0 +1,78 @@
+"""Replace two steps of the hard iron at the two edges of one window by one jump inside that window.
+
+A window in which the hard iron jumps by d reads a share s of the jump. Two steps at its edges, with the values s d and
+(1 - s) d, describe that exactly, and so the search may find two. The values of two separate jumps are parallel only by
+chance. The comparison is between one jump at a free time and two jumps; the second costs the prior odds of another name
+and the search over its time. The samples of the window are a mixture of both fields and are left out of the fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from magyc_gtsam.factors.chain.chain_values import SensorNoise
+from magyc_gtsam.factors.chain.rotations import Array
+from magyc_gtsam.gap.effects import TERMS
+from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.model.refit import Refit, refit, without_term
+from magyc_gtsam.gap.search.naming import less, term_places
+from magyc_gtsam.gap.search.search import Search, look
+from magyc_gtsam.gap.search.steps import Prepare
+
+_STEP = "hard-iron-step"
+_SHARES = np.linspace(0.0, 1.0, 51)
+
+
+def with_one_jump(result: Search, short_term: SensorNoise, prepare: Prepare) -> Search:
+    """Return the search's result with one step in place of every two that are one jump inside a window."""
+    places = {index: place for place, index in term_places(result.found, result.last.refit.model).items()}
+    fitted = result.last.refit
+    terms, centres = fitted.model.terms, fitted.twin.time
+    steps = sorted((i for i in places if terms[i].name == _STEP), key=lambda i: terms[i].setting["time"])
+    for first, second in pairwise(steps):
+        start, end = (terms[i].setting["time"] for i in (first, second))
+        inside = np.flatnonzero((start < centres) & (centres < end))
+        if len(inside) != 1:
+            continue
+        share = _share(fitted, first, second)
+        if share is None:
+            continue
+        samples = fitted.twin.problem.samples
+        ends = np.append(samples.starts, len(samples.magnetometer_time))
+        mixed = samples.magnetometer_time[ends[inside[0]] : ends[inside[0] + 1]]
+        fresh = result.recording.magnetic_field_fresh & ~np.isin(result.recording.time, mixed)
+        recording = replace(result.recording, magnetic_field_fresh=fresh)
+        problem = prepare(recording)
+        one = replace(terms[first], setting={"time": float(mixed[-1] - share * np.ptp(mixed))})
+        model = replace(fitted.model, terms=(*terms[:first], one, *terms[first + 1 :]))
+        ahead = refit(problem, without_term(model, second), short_term)
+        if not ahead.converged:
+            continue
+        names = tuple(dict.fromkeys(score.name for score in result.last.scores if score.name in TERMS))
+        last = look(recording, ahead, names, np.random.default_rng(0))
+        found = less(result.found, {places[second]})
+        again = replace(result, recording=recording, problem=problem, last=last, found=found)
+        return with_one_jump(again, short_term, prepare)
+    return result
+
+
+def _share(fitted: Refit, first: int, second: int) -> float | None:
+    """Return the share of a single jump that the first of two steps has; None if two jumps are likelier."""
+    both = np.concatenate([fitted.rows_of(first), fitted.rows_of(second)])
+    value = np.concatenate([fitted.value_of(first)[0], fitted.value_of(second)[0]])
+    precision = np.linalg.inv(fitted.covariance[np.ix_(both, both)])
+    costs = [_cost(share, value, precision) for share in _SHARES]
+    search = np.log(fitted.twin.n)
+    best = int(np.argmin(costs))
+    return float(_SHARES[best]) if costs[best] < search - PRIOR.named else None
+
+
+def _cost(share: float, value: Array, precision: Array) -> float:
+    """Return the misfit (nats) of two values (6,) to the nearest pair `share` d and (1 − `share`) d."""
+    columns = np.concatenate([share * np.eye(3), (1 - share) * np.eye(3)])
+    jump = np.linalg.solve(columns.T @ precision @ columns, columns.T @ precision @ value)
+    miss = value - columns @ jump
+    return float(0.5 * miss @ precision @ miss)
