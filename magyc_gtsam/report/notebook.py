@@ -34,8 +34,8 @@ def plot_calibration(calibration: Calibration, recording: Recording | None = Non
         calibration: the calibration to plot.
         recording: the recording it was made from; None if the calibration holds it.
 
-        Raises:
-            MagycError: neither gives the recording.
+    Raises:
+        MagycError: neither gives the recording.
     """
     from magyc_gtsam.report import plots
 

@@ -57,7 +57,7 @@ def write_report(
         verdict: the verdict on the calibration; judged here if None.
 
     Returns:
-            The path of the file, written atomically.
+        The path of the file, written atomically.
     """
     path = Path(target)
     if path.suffix != ".html":
