@@ -21,7 +21,7 @@ from magyc_gtsam.gap.evidence.posterior import kept, normalised
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION, Tree
 from magyc_gtsam.gap.evidence.weighing import weigh
-from magyc_gtsam.gap.model.base import base_model, problem_of
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.scores.neighbours import neighbours
 
 RANDOM = np.random.default_rng(3)
@@ -37,7 +37,7 @@ def normal(residual: np.ndarray, columns: np.ndarray, variance: np.ndarray, nois
 def stated_of(recording: mg.Recording) -> Mapping[str, float]:
     """What is said of a recording, by the evidence alone."""
     noise = short_term_noise(recording)
-    return marginals(answer(recording, base_model(recording, None, noise), noise, NAMES, problem_of).posterior)
+    return marginals(answer(recording, base_model(recording, None, noise), noise, NAMES).posterior)
 
 
 @pytest.mark.parametrize("noise", [1.0, 1.7])
@@ -158,7 +158,7 @@ def test_a_second_step_is_no_form_of_the_first() -> None:
     stepped = replace(recording, magnetic_field=field)
     noise = short_term_noise(stepped)
     names = ("hard-iron-step", "timing", "misalignment")
-    tree = answer(stepped, base_model(stepped, None, noise), noise, names, problem_of).tree
+    tree = answer(stepped, base_model(stepped, None, noise), noise, names).tree
     best = tree.best
     assert [term.name for term in best.fit.model.terms].count("hard-iron-step") == 2
     steps_of = [place for place, term in enumerate(best.fit.model.terms) if term.name == "hard-iron-step"]

@@ -193,7 +193,7 @@ def test_a_hold_is_found_at_any_rate(rate: int) -> None:
     assert held.statistic == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_fitted_scale_leaves_no_pull() -> None:
+def test_a_fitted_scale_leaves_no_score_bias() -> None:
     """Beside a scale that is in the model the rest of the matrix is expected at nothing, on level motion as well."""
     statistics = []
     for seed in range(5):
@@ -204,7 +204,7 @@ def test_a_fitted_scale_leaves_no_pull() -> None:
             base.twin.problem, with_term(base.model, Active("gyro-scale", {"z": 1.0}, np.zeros(1))), short_term
         )
         twin = scaled.twin
-        project = Projector(twin.base_columns, twin.base_pull)
+        project = Projector(twin.base_columns, twin.base_score_bias)
         (rest,) = variants(twin, project, "gyro-scale", [{}])
         d = rest.score(project(twin.residual().reshape(1, -1))[0])
         statistics.append(float(d @ d))

@@ -60,7 +60,7 @@ def test_two_steps_beside_one_window_are_one_jump_inside_it(jumps: int) -> None:
     fitted = refit(problem_of(recording), model, noise)
     last = look(recording, fitted, ("hard-iron-step",), np.random.default_rng(0))
     found = (Found("hard-iron-step", 900.0, 20.0, 450.0),) * 2
-    result = with_one_jump(Search(recording, fitted.twin.problem, last, last, found), noise, problem_of)
+    result = with_one_jump(Search(recording, fitted.twin.problem, last, last, found), noise)
     assert len(result.found) == jumps
     if jumps == 1:
         (step,) = result.last.refit.model.terms

@@ -18,7 +18,7 @@ from magyc_gtsam.gap.evidence.decision import NOTHING, UNKNOWN
 from magyc_gtsam.gap.evidence.posterior import Set
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import FIELD_VARIATION
-from magyc_gtsam.gap.model.base import base_model, problem_of
+from magyc_gtsam.gap.model.base import base_model
 from magyc_gtsam.gap.model.refit import Refit
 from magyc_gtsam.gap.outcome.outcome import gap_of
 from magyc_gtsam.gap.search.adopted import adopted
@@ -36,8 +36,8 @@ def looked() -> Looked:
     recording = mg.simulate("wide", 200, seed=9, effects=[("timing", 2.0)]).recording
     noise = short_term_noise(recording)
     base = base_model(recording, None, noise)
-    found = search(recording, base, noise, NAMES, problem_of, lambda share: None)
-    return found, answer(recording, base, noise, NAMES, problem_of), base, noise
+    found = search(recording, base, noise, NAMES, lambda share: None)
+    return found, answer(recording, base, noise, NAMES), base, noise
 
 
 def gap_by(looked: Looked, posterior: Mapping[Set, float]) -> mg.Gap:

@@ -17,7 +17,7 @@ from magyc_gtsam.gap.evidence.answer import answer
 from magyc_gtsam.gap.evidence.decision import marginals
 from magyc_gtsam.gap.many.find import find_gap_of_many
 from magyc_gtsam.gap.many.result import GapOfMany
-from magyc_gtsam.gap.model.base import base_model, needs_gyroscope, problem_of
+from magyc_gtsam.gap.model.base import base_model, needs_gyroscope
 from magyc_gtsam.gap.model.refit import Refit, widened
 from magyc_gtsam.gap.outcome.corrected import as_calibration
 from magyc_gtsam.gap.outcome.outcome import gap_of, nothing_tested
@@ -154,10 +154,10 @@ def _gap_and_search(
         gap = nothing_tested(base, *reasons, calibration, clock.perf_counter() - started)
         gap = with_clipped(gap, usable.clipped)
         return replace(gap, diagnostics={**gap.diagnostics, "left_out": left_out}), None
-    result = search(recording, base, short_term, names, problem_of, report)
+    result = search(recording, base, short_term, names, report)
     report(0.7)
-    said = answer(recording, base, short_term, names, problem_of, discrete, result.first.fine)
-    result = with_one_jump(adopted(result, said, short_term), short_term, problem_of)
+    said = answer(recording, base, short_term, names, discrete, result.first.fine)
+    result = with_one_jump(adopted(result, said, short_term), short_term)
     result, said = without_samples_of_steps(recording, result, said)
     stated, result = marginals(said.posterior), weighed(result, said, short_term)
     report(0.9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,8 @@ from magyc_gtsam.gap.evidence.noise import SINGLE, log_odds, singles_of, smoothe
 from magyc_gtsam.gap.evidence.posterior import Set, key_of, normalised, weights
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.evidence.tree import Tree
-from magyc_gtsam.gap.model.problem import Model, Problem
+from magyc_gtsam.gap.model.base import problem_of
+from magyc_gtsam.gap.model.problem import Model
 from magyc_gtsam.gap.model.refit import Refit, refit
 from magyc_gtsam.gap.samples.fine import Fine, fine_innovations
 from magyc_gtsam.gap.samples.noise_effects import NoiseScore, quantisation
@@ -47,7 +48,6 @@ def answer(
     base: Refit,
     short_term: SensorNoise,
     names: Sequence[str],
-    prepare: Callable[[Recording], Problem],
     settled: Sequence[NoiseScore] = (),
     fine: Fine | None = None,
 ) -> Answer:
@@ -65,14 +65,14 @@ def answer(
         # Steps wider than the noise hide it in the differences of successive samples.
         level = short_term._replace(magnetometer=max(short_term.magnetometer, fine.level))
         recording = smoothed(given, model, coarse, fine)
-        problem = prepare(recording)
+        problem = problem_of(recording)
     for turn in range(_ROUNDS):
         start = refit(problem, _bare(base.model, level), None)
         tree = Tree(start, allowed, base.model.terms)
         before, model = recording, tree.best.fit.model
         if stepped and not turn:  # once more, with a better model
             recording = smoothed(given, model, coarse, fine_innovations(given, model))
-            problem = prepare(recording)
+            problem = problem_of(recording)
         fine, found = singles_of(recording, model)
         for name in SINGLE:
             score, known = found[name], said.get(name, -np.inf)
@@ -84,7 +84,7 @@ def answer(
             if odds > 0:
                 recording, taken = without(recording, model, fine, score)
                 left_out.append(taken)
-                problem = prepare(recording)
+                problem = problem_of(recording)
                 fine, found = singles_of(recording, model)
         if recording is before:
             break

@@ -34,20 +34,23 @@ class Beside:
     """
 
     def __init__(
-        self, residual: Array, flat: Array, soft: Array, variance: Array, pull: Array, noise: float = 1.0
+        self, residual: Array, flat: Array, soft: Array, variance: Array, score_bias: Array, noise: float = 1.0
     ):
         """Marginalise columns without a prior (q, 3n), and with variances (k,) (k, 3n), of score bias (q + k,)."""
         size = np.sqrt(np.einsum("pn,pn->p", flat, flat))
         size = np.where(size > 0, size, 1.0)
         self._rows = np.concatenate([flat / size[:, None], soft * np.sqrt(variance)[:, None]]) / noise
-        pull = np.concatenate([pull[: len(flat)] / size, pull[len(flat) :] * np.sqrt(variance)]) / noise**2
+        score_bias = (
+            np.concatenate([score_bias[: len(flat)] / size, score_bias[len(flat) :] * np.sqrt(variance)])
+            / noise**2
+        )
         prior = np.concatenate([np.full(len(flat), _RIDGE / noise**2), np.ones(len(soft))])
         normal = self._rows @ self._rows.T + np.diag(prior)
         self._lower = cholesky(normal, lower=True, check_finite=False)
         self.noise = noise
         self._size, self._deviation = size, np.sqrt(variance)
         own = self._rows @ residual / noise
-        self._solved = solve_triangular(self._lower, own - pull, lower=True)
+        self._solved = solve_triangular(self._lower, own - score_bias, lower=True)
         self._residual = residual / noise
         inner = solve_triangular(self._lower, own, lower=True)
         self.square = float(self._residual @ self._residual - inner @ inner)
@@ -66,8 +69,8 @@ class Beside:
         )
         return result
 
-    def see(self, columns: Array, pull: Array) -> Seen:
+    def see(self, columns: Array, score_bias: Array) -> Seen:
         """Return reach and score of columns (N, 3n) with score bias (N,)."""
         reach = solve_triangular(self._lower, self._rows @ columns.T / self.noise, lower=True).T
-        own = columns @ (self._residual / self.noise) - pull / self.noise**2
+        own = columns @ (self._residual / self.noise) - score_bias / self.noise**2
         return Seen(reach, own - reach @ self._solved)

@@ -46,7 +46,7 @@ class Candidates:
     """The candidates: columns (N, 3n) in units of what matters, their score bias (N,), and batches that use them."""
 
     columns: Array
-    pull: Array
+    score_bias: Array
     batches: tuple[Batch, ...]
 
     @classmethod
@@ -66,8 +66,8 @@ class Candidates:
                 groups.setdefault(len(part), []).append((part + first, name, setting, prior))
             first += len(rows)
         columns = np.concatenate([np.zeros((0, 3 * twin.n)), *(rows for rows, _, _ in stacks)])
-        pull = np.concatenate([np.zeros(0), *(pulled for _, pulled, _ in stacks)])
-        return cls(columns, pull, tuple(_batches(columns, groups)))
+        score_bias = np.concatenate([np.zeros(0), *(biases for _, biases, _ in stacks)])
+        return cls(columns, score_bias, tuple(_batches(columns, groups)))
 
     def only_names(self) -> Candidates:
         """Return the candidates without the families."""
@@ -76,7 +76,7 @@ class Candidates:
             kept = [i for i, name in enumerate(batch.names) if name in TERMS]
             if kept:
                 batches.append(batch.only(kept))
-        return Candidates(self.columns, self.pull, tuple(batches))
+        return Candidates(self.columns, self.score_bias, tuple(batches))
 
     def of_setting(self, name: str, setting: Setting) -> Array:
         """Return the columns (k, 3n) of an effect or family at one of its settings."""
@@ -90,7 +90,7 @@ class Candidates:
         """Return the candidates with their columns transformed."""
         columns = change(self.columns)
         batches = tuple(replace(batch, gram=_gram(columns, batch.rows)) for batch in self.batches)
-        return Candidates(columns, self.pull, batches)
+        return Candidates(columns, self.score_bias, batches)
 
 
 def _gram(columns: Array, places: np.ndarray) -> Array:
@@ -149,10 +149,12 @@ def at_settings(twin: Twin, name: str, settings: Sequence[dict[str, float]]) -> 
     for first in range(0, len(made), some):
         own = slice(places[first][0], ends[min(first + some, len(made)) - 1])
         np.multiply(twin.whiten(together(made[first : first + some])), unit[own, None], out=rows[own])
-    pull = np.concatenate([np.zeros(len(part.window)) if part.pull is None else part.pull for part in made])
+    score_bias = np.concatenate(
+        [np.zeros(len(part.window)) if part.score_bias is None else part.score_bias for part in made]
+    )
     prior = -float(np.log(len(settings)))
     parts: list[Part] = [(place, name, setting, prior) for place, setting in zip(places, settings, strict=True)]
-    return rows, pull * unit, parts
+    return rows, score_bias * unit, parts
 
 
 def what_matters(twin: Twin, name: str, setting: Setting, count: int) -> Array:
@@ -174,14 +176,14 @@ def _of_families(twin: Twin, among: Iterable[Family]) -> Iterator[Stack]:
             size, matters = float(np.sqrt((made.link**2).mean())) / spacing, PRIOR.profile_rate
         unit = matters / max(size, 1e-300)
         rows = twin.whiten(made) * unit
-        pull = np.zeros(len(rows)) if made.pull is None else made.pull * unit
+        score_bias = np.zeros(len(rows)) if made.score_bias is None else made.score_bias * unit
         cut = [np.arange(first, first + width) for width in family.parts for first in range(0, len(rows), width)]
         cut = [part[part < len(rows)] for part in cut]
         whole = float(np.log(PRIOR.whole)) if cut else 0.0
         parts: list[Part] = [(np.arange(len(rows)), family.name, {}, whole)]
         share = float(np.log((1 - PRIOR.whole) / max(len(cut), 1)))
         parts += [(part, family.name, {"first": float(part[0])}, share) for part in cut]
-        yield rows, pull, parts
+        yield rows, score_bias, parts
 
 
 def _courses(twin: Twin) -> Stack:

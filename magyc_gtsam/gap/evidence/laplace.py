@@ -27,14 +27,14 @@ class Terms:
     Attributes:
         base: (q, 3n) whitened columns of the parameters.
         columns: (k, 3n) whitened columns of the terms, in units of the smallest effect that matters.
-        pull: (k,) their score bias.
+        score_bias: (k,) their score bias.
         of_term: (k,) index of the term of each column.
         residual: (3n,) innovations of the model without the terms.
     """
 
     base: Array
     columns: Array
-    pull: Array
+    score_bias: Array
     of_term: np.ndarray
     residual: Array
 
@@ -42,19 +42,19 @@ class Terms:
         """Marginalise the parameters and the field's variation; also the terms, if their scales are given."""
         soft = [self.columns[:0]] if scale is None else [self.columns]
         variance = [np.zeros(0)] if scale is None else [scale[self.of_term] ** 2]
-        pull = np.concatenate([np.zeros(len(self.base)), self.pull[: len(soft[0])]])
+        score_bias = np.concatenate([np.zeros(len(self.base)), self.score_bias[: len(soft[0])]])
         noise = 1.0
         if variation is not None:
             noise = variation.noise
             soft.append(variation.components)
             variance.append(np.full(len(variation.components), noise**2))
-            pull = np.concatenate([pull, np.zeros(len(variation.components))])
-        return Beside(self.residual, self.base, np.concatenate(soft), np.concatenate(variance), pull, noise)
+            score_bias = np.concatenate([score_bias, np.zeros(len(variation.components))])
+        return Beside(self.residual, self.base, np.concatenate(soft), np.concatenate(variance), score_bias, noise)
 
     @classmethod
     def of(cls, fit: Refit) -> Terms:
         twin, model = fit.twin, fit.model
-        rows, pulls = twin.base_columns, twin.base_pull
+        rows, score_biases = twin.base_columns, twin.base_score_bias
         free = int(model.free.sum())
         own, unit, value, of_term = [], [], [], []
         first = free
@@ -75,7 +75,7 @@ class Terms:
         columns = rows[places] * scale[:, None]
         residual = residual - (np.concatenate(value) / scale) @ columns
         base = np.delete(rows, places, axis=0)
-        return cls(base, columns, pulls[places] * scale, np.concatenate(of_term), residual)
+        return cls(base, columns, score_biases[places] * scale, np.concatenate(of_term), residual)
 
 
 def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Array, float]:
@@ -90,7 +90,7 @@ def marginal(terms: Terms, plain: Beside, fit: Refit) -> tuple[float, Array, Arr
     count = len(fit.model.terms)
     if not count:
         return 0.0, np.zeros(0), np.zeros((0, 0)), plain.square
-    seen = plain.see(terms.columns, terms.pull)
+    seen = plain.see(terms.columns, terms.score_bias)
     information = terms.columns @ terms.columns.T / plain.noise**2 - seen.reach @ seen.reach.T
     score = seen.score
 

@@ -29,8 +29,8 @@ def one_way(candidates: Candidates, beside: Beside, power: float) -> dict[str, W
 
 
 def _weighed(candidates: Candidates, rows: np.ndarray, gram: Array, beside: Beside, explained: float) -> Weighed:
-    columns, pull = candidates.columns[rows], candidates.pull[rows]
-    seen = beside.see(columns, pull)
+    columns, score_bias = candidates.columns[rows], candidates.score_bias[rows]
+    seen = beside.see(columns, score_bias)
     information = gram / beside.noise**2 - seen.reach @ seen.reach.T
     value, vector = np.linalg.eigh(information)
     value, own = np.maximum(value, 0.0), vector.T @ seen.score

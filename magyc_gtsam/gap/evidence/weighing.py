@@ -87,7 +87,7 @@ def weigh(candidates: Candidates, beside: Beside, power: float = 0.0) -> dict[st
     """Return the evidence of every candidate by name, beside a model whose named effects explain a power."""
     if not candidates.batches:
         return {}
-    seen = beside.see(candidates.columns, candidates.pull)
+    seen = beside.see(candidates.columns, candidates.score_bias)
     parts: dict[str, list[_Part]] = {}
     for batch in candidates.batches:
         log, powers, tied = _by_scale(batch, beside.noise, seen.reach, seen.score, power)
@@ -106,12 +106,12 @@ def _by_scale(
     own = reach[batch.rows]
     value, vector = np.linalg.eigh(batch.gram / noise**2 - own @ own.swapaxes(1, 2))
     value = np.maximum(value, 0.0)[:, None]
-    pull = np.einsum("bki,bk->bi", vector, score[batch.rows])[:, None]
+    rotated = np.einsum("bki,bk->bi", vector, score[batch.rows])[:, None]
     variance = PRIOR.scales[:, None] ** 2
     spread = 1 + variance * value
-    log = 0.5 * (pull**2 * variance / spread - np.log(spread)).sum(axis=2)
+    log = 0.5 * (rotated**2 * variance / spread - np.log(spread)).sum(axis=2)
     share = variance / spread
-    power = ((share * pull) ** 2 * value + share * value).sum(axis=2)
+    power = ((share * rotated) ** 2 * value + share * value).sum(axis=2)
     for i, name in enumerate(batch.names):
         likely = scales_of(name)
         log[i, ~likely] = -np.inf
@@ -119,7 +119,7 @@ def _by_scale(
     whole = np.trace(batch.gram, axis1=1, axis2=2)[:, None, None] / noise**2
     variance = PRIOR.shares[:, None] * explained / np.maximum(whole, 1e-12)
     spread = 1 + variance * value
-    tied = 0.5 * (pull**2 * variance / spread - np.log(spread)).sum(axis=2)
+    tied = 0.5 * (rotated**2 * variance / spread - np.log(spread)).sum(axis=2)
     return log, power, np.logaddexp.reduce(tied, axis=1) - np.log(len(PRIOR.shares))
 
 

@@ -140,7 +140,7 @@ class OneLog:
     @property
     def _innovation(self) -> tuple[Projector, Array]:
         twin = self.refitted.twin
-        project = Projector(twin.base_columns, twin.base_pull)
+        project = Projector(twin.base_columns, twin.base_score_bias)
         return project, project(twin.residual().reshape(1, -1))[0]
 
     def _colour(self, found: Mapping[str, Sequence[Variant]], innovation: Array) -> float:

@@ -191,7 +191,7 @@ def _likelihood(test: Test, kernel: Array, variances: Array) -> Array:
     """Return the evidence (sizes,) of values whose prior covariance is each variance times the kernel, nats."""
     root = np.linalg.cholesky(kernel)
     weight, vector = np.linalg.eigh(root.T @ test.information @ root)
-    weight, pull = np.maximum(weight, 0.0), vector.T @ (root.T @ test.score)
+    weight, score = np.maximum(weight, 0.0), vector.T @ (root.T @ test.score)
     widened = 1 + variances[:, None] * weight
-    result: Array = 0.5 * (variances[:, None] * pull**2 / widened - np.log(widened)).sum(axis=1)
+    result: Array = 0.5 * (variances[:, None] * score**2 / widened - np.log(widened)).sum(axis=1)
     return result

@@ -80,7 +80,7 @@ def field_variation(twin: Twin, in_world: bool = True) -> FieldVariation:
             sensor's axes, which are a cause that moves with the sensor.
     """
     put = _in_world if in_world else _in_sensor
-    project = Projector(twin.base_columns, twin.base_pull)
+    project = Projector(twin.base_columns, twin.base_score_bias)
     v = project(twin.residual().reshape(1, -1))[0]
     cosines, courses = waves(twin.time)
     raw = np.concatenate([put(twin, cosines), put(twin, functions_of_attitude(twin.windows.need("to_sensor")))])

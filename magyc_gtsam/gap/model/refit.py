@@ -121,7 +121,7 @@ def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known:
         for _ in range(_STEPS):
             base = twin.base_columns
             precision, value = prior_of(twin)
-            gradient = base @ twin.residual().ravel() - twin.base_pull + precision * value
+            gradient = base @ twin.residual().ravel() - twin.base_score_bias + precision * value
             information = base @ base.T + np.diag(precision)
             if not np.isfinite(information).all():
                 raise MagycError(f"the model with {', '.join(t.name for t in model.terms)} has no finite fit")
@@ -131,7 +131,7 @@ def refit(problem: Problem, model: Model, short_term: SensorNoise | None, known:
             converged = length < _SETTLED
             if converged:
                 break
-            ahead = _advance(problem, twin, step, twin.base_pull)
+            ahead = _advance(problem, twin, step, twin.base_score_bias)
             if ahead is None:
                 return Refit(twin, covariance, False)
             twin = ahead
@@ -169,22 +169,22 @@ def spread(value: Array, covariance: Array, prior: float) -> float:
     precision = np.linalg.pinv(covariance, hermitian=True)
     known, direction = np.linalg.eigh(precision - np.eye(len(value)) / prior**2)
     known = np.maximum(known, 0.0)
-    pull = direction.T @ (precision @ value)
+    score = direction.T @ (precision @ value)
     deviation = prior * np.logspace(-4, 0, _GRID)[:, None]
     widened = 1 + deviation**2 * known
-    likelihood = 0.5 * (deviation**2 * pull**2 / widened - np.log(widened)).sum(axis=1)
+    likelihood = 0.5 * (deviation**2 * score**2 / widened - np.log(widened)).sum(axis=1)
     return float(deviation[np.argmax(likelihood), 0])
 
 
-def _advance(problem: Problem, twin: Twin, step: Array, pull: Array) -> Twin | None:
+def _advance(problem: Problem, twin: Twin, step: Array, score_bias: Array) -> Twin | None:
     """Return the twin after a step, shortened until the cost does not rise; None if no step helps."""
     for share in _SHORTER:
         try:
             ahead = Twin.of(problem, _stepped(twin.model, share * step))
         except MagycError:
             continue  # the step is too long: the chain cannot be factorised
-        # The step includes the score bias of the gyroscope's terms (`Twin.rate_pull`), which the cost does not.
-        allowed = _cost(twin) + share * abs(float(pull @ step)) + _ROUNDING
+        # The step includes the score bias of the gyroscope's terms (`Twin.rate_score_bias`), which the cost does not.
+        allowed = _cost(twin) + share * abs(float(score_bias @ step)) + _ROUNDING
         for _ in range(_FOLLOWING if twin.model.bends else 0):
             if not allowed < _cost(ahead) < _ASTRAY * allowed:
                 break

@@ -36,12 +36,12 @@ class Columns(NamedTuple):
     Attributes:
         window: (p, 3, n) of the windows, T per unit.
         link: (p, 3, n − 1) of the links, rad per unit; None for zero.
-        pull: (p,) score bias (`Twin.rate_pull`); None for zero.
+        score_bias: (p,) score bias (`Twin.rate_score_bias`); None for zero.
     """
 
     window: Array
     link: Array | None
-    pull: Array | None = None
+    score_bias: Array | None = None
 
 
 def together(parts: Sequence[Columns]) -> Columns:
@@ -146,17 +146,17 @@ class Twin:
         return np.concatenate(parts)
 
     @cached_property
-    def base_pull(self) -> Array:
+    def base_score_bias(self) -> Array:
         """Return the score bias (q,) of `base_columns`."""
         parts = [np.zeros(int(self.model.free.sum()))]
         parts += [
-            np.zeros(len(t.value)) if FORMS[t.name].side == "magnetometer" else self._pull(t)
+            np.zeros(len(t.value)) if FORMS[t.name].side == "magnetometer" else self._score_bias(t)
             for t in self.model.estimated
         ]
         return np.concatenate(parts)
 
-    def _pull(self, term: Active) -> Array:
-        return self.rate_pull(lambda signals: FORMS[term.name].columns(signals, term.setting))
+    def _score_bias(self, term: Active) -> Array:
+        return self.rate_score_bias(lambda signals: FORMS[term.name].columns(signals, term.setting))
 
     def columns(self, name: str, setting: Setting) -> Columns:
         """Return the regressors of a form."""
@@ -167,7 +167,7 @@ class Twin:
 
     def of_profile(self, profile: Callable[[Signals], Array]) -> Columns:
         """Return the regressors of rate errors, a function (p, 3, ·) rad/s of the gyroscope's signals."""
-        return self.on_gyroscope(profile(self.gyroscope))._replace(pull=self.rate_pull(profile))
+        return self.on_gyroscope(profile(self.gyroscope))._replace(score_bias=self.rate_score_bias(profile))
 
     def of_slow_profile(self, profile: Callable[[Signals], Array], reads_rate: bool = True) -> Columns:
         """Return the same from the mean signals of the windows, to second order in the rotation within a window.
@@ -180,7 +180,7 @@ class Twin:
         turned = turned_by(np.swapaxes(self.chain.windows.rotation, 0, 1), profile(at))
         angle = -0.5 * (turned[..., 1:] + turned[..., :-1]) * np.diff(self.time)
         link = -cross(self.state.direction[:, None, :-1], angle.swapaxes(0, 1)).swapaxes(0, 1)
-        return Columns(np.zeros_like(turned), link, self.rate_pull(profile) if reads_rate else None)
+        return Columns(np.zeros_like(turned), link, self.rate_score_bias(profile) if reads_rate else None)
 
     @cached_property
     def _rates_at_windows(self) -> Signals:
@@ -198,7 +198,7 @@ class Twin:
         at = self._integrated.errors
         return Columns(*at.columns(self.chain.windows, soft, self.state.direction, rate))
 
-    def rate_pull(self, profile: Callable[[Signals], Array]) -> Array:
+    def rate_score_bias(self, profile: Callable[[Signals], Array]) -> Array:
         """Return the score bias (p,) of regressors `profile` (p, 3, ·) that contain the measured rate.
 
         The gyroscope's noise η is in the regressor and in the link's residual. With J = ∂profile/∂ω, the link's
@@ -207,7 +207,7 @@ class Twin:
         gyroscope's own noise causes this, not the other errors in the model's noise level.
         """
         at = self._rates_at_windows
-        pull = np.zeros(len(profile(at)))
+        score_bias = np.zeros(len(profile(at)))
         to_world = np.swapaxes(self.chain.windows.rotation, 0, 1)
         rate = at.need("rate")
         across = np.einsum("ijn,jkn->ikn", skew(self.state.direction.T).transpose(1, 2, 0), to_world)[..., :-1]
@@ -217,9 +217,9 @@ class Twin:
             step[axis] = _DIFFERENCE
             slope = profile(replace(at, rate=rate + step)) - profile(replace(at, rate=rate - step))
             middle = 0.5 * (slope[..., 1:] + slope[..., :-1]) / (2 * _DIFFERENCE)
-            pull -= np.einsum("bn,pbn->p", weight[:, axis], middle)
+            score_bias -= np.einsum("bn,pbn->p", weight[:, axis], middle)
         own = min(1.0, self.problem.rate_noise / self.model.noise.gyroscope)
-        return own**2 * pull
+        return own**2 * score_bias
 
     @cached_property
     def _link_redundancy(self) -> Array:

@@ -26,7 +26,7 @@ class Variant:
         unit: (r, 3n) orthonormal rows that span the projected columns; r ≤ k.
         back: (k, r) matrix from the score d to the expected value.
         left: share of the columns that remains after the projection, 0 to 1.
-        pull: (k,) score bias of the columns.
+        score_bias: (k,) score bias of the columns.
         offset: (r,) score bias of `unit`.
     """
 
@@ -35,7 +35,7 @@ class Variant:
     unit: Array
     back: Array
     left: float
-    pull: Array
+    score_bias: Array
     offset: Array
 
     def score(self, innovation: Array) -> Array:
@@ -46,34 +46,34 @@ class Variant:
 class Projector:
     """The projection on the complement of the base model's columns (q, 3n), which have a score bias (q,)."""
 
-    def __init__(self, base: Array, pull: Array | None = None) -> None:
+    def __init__(self, base: Array, score_bias: Array | None = None) -> None:
         scale = np.linalg.norm(base, axis=1)
         scale = np.where(scale > 0, scale, 1.0)
         q, r = np.linalg.qr((base / scale[:, None]).T)
         self._q = q[:, np.abs(np.diag(r)) > 1e-9]
-        pulled = np.zeros(len(base)) if pull is None else pull / scale
-        self._pull = np.linalg.lstsq(r.T, pulled, rcond=1e-9)[0][np.abs(np.diag(r)) > 1e-9]
+        scaled = np.zeros(len(base)) if score_bias is None else score_bias / scale
+        self._score_bias = np.linalg.lstsq(r.T, scaled, rcond=1e-9)[0][np.abs(np.diag(r)) > 1e-9]
 
     def __call__(self, rows: Array) -> Array:
         result: Array = rows - (rows @ self._q) @ self._q.T
         return result
 
-    def shared_pull(self, rows: Array) -> Array:
+    def shared_score_bias(self, rows: Array) -> Array:
         """Return the part of the score bias of rows that the projection removes with the base model's columns."""
-        result: Array = (rows @ self._q) @ self._pull
+        result: Array = (rows @ self._q) @ self._score_bias
         return result
 
 
 def variant(
-    setting: Mapping[str, float], columns: Array, project: Projector, pull: Array | None = None
+    setting: Mapping[str, float], columns: Array, project: Projector, score_bias: Array | None = None
 ) -> Variant:
     """Prepare one candidate from its whitened columns."""
-    pull = np.zeros(len(columns)) if pull is None else pull
-    return ready([setting], columns[None], project, pull[None])[0]
+    score_bias = np.zeros(len(columns)) if score_bias is None else score_bias
+    return ready([setting], columns[None], project, score_bias[None])[0]
 
 
 def ready(
-    settings: Sequence[Mapping[str, float]], columns: Array, project: Projector, pull: Array
+    settings: Sequence[Mapping[str, float]], columns: Array, project: Projector, score_bias: Array
 ) -> list[Variant]:
     """Prepare candidates with equally many columns (s, k, 3n) and score biases (s, k) together."""
     count, width, rows = columns.shape
@@ -82,19 +82,21 @@ def ready(
     scale = np.where(kept, size, 1.0)
     flat = (columns / scale[..., None]).reshape(-1, rows)
     free = project(flat).reshape(columns.shape)
-    shared = project.shared_pull(flat).reshape(count, width) * scale
+    shared = project.shared_score_bias(flat).reshape(count, width) * scale
     value, vector = np.linalg.eigh(free @ free.swapaxes(1, 2))
     good = value > _DEPENDENT
     root = vector / np.sqrt(np.where(good, value, 1.0))[:, None]
     unit = root.swapaxes(1, 2) @ free
     back = root / scale[..., None]
     left = np.sqrt(np.einsum("skn,skn->s", free, free) / np.maximum(kept.sum(axis=1), 1))
-    offset = np.einsum("ski,sk->si", back, pull - shared)
+    offset = np.einsum("ski,sk->si", back, score_bias - shared)
     result = []
     for i, setting in enumerate(settings):
         own = slice(None) if good[i].all() else good[i]
         result.append(
-            Variant(setting, columns[i], unit[i, own], back[i][:, own], float(left[i]), pull[i], offset[i, own])
+            Variant(
+                setting, columns[i], unit[i, own], back[i][:, own], float(left[i]), score_bias[i], offset[i, own]
+            )
         )
     return result
 
@@ -115,6 +117,8 @@ def variants(twin: Twin, project: Projector, name: str, settings: list[dict[str,
     for count, alike in groupby(made, key=lambda each: len(each[1].window)):
         while some := list(islice(alike, max(_AT_ONCE // (3 * twin.n * count), 1))):
             rows = twin.whiten(together([part for _, part in some])).reshape(len(some), count, -1)
-            pull = np.array([np.zeros(count) if part.pull is None else part.pull for _, part in some])
-            result += ready([setting for setting, _ in some], rows, project, pull)
+            score_bias = np.array(
+                [np.zeros(count) if part.score_bias is None else part.score_bias for _, part in some]
+            )
+            result += ready([setting for setting, _ in some], rows, project, score_bias)
     return result

@@ -26,10 +26,10 @@ def heard(recording: Recording, model: Model, frequency: float) -> Term:
     for tried in frequency + np.linspace(-0.6, 0.6, _TRIED) * bin_width:
         columns = twin.whiten(twin.columns("tone", {"frequency": float(tried)}))
         covariance = np.asarray(np.linalg.inv(columns @ columns.T), dtype=float)
-        pull = columns @ v
-        gain = float(pull @ covariance @ pull)
+        score = columns @ v
+        gain = float(score @ covariance @ score)
         if gain > best[0]:
-            best = gain, -covariance @ pull, covariance, float(tried)
+            best = gain, -covariance @ score, covariance, float(tried)
     _, value, covariance, frequency = best
     return Term("tone", value, float((v**2).mean()) * covariance, {"frequency": frequency})
 

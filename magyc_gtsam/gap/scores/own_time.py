@@ -35,12 +35,12 @@ def in_its_own_time(score: Score, twin: Twin, innovation: Array, projector: Proj
     others = as_good = 0
     for shift in np.arange(1, _SHIFTS) / _SHIFTS:
         columns = term.regressors(_shifted(twin, float(shift)), score.variant.setting)
-        other = variant(score.variant.setting, twin.whiten(columns), projector, columns.pull)
-        held, pull = other.unit @ own, other.score(innovation)
+        other = variant(score.variant.setting, twin.whiten(columns), projector, columns.score_bias)
+        held, shifted = other.unit @ own, other.score(innovation)
         if held @ held > RULES.too_slow * (own @ own):
             continue
         others += 1
-        as_good += float(pull @ pull) >= score.statistic
+        as_good += float(shifted @ shifted) >= score.statistic
     return as_good < RULES.as_good * others
 
 

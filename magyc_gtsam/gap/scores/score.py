@@ -110,16 +110,16 @@ def _parts(family: Family, twin: Twin, project: Projector) -> list[Variant]:
     """Return the variants of a generic family: the whole, and its parts."""
     columns = family.columns(twin)
     rows = twin.whiten(columns)
-    pull = np.zeros(len(rows)) if columns.pull is None else columns.pull
-    result = [determined(variant({}, rows, project, pull), family.within)]
+    score_bias = np.zeros(len(rows)) if columns.score_bias is None else columns.score_bias
+    result = [determined(variant({}, rows, project, score_bias), family.within)]
     for width in family.parts:
         whole = len(rows) // width
         settings = [{"first": float(width * i), "width": float(width)} for i in range(whole)]
         parts = rows[: whole * width].reshape(whole, width, -1)
-        result += ready(settings, parts, project, pull[: whole * width].reshape(whole, width))
+        result += ready(settings, parts, project, score_bias[: whole * width].reshape(whole, width))
         if whole * width < len(rows):
             rest = {"first": float(whole * width), "width": float(width)}
-            result.append(variant(rest, rows[whole * width :], project, pull[whole * width :]))
+            result.append(variant(rest, rows[whole * width :], project, score_bias[whole * width :]))
     return result
 
 
@@ -129,7 +129,7 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
     Returns:
         The scores, strongest first, the projected innovations, and the projection.
     """
-    project = Projector(twin.base_columns, twin.base_pull)
+    project = Projector(twin.base_columns, twin.base_score_bias)
     innovation = project(twin.residual().reshape(1, -1))[0]
     found = candidates(twin, project, names)
     flat = [(name, index) for name, (_, many) in found.items() for index in range(len(many))]
@@ -151,8 +151,8 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
     for name, (place, many) in found.items():
         rows = slice(first, first + len(many))
         first += len(many)
-        pulls = [v.score(innovation) for v in many]
-        statistics = np.array([d @ d for d in pulls])
+        directed = [v.score(innovation) for v in many]
+        statistics = np.array([d @ d for d in directed])
         surprise = surprises(statistics[:, None], ranks[rows])[:, 0]
         best = int(np.argmax(surprise))
         chosen = many[best]
@@ -175,7 +175,7 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
                 significance=min(significance, evidence),
                 threshold=float(quantile(needed, rank)),
                 limit=limit,
-                expected=-chosen.back @ pulls[best],
+                expected=-chosen.back @ directed[best],
                 covariance=chosen.back @ chosen.back.T,
             )
         )
@@ -186,13 +186,13 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
 def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant]]]) -> Array:
     """Subtract what the best named effect explains, if much, from the innovations: it would count as their colour."""
     named = [v for name, (_, many) in found.items() if name in TERMS for v in many if len(v.unit)]
-    pulls = [v.score(innovation) for v in named]
+    directed = [v.score(innovation) for v in named]
     if not named:
         return innovation
-    best = int(np.argmax([d @ d - 2 * len(d) for d in pulls]))
-    if pulls[best] @ pulls[best] < RULES.much:
+    best = int(np.argmax([d @ d - 2 * len(d) for d in directed]))
+    if directed[best] @ directed[best] < RULES.much:
         return innovation
-    return innovation - named[best].unit.T @ pulls[best]
+    return innovation - named[best].unit.T @ directed[best]
 
 
 def _statistics(d: Draws, starts: np.ndarray, ranks: np.ndarray) -> Array:
@@ -219,11 +219,11 @@ def held_out_gain(base: Array, columns: Array, residual: Array, block: Array) ->
     for fold in (0, 1):
         train, test = block != fold, block == fold
         seen = design[:, train]
-        normal, pull = seen @ seen.T, seen @ residual[train]
+        normal, score = seen @ seen.T, seen @ residual[train]
         normal[np.diag_indices_from(normal)] += 1e-9
         errors = []
         for count in (len(base), len(design)):
-            solution = np.linalg.solve(normal[:count, :count], pull[:count])
+            solution = np.linalg.solve(normal[:count, :count], score[:count])
             errors.append(residual[test] - solution @ design[:count, test])
         gain += 0.5 * float(errors[0] @ errors[0] - errors[1] @ errors[1])
     return gain

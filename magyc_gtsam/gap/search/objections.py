@@ -29,34 +29,34 @@ def stands(current: Refit, index: int, found: Found, now: Look, left: tuple[str,
     term = twin.model.terms[index]
     columns = twin.columns(term.name, term.setting)
     own = twin.whiten(columns)
-    pull = np.zeros(len(own)) if columns.pull is None else columns.pull
+    score_bias = np.zeros(len(own)) if columns.score_bias is None else columns.score_bias
     value, _ = current.value_of(index)
     without = replace(twin, model=without_term(twin.model, index))
     target = twin.residual().ravel() - value @ own  # the residual without the term
 
-    def explained(rows: Array, pulls: Array, beside: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    def explained(rows: Array, score_biases: Array, beside: list[tuple[Array, Array]]) -> tuple[Array, Array]:
         """Return the part (3n,) of the residual that columns explain beside others, and their directions."""
         project = Projector(np.concatenate([b for b, _ in beside]), np.concatenate([p for _, p in beside]))
-        result = variant(term.setting, rows, project, pulls)
+        result = variant(term.setting, rows, project, score_biases)
         return result.score(project(target[None])[0]) @ result.unit, result.unit
 
-    beside = [(without.base_columns, without.base_pull)]
-    all_of_it, alone = explained(own, pull, beside)
+    beside = [(without.base_columns, without.base_score_bias)]
+    all_of_it, alone = explained(own, score_bias, beside)
     holding: list[tuple[Array, Array]] = []
     for other in (
         s.variant for s in now.scores if s.name in left and term.name not in (s.name, product_of(s.name))
     ):
-        _, unit = explained(other.columns, other.pull, beside[:1])
+        _, unit = explained(other.columns, other.score_bias, beside[:1])
         holds = _squared(alone @ unit.T) > (1 - RULES.little) * len(alone)
-        (holding if holds else beside).append((other.columns, other.pull))
-    still, rest = explained(own, pull, beside)
+        (holding if holds else beside).append((other.columns, other.score_bias))
+    still, rest = explained(own, score_bias, beside)
     statistic, kept = _squared(still), _squared(rest @ all_of_it)
     if statistic <= max(RULES.strong * found.threshold, RULES.firm * kept):
         return False
     if not holding:
         return True
-    rows, pulls = (np.concatenate(part) for part in zip(*holding, strict=True))
-    more, unit = explained(rows, pulls, [*beside, (own, pull)])
+    rows, score_biases = (np.concatenate(part) for part in zip(*holding, strict=True))
+    more, unit = explained(rows, score_biases, [*beside, (own, score_bias)])
     return statistic > RULES.mostly * (statistic + _squared(more) - len(unit))
 
 

@@ -17,16 +17,16 @@ from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.prior import PRIOR
+from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.refit import Refit, refit, without_term
 from magyc_gtsam.gap.search.naming import less, term_places
 from magyc_gtsam.gap.search.search import Search, look
-from magyc_gtsam.gap.search.steps import Prepare
 
 _STEP = "hard-iron-step"
 _SHARES = np.linspace(0.0, 1.0, 51)
 
 
-def with_one_jump(result: Search, short_term: SensorNoise, prepare: Prepare) -> Search:
+def with_one_jump(result: Search, short_term: SensorNoise) -> Search:
     """Return the search's result with one step in place of every two that are one jump inside a window."""
     places = {index: place for place, index in term_places(result.found, result.last.refit.model).items()}
     fitted = result.last.refit
@@ -45,7 +45,7 @@ def with_one_jump(result: Search, short_term: SensorNoise, prepare: Prepare) -> 
         mixed = samples.magnetometer_time[ends[inside[0]] : ends[inside[0] + 1]]
         fresh = result.recording.magnetic_field_fresh & ~np.isin(result.recording.time, mixed)
         recording = replace(result.recording, magnetic_field_fresh=fresh)
-        problem = prepare(recording)
+        problem = problem_of(recording)
         one = replace(terms[first], setting={"time": float(mixed[-1] - share * np.ptp(mixed))})
         model = replace(fitted.model, terms=(*terms[:first], one, *terms[first + 1 :]))
         ahead = refit(problem, without_term(model, second), short_term)
@@ -55,7 +55,7 @@ def with_one_jump(result: Search, short_term: SensorNoise, prepare: Prepare) -> 
         last = look(recording, ahead, names, np.random.default_rng(0))
         found = less(result.found, {places[second]})
         again = replace(result, recording=recording, problem=problem, last=last, found=found)
-        return with_one_jump(again, short_term, prepare)
+        return with_one_jump(again, short_term)
     return result
 
 

@@ -37,7 +37,7 @@ def nearer(sharp: Score, now: Look) -> tuple[str, ...]:
             columns = family.columns(twin)
             if len(columns.window) != len(best.columns):
                 continue  # its rank is higher, so that it could contain any other missing effect
-            tried = variant(setting, twin.whiten(columns), now.projector, columns.pull)
+            tried = variant(setting, twin.whiten(columns), now.projector, columns.score_bias)
             known = closest.setdefault(family.name, tried)
             if surprise(tried, now.innovation) > surprise(known, now.innovation):
                 closest[family.name] = tried
@@ -73,16 +73,17 @@ def _same(one: Variant, other: Variant, innovation: Array) -> bool:
 def _paired(name: str, tried: Variant, now: Look) -> float:
     """Return the largest nats of a variant together with another significant effect that is not its rival."""
     twin = now.refit.twin
-    base, pull, residual = twin.base_columns, twin.base_pull, twin.residual().ravel()
+    base, score_bias, residual = twin.base_columns, twin.base_score_bias, twin.residual().ravel()
     most = surprise(tried, now.innovation)
     for other in now.scores:
         if other.generic or other.name in (name, *TERMS[name].rivals) or not other.significant:
             continue
         if now.gains.get(other.name, 0.0) > 0:
             project = Projector(
-                np.concatenate([base, other.variant.columns]), np.concatenate([pull, other.variant.pull])
+                np.concatenate([base, other.variant.columns]),
+                np.concatenate([score_bias, other.variant.score_bias]),
             )
-            beside = variant(tried.setting, tried.columns, project, tried.pull)
+            beside = variant(tried.setting, tried.columns, project, tried.score_bias)
             together = surprise(other.variant, now.innovation) + surprise(beside, project(residual[None])[0])
             most = max(most, together)
     return most
@@ -110,16 +111,16 @@ def sharpened(score: Score, refitted: Refit, innovation: Array, projector: Proje
     if not score.statistic:
         return score  # the motion does not determine it
     best = _sharpest(score, refitted, innovation, projector)
-    pull = best.score(innovation)
-    gain = float(pull @ pull) / score.statistic
+    d = best.score(innovation)
+    gain = float(d @ d) / score.statistic
     more = surprise(best, innovation) - surprise(score.variant, innovation)
     return replace(
         score,
         variants=(*score.variants, best),
         best=len(score.variants),
-        statistic=float(pull @ pull),
+        statistic=float(d @ d),
         evidence=score.evidence + more,
         significance=score.significance * gain,
-        expected=-best.back @ pull,
+        expected=-best.back @ d,
         covariance=best.back @ best.back.T,
     )

@@ -36,7 +36,7 @@ from magyc_gtsam.gap.search.naming import (
 )
 from magyc_gtsam.gap.search.objections import leftover, stands, switched
 from magyc_gtsam.gap.search.refined import sharpened
-from magyc_gtsam.gap.search.steps import Prepare, State, with_more_modes, with_noise
+from magyc_gtsam.gap.search.steps import State, with_more_modes, with_noise
 from magyc_gtsam.recording import Recording
 
 _TURNS = RULES.most_terms + 8  # looks; 8 more for effects on the noise, failed fits and exchanges
@@ -112,7 +112,6 @@ def search(
     base: Refit,
     short_term: SensorNoise,
     names: tuple[str, ...],
-    prepare: Prepare,
     progress: Callable[[float], None],
     seed: int = 0,
 ) -> Search:
@@ -143,7 +142,7 @@ def search(
             noted.add(noise.name)
             if noise.name == "quantisation":
                 noted.add("coloured-noise")  # the error of a coarse step is autocorrelated, as the reading is
-            state, now = widest(with_noise(state, now, noise, prepare))
+            state, now = widest(with_noise(state, now, noise))
             continue
         if not options or len(state.current.model.terms) >= RULES.most_terms:
             better = with_exchange(state, seen, exchanged)

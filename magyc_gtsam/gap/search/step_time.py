@@ -28,7 +28,7 @@ def step_time_sigma(refitted: Refit, index: int) -> float:
 
     own = twin.whiten(twin.columns(term.name, term.setting))
     without = replace(twin, model=without_term(twin.model, index))
-    project = Projector(whitened(without.base_columns), without.base_pull)
+    project = Projector(whitened(without.base_columns), without.base_score_bias)
     target = project(whitened((twin.residual().ravel() - value @ own)[None]))[0]  # the residual without the step
     edges = 0.5 * (twin.time[1:] + twin.time[:-1])
     at = int(np.argmin(np.abs(edges - term.setting["time"])))

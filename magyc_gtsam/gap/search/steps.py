@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from magyc_gtsam.factors.effects.forms import Setting
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.noise import SINGLE, without
+from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.problem import Active, Model, Problem
 from magyc_gtsam.gap.model.refit import Refit, refit, with_term, without_term
 from magyc_gtsam.gap.rules import RULES
@@ -22,7 +23,6 @@ from magyc_gtsam.gap.scores.score import Score
 from magyc_gtsam.gap.search.naming import Found, Look, any_change, as_found, less, related, rivals_of, term_places
 from magyc_gtsam.recording import Recording
 
-Prepare = Callable[[Recording], Problem]
 _PASSES = 2  # estimates of the model, the first from readings with steps
 
 
@@ -52,31 +52,31 @@ class State:
         return ahead if ahead.converged else None
 
 
-def with_noise(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
+def with_noise(state: State, now: Look, choice: NoiseScore) -> State:
     """Add an effect on the noise; remove tones and rounding errors from the readings, and leave out wrong samples."""
     recording = state.recording
     if choice.name in SINGLE:
         recording, choice = without(recording, state.current.model, now.fine, choice)
     elif choice.name == "quantisation":
-        return _with_steps(state, now, choice, prepare)
-    return _with_recording(replace(state, found=(*state.found, as_found(choice))), recording, prepare)
+        return _with_steps(state, now, choice)
+    return _with_recording(replace(state, found=(*state.found, as_found(choice))), recording)
 
 
-def _with_steps(state: State, now: Look, choice: NoiseScore, prepare: Prepare) -> State:
+def _with_steps(state: State, now: Look, choice: NoiseScore) -> State:
     """Add coarse steps, and remove their mean rounding error by means of a model that improves with each pass."""
     result = replace(state, found=(*state.found, as_found(choice)))
     for _ in range(_PASSES):
         smooth = unrounded(
             result.recording, state.recording, result.current.model, float(choice.value[0]), now.fine.level
         )
-        result = _with_recording(result, smooth, prepare)
+        result = _with_recording(result, smooth)
     return result
 
 
-def _with_recording(state: State, recording: Recording, prepare: Prepare) -> State:
+def _with_recording(state: State, recording: Recording) -> State:
     if recording is state.recording:
         return state
-    problem = prepare(recording)
+    problem = problem_of(recording)
     current = refit(problem, state.current.model, state.short_term)
     return replace(state, recording=recording, problem=problem, current=current)
 
