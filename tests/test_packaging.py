@@ -17,6 +17,7 @@ import pytest
 import yaml
 
 import magyc_gtsam as mg
+from magyc_gtsam import cli
 
 ROOT = Path(__file__).parents[1]
 
@@ -159,6 +160,16 @@ def test_readme_marks_the_commands_of_the_integration_run() -> None:
     assert len(marked) == 2
     assert "pip install ." in marked[0]
     assert "pytest" in marked[1]
+
+
+def test_readme_shows_what_the_first_command_prints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = ROOT / "datasets" / "calibration_dive.mcap"
+    assert cli.main(["calibrate", str(log), "--output", str(tmp_path / "out")]) == 0
+    shown = re.search(r"calibration_dive\.mcap\n```\n\n```\n(.*?)\n…", _readme(), re.DOTALL)
+    assert shown is not None
+    words = shown[1].split()
+    assert len(words) > 50
+    assert capsys.readouterr().out.split()[: len(words)] == words
 
 
 def _readme() -> str:
