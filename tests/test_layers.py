@@ -6,11 +6,12 @@ import ast
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+from structure import circle, sources
 
 ROOT = Path(__file__).parents[1]
 CORE = ("chain", "effects")  # of factors/: their modules but `effects/factor.py` need no GTSAM
@@ -50,15 +51,6 @@ def test_factors_need_no_more_than_gtsam_numpy_scipy_and_threadpoolctl(file: Pat
         for module in modules:
             own = module == "magyc_gtsam.factors" or module.startswith("magyc_gtsam.factors.")
             assert own or module.split(".")[0] in allowed, f"line {node.lineno}: {module}"
-
-
-def _imported(tree: ast.Module) -> Iterator[str]:
-    """What a module imports anywhere, in functions and for types too, with what is taken from it."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom):
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
 
 
 OWN = [file for file in (ROOT / "magyc_gtsam").rglob("*.py") if file.relative_to(ROOT).parts[1] != "factors"]
@@ -111,17 +103,9 @@ def test_a_type_has_its_name_for_itself() -> None:
 
 
 def test_no_module_imports_itself_by_way_of_others() -> None:
-    modules = {}
-    for file in [*OWN, *FILES]:
-        parts = file.relative_to(ROOT).with_suffix("").parts
-        name = ".".join(parts if parts[0] == "magyc_gtsam" else ("magyc_gtsam", *parts))
-        modules[name.removesuffix(".__init__")] = file
-    graph = {
-        name: {
-            found if found in modules else found.rpartition(".")[0]
-            for found in _imported(ast.parse(file.read_text(encoding="utf-8")))
-        }
-        for name, file in modules.items()
-    }
-    assert len(graph) > 300
-    TopologicalSorter({name: (found & modules.keys()) - {name} for name, found in graph.items()}).prepare()
+    """Imports in functions and for types count too."""
+    modules = sources()
+    assert len(modules) > 300
+    assert circle(modules) == []
+    looped = {name: ast.parse(f"def late():\n    import {other}") for name, other in (("a", "b"), ("b", "a"))}
+    assert set(circle(looped)) == {"a", "b"}

@@ -151,8 +151,8 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
     for name, (place, many) in found.items():
         rows = slice(first, first + len(many))
         first += len(many)
-        directed = [v.score(innovation) for v in many]
-        statistics = np.array([d @ d for d in directed])
+        score_vectors = [v.score(innovation) for v in many]
+        statistics = np.array([d @ d for d in score_vectors])
         surprise = surprises(statistics[:, None], ranks[rows])[:, 0]
         best = int(np.argmax(surprise))
         chosen = many[best]
@@ -175,7 +175,7 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
                 significance=min(significance, evidence),
                 threshold=float(quantile(needed, rank)),
                 limit=limit,
-                expected=-chosen.back @ directed[best],
+                expected=-chosen.back @ score_vectors[best],
                 covariance=chosen.back @ chosen.back.T,
             )
         )
@@ -186,13 +186,13 @@ def scan(twin: Twin, names: tuple[str, ...], random: np.random.Generator) -> tup
 def _without_best(innovation: Array, found: Mapping[str, tuple[str, list[Variant]]]) -> Array:
     """Subtract what the best named effect explains, if much, from the innovations: it would count as their colour."""
     named = [v for name, (_, many) in found.items() if name in TERMS for v in many if len(v.unit)]
-    directed = [v.score(innovation) for v in named]
+    score_vectors = [v.score(innovation) for v in named]
     if not named:
         return innovation
-    best = int(np.argmax([d @ d - 2 * len(d) for d in directed]))
-    if directed[best] @ directed[best] < RULES.much:
+    best = int(np.argmax([d @ d - 2 * len(d) for d in score_vectors]))
+    if score_vectors[best] @ score_vectors[best] < RULES.much:
         return innovation
-    return innovation - named[best].unit.T @ directed[best]
+    return innovation - named[best].unit.T @ score_vectors[best]
 
 
 def _statistics(d: Draws, starts: np.ndarray, ranks: np.ndarray) -> Array:

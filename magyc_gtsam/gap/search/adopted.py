@@ -44,8 +44,7 @@ def adopted(result: Search, said: Answer, short_term: SensorNoise) -> Search:
     fitted = next(_predicting(said, sure, short_term), None)
     if fitted is None:
         return result
-    names = tuple(dict.fromkeys(score.name for score in result.first.scores if score.name in TERMS))
-    last = look(said.recording, fitted, names, np.random.default_rng(0))
+    last = look(said.recording, fitted, result.first.tested, np.random.default_rng(0))
     alone = {one.name: one for one in result.found if one.noise is not None}
     alone |= {score.name: as_found(score) for score in said.left_out if score.name not in alone}
     return replace(

@@ -95,6 +95,11 @@ class Look:
     projector: Projector
     gains: dict[str, float]
 
+    @property
+    def tested(self) -> tuple[str, ...]:
+        """Return the effects of the catalogue that were tested."""
+        return tuple(score.name for score in self.scores if score.name in TERMS)
+
     @cached_property
     def fine(self) -> Fine:
         """Return the innovations sample by sample."""

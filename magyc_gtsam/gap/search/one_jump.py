@@ -15,7 +15,6 @@ import numpy as np
 
 from magyc_gtsam.factors.chain.chain_values import SensorNoise
 from magyc_gtsam.factors.chain.rotations import Array
-from magyc_gtsam.gap.effects import TERMS
 from magyc_gtsam.gap.evidence.prior import PRIOR
 from magyc_gtsam.gap.model.base import problem_of
 from magyc_gtsam.gap.model.refit import Refit, refit, without_term
@@ -51,8 +50,7 @@ def with_one_jump(result: Search, short_term: SensorNoise) -> Search:
         ahead = refit(problem, without_term(model, second), short_term)
         if not ahead.converged:
             continue
-        names = tuple(dict.fromkeys(score.name for score in result.last.scores if score.name in TERMS))
-        last = look(recording, ahead, names, np.random.default_rng(0))
+        last = look(recording, ahead, result.first.tested, np.random.default_rng(0))
         found = less(result.found, {places[second]})
         again = replace(result, recording=recording, problem=problem, last=last, found=found)
         return with_one_jump(again, short_term)
