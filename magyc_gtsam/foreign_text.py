@@ -33,6 +33,11 @@ def listed(names: Collection[object], separator: str = ", ") -> str:
     return separator.join(shown) + (f" and {more} more" if more else "")
 
 
+def counted(number: int, what: str) -> str:
+    """Return a number and its noun, as "1 log" or "2 logs"."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
 def first_of(sentences: Collection[str], what: str) -> tuple[str, ...]:
     """Return the first 40 sentences for a report, each cut at 500 characters, and the number of others.
 

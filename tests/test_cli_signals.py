@@ -92,6 +92,15 @@ def test_two_runs_into_one_folder_leave_the_files_of_one(tmp_path: Path) -> None
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
+def test_a_second_run_replaces_the_files_in_subfolders(tmp_path: Path) -> None:
+    for text in ("first", "second"):
+        with replacing_folder(tmp_path / "out") as part:
+            (part / "calibrations").mkdir()
+            (part / "calibrations" / "a.yaml").write_text(text)
+    assert (tmp_path / "out" / "calibrations" / "a.yaml").read_text() == "second"
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["calibrations"]
+
+
 def test_names_from_files_do_not_reach_the_terminal_as_commands(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -323,6 +323,12 @@ def test_a_perfect_gyroscope_is_solvable():
     assert np.linalg.eigvalsh(reduced.information)[0] > 0
 
 
+def test_a_window_that_reads_the_hard_iron_starts_in_some_direction(chain):
+    """As with a magnetometer of a coarse resolution: its direction is undefined, but the descent needs one."""
+    parameters = np.concatenate([vech(50e-6 * np.eye(3)), chain.windows.field[:, 7], np.zeros(4)])
+    np.testing.assert_allclose(np.linalg.norm(chain.start(parameters).direction, axis=0), 1.0)
+
+
 def test_too_few_windows():
     windows = Preintegration(np.arange(3.0) / 10, np.eye(3), np.arange(3.0) / 10, np.zeros((3, 3))).integrate()
     with pytest.raises(MagycError, match="1 windows, at least 3"):

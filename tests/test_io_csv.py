@@ -87,7 +87,20 @@ def test_named_columns(tmp_path: Path) -> None:
 
 
 def test_two_magnetometers(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.csv", "t,mag1_x,mag1_y,mag1_z,mag2_x,mag2_y,mag2_z", TIME, FIELD, 2 * FIELD)
+    numbered = "t,mag1_x_uT,mag1_y_uT,mag1_z_uT,mag2_x_uT,mag2_y_uT,mag2_z_uT"
+    path = write(tmp_path / "a.csv", numbered, TIME, 1e6 * FIELD, 2e6 * FIELD)
+    with pytest.raises(
+        MagycError, match="2 sets of columns could be meant: mag1_x_uT, mag1_y_uT, mag1_z_uT; mag2"
+    ):
+        read(path)
+    sources = info(path).sources  # what `--all` reads one by one
+    assert [(source.name, source.serves_as) for source in sources] == [
+        ("mag1", ("magnetic_field",)),
+        ("mag2", ("magnetic_field",)),
+    ]
+    for source, factor in zip(sources, (1, 2), strict=True):
+        field = read(path, magnetic_field=source.name).magnetic_field
+        np.testing.assert_allclose(field, factor * FIELD, rtol=1e-12)
     names = "t,imu_mag_x,imu_mag_y,imu_mag_z,gps_mag_x,gps_mag_y,gps_mag_z"
     write(path, names, TIME, FIELD, 2 * FIELD)
     with pytest.raises(MagycError, match="2 sets of columns could be meant: imu_mag_x, imu_mag_y, imu_mag_z; gps"):
@@ -130,6 +143,12 @@ def test_without_header(tmp_path: Path) -> None:
     assert "header" in str(info(path).problem)
 
 
+def test_every_column_must_be_named(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "", TIME, FIELD, RATE)
+    with pytest.raises(MagycError, match="7 values, expected 4; name every column of the table .columns=."):
+        read(path, columns="t,mx,my,mz")
+
+
 def test_empty_cells_are_another_sensors_rows(tmp_path: Path) -> None:
     lines = ["time,mx,my,mz,gx,gy,gz,note,current"]
     for k in range(N):
@@ -157,7 +176,7 @@ def test_broken_lines(tmp_path: Path) -> None:
     with pytest.raises(MagycError, match="line 10: 'bad' in column 3 is not a number"):
         read(tmp_path / "c.csv")
     (tmp_path / "d.csv").write_text("\n".join([*lines[:9], "noon,1e-5,1e-5,3e-5", *lines[10:-1]]))
-    with pytest.raises(MagycError, match="line 10: 'noon' is not a time stamp"):
+    with pytest.raises(MagycError, match="line 10: 'noon' is neither a number nor a date and time"):
         read(tmp_path / "d.csv")
     (tmp_path / "e.csv").write_text("time,mx,my,mz\n")
     with pytest.raises(MagycError, match="a header but no data"):
@@ -177,6 +196,20 @@ def test_what_is_no_log(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\0\0\0")
     with pytest.raises(MagycError, match="not a format that can be read"):
         read(tmp_path / "a.png")
+    for content, words in (
+        ("time,mx,my,mz\n".encode("utf-16"), "text in UTF-16; save it as UTF-8"),
+        (b' {"time": 0, "magnetic_field": [0, 0, 0]}\n', "JSON is not a format of logs"),
+        (b'[{"time": 0}]', "JSON is not a format of logs"),
+    ):
+        (tmp_path / "a.txt").write_bytes(content)
+        with pytest.raises(MagycError, match=words):
+            read(tmp_path / "a.txt")
+
+
+def test_the_micro_sign_of_a_table_that_is_not_utf_8(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.csv", "t;mag x (µT);mag y (µT);mag z (µT)", TIME, 1e6 * FIELD, separator=";")
+    path.write_bytes(path.read_text(encoding="utf-8").encode("latin-1"))
+    np.testing.assert_allclose(read(path).magnetic_field, FIELD, rtol=1e-12)
 
 
 def test_decimal_commas(tmp_path: Path) -> None:

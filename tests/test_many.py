@@ -102,6 +102,36 @@ def test_calibrate_a_folder(season: Path, tmp_path: Path, capsys: pytest.Capture
     assert (folder / rows[0]["page"]).stat().st_mtime_ns == before
 
 
+def test_a_bug_costs_only_its_log(
+    season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("no")
+
+    monkeypatch.setattr("magyc_gtsam.cli.many.calibrate_log", fail)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)  # in this process
+    assert main(["calibrate", str(season), "-o", str(tmp_path / "all")]) == 2
+    assert capsys.readouterr().err.count("internal error: ZeroDivisionError: no") == 3
+
+
+def test_what_does_nothing_is_refused(
+    season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for words, says in (
+        (["calibrate", DIVE, "--altitude", "3"], "--altitude: has no effect without a location"),
+        (["calibrate", DIVE, "--hard-iron-walk", "3"], "give it (--prior)"),
+        (["calibrate", season, "--pdf"], "--pdf: is for one LOG"),
+        (["calibrate", season, "--sensor", "accelerometer"], "LOGS: not with --sensor accelerometer"),
+        (["info", DIVE, "--strip"], "--strip: has no effect without --json"),
+        (["online", DIVE, "--picture", "1"], "--picture: has no effect without --json"),
+        (["export", "any.yaml", "px4", "--per-motor"], "--per-motor: has no effect without the target ardupilot"),
+    ):
+        assert main(list(map(str, words))) == 2
+        assert says in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "history"
     assert main(["history", str(season / "a.mcap"), str(season / "june"), "-o", str(folder), "--json"]) == 0
@@ -120,6 +150,8 @@ def test_history_command(season: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert len(mg.History.load(added / "history.yaml")) == 4
     assert main(["history", str(season / "a.mcap"), "--add", str(folder / "history.yaml")]) == 2
     assert "is in the history already" in capsys.readouterr().err
+    assert main(["history", str(tmp_path / "third.mcap"), "--add", str(DIVE)]) == 2
+    assert "not a text file; a history.yaml is expected here" in capsys.readouterr().err
     assert main([*command[:-1], str(tmp_path / "other"), "--gyroscope-scale", "1"]) == 2
     assert "calibrate all of them with the same gyroscope_scale" in capsys.readouterr().err
 

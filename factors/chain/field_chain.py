@@ -109,8 +109,12 @@ class FieldChain:
         return Weights(np.ones(len(self.windows)), np.ones(len(self.windows) - 1))
 
     def start(self, parameters: Array) -> ChainState:
-        """Return a state at θ whose directions are computed from each window's own field."""
+        """Return a state at θ whose directions are computed from each window's own field.
+
+        A window whose field equals the hard iron has no direction of its own and starts along x.
+        """
         body = np.linalg.solve(iron_matrix(parameters), self.windows.field - parameters[6:9, None])
+        body[0] += ~body.any(axis=0)
         g = np.einsum("ijn,in->jn", self.rotation(parameters), body)
         return ChainState(parameters, g / np.sqrt(np.einsum("in,in->n", g, g)))
 

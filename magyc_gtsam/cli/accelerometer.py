@@ -12,7 +12,7 @@ import typer
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, write_configuration
-from magyc_gtsam.cli.terminal import show, show_parameters, stages
+from magyc_gtsam.cli.terminal import noted, show, show_parameters, stages
 from magyc_gtsam.foreign_text import printable
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _show(folder: Path, log: Path, recording: Recording, calibration: Accelerome
     show(
         f"samples in motion, with reduced weight: {calibration.diagnostics['outliers']} of "
         f"{calibration.diagnostics['samples']}",
-        *(f"note: {note}" for note in recording.notes),
+        *noted(recording.notes),
         "",
         f"results: {folder}",
         f"page: {folder / 'report.html'}",

@@ -14,8 +14,8 @@ from typing import Annotated
 import typer
 
 from magyc_gtsam import __version__
+from magyc_gtsam.cli.failures import explained
 from magyc_gtsam.cli.interrupts import cause, interrupted
-from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.cli.terminal import discard_output
 from magyc_gtsam.foreign_text import printable
 
@@ -109,29 +109,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             return interrupted(behind)
         if debug:
             raise
-        return _say(_explain(error), WRONG)
-
-
-def _explain(error: Exception) -> str:
-    """Return the message of a failure, with arguments of the library named as options of the command line."""
-    usage = getattr(error, "format_message", None)  # of usage errors, in every version of click
-    if usage is not None:
-        context = getattr(error, "ctx", None)
-        path = context.command_path if context is not None else "magyc-gtsam"
-        return f"{usage().replace('Value error, ', '').removesuffix('.')}; see {path} --help"
-    from magyc_gtsam.factors.errors import MagycError
-
-    if isinstance(error, MagycError):
-        return spelled(str(error))
-    if isinstance(error, OSError):
-        where = f"{error.filename}: " if error.filename else ""
-        return f"{where}{error.strerror or error}; check the path, its permissions and the space left"
-    if isinstance(error, MemoryError):
-        return f"not enough memory ({error}); use a part of the log (--start, --end)"
-    return (
-        f"internal error: {type(error).__name__}: {error}; this is a bug, please report it "
-        "(MAGYC_DEBUG=1 shows the traceback)"
-    )
+        return _say(explained(error), WRONG)
 
 
 def _say(message: str, code: int) -> int:

@@ -19,7 +19,7 @@ from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading, parse_pairs
 from magyc_gtsam.cli.results import dated_folder, remove_exports
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import concluded, show, show_calibration, show_details, show_page, stages
+from magyc_gtsam.cli.terminal import concluded, noted, show, show_calibration, show_details, show_page, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.calibration import Calibration
@@ -106,13 +106,23 @@ def run(
             raise typer.BadParameter("needs no LOG and writes no files; leave out LOG and -o", param_hint="--plan")
         return show_plan(plan, options, quiet, json)
     if sensor == "accelerometer":
+        for name, wanted in (
+            ("--all", every),
+            ("LOGS", many(reading.log, more)),
+            ("--pdf", pdf),
+            ("--force", force),
+        ):
+            if wanted:
+                raise typer.BadParameter("not with --sensor accelerometer, which takes one LOG", param_hint=name)
         return calibrate_accelerometer(reading, method, options, output, context.obj, quiet, json)
     if every or many(reading.log, more):
         from magyc_gtsam.io.many import find_logs
 
+        if pdf:
+            raise typer.BadParameter("is for one LOG", param_hint="--pdf")
         logs = find_logs([reading.log, *(more or [])])
         tasks = each_log(Task(reading, method, options, option, Path(), tuple(context.obj), force), logs)
-        return calibrate_logs(each_compass(tasks) if every else tasks, output, engine, quiet, json)
+        return calibrate_logs(each_compass(tasks) if every else tasks, output, engine, open_page, quiet, json)
     folder = output or dated_folder(reading.log)
     with replacing_folder(folder) as part, stages(shown=not (quiet or json)) as stage:
         recording, calibration, verdict = calibrate_log(
@@ -134,7 +144,7 @@ def run(
         if verbose:
             show(_configuration(calibration))
         show(
-            *(f"note: {note}" for note in recording.notes),
+            *noted(recording.notes),
             "",
             f"results: {folder}",
             f"page: {folder / 'report.html'}",

@@ -16,7 +16,7 @@ from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
 from magyc_gtsam.cli.scale import Scale
-from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
+from magyc_gtsam.cli.terminal import noted, show, show_page, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.study.outcome import Comparison
@@ -117,7 +117,7 @@ def _show(comparison: Comparison, name: str, folder: Path) -> None:
     )
     show(*(spelled(remark) for remark in words.remarks(comparison)))
     show(
-        *(f"note: {note}" for note in recording.notes),
+        *noted(recording.notes),
         "",
         f"results: {folder}",
         f"page: {folder / 'report.html'}",

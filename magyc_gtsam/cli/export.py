@@ -42,6 +42,8 @@ def run(
 
     An untrusted calibration is refused with exit code 1 and the reason, and is never written to a vehicle.
     """
+    if per_motor and target != "ardupilot":
+        raise given.without_effect("--per-motor", "the target ardupilot")
     from magyc_gtsam.calibration import Calibration
     from magyc_gtsam.report.verdict import judged
 

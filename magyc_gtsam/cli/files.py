@@ -49,8 +49,9 @@ def replacing_folder(path: Path) -> Iterator[Path]:
             with contextlib.suppress(OSError):  # the folder exists: replace its files below
                 os.rename(part, path)
                 return
-            for file in part.iterdir():
-                os.replace(file, path / file.name)
+            for file in (each for each in sorted(part.rglob("*")) if not each.is_dir()):
+                (path / file.relative_to(part)).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(file, path / file.relative_to(part))
 
 
 def refuse_unwritable(file: Path) -> None:

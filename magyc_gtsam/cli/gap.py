@@ -15,7 +15,7 @@ from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.many import many
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder, run_description, write_yaml
-from magyc_gtsam.cli.terminal import Progress, concluded, show, show_details, show_page, show_table, stages
+from magyc_gtsam.cli.terminal import Progress, concluded, noted, show, show_details, show_page, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.gap.result import Gap
@@ -63,7 +63,7 @@ def run(
             is_eager=True,
             callback=given.needs_no_log,
             help="Only list which effects a motion can reveal, and from which strength: wide, moderate, low, "
-            "tiny, multi, dive or survey. Needs no LOG and writes no files.",
+            "tiny, level, ship, multi, dive or survey. Needs no LOG and writes no files.",
         ),
     ] = None,
     more: given.More = None,
@@ -140,7 +140,7 @@ def run(
         _show(gap, validation, verbose)
         show(
             *(f"left out: {fault}" for fault in gap.diagnostics["left_out"]),
-            *(f"note: {note}" for note in recording.notes),
+            *noted(recording.notes),
             "",
             f"results: {folder}",
             f"page: {folder / 'report.html'}",
@@ -198,7 +198,9 @@ def _plan(motion: str, quiet: bool, json: bool) -> int:
         typer.echo(_json({"motion": motion, "effects": json_types(table)}), nl=False)
     elif not quiet:
         show(
-            f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 10 mG, gyroscope 5 mrad/s)", ""
+            f"{motion}: what 600 s at 10 Hz of this motion could name (magnetometer 1 µT, gyroscope 5 mrad/s per "
+            "sample)",
+            "",
         )
         show_table(PLAN, plan_rows(table))
         show(

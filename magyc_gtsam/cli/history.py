@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from magyc_gtsam.cli import options as given
+from magyc_gtsam.cli.failures import explained
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.groups import with_groups
 from magyc_gtsam.cli.many import unique_names
@@ -110,17 +111,14 @@ def _refuse_twice(logs: Sequence[Path], before: History | None) -> None:
 
 def _compress_one(task: _Task) -> Row:
     """Compress one log into its factor, and return it as a row; errors are in the row."""
-    from magyc_gtsam.factors.errors import MagycError
     from magyc_gtsam.history.log_factor import LogFactor, factor_of
 
     name = task.reading.log.name
     try:
-        recording = task.reading.recording()
-    except MagycError as error:
-        return LogFactor(
-            name, None, None, None, problem=str(error).removeprefix(f"{task.reading.log}: ")
-        ).to_dict()
-    return replace(factor_of(recording, None, task.options), name=name).to_dict()
+        return replace(factor_of(task.reading.recording(), None, task.options), name=name).to_dict()
+    except Exception as error:  # noqa: BLE001 - a bug must not cost the results of the other logs
+        problem = explained(error).removeprefix(f"{task.reading.log}: ")
+        return LogFactor(name, None, None, None, problem=problem).to_dict()
 
 
 def _show(history: History, folder: Path) -> None:

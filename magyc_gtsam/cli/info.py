@@ -9,9 +9,9 @@ import typer
 
 from magyc_gtsam.cli import options as given
 from magyc_gtsam.cli.groups import with_groups
-from magyc_gtsam.cli.options import spelled
+from magyc_gtsam.cli.options import spelled, without_effect
 from magyc_gtsam.cli.reading import Reading
-from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.cli.terminal import noted, show, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.io import LogInfo
@@ -30,6 +30,8 @@ def run(
 
     Exit code 0 for every file that is a log, also for one that cannot be calibrated.
     """
+    if strip and not json:
+        raise without_effect("--strip", "--json")
     from magyc_gtsam.io import info_and_recording
 
     with stages(shown=not json) as stage:
@@ -55,7 +57,7 @@ def _show(described: LogInfo) -> None:
         show_table(("source", "samples", "Hz", "s", "serves as"), rows, words=(4,))
     if unused:
         show("", f"not used: {', '.join(unused)}")
-    show("", *(f"note: {warning}" for warning in described.warnings))
+    show("", *noted(described.warnings))
     if described.problem is not None:
         show(f"can be read: no, {spelled(described.problem)}")
     elif described.turned is None:

@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from magyc_gtsam import __version__
+from magyc_gtsam.cli.failures import explained
 from magyc_gtsam.cli.files import replacing_folder
 from magyc_gtsam.cli.many_table import AXES, COLUMNS, headline, shown, write_tables
 from magyc_gtsam.cli.one_log import calibrate_log
 from magyc_gtsam.cli.reading import Reading
 from magyc_gtsam.cli.results import dated_folder
-from magyc_gtsam.cli.terminal import show, show_table, stages
+from magyc_gtsam.cli.terminal import show, show_page, show_table, stages
 
 if TYPE_CHECKING:
     from magyc_gtsam.engine import Row
@@ -112,14 +113,16 @@ def each_compass(tasks: Mapping[str, Task]) -> dict[str, Task]:
     return compasses
 
 
-def calibrate_logs(named: Mapping[str, Task], output: Path | None, engine: str, quiet: bool, as_json: bool) -> int:
+def calibrate_logs(
+    named: Mapping[str, Task], output: Path | None, engine: str, open_page: bool, quiet: bool, as_json: bool
+) -> int:
     """Calibrate all logs, and write and show a table of the results.
 
     Args:
         named: {name of the folder: task}.
         output: folder for all results; None for a new one in results/.
         engine: see `magyc_gtsam.engine`.
-        quiet, as_json: of the command line.
+        open_page, quiet, as_json: of the command line.
 
     Returns:
         The largest exit code of a log.
@@ -140,6 +143,8 @@ def calibrate_logs(named: Mapping[str, Task], output: Path | None, engine: str, 
         rows = run_many(calibrate_one, tasks, engine=engine, parts=parts, progress=progress)
     table = [_table_row(tasks[key], row) for key, row in rows.items()]
     write_tables(folder, table)
+    if open_page:
+        show_page(folder / "index.html")
     if as_json:
         typer.echo(json.dumps({"folder": str(folder), "logs": table}, indent=2))
     elif not quiet:
@@ -173,17 +178,13 @@ def _fingerprint(task: Task) -> str:
 
 def calibrate_one(task: Task) -> Row:
     """Calibrate one log, write its files, and return its row; errors are in the row."""
-    from magyc_gtsam.factors.errors import MagycError
-
     try:
         with replacing_folder(task.folder) as part:
             recording, calibration, verdict = calibrate_log(
                 task.reading, task.method, task.options, task.pairs, part, task.arguments, task.force, task.compass
             )
-    except MagycError as error:
-        return {"exit_code": 2, "sentence": str(error).removeprefix(f"{task.reading.log}: ")}
-    except OSError as error:
-        return {"exit_code": 2, "sentence": f"{error.filename}: {error.strerror}"}
+    except Exception as error:  # noqa: BLE001 - a bug must not cost the results of the other logs
+        return {"exit_code": 2, "sentence": explained(error).removeprefix(f"{task.reading.log}: ")}
     row: Row = {
         "exit_code": 0 if verdict.trusted else 1,
         "sentence": verdict.reason,

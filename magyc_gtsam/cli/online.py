@@ -102,6 +102,8 @@ def run(
 
     if output.suffix not in (".yaml", ".yml", ".json"):
         raise typer.BadParameter(f"must end in .yaml or .json, got {output}", param_hint="--output")
+    if picture is not None and not json:
+        raise given.without_effect("--picture", "--json")
     axes = None if gyroscope_axes is None else parse_axes(gyroscope_axes)
     request = Request(
         sensors={"magnetic_field": magnetic_field, "angular_rate": angular_rate},

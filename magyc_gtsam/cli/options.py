@@ -11,7 +11,7 @@ import typer
 from magyc_gtsam.cli.configuration import from_file
 
 # Arguments of `magyc_gtsam.read` as its messages name them.
-_ARGUMENT = re.compile(r"\b(magnetic_field|angular_rate|acceleration|attitude|stamps|start|end)=(?=(\)?))")
+_ARGUMENT = re.compile(r"\b(magnetic_field|angular_rate|acceleration|attitude|stamps|start|end|prior)=(?=(\)?))")
 _TABLE_ARGUMENT = re.compile(r"\b(time|time_unit|rate|columns)=")
 
 Log = Annotated[
@@ -138,6 +138,11 @@ def needs_no_log(context: typer.Context, planned: Any) -> Any:
     log = next(parameter for parameter in context.command.params if parameter.name == "log")
     log.required = planned is None  # set in either case, as a process can run the command again
     return planned
+
+
+def without_effect(option: str, needs: str) -> typer.BadParameter:
+    """Return the error for an option that does nothing without another."""
+    return typer.BadParameter(f"has no effect without {needs}; leave it out", param_hint=option)
 
 
 def spelled(message: str) -> str:

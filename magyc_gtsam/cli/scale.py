@@ -29,8 +29,9 @@ class Scale:
         ),
     ] = None
     altitude: Annotated[
-        float, typer.Option(metavar="METRES", help="Altitude above sea level, with --location.")
-    ] = 0.0
+        float | None,
+        typer.Option(metavar="METRES", help="Altitude above sea level, with --location. Default: 0."),
+    ] = None
     date: Annotated[
         str | None, typer.Option(metavar="YYYY-MM-DD", help="Date of the recording, with --location.")
     ] = None
@@ -44,8 +45,9 @@ class Scale:
         from magyc_gtsam.factors.errors import MagycError
 
         if self.location is None:
-            if self.date is not None:
-                raise MagycError("--date: has no effect without a location; give --location LAT LON too")
+            for name, value in (("--date", self.date), ("--altitude", self.altitude)):
+                if value is not None:
+                    raise MagycError(f"{name}: has no effect without a location; give --location LAT LON too")
             if self.field_strength is None:
                 return None
             from magyc_gtsam.estimators.gauge import check_field_strength
@@ -92,4 +94,4 @@ class Scale:
 
         assert self.location is not None
         assert self.date is not None
-        return world_magnetic_field(*self.location, self.date, self.altitude)
+        return world_magnetic_field(*self.location, self.date, self.altitude or 0.0)

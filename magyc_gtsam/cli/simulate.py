@@ -16,7 +16,9 @@ def run(
     motion: Annotated[
         str,
         typer.Argument(
-            metavar="MOTION", help="wide, moderate, low, tiny, multi, dive or survey.", show_default=False
+            metavar="MOTION",
+            help="wide, moderate, low, tiny, level, ship, multi, dive or survey.",
+            show_default=False,
         ),
     ],
     output: Annotated[

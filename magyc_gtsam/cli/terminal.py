@@ -11,6 +11,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from magyc_gtsam.cli.options import spelled
 from magyc_gtsam.foreign_text import printable, with_minus
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ def refused(calibration: Calibration) -> int:
 
     reason = judged(calibration).reason
     print(
-        f"magyc-gtsam: the result must not be trusted: {printable(reason)}; nothing was written (--force)",
+        f"magyc-gtsam: the result must not be trusted: {printable(reason)}; nothing was written, --force writes it",
         file=sys.stderr,
     )
     return 1
@@ -179,6 +180,11 @@ def show_calibration(calibration: Calibration) -> None:
         longest = ", ".join(stretch((start, end)) for start, end in sorted(disturbed[:5]))
         show(f"disturbed, with reduced weight: {longest}{' and more' if len(disturbed) > 5 else ''}")
     show(*(f"left out: {where}" for where in calibration.diagnostics.get("left_out", ())))
+
+
+def noted(notes: Sequence[str]) -> list[str]:
+    """Return the notes on a log as lines, with arguments of the library named as options of the command line."""
+    return [f"note: {spelled(note)}" for note in notes]
 
 
 def show_page(page: Path) -> None:

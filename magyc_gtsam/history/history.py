@@ -213,7 +213,9 @@ class History:
             raise MagycError(f"{path}: no such file") from None
         except OSError as error:
             raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
-        except (MagycError, UnicodeDecodeError) as error:
+        except UnicodeDecodeError:
+            raise MagycError(f"{path}: not a text file; a history.yaml is expected here") from None
+        except MagycError as error:
             raise MagycError(f"{path}: {error}") from None
         if not isinstance(data, dict) or data.get("format") not in (_FORMAT, _FIRST_FORMAT):
             raise MagycError(f"{path}: not a history (format must be {_FORMAT!r})")

@@ -9,6 +9,7 @@ import numpy as np
 
 from magyc_gtsam.calibration import Calibration
 from magyc_gtsam.factors.effects.term import Term
+from magyc_gtsam.foreign_text import counted
 from magyc_gtsam.history.forward import WRONG
 from magyc_gtsam.history.instrument import Instrument
 from magyc_gtsam.history.log_factor import GYRO_BIAS, OBSERVED, LogFactor, calibration_of
@@ -44,7 +45,9 @@ def next_calibration(factors: Sequence[LogFactor], instrument: Instrument, model
     strength = next(
         (factors[i].field_strength for i in reversed(instrument.order) if factors[i].mean is not None), None
     )
-    message = f"predicted from {_logs_used(factors, instrument)} logs; it holds unless the hard iron jumps"
+    message = (
+        f"predicted from {counted(_logs_used(factors, instrument), 'log')}; it holds unless the hard iron jumps"
+    )
     return _calibration(factors, instrument, mean, covariance, message, strength)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from os import PathLike
@@ -43,6 +44,7 @@ _SUFFIXES = {
     ".bbl": "blackbox",
     ".bfl": "blackbox",
 }
+_JSON = re.compile(rb"\s*(?:\{|\[\s*[\[{])")
 _WITHOUT_MAGIC = ("csv_log", "tlog")
 _KNOWN = (
     "MCAP, text table, PX4 .ulg, ArduPilot .BIN, ROS .bag and .db3, MAVLink .tlog, Blackbox, a phone app's .zip"
@@ -158,6 +160,12 @@ def _reader(path: Path) -> ModuleType:
         raise MagycError(f"{path}: cannot be read ({error.strerror})") from None
     if not head:
         raise MagycError(f"{path}: is empty")
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise MagycError(f"{path}: text in UTF-16; save it as UTF-8")
+    if _JSON.match(head):
+        raise MagycError(
+            f"{path}: JSON is not a format of logs; write a text table, or pass JSON lines to `magyc-gtsam online -`"
+        )
     by_content = next((name for magic, name in _MAGIC.items() if head.startswith(magic)), None)
     name = by_content or _SUFFIXES.get(path.suffix.lower()) or ("csv_log" if b"\0" not in head else None)
     if name is None or (by_content is None and name == "csv_log" and b"\0" in head):

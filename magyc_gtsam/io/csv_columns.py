@@ -20,6 +20,7 @@ _WORDS = {
         r"[af]",
     ),
 }
+_NUMBER = r"(?:[ _.\-]?\d{1,2})?"  # of a sensor of which there are several
 _TIME = re.compile(r"^%?(?:time[ _.]?stamp|stamp|time|t|sec(?:ond)?s?)$")
 _QUATERNION = re.compile(r"^(.*?)(?:q|quat|quaternion|orientation)[ _.]?([xyzw])$")
 _LONGEST_NAME = 200  # characters; a longer name is not searched for a sensor and a unit
@@ -83,7 +84,8 @@ def parse_header(fields: Sequence[str]) -> tuple[Column, ...]:
         else:
             for quantity, words in (("time", (r"t|time|stamp|time[ _.]?stamp",)), *_WORDS.items()):
                 axis = "" if quantity == "time" else r"[ _.\-/]?[xyz]"
-                pattern = rf"^(.*(?:{'|'.join(words)}){axis})[ _.\-]([a-z0-9µμ°/²^_]+)$"
+                number = "" if quantity == "time" else _NUMBER
+                pattern = rf"^(.*(?:{'|'.join(words)}){number}{axis})[ _.\-]([a-z0-9µμ°/²^_]+)$"
                 if (match := re.match(pattern, written, re.IGNORECASE)) and lookup(quantity, match[2]) is not None:
                     name, unit = match[1], match[2]
                     break
@@ -133,16 +135,25 @@ def find_sensor(columns: Sequence[Column], sensor: str, selection: Selection) ->
             raise MagycError(f"{sensor}: expected {len(axes)} columns ({', '.join(axes)}), got {len(names)}")
         selected = tuple(_named(columns, n) for n in names)
         return SensorColumns(_listed(selected), selected)
-    elif sensor == "attitude":
-        groups = _groups(columns, _QUATERNION, axes)
     else:
-        word, letter = _WORDS[sensor]
-        pattern = re.compile(rf"^((?:(?:.*[^a-z])?(?:{word})|{letter}))[ _.\-/]?([xyz])$")
-        groups = _groups(columns, pattern, axes)
+        groups = sensor_sets(columns, sensor)
     if len(groups) > 1:
         sets = listed([", ".join(c.written for c in g.columns) for g in groups.values()], "; ")
         raise MagycError(f"{sensor}: {len(groups)} sets of columns could be meant: {sets}; name one ({sensor}=)")
     return next(iter(groups.values()), None)
+
+
+def sensor_sets(columns: Sequence[Column], sensor: str) -> dict[str, SensorColumns]:
+    """Return every set of columns whose names are those of a sensor, by its prefix, which `find_sensor` accepts.
+
+    Raises:
+        MagycError: two columns have the same name.
+    """
+    if sensor == "attitude":
+        return _groups(columns, _QUATERNION, "xyzw")
+    word, letter = _WORDS[sensor]
+    pattern = re.compile(rf"^((?:(?:.*[^a-z])?(?:{word})|{letter}){_NUMBER})[ _.\-/]?([xyz])$")
+    return _groups(columns, pattern, "xyz")
 
 
 def _groups(columns: Sequence[Column], pattern: re.Pattern[str], axes: str) -> dict[str, SensorColumns]:

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.foreign_text import listed
-from magyc_gtsam.io.csv_columns import Column, SensorColumns, find_sensor, find_time, parse_header
+from magyc_gtsam.io.csv_columns import (
+    Column,
+    SensorColumns,
+    find_sensor,
+    find_time,
+    parse_header,
+    sensor_sets,
+)
 from magyc_gtsam.io.csv_stamps import StampColumn
 from magyc_gtsam.io.csv_table import Stamps, Table, is_number, load
 from magyc_gtsam.io.growing import GrowingColumns
@@ -116,13 +123,13 @@ def _sensor_columns(table: Table, request: Request, notes: list[str]) -> dict[st
 def info(path: Path) -> LogInfo:
     """Describe a text table; see `magyc_gtsam.io.info`, which sets `problem`."""
     table = load(path, None)
-    serves: dict[int, str] = {}
+    sensors: dict[int, tuple[str, SensorColumns]] = {}  # of each column
     for sensor in _SENSORS:
         try:
-            group = find_sensor(table.columns, sensor, None)
+            sets = sensor_sets(table.columns, sensor).values()
         except MagycError:
-            continue  # ambiguous columns; `problem` reports them
-        serves |= {c.index: sensor for c in group.columns} if group else {}
+            continue  # two columns have one name; `problem` reports them
+        sensors |= {c.index: (sensor, group) for group in sets for c in group.columns}
     time, span, stamp = None, None, None
     try:
         time = find_time(table.columns, None)
@@ -136,12 +143,15 @@ def info(path: Path) -> LogInfo:
     else:
         count = len(stamp)
     columns = table.columns or parse_header([f"column {i + 1}" for i in range(table.width)])
-    sources = tuple(
-        Source(c.written, c.unit or "", count, span, (serves.get(c.index, "channel"),))
-        for c in columns
-        if time is None or c.index != time.index
+    sources: dict[str, Source] = {}
+    for c in columns:
+        if time is None or c.index != time.index:
+            sensor, group = sensors.get(c.index, ("channel", None))
+            name = c.written if group is None else group.label
+            sources.setdefault(f"{sensor} {name}", Source(name, c.unit or "", count, span, (sensor,)))
+    return LogInfo(
+        str(path), f"CSV ({table.separator_name})", span[1] if span else 0.0, tuple(sources.values()), notes
     )
-    return LogInfo(str(path), f"CSV ({table.separator_name})", span[1] if span else 0.0, sources, notes)
 
 
 def _require(table: Table, magnetometer: SensorColumns | None, time: Column | None, request: Request) -> None:

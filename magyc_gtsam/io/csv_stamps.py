@@ -73,7 +73,8 @@ class StampColumn:
 
     def _not_a_stamp(self, cell: str, number: int) -> MagycError:
         return MagycError(
-            f"{self.path}, line {number}: {cell[:80]!r} is not a time stamp; repair or remove the line"
+            f"{self.path}, line {number}: {cell[:80]!r} is neither a number nor a date and time in ISO 8601; repair or "
+            "remove the line, or name another column of time stamps (time=)"
         )
 
     def _calendar(self, cell: str, number: int) -> int:

@@ -204,15 +204,18 @@ def load(path: Path, names: str | Sequence[str] | None) -> Table:
         raise MagycError(f"{path}: holds a header but no data")
     first = _split(head[0][1], separator)
     if columns and len(first) != len(columns):
-        raise MagycError(
-            f"{path}, line {head[0][0]}: {len(first)} values, expected {len(columns)}; repair or remove the line"
-        )
+        remedy = "repair or remove the line" if names is None else "name every column of the table (columns=)"
+        raise MagycError(f"{path}, line {head[0][0]}: {len(first)} values, expected {len(columns)}; {remedy}")
     return Table(path, separator, columns, len(first), first, header_line)
 
 
 def _text(data: bytes, path: Path, number: int) -> list[str]:
-    """Decode bytes into lines; `number` lines precede them in the file."""
-    lines = data.decode("utf-8", errors="replace").splitlines()
+    """Decode bytes, UTF-8 or else Latin-1, into lines; `number` lines precede them in the file."""
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    lines = text.splitlines()
     if max(map(len, lines), default=0) > _LONGEST:
         raise MagycError(
             f"{path}: a line after line {number} is longer than {_LONGEST} characters; not a text table"

@@ -65,6 +65,10 @@ class OnlineOptions:
             value = getattr(self, name)
             if isinstance(value, (bool, str)) or not least <= value < np.inf:
                 raise MagycError(f"{name}: must be a finite number of at least {least:g}, got {value!r}")
+        if self.prior is None and self.prior_walk:
+            raise MagycError(
+                "prior_walk: what may have changed since an earlier calibration; give that calibration too (prior=)"
+            )
 
     @property
     def options(self) -> SmootherOptions:
