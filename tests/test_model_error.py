@@ -19,6 +19,7 @@ from magyc_gtsam.estimators.smoother.columns import Products, UnmodelledColumns
 from magyc_gtsam.estimators.smoother.fit import descend
 from magyc_gtsam.estimators.smoother.noise_levels import explained
 from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.estimators.smoother.stacked import Stacked
 from magyc_gtsam.simulation import HARD_IRON
 from magyc_gtsam.study.faults.catalogue import FAULTS
 from magyc_gtsam.study.faults.scoring import score
@@ -83,12 +84,13 @@ def test_products_of_profiles_and_axes_are_as_any_columns(fit) -> None:
     assert len(groups) > 6
     for together, group in zip(beside.of_each([lambda group=g: group for g in groups]), groups, strict=True):
         alone = beside.of(group.dense)
-        size = np.sqrt(np.square(alone.window).sum(axis=1))
+        size = np.sqrt(np.square(group.window * beside.window_scale).sum(axis=(1, 2)))
         np.testing.assert_allclose(
             together.normal / np.outer(size, size), alone.normal / np.outer(size, size), atol=1e-11
         )
         np.testing.assert_allclose(together.score / size, alone.score / size, atol=1e-9)
-        np.testing.assert_allclose(together.across(alone), alone.across(alone), atol=1e-11 * size.max() ** 2)
+        one, other = Stacked.of([together]), Stacked.of([alone])
+        np.testing.assert_allclose(one.across(other), other.across(other), atol=1e-11 * size.max() ** 2)
         moves = beside.move(alone)
         np.testing.assert_allclose(beside.move(together), moves, atol=1e-9 * np.abs(moves).max())
 
@@ -99,12 +101,12 @@ def test_products_of_all_families_have_no_negative_direction(fit) -> None:
     for each in (fit, weak):
         motion, beside = WindowMotion.of(each), ColumnProducts(each)
         new = [beside.of(family.columns(motion)) for family in FAMILIES]
-        normal = np.block(
-            [[one.across(other) if one is not other else one.normal for other in new] for one in new]
-        )
-        square = np.concatenate(
-            [np.square(part).sum(axis=1) for one in new for part in (one.window, one.link) if part is not None]
-        )
+        stacked = Stacked.of(new)
+        normal, square = stacked.across(stacked), np.zeros(len(stacked.absorbed))
+        for one, own in zip(new, stacked.groups, strict=True):
+            normal[own, own] = one.normal
+        for part, rows in (stacked.window, stacked.link):
+            square[rows] += np.square(part).sum(axis=1)
         scaled = normal / np.sqrt(square * square[:, None])
         np.testing.assert_allclose(scaled, scaled.T, atol=1e-12)
         assert np.linalg.eigvalsh(scaled).min() > -1e-12
@@ -135,7 +137,7 @@ def test_what_the_parameters_explain_is_not_new(fit) -> None:
     beside = ColumnProducts(fit)
     hard_iron = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(fit.chain.windows)))
     new = beside.of(UnmodelledColumns(1e-6 * hard_iron, None))
-    assert np.abs(new.normal).max() < 1e-9 * np.square(new.window).sum(axis=1).max()
+    assert np.abs(new.normal).max() < 1e-9 * np.square(1e-6 * beside.window_scale).sum()
     np.testing.assert_allclose(beside.move(new)[6:9], 1e-6 * np.eye(3), atol=1e-9)
 
 

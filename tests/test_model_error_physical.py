@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from magyc_gtsam import calibrate, simulate
-from magyc_gtsam.estimators.model_error.averaging import averaged
+from magyc_gtsam.estimators.model_error.averaging import averaged_of_each
 from magyc_gtsam.estimators.model_error.physical import PHYSICAL, _followed
+from magyc_gtsam.estimators.model_error.principal import principal
 from magyc_gtsam.estimators.model_error.samples import flickers
 from magyc_gtsam.study.efficiency import error, nees
 from magyc_gtsam.study.faults.catalogue import FAULTS
@@ -33,7 +34,7 @@ def test_the_average_is_that_of_its_octaves() -> None:
     most = 0.5
     variances = [(most * 0.5**k) ** 2 * 200.0 / products[2] for k in range(4)]
     nats = np.array([by_quadrature(*products, 200.0, v) for v in variances])
-    found = averaged(*products, 200.0, most, 4)
+    (found,) = averaged_of_each([principal(*products[:2])], products[2], 200.0, [most], [4])
     assert found.evidence == pytest.approx(np.log(np.mean(np.exp(nats))))
     share = np.exp(nats) / np.exp(nats).sum()
     second = np.zeros((3, 3))

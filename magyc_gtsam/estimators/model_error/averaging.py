@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magyc_gtsam.estimators.model_error.principal import Principal, principal, stacked
+from magyc_gtsam.estimators.model_error.principal import Principal, stacked
 from magyc_gtsam.factors.chain.rotations import Array
 
 
@@ -30,11 +30,6 @@ class Averaged(NamedTuple):
     evidence: float
     second: Array
     amplitude: float
-
-
-def averaged(normal: Array, score: Array, square: float, freedom: float, most: float, octaves: int) -> Averaged:
-    """Average a group with G (k, k) and s (k,) over `octaves` of amplitude from `most` down, in its columns' unit."""
-    return averaged_of_each([principal(normal, score)], square, freedom, [most], [octaves])[0]
 
 
 def averaged_of_each(

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from math import exp
+from typing import NamedTuple
 
-import numpy as np
-
-from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged, averaged_of_each
+from magyc_gtsam.estimators.model_error.averaging import Averaged, averaged_of_each
 from magyc_gtsam.estimators.model_error.component import Component, Tested, moves
 from magyc_gtsam.estimators.model_error.components import Held, likeliest
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
+from magyc_gtsam.estimators.model_error.principal import principal
 from magyc_gtsam.estimators.model_error.shown import Shown
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
+from magyc_gtsam.estimators.smoother.stacked import Stacked
 
 _LOG_RATIO_BOUND = 50.0  # nats, bound of a log-likelihood ratio
 _LEAST_ODDS = 0.03  # upper bound of the posterior odds below which a family is skipped
@@ -36,23 +37,13 @@ def not_excluded(
     for each in every:
         # A bound for the family by itself (beside others its gain may differ): no mean over amplitudes exceeds the
         # maximum of the likelihood.
-        unlikely = each.family.prior * _likelihood(each.gain) < _LEAST_ODDS
+        unlikely = each.family.prior * _bounded_exp(each.gain) < _LEAST_ODDS
         if not unlikely and each.family not in there and each.family.likely(motion) > 0:
             open_ones.append(each)
     largest = [each.family.likely(motion) for each in open_ones]
-    if shown.variance.any():
-        shown_ones = Held.of(shown.normal, shown.score, shown.variance, beside.square)
-        rivals = _rivals(beside, shown)
-        likeliest_hypotheses = [
-            max(_hypotheses(beside, each, shown, shown_ones, rivals, most), key=lambda hypothesis: hypothesis[0])
-            for each, most in zip(open_ones, largest, strict=True)
-        ]
-    else:
-        likeliest_hypotheses = _without_others(beside, open_ones, largest)
+    hypotheses = _likeliest(beside, open_ones, largest, shown)
     components = []
-    for each, move, (odds, known) in zip(
-        open_ones, moves(beside, motion, open_ones), likeliest_hypotheses, strict=True
-    ):
+    for each, move, (odds, known) in zip(open_ones, moves(beside, motion, open_ones), hypotheses, strict=True):
         share = odds / (1 + odds)
         covariance = share * (move @ known.second @ move.T)
         size = each.family.size(known.amplitude, motion)
@@ -61,57 +52,59 @@ def not_excluded(
     return components
 
 
-def _without_others(
-    beside: ColumnProducts, families: Sequence[Tested], largest: Sequence[float]
-) -> list[tuple[float, Averaged]]:
-    """Return the odds and posterior of each family if no other family is shown; see `_hypotheses`."""
-    octaves = [each.family.octaves for each in families]
-    every = averaged_of_each(
-        [each.principal for each in families], beside.square, beside.freedom, largest, octaves
-    )
-    return [
-        (each.family.prior * _likelihood(known.evidence), known)
-        for each, known in zip(families, every, strict=True)
-    ]
+class _Others(NamedTuple):
+    """The families that a hypothesis has beside the one considered.
+
+    Attributes:
+        held: their columns.
+        prior, gain: prior odds and gain in log-likelihood of the family that is replaced; those of none otherwise.
+    """
+
+    held: Held
+    prior: float = 1.0
+    gain: float = 0.0
 
 
-def _rivals(beside: ColumnProducts, shown: Shown) -> list[tuple[float, Held, float]]:
-    """Return, for each family that is shown, its prior odds, the other families, and its gain beside them."""
-    result = []
-    for rival, own in shown.active:
+def _others(beside: ColumnProducts, shown: Shown) -> Iterator[_Others]:
+    """Yield all families that are shown, then all but one, for each of them."""
+    yield _Others(Held.of(shown.normal, shown.score, shown.variance, beside.square))
+    for replaced, own in shown.active:
         variance = shown.variance.copy()
         variance[own] = 0.0
-        others = Held.of(shown.normal, shown.score, variance, beside.square)
-        known, pulled = others.explained(shown.normal[:, own])
+        held = Held.of(shown.normal, shown.score, variance, beside.square)
+        known, pulled = held.explained(shown.normal[:, own])
         new = shown.normal[own, own] - known, shown.score[own] - pulled
-        most = rival.family.most**2 * beside.freedom / others.left
-        gain = likeliest(*new, others.left, beside.freedom, most).gain
-        result.append((rival.family.prior, others, gain))
-    return result
+        most = replaced.family.most**2 * beside.freedom / held.left
+        yield _Others(held, replaced.family.prior, likeliest(*new, held.left, beside.freedom, most).gain)
 
 
-def _hypotheses(
-    beside: ColumnProducts,
-    each: Tested,
-    shown: Shown,
-    every: Held,
-    rivals: Sequence[tuple[float, Held, float]],
-    largest: float,
-) -> Iterator[tuple[float, Averaged]]:
-    """Yield the odds and posterior of a family in addition to the shown ones, and in place of each of them."""
-    across = np.concatenate([other.new.across(each.new) for other, _ in shown.found])
+def _likeliest(
+    beside: ColumnProducts, families: Sequence[Tested], largest: Sequence[float], shown: Shown
+) -> list[tuple[float, Averaged]]:
+    """Return the odds and posterior of each family in its likeliest hypothesis."""
+    octaves = [each.family.octaves for each in families]
+    if shown.stacked is None or not shown.variance.any() or not families:
+        axes = [each.principal for each in families]
+        every = averaged_of_each(axes, beside.square, beside.freedom, largest, octaves)
+        return [(_odds(each, known), known) for each, known in zip(families, every, strict=True)]
+    stacked = Stacked.of([each.new for each in families])
+    across = shown.stacked.across(stacked)
+    hypotheses = []
+    for others in _others(beside, shown):
+        known, pulled = others.held.explained(across)
+        axes = [
+            principal(each.new.normal - known[own, own], each.new.score - pulled[own])
+            for each, own in zip(families, stacked.groups, strict=True)
+        ]
+        every = averaged_of_each(axes, others.held.left, beside.freedom, largest, octaves)
+        hypotheses.append([(_odds(*each, others), each[1]) for each in zip(families, every, strict=True)])
+    return [max(each, key=lambda hypothesis: hypothesis[0]) for each in zip(*hypotheses, strict=True)]
 
-    def known_beside(others: Held) -> Averaged:
-        known, pulled = others.explained(across)
-        new = each.new.normal - known, each.new.score - pulled
-        return averaged(*new, others.left, beside.freedom, largest, each.family.octaves)
 
-    known = known_beside(every)
-    yield each.family.prior * _likelihood(known.evidence), known
-    for prior, others, gain in rivals:
-        known = known_beside(others)
-        yield each.family.prior / prior * _likelihood(known.evidence - gain), known
+def _odds(each: Tested, known: Averaged, others: _Others | None = None) -> float:
+    prior, gain = (1.0, 0.0) if others is None else (others.prior, others.gain)
+    return each.family.prior / prior * _bounded_exp(known.evidence - gain)
 
 
-def _likelihood(nats: float) -> float:
+def _bounded_exp(nats: float) -> float:
     return exp(min(max(nats, -_LOG_RATIO_BOUND), _LOG_RATIO_BOUND))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ from magyc_gtsam.estimators.model_error.component import Component, Tested, move
 from magyc_gtsam.estimators.model_error.components import fit_components
 from magyc_gtsam.estimators.model_error.motion import WindowMotion
 from magyc_gtsam.estimators.smoother.beside import ColumnProducts
+from magyc_gtsam.estimators.smoother.stacked import Stacked
 from magyc_gtsam.factors.chain.field_chain import PARAMETERS, SKEW
 from magyc_gtsam.factors.chain.rotations import Array
 
@@ -30,6 +30,7 @@ class Shown(NamedTuple):
         components: families with an amplitude above 0.
         normal, score, variance: G (K, K), s (K,) and v (K,) of all columns, for tests of further families.
         found: the families with the rows of their columns.
+        stacked: their columns; None if there are none.
     """
 
     covariance: Array
@@ -38,6 +39,7 @@ class Shown(NamedTuple):
     score: Array
     variance: Array
     found: tuple[tuple[Tested, slice], ...]
+    stacked: Stacked | None
 
     @property
     def active(self) -> Iterator[tuple[Tested, slice]]:
@@ -49,11 +51,10 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
     """Fit the amplitudes of the families `found` jointly, in the order given."""
     varying = np.zeros_like(beside.fit.reduced.information)
     if not found:
-        return Shown(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), ())
-    normal = np.block([[one.new.across(other.new) for other in found] for one in found])
+        return Shown(varying, (), np.zeros((0, 0)), np.zeros(0), np.zeros(0), (), None)
+    stacked = Stacked.of([each.new for each in found])
+    normal, groups = stacked.across(stacked), stacked.groups
     each_move = moves(beside, motion, found)
-    edges = np.cumsum([0, *(len(each.new.score) for each in found)]).tolist()
-    groups = [slice(*pair) for pair in pairwise(edges)]
     for each, own in zip(found, groups, strict=True):
         normal[own, own] = each.new.normal
     score = np.concatenate([each.new.score for each in found])
@@ -73,7 +74,7 @@ def shown_by(beside: ColumnProducts, motion: WindowMotion, found: Sequence[Teste
     every = np.concatenate(each_move, axis=1)
     covariance = _to_second_order(every @ fitted.second @ every.T + varying)
     pairs = tuple(zip(found, groups, strict=True))
-    return Shown(covariance, tuple(components), normal, score, fitted.variance, pairs)
+    return Shown(covariance, tuple(components), normal, score, fitted.variance, pairs, stacked)
 
 
 def _to_second_order(covariance: Array) -> Array:

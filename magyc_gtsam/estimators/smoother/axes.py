@@ -26,10 +26,12 @@ _ALONE = 0.85  # share of the second-best arrangement's misfit above which the b
 _POOR = 0.2  # share left unexplained below which the given arrangement is accepted
 _EXPLAINS = 0.25  # largest share of the field's variation that an accepted arrangement leaves unexplained
 
-_MATRICES = [
-    np.eye(3)[list(order)] * np.array(signs)[:, None]
-    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
-]
+_MATRICES = np.array(
+    [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3))
+    ]
+)
 _SCALES = {"": 1.0, "deg/s": np.pi / 180, "rad/s": 180 / np.pi}
 
 
@@ -70,10 +72,8 @@ def arrangements(recording: Recording) -> list[Arrangement]:
     found = []
     for unit, factor in _SCALES.items():
         change, mid, turn, step = _pairs(recording, factor)
-        normal = _normal_matrix(change, mid, turn, step)
-        for matrix in _MATRICES:
-            unexplained = _unexplained(normal, matrix)
-            found.append(Arrangement(matrix * factor, unit, unexplained))
+        left = _unexplained(_normal_matrix(change, mid, turn, step), _MATRICES)
+        found += [Arrangement(matrix * factor, unit, share) for matrix, share in zip(_MATRICES, left, strict=True)]
     return sorted(found, key=lambda a: a.unexplained)
 
 
@@ -94,19 +94,21 @@ def _normal_matrix(change: Array, mid: Array, turn: Array, step: Array) -> Array
     return columns.T @ columns
 
 
-def _unexplained(normal: Array, matrix: Array) -> float:
-    """Return the share of Σ‖Δm‖² that the arrangement G leaves unexplained, with the best h, b' and c."""
-    chosen = np.zeros((25, 10))
-    chosen[:9, 9] = matrix.ravel()  # Δm − m × Gθ …
-    chosen[24, 9] = 1.0
-    chosen[9:18, :3] = np.einsum("jri->rji", _skew(matrix.T)).reshape(9, 3)  # … = [Gθ]× h …
-    chosen[18:24, 3:9] = np.eye(6)  # … − m × b' Δt + c Δt
-    small = chosen.T @ normal @ chosen
-    size = np.maximum(np.sqrt(np.diag(small)), 1e-150)
-    small /= np.outer(size, size)
-    solution = np.linalg.lstsq(small[:9, :9], small[:9, 9], rcond=1e-12)[0]
-    left = (small[9, 9] - small[9, :9] @ solution) * size[9] ** 2
-    return max(float(left), 0.0) / max(float(normal[24, 24]), 1e-300)
+def _unexplained(normal: Array, matrices: Array) -> list[float]:
+    """Return the share of Σ‖Δm‖² that each arrangement G, (k, 3, 3), leaves unexplained, with the best h, b' and c."""
+    chosen = np.zeros((len(matrices), 25, 10))
+    chosen[:, :9, 9] = matrices.reshape(-1, 9)  # Δm − m × Gθ …
+    chosen[:, 24, 9] = 1.0
+    axes = _skew(matrices.swapaxes(1, 2).reshape(-1, 3)).reshape(-1, 3, 3, 3)
+    chosen[:, 9:18, :3] = axes.swapaxes(1, 2).reshape(-1, 9, 3)  # … = [Gθ]× h …
+    chosen[:, 18:24, 3:9] = np.eye(6)  # … − m × b' Δt + c Δt
+    small = chosen.swapaxes(1, 2) @ normal @ chosen
+    size = np.maximum(np.sqrt(np.diagonal(small, axis1=1, axis2=2)), 1e-150)
+    small /= size[:, :, None] * size[:, None, :]
+    solution = np.linalg.pinv(small[:, :9, :9], rcond=1e-12, hermitian=True) @ small[:, :9, 9:]
+    left = (small[:, 9, 9] - (small[:, 9:, :9] @ solution)[:, 0, 0]) * size[:, 9] ** 2
+    share: list[float] = (np.maximum(left, 0.0) / max(float(normal[24, 24]), 1e-300)).tolist()
+    return share
 
 
 def check(recording: Recording) -> None:
@@ -121,7 +123,7 @@ def check(recording: Recording) -> None:
     best = ranked[0]
     given = next(a for a in ranked if not a.unit and np.array_equal(a.matrix, np.eye(3)))
     # Even without a gyroscope, a constant bias explains a turn at constant rate.
-    still = _unexplained(_normal_matrix(*_pairs(recording, _SCALES[best.unit])), np.zeros((3, 3)))
+    (still,) = _unexplained(_normal_matrix(*_pairs(recording, _SCALES[best.unit])), np.zeros((1, 3, 3)))
     limit = min(_EXPLAINS, _CLEARLY * given.unexplained, _CLEARLY * still, _ALONE * ranked[1].unexplained)
     if given.unexplained < _POOR or best.unexplained > limit:
         return

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -38,7 +37,7 @@ Make = Callable[[], Columns]
 class New:
     """The score and information matrix of one group of columns outside the model.
 
-    Arrays as long as the recording are computed on demand, because few groups need them.
+    The columns themselves are computed again when they are needed (`stacked`), because few groups are.
 
     Attributes:
         normal: (k, k) G.
@@ -62,30 +61,6 @@ class New:
             return np.ones(len(own))
         held: Array = np.square(self.explained[-terms.columns.size :]).sum(axis=0)
         return own / np.maximum(own + held, 1e-300)
-
-    @cached_property
-    def absorbed(self) -> Array:
-        """(k, 2n) Zᵀ of the columns."""
-        return self.beside.absorbed(self.make())
-
-    @cached_property
-    def window(self) -> Array | None:
-        """(k, 3n) whitened columns of the windows; None if they are zero."""
-        return _flat(self.make().window, self.beside.window_scale)
-
-    @cached_property
-    def link(self) -> Array | None:
-        """(k, 3n − 3) whitened columns of the links; None if they are zero."""
-        return _flat(self.make().link, self.beside.link_scale)
-
-    def across(self, other: New) -> Array:
-        """Return the (k, l) block of G between these columns and others."""
-        result: Array = -(self.absorbed @ other.absorbed.T) - self.explained.T @ other.explained
-        if self.window is not None and other.window is not None:
-            result += self.window @ other.window.T
-        if self.link is not None and other.link is not None:
-            result += self.link @ other.link.T
-        return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,10 +204,6 @@ def _gram(rows: Array) -> Array:
     """
     result: Array = dgemm(1.0, rows.T, rows.T, trans_a=1)
     return result
-
-
-def _flat(columns: Array | None, scale: Array) -> Array | None:
-    return None if columns is None else (columns * scale).reshape(len(columns), -1)
 
 
 def _kind(group: Columns) -> object:
