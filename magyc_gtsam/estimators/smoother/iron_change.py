@@ -2,22 +2,25 @@
 
 The robust fit rejects such stretches as disturbed, without a message if they are the smaller part. It does the same
 with disturbances by the surroundings. The two can be told apart: after a change of the instrument, the stretches fit
-with the same soft iron and field strength and another hard iron, which the rotation within them determines.
+with the same soft iron and field strength and another hard iron, which the rotation within them determines. Only hard
+iron, gyroscope bias and field strength are fitted there, so that the question costs little where the answer is no.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from magyc_gtsam.calibration import Calibration
-from magyc_gtsam.estimators.smoother.fit import Fit
+from magyc_gtsam.estimators.smoother.fit import BRIEF, Fit, begin, inverse_information
 from magyc_gtsam.estimators.smoother.options import SmootherOptions
-from magyc_gtsam.estimators.smoother.search import fit_field_chain
+from magyc_gtsam.estimators.smoother.preparation import preintegrate, short_term_noise
+from magyc_gtsam.estimators.smoother.search import refit_field_chain, shortened
 from magyc_gtsam.factors.chain.facts import field_strength
+from magyc_gtsam.factors.chain.field_chain import DELAY, FieldChain
 from magyc_gtsam.factors.chain.median import median
 from magyc_gtsam.factors.errors import MagycError
 from magyc_gtsam.recording import Array, Recording
@@ -32,9 +35,9 @@ class _Limits:
     disturbed: float = 0.5  # weight of a window below which it counts as disturbed
     smoothed: float = 5.0  # s, length of the median filter of the weights
     explained: float = 0.8  # least mean weight of the windows of a stretch that another hard iron explains
-    noise: float = 1.5  # largest noise in the stretch, as a multiple of that in the rest
     strength: float = 0.02  # largest relative difference of the field strength
-    walk: float = 1e-3  # T, prior standard deviation of the change of the hard iron
+    settled: float = 1e-3  # relative step of the field strength below which it has converged
+    noise: float = 1.5  # largest noise in the stretch, as a multiple of that in the rest
     sigmas: float = 6.0  # least Mahalanobis distance of the change
     smallest: float = 0.02  # least change, as a share of the field strength; one degree of heading
 
@@ -76,34 +79,55 @@ def hard_iron_change(
     if not len(stretches) or not fit.converged or calibration.covariance is None:
         return None
     try:
-        own = replace(
-            options,
-            prior=calibration,
-            hard_iron_walk=_LIMITS.walk,
-            soft_iron_walk=0.0,
-            delay=calibration.delay,
-            clock_drift=0.0,
-        )
-        other, _ = fit_field_chain(
-            recording.rows(inside(stretches, recording.time - recording.time[0])),
-            own,
-            start=fit.state.parameters,
-            brief=True,
-        )
-    except MagycError:  # too short or too little motion to determine a hard iron, or no convergence
+        found = _refit(recording.rows(inside(stretches, recording.time - recording.time[0])), fit, options)
+    except MagycError:  # too short, or a direction without curvature
         return None
-    strength, size = (field_strength(each.state.parameters[:6])[0] for each in (fit, other))
+    if found is None:
+        return None
+    other, covariance = found
     change = other.state.parameters[6:9] - fit.state.parameters[6:9]
-    covariance = other.covariance[6:9, 6:9] + fit.covariance[6:9, 6:9]
     explained = (
         other.weights.window.mean() >= _LIMITS.explained
         and other.chain.noise.magnetometer <= _LIMITS.noise * fit.chain.noise.magnetometer
-        and abs(size / strength - 1) <= _LIMITS.strength
     )
-    apart = change @ np.linalg.solve(covariance, change) > _LIMITS.sigmas**2
+    apart = change @ np.linalg.solve(covariance + fit.covariance[6:9, 6:9], change) > _LIMITS.sigmas**2
+    strength, _ = field_strength(fit.state.parameters[:6])
     if explained and apart and np.linalg.norm(change) > _LIMITS.smallest * strength:
         return IronChange(stretches, change)
     return None
+
+
+def _refit(recording: Recording, fit: Fit, options: SmootherOptions) -> tuple[Fit, Array] | None:
+    """Fit hard iron, gyroscope bias and field strength to a part of the recording, with all else as in `fit`.
+
+    Returns:
+        The fit, and the covariance (3, 3) of its hard iron; None if the field has another strength there, which an
+        instrument at rest cannot tell from another hard iron, or if there is no minimum.
+    """
+    samples = preintegrate(recording, shortened(options.window), options.turn)
+    short_term = short_term_noise(recording) if options.noise is None else None
+    parameters, noise = fit.state.parameters.copy(), fit.chain.noise
+    free = np.zeros(len(parameters), dtype=bool)
+    free[6:12] = True
+    with_strength, stronger = np.zeros((len(free), 7)), 1.0
+    with_strength[6:12, 1:] = np.eye(6)
+    while True:
+        windows = samples.integrate(parameters[9:12], float(parameters[DELAY]))
+        begun = begin(FieldChain(windows, noise), parameters, free, BRIEF)
+        other = refit_field_chain(samples, begun, options.reject, short_term)
+        if not other.converged:
+            return None
+        parameters, noise = other.state.parameters.copy(), other.chain.noise
+        with_strength[:6, 0] = parameters[:6]
+        information = with_strength.T @ other.reduced.information @ with_strength
+        covariance = inverse_information(information, np.ones(7, dtype=bool))
+        share = -float(covariance[0] @ (with_strength.T @ other.reduced.gradient))
+        if abs(stronger * (1 + share) - 1) > _LIMITS.strength:
+            return None
+        if abs(share) < _LIMITS.settled:
+            return other, covariance[1:4, 1:4]
+        stronger *= 1 + share
+        parameters[:6] *= 1 + share
 
 
 def _disturbed(time: Array, weight: Array) -> Array:
